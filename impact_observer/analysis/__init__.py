@@ -1,0 +1,1 @@
+"""What to make of states and estimates: pure functions on arrays."""

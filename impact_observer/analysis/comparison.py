@@ -1,0 +1,150 @@
+"""Estimates against the truth, without ever mixing the two sides of an impact.
+
+A truth sample at an impact's stamp is after the impact, and so is an estimate that has heard of
+it. A live estimate that was published before its event arrived is *late*: it is counted and left
+out, for its distance is the size of the jump and says nothing of the observer.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.analysis.lyapunov import distance
+from impact_observer.errors import BagError
+from impact_observer.model import System
+from impact_observer.stamps import seconds_between, text
+from impact_observer.states import Stamps, Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """States at stamps.
+
+    Attributes:
+        stamps: ns, shape (samples,).
+        x: states (q, u), shape (samples, 2n).
+    """
+
+    stamps: Stamps
+    x: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """One law's estimate against the truth.
+
+    Attributes:
+        law: name of the law.
+        stamps: of the samples that count, ns, shape (samples,).
+        error: estimate minus truth, (dq, du), shape (samples, 2n).
+        V: Lyapunov distance, J, shape (samples,).
+        late: estimates left out because their event had not arrived.
+        impacts: impact instants that the estimate used.
+    """
+
+    law: str
+    stamps: Stamps
+    error: NDArray[np.float64]
+    V: Vector
+    late: int
+    impacts: int
+
+    @property
+    def ratio(self) -> float | None:
+        """``V`` at the end over ``V`` at the start; None where they start equal."""
+        return float(self.V[-1] / self.V[0]) if self.V[0] > 0 else None
+
+    @property
+    def rms(self) -> Vector:
+        """Root mean square error of each state, shape (2n,)."""
+        return np.asarray(np.sqrt(np.mean(self.error**2, axis=0)))
+
+    @property
+    def largest(self) -> Vector:
+        """Largest absolute error of each state, shape (2n,)."""
+        return np.asarray(np.max(np.abs(self.error), axis=0))
+
+    @property
+    def final(self) -> Vector:
+        """Error of each state at the end, shape (2n,)."""
+        return np.asarray(self.error[-1])
+
+    def settling_time(self, threshold: float) -> float | None:
+        """Seconds after the first sample from which ``V <= threshold V0`` for good, or None."""
+        above = np.flatnonzero(threshold * self.V[0] < self.V)
+        if above.size == 0:
+            return 0.0
+        settled = int(above[-1]) + 1
+        if settled == self.V.size or self.V[0] <= 0:
+            return None
+        return seconds_between(int(self.stamps[0]), int(self.stamps[settled]))
+
+    def largest_rise(self) -> float:
+        """Largest rise of ``V`` from one sample to the next over ``V`` at the start."""
+        return float(np.max(np.diff(self.V), initial=0.0) / self.V[0]) if self.V[0] > 0 else 0.0
+
+
+def compare(
+    system: System,
+    law: str,
+    truth: Series,
+    estimate: Series,
+    *,
+    applied: Stamps,
+    last_event: Stamps | None = None,
+) -> Comparison:
+    """Compare at the stamps that both have.
+
+    Args:
+        system: gives M and K for V.
+        law: name of the estimate's law.
+        truth: the plant's states.
+        estimate: the observer's.
+        applied: stamps of the events that the observer applied, ns, ascending, shape (events,).
+        last_event: for each estimate the stamp of the last event it contains, ns, 0 for none,
+            shape (samples,); None where every estimate contains the events before it.
+
+    Raises:
+        BagError: no stamp is in both.
+    """
+    # A stamp may come twice: a live estimate is published again when a late event corrects it.
+    of_truth, of_estimate = _last_of_each(truth.stamps), _last_of_each(estimate.stamps)
+    common, in_truth, in_estimate = np.intersect1d(
+        truth.stamps[of_truth], estimate.stamps[of_estimate], True, return_indices=True
+    )
+    in_truth, in_estimate = of_truth[in_truth], of_estimate[in_estimate]
+    if common.size == 0:
+        raise BagError(
+            f"{law}: truth and estimate have no stamp in common: truth {_range(truth.stamps)},"
+            f" estimate {_range(estimate.stamps)}; both must be sampled at the same instants"
+        )
+    kept = np.ones(common.size, dtype=bool)
+    if last_event is not None:
+        due = np.concatenate([[0], applied])[np.searchsorted(applied, common, side="right")]
+        kept = last_event[in_estimate] >= due
+    if not kept.any():
+        raise BagError(f"{law}: every estimate came before its events; nothing can be compared")
+    error = estimate.x[in_estimate][kept] - truth.x[in_truth][kept]
+    n = system.n
+    last = int(common[kept][-1])
+    return Comparison(
+        law=law,
+        stamps=common[kept],
+        error=error,
+        V=distance(system, error[:, :n], error[:, n:]),
+        late=int(np.count_nonzero(~kept)),
+        impacts=int(np.count_nonzero(np.unique(applied) <= last)),
+    )
+
+
+def _last_of_each(stamps: Stamps) -> NDArray[np.int64]:
+    """Where each stamp stands for the last time."""
+    _, from_behind = np.unique(stamps[::-1], return_index=True)
+    return np.asarray(stamps.size - 1 - from_behind)
+
+
+def _range(stamps: Stamps) -> str:
+    if stamps.size == 0:
+        return "none"
+    return f"{text(int(stamps.min()))} to {text(int(stamps.max()))} s"

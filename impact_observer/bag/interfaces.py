@@ -1,0 +1,165 @@
+"""The one table of the package's topics: name, message type, quality of service.
+
+Nodes use the names relative to their namespace, bags the absolute ones.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+
+_FOREVER = QosTime(9_223_372_036, 854_775_807)
+"""How ROS 2 Jazzy writes a duration without end: int64 nanoseconds, all of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """What decides whether and what a subscriber receives.
+
+    Attributes:
+        reliable: whether a lost message is sent again.
+        transient_local: whether a late subscriber receives the last ``depth`` messages.
+        depth: messages kept for a slow or late subscriber; 0 keeps all.
+    """
+
+    reliable: bool = True
+    transient_local: bool = False
+    depth: int = 10
+
+    def offered(self) -> Qos:
+        """The quality as ``rosbags`` writes it into a bag."""
+        return Qos(
+            QosHistory.KEEP_LAST if self.depth else QosHistory.KEEP_ALL,
+            self.depth,
+            QosReliability.RELIABLE if self.reliable else QosReliability.BEST_EFFORT,
+            QosDurability.TRANSIENT_LOCAL if self.transient_local else QosDurability.VOLATILE,
+            _FOREVER,
+            _FOREVER,
+            QosLiveliness.AUTOMATIC,
+            _FOREVER,
+            avoid_ros_namespace_conventions=False,
+        )
+
+    @classmethod
+    def recorded(cls, qos: Qos, depth: int = 10) -> "Quality":
+        """The quality that a bag says was offered.
+
+        Args:
+            qos: what ``rosbags`` read; where it leaves the reliability open, it is reliable.
+            depth: messages kept when the bag does not know: a recorder cannot see the history
+                of a publisher, so ``ros2 bag record`` writes ``unknown``.
+        """
+        kept = {QosHistory.KEEP_ALL: 0, QosHistory.KEEP_LAST: max(qos.depth, 1)}
+        return cls(
+            reliable=qos.reliability is not QosReliability.BEST_EFFORT,
+            transient_local=qos.durability is QosDurability.TRANSIENT_LOCAL,
+            depth=kept.get(qos.history, depth),
+        )
+
+    @classmethod
+    def common(cls, offers: Iterable["Quality"]) -> "Quality":
+        """The most that a subscriber to all publishers with these ``offers`` may ask for."""
+        reliable, transient_local, depths = zip(
+            *((offer.reliable, offer.transient_local, offer.depth) for offer in offers),
+            strict=True,
+        )
+        return cls(all(reliable), all(transient_local), max(depths) if all(depths) else 0)
+
+
+EVENTS = Quality(transient_local=True, depth=2000)
+"""Events: none may be lost, and one who starts late receives the earlier ones."""
+STATES = Quality()
+"""States: none should be lost, the earlier ones are of no use."""
+LATCHED = Quality(transient_local=True, depth=1)
+"""A value that holds until the next: whoever starts late receives the last one."""
+
+IMPACT_EVENT = "impact_observer_msgs/msg/ImpactEvent"
+CONTACT_SWITCH = "impact_observer_msgs/msg/ContactSwitch"
+OBSERVER_STATE = "impact_observer_msgs/msg/ObserverState"
+EVENT_VERDICT = "impact_observer_msgs/msg/EventVerdict"
+ESTIMATE_ERROR = "impact_observer_msgs/msg/EstimateError"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+STRING = "std_msgs/msg/String"
+HEADER = "std_msgs/msg/Header"
+TIME = "builtin_interfaces/msg/Time"
+CLOCK = "rosgraph_msgs/msg/Clock"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """A topic of the package.
+
+    Attributes:
+        name: name of the topic, relative to the namespace; absolute where ROS fixes it.
+        type: name of its message type.
+        quality: quality of service that is offered.
+    """
+
+    name: str
+    type: str
+    quality: Quality = STATES
+
+    @property
+    def topic(self) -> str:
+        """The absolute name in a bag."""
+        return self.name if self.name.startswith("/") else f"/{self.name}"
+
+    def of(self, owner: str) -> str:
+        """The topic's relative name below another owner, such as ``observer_geometric``."""
+        return f"{owner}/{self.name.rpartition('/')[2]}"
+
+    def fits(self, topic: str) -> bool:
+        """Whether an absolute ``topic`` is this one, in any namespace and of any owner.
+
+        ``/rig/observer_geometric/state`` fits ``observer/state``: several observers live side
+        by side as ``observer_<law>``.
+        """
+        if self.name.startswith("/"):
+            return topic == self.name
+        wanted, found = self.name.split("/"), topic.split("/")[1:]
+        if len(found) < len(wanted) or found[-1] != wanted[-1]:
+            return False
+        owner = found[-2] if len(wanted) == 2 else ""
+        return len(wanted) == 1 or owner == wanted[0] or owner.startswith(f"{wanted[0]}_")
+
+
+IMPACTS = Interface("impacts", IMPACT_EVENT, EVENTS)
+PLANT_JOINT_STATES = Interface("plant/joint_states", JOINT_STATE)
+PLANT_MODEL = Interface("plant/model", STRING, LATCHED)
+OBSERVER_JOINT_STATES = Interface("observer/joint_states", JOINT_STATE)
+OBSERVER_STATES = Interface("observer/state", OBSERVER_STATE)
+OBSERVER_VERDICTS = Interface("observer/verdicts", EVENT_VERDICT, EVENTS)
+MONITOR_ERROR = Interface("monitor/error", ESTIMATE_ERROR)
+SIMULATED_CLOCK = Interface("/clock", CLOCK)
+DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
+
+INTERFACES = (
+    IMPACTS,
+    PLANT_JOINT_STATES,
+    PLANT_MODEL,
+    OBSERVER_JOINT_STATES,
+    OBSERVER_STATES,
+    OBSERVER_VERDICTS,
+    MONITOR_ERROR,
+    SIMULATED_CLOCK,
+    DIAGNOSTIC_ARRAYS,
+)
+
+
+def interface(topic: str) -> Interface | None:
+    """The interface that an absolute ``topic`` fits; None for a foreign topic."""
+    return next((each for each in INTERFACES if each.fits(topic)), None)
+
+
+def usual_quality(topic: str) -> Quality:
+    """The quality of service to expect on an absolute ``topic``: the table's, else ``STATES``."""
+    known = interface(topic)
+    return known.quality if known else STATES

@@ -1,0 +1,485 @@
+"""Reading a bag: MCAP or sqlite3, a directory or a bare file.
+
+Messages are streamed; what a bag holds is checked where it is used, and every failure is one line
+that names the bag, what was found and what is wanted.
+"""
+
+from array import array
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, TypeVar, cast, final
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.serde import SerdeError
+from rosbags.typesys import TypesysError
+from rosbags.typesys.store import Typestore
+
+from impact_observer.bag import interfaces
+from impact_observer.bag.interfaces import Interface, Quality
+from impact_observer.bag.messages import (
+    JointState,
+    MessageError,
+    StringMessage,
+    VerdictMessage,
+    read_estimate,
+    read_event,
+    read_joint_state,
+    read_verdict,
+)
+from impact_observer.bag.typestores import add_definition, deserialize, new_typestore
+from impact_observer.errors import BagError, ImpactObserverError, UsageError
+from impact_observer.events import ImpactEvent, Verdict
+from impact_observer.states import Matrix, Stamps, frozen
+
+_Message = TypeVar("_Message")
+_Value = TypeVar("_Value")
+
+_STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
+_FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """What a bag says of a topic.
+
+    Attributes:
+        name: the absolute name.
+        type: the message type; several joined by `` and `` when publishers disagreed.
+        count: messages.
+        quality: the quality of service that was offered; None when the bag does not say.
+        definition: the text of the message type; empty when the bag does not carry it.
+    """
+
+    name: str
+    type: str
+    count: int
+    quality: Quality | None
+    definition: str
+
+
+class RawMessage(NamedTuple):
+    """A message as it lies in the bag.
+
+    Attributes:
+        topic: the absolute name.
+        log_time: when it was recorded, ns.
+        data: the serialized message (CDR).
+    """
+
+    topic: str
+    log_time: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointStates:
+    """The states of one topic, in bag order.
+
+    Attributes:
+        names: the coordinates' names, in the order of the columns.
+        stamps: when each state holds, shape (N,), ns.
+        q: coordinates, shape (N, n), m or rad.
+        u: velocities, shape (N, n), m/s or rad/s.
+    """
+
+    names: tuple[str, ...]
+    stamps: Stamps
+    q: Matrix
+    u: Matrix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObserverStates(JointStates):
+    """The estimates of one observer, in bag order.
+
+    Attributes:
+        law: name of the law, the same throughout; empty when there is no message.
+        last_sequence: sequence number of the last event applied, shape (N,); 0 before the first.
+        last_event: stamp of the last event applied, shape (N,), ns; 0 before the first.
+    """
+
+    law: str
+    last_sequence: NDArray[np.uint64]
+    last_event: Stamps
+
+
+@final
+class BagReader:
+    """A bag, open for reading; a context manager.
+
+    Attributes:
+        path: the folder or file.
+        storage: ``mcap`` or ``sqlite3``.
+        topics: what the bag says of each topic, by absolute name.
+        start: log time of the first message, ns; 0 when the bag is empty.
+        end: log time of the last message, ns; 0 when the bag is empty.
+        message_count: messages on all topics.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Open the bag at ``path``: a rosbag2 folder, or a bare ``.mcap`` or ``.db3`` file.
+
+        Raises:
+            UsageError: there is nothing at ``path``.
+            BagError: what is there is no bag, or a damaged one.
+        """
+        self.path = Path(path)
+        with self._translated():
+            self.storage = _storage_of(self.path)
+            self._reader = Reader(self.path)
+            self._reader.open()
+            self._connections = {
+                topic: info.connections for topic, info in sorted(self._reader.topics.items())
+            }
+            self.topics = {
+                topic: _topic_info(topic, connections)
+                for topic, connections in self._connections.items()
+            }
+        self._store: Typestore | None = None
+        self.message_count = self._reader.message_count
+        self.start = self._reader.start_time if self.message_count else 0
+        self.end = self._reader.end_time - 1 if self.message_count else 0
+
+    def __enter__(self) -> "BagReader":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files; closing twice does no harm."""
+        if self._reader.is_open:
+            self._reader.close()
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk."""
+        files = self.path.iterdir() if self.path.is_dir() else [self.path]
+        return sum(file.stat().st_size for file in files)
+
+    def find(self, wanted: Interface) -> str | None:
+        """The topic of an interface: its absolute name, else the only one in a namespace.
+
+        Returns:
+            The absolute name; None when the bag has no such topic.
+
+        Raises:
+            BagError: several topics fit, none of them at the top.
+        """
+        fitting = [topic for topic in self.topics if wanted.fits(topic)]
+        if wanted.topic in fitting:
+            return wanted.topic
+        if len(fitting) > 1:
+            raise BagError(
+                f"{self.path}: {' and '.join(fitting)} both fit {wanted.topic}; name the one meant"
+            )
+        return fitting[0] if fitting else None
+
+    def truth_topic(self) -> str | None:
+        """The topic of the plant's true states; None when the bag has none.
+
+        Raises:
+            BagError: there are several plants.
+        """
+        return self.find(interfaces.PLANT_JOINT_STATES)
+
+    def observers(self) -> tuple[str, ...]:
+        """Prefixes of the observers in the bag, such as ``/observer_geometric``, sorted."""
+        own = (interfaces.OBSERVER_STATES, interfaces.OBSERVER_JOINT_STATES)
+        fitting = (topic for topic in self.topics if any(each.fits(topic) for each in own))
+        return tuple(sorted({topic.rpartition("/")[0] for topic in fitting}))
+
+    def raw(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[RawMessage]:
+        """The messages as they are, in bag order, for copying and playing.
+
+        Args:
+            topics: only these absolute names; None for all.
+            start: only messages logged at or after this stamp, ns.
+
+        Raises:
+            BagError: a topic is missing, or the bag is damaged.
+        """
+        if topics is not None:
+            for topic in topics:
+                self._topic(topic)
+        wanted = self.topics if topics is None else topics
+        connections = [c for topic in wanted for c in self._connections[topic]]
+        return (
+            RawMessage(connection.topic, log_time, data)
+            for connection, log_time, data in self._stream(connections, start)
+        )
+
+    def messages(self, topic: str) -> Iterator[tuple[int, object]]:
+        """Log times (ns) and messages of any topic whose type is known or in the bag.
+
+        Raises:
+            BagError: the topic is missing, its type is unknown, or the bag is damaged.
+        """
+        return self._decoded(topic, self._topic(topic).type)
+
+    def events(self, topic: str = interfaces.IMPACTS.topic) -> Iterator[ImpactEvent]:
+        """The events of a topic, in bag order.
+
+        Raises:
+            BagError: the topic is missing or of another type, or a message has no valid event.
+        """
+        return self._values(topic, interfaces.IMPACT_EVENT, read_event)
+
+    def verdicts(self, topic: str) -> Iterator[Verdict]:
+        """The verdicts of a topic, in bag order.
+
+        Raises:
+            BagError: the topic is missing or of another type, or a message has no valid verdict.
+        """
+        return self._values(topic, interfaces.EVENT_VERDICT, _verdict)
+
+    def joint_states(self, topic: str, names: Sequence[str] | None = None) -> JointStates:
+        """The states of a topic.
+
+        Args:
+            topic: the absolute name.
+            names: the columns wanted, by name; None for those of the first message.
+
+        Raises:
+            BagError: the topic is missing or of another type; a name is missing, extra or
+                double; a message has not one finite position and velocity a name.
+        """
+        table = _Table(f"{self.path}: {topic}", names)
+        for state in self._values(topic, interfaces.JOINT_STATE, read_joint_state):
+            table.add(state)
+        return JointStates(*table.columns())
+
+    def observer_states(self, topic: str, names: Sequence[str] | None = None) -> ObserverStates:
+        """The estimates of an observer's ``state`` topic.
+
+        Args:
+            topic: the absolute name, such as ``/observer/state``.
+            names: the columns wanted, by name; None for those of the first message.
+
+        Raises:
+            BagError: as for :meth:`joint_states`; or the law changes on the way.
+        """
+        table = _Table(f"{self.path}: {topic}", names)
+        sequences, events, law = array("Q"), array("q"), None
+        for own_names, estimate in self._values(topic, interfaces.OBSERVER_STATE, read_estimate):
+            if law not in (None, estimate.law):
+                raise BagError(
+                    f"{self.path}: {topic} changes its law from {law} to {estimate.law}; "
+                    "expected one law a topic, such as /observer_<law>/state"
+                )
+            law = estimate.law
+            table.add(JointState(estimate.stamp, own_names, estimate.q, estimate.u))
+            sequences.append(estimate.last_sequence)
+            events.append(estimate.last_event)
+        return ObserverStates(
+            *table.columns(),
+            law=law or "",
+            last_sequence=np.array(sequences, dtype=np.uint64),
+            last_event=np.array(events, dtype=np.int64),
+        )
+
+    def model_text(self) -> str | None:
+        """The model file that the bag carries, as it was last published; None without one.
+
+        Raises:
+            BagError: several plants published one, or the topic is of another type.
+        """
+        if (topic := self.find(interfaces.PLANT_MODEL)) is None:
+            return None
+        return next(iter(deque(self._values(topic, interfaces.STRING, _text), maxlen=1)), None)
+
+    def _topic(self, topic: str) -> TopicInfo:
+        """What the bag says of a topic that must be there."""
+        if topic not in self.topics:
+            found = ", ".join(self.topics) or "none"
+            raise BagError(f"{self.path}: no topic {topic}; topics in the bag: {found}")
+        return self.topics[topic]
+
+    def _values(
+        self, topic: str, type_name: str, read: Callable[[_Message], _Value]
+    ) -> Iterator[_Value]:
+        """What ``read`` makes of the messages of a topic that must be of one type."""
+        messages = self._decoded(topic, type_name)
+
+        def values() -> Iterator[_Value]:
+            position = 0
+            try:
+                for position, (_, message) in enumerate(messages):  # noqa: B007 (for the error)
+                    yield read(cast("_Message", message))
+            except MessageError as error:
+                raise BagError(f"{self.path}: {topic}, message {position}: {error}") from error
+
+        return values()
+
+    def _decoded(self, topic: str, type_name: str) -> Iterator[tuple[int, object]]:
+        """Log times and messages of a topic that must be of one known type."""
+        info = self._topic(topic)
+        if info.type != type_name:
+            raise BagError(f"{self.path}: {topic} is {info.type}; expected {type_name}")
+        if self._store is None:
+            self._store = new_typestore()
+        store = self._store
+        try:
+            disagrees = info.definition and add_definition(store, info.definition, type_name)
+        except BagError as error:
+            raise BagError(f"{self.path}: {topic}: {error}") from error
+        if disagrees:
+            raise BagError(
+                f"{self.path}: {topic} has another definition of {type_name} than this package; "
+                "read it with the version that made it"
+            )
+        if type_name not in store.fielddefs:
+            raise BagError(
+                f"{self.path}: {topic} is {type_name}, which neither this package nor the bag "
+                "defines; expected a bag with message definitions, as MCAP and Jazzy write them"
+            )
+        return (
+            (log_time, self._deserialized(store, topic, type_name, data))
+            for _, log_time, data in self._stream(self._connections[topic])
+        )
+
+    def _deserialized(self, store: Typestore, topic: str, type_name: str, data: bytes) -> object:
+        """The message in ``data``."""
+        try:
+            return deserialize(store, data, type_name)
+        except Exception as error:  # as above
+            raise BagError(
+                f"{self.path}: {topic} has bytes that are no {type_name}: {_reason(error)}"
+            ) from error
+
+    def _stream(
+        self, connections: Collection[Connection], start: int = 0
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """The messages of some connections as ``rosbags`` reads them, none missing."""
+        if not connections:
+            return
+        count = 0
+        with self._translated():
+            for message in self._reader.messages(connections, start=start or None):
+                count += 1
+                yield message
+        promised = sum(connection.msgcount for connection in connections)
+        if count < promised and not start:
+            raise BagError(
+                f"{self.path}: {count} messages found, {promised} promised by its index; "
+                "mend it with `ros2 bag reindex` or `mcap recover`"
+            )
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Tell what ``rosbags`` meets in a damaged bag as one line."""
+        try:
+            yield
+        except ImpactObserverError:
+            raise
+        except Exception as error:  # whatever rosbags trips over in a damaged file
+            raise BagError(
+                f"{self.path}: cannot be read as a bag: {_reason(error)}; if it was cut short, "
+                "mend it with `ros2 bag reindex` or `mcap recover`"
+            ) from error
+
+
+class _Table:
+    """Collects states into columns of one order."""
+
+    def __init__(self, source: str, names: Sequence[str] | None) -> None:
+        """Collect from ``source`` (for errors) into columns ``names``, or the first state's."""
+        self._source = source
+        self._names = None if names is None else tuple(names)
+        self._orders: dict[tuple[str, ...], list[int]] = {}
+        self._stamps, self._q, self._u = array("q"), array("d"), array("d")
+
+    def add(self, state: JointState) -> None:
+        """Add a row."""
+        if (order := self._orders.get(state.names)) is None:
+            order = self._orders[state.names] = self._order(state.names)
+        self._stamps.append(state.stamp)
+        self._q.frombytes(state.q[order].tobytes())
+        self._u.frombytes(state.u[order].tobytes())
+
+    def _order(self, found: tuple[str, ...]) -> list[int]:
+        """Which entry of a state goes to each column."""
+        if self._names is None:
+            self._names = found
+        double = sorted({name for name in found if found.count(name) > 1})
+        missing = [name for name in self._names if name not in found]
+        extra = [name for name in found if name not in self._names]
+        for problem, those in (("names twice", double), ("lacks", missing), ("has also", extra)):
+            if those:
+                raise BagError(
+                    f"{self._source} {problem} {', '.join(those)}; "
+                    f"expected the coordinates {', '.join(self._names)}"
+                )
+        return [found.index(name) for name in self._names]
+
+    def columns(self) -> tuple[tuple[str, ...], Stamps, Matrix, Matrix]:
+        """Names, stamps, coordinates and velocities, read-only."""
+        names = self._names or ()
+        stamps = np.array(self._stamps, dtype=np.int64)
+        stamps.setflags(write=False)
+        shape = (len(stamps), len(names))
+        q, u = (frozen(values).reshape(shape) for values in (self._q, self._u))
+        return names, stamps, q, u
+
+
+def _storage_of(path: Path) -> str:
+    """``mcap`` or ``sqlite3``, by what lies at ``path``."""
+    if not path.exists():
+        raise UsageError(f"{path}: does not exist; expected a bag: {_FORMS}")
+    if path.is_dir():
+        inside = sorted(file for file in path.iterdir() if file.suffix in _STORAGES)
+        if (path / "metadata.yaml").is_file():
+            return next((_STORAGES[file.suffix] for file in inside), "mcap")
+        hint = f"read {inside[0]} itself, or " if inside else ""
+        raise BagError(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
+    if path.suffix not in _STORAGES:
+        raise BagError(f"{path}: not a bag; expected {_FORMS}")
+    return _STORAGES[path.suffix]
+
+
+def _topic_info(topic: str, connections: Sequence[Connection]) -> TopicInfo:
+    """What the connections of a topic say together."""
+    offers = [
+        Quality.recorded(qos, interfaces.usual_quality(topic).depth)
+        for connection in connections
+        if isinstance(connection.ext, ConnectionExtRosbag2)
+        for qos in connection.ext.offered_qos_profiles
+    ]
+    return TopicInfo(
+        name=topic,
+        type=" and ".join(sorted({connection.msgtype for connection in connections})),
+        count=sum(connection.msgcount for connection in connections),
+        quality=Quality.common(offers) if offers else None,
+        definition=connections[0].msgdef.data,
+    )
+
+
+def _text(message: StringMessage) -> str:
+    """The text in a message."""
+    return message.data
+
+
+def _verdict(message: VerdictMessage) -> Verdict:
+    """The verdict in a message, without its latency."""
+    return read_verdict(message)[0]
+
+
+def _reason(error: BaseException) -> str:
+    """What ``rosbags`` or the system says, as one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    said = " ".join(str(error).split()).rstrip(".")
+    own = isinstance(error, (ReaderError, SerdeError, TypesysError))
+    return said if own else f"{type(error).__name__}: {said}"

@@ -1,0 +1,165 @@
+"""Whole recordings: a plant's run written to a bag, a bag observed into another one."""
+
+import heapq
+from collections.abc import Callable, Iterable, Iterator
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+
+from impact_observer import __version__
+from impact_observer.bag import interfaces
+from impact_observer.bag.messages import JointState, bag_messages
+from impact_observer.bag.reader import BagReader, RawMessage
+from impact_observer.bag.writer import BagWriter
+from impact_observer.errors import BagError, UsageError
+from impact_observer.events import ImpactEvent, Verdict
+from impact_observer.model import Model, parse_model
+from impact_observer.observer import Observer, replay
+from impact_observer.plant import Run
+from impact_observer.stamps import grid
+from impact_observer.states import Estimate, Stamps
+
+_CARRIED = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
+
+
+def carried_text(model: Model, seed: int) -> str:
+    """The model file that a plant publishes and a bag carries: it says who made it."""
+    return model.text({"package": "impact_observer", "version": __version__, "seed": seed})
+
+
+def write_run(path: Path, model: Model, seed: int, run: Run) -> None:
+    """Write a plant's run to a bag: model, impacts, true states; log times are the stamps.
+
+    Raises:
+        UsageError: something is at ``path`` already, or its parent is no folder.
+        BagError: the bag cannot be written.
+    """
+    make, names = bag_messages(), model.system.coordinates
+    n = model.system.n
+    with BagWriter(path) as writer:
+        for each in _CARRIED:
+            writer.declare(each.topic)
+        start = int(run.stamps[0])
+        writer.write(interfaces.PLANT_MODEL.topic, start, make.model(carried_text(model, seed)))
+        # At equal stamps the event comes first: the state there is the one after it.
+        events = ((e.stamp, 0, interfaces.IMPACTS.topic, make.event(e)) for e in run.events)
+        states = (
+            (stamp, 1, interfaces.PLANT_JOINT_STATES.topic,
+             make.joint_state(JointState(stamp, names, x[:n], x[n:])))
+            for stamp, x in zip(run.stamps.tolist(), run.states, strict=True)
+        )
+        for stamp, _, topic, message in heapq.merge(events, states, key=lambda item: item[:2]):
+            writer.write(topic, stamp, message)
+
+
+def carried_model(reader: BagReader) -> Model:
+    """The model that a bag carries.
+
+    Raises:
+        BagError: it carries none.
+        ModelError: the model it carries is not valid.
+    """
+    text = reader.model_text()
+    if text is None:
+        raise BagError(f"{reader.path}: carries no model; name one with --model")
+    return parse_model(text, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
+
+
+def events_in(reader: BagReader) -> list[ImpactEvent]:
+    """All events of a bag, in order of episode, stamp and sequence.
+
+    Raises:
+        BagError: the bag has no topic of impacts, or several.
+    """
+    topic = reader.find(interfaces.IMPACTS)
+    if topic is None:
+        found = ", ".join(reader.topics) or "none"
+        raise BagError(
+            f"{reader.path}: has no impacts; expected {interfaces.IMPACT_EVENT} on"
+            f" {interfaces.IMPACTS.topic}, topics in the bag: {found}"
+        )
+    return sorted(reader.events(topic), key=lambda e: (e.episode, e.stamp, e.sequence))
+
+
+def sample_stamps(
+    reader: BagReader, events: list[ImpactEvent], rate: float | None, epoch: int
+) -> Stamps:
+    """Where to estimate: at ``rate`` (Hz) from the epoch on, or at the stamps of the truth.
+
+    Raises:
+        UsageError: there is neither a rate nor truth.
+    """
+    truth = reader.truth_topic()
+    if rate is None:
+        if truth is None:
+            raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
+        return np.unique(reader.joint_states(truth).stamps)
+    if not events:
+        return np.empty(0, dtype=np.int64)
+    start = epoch or events[0].epoch or events[0].stamp
+    last = int(reader.joint_states(truth).stamps.max()) if truth else events[-1].stamp
+    return grid(start, last, rate)
+
+
+def observe_bag(
+    reader: BagReader,
+    observer: Observer,
+    output: Path,
+    *,
+    rate: float | None = None,
+    epoch: int = 0,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> int:
+    """Run ``observer`` on a bag's events; impacts, truth and model are carried along.
+
+    Args:
+        reader: the bag to read.
+        observer: has seen nothing yet.
+        output: the bag to make.
+        rate: samples per second, Hz; None for the stamps of the truth.
+        epoch: stamp of the forcing's ``t = 0``, ns; 0 where the events say it.
+        progress: told the estimates made and the stamps to make them for.
+
+    Returns:
+        The number of estimates.
+
+    Raises:
+        UsageError, BagError: the bags cannot be used as asked.
+        LastingContactError, ImpactLawError: the replica cannot follow an event.
+    """
+    events = events_in(reader)
+    stamps = sample_stamps(reader, events, rate, epoch)
+    carried = [topic for each in _CARRIED if (topic := reader.find(each)) is not None]
+    count = 0
+    with BagWriter(output) as writer:
+        for topic in carried:
+            info = reader.topics[topic]
+            writer.declare(topic, type_name=info.type, quality=info.quality)
+        as_they_are = ((raw.log_time, raw) for raw in reader.raw(carried))
+        made = ((item.stamp, item) for item in replay(observer, events, stamps))
+        items: Iterable[tuple[int, RawMessage | Estimate | Verdict]]
+        items = heapq.merge(as_they_are, made, key=itemgetter(0))
+        for log_time, item in items:
+            if isinstance(item, RawMessage):
+                writer.write_raw(*item)
+                continue
+            for topic, message in _messages(item, observer.system.coordinates):
+                writer.write(topic, log_time, message)
+            if isinstance(item, Estimate):
+                count += 1
+                progress(count, stamps.size)
+    return count
+
+
+def _messages(
+    item: Estimate | Verdict, names: tuple[str, ...]
+) -> Iterator[tuple[str, object]]:
+    """What an observer node publishes of an estimate or a verdict, with the topics."""
+    make = bag_messages()
+    if isinstance(item, Verdict):
+        yield interfaces.OBSERVER_VERDICTS.topic, make.verdict(item)
+        return
+    state = JointState(item.stamp, names, item.q, item.u)
+    yield interfaces.OBSERVER_JOINT_STATES.topic, make.joint_state(state)
+    yield interfaces.OBSERVER_STATES.topic, make.estimate(item, names)

@@ -1,0 +1,146 @@
+"""Plant, two observers and their monitors as ROS 2 processes: recorded, compared, drawn.
+
+The observers hear of the plant's impact times and of nothing else, and start from a wrong state.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+from impact_observer.cli.arguments import positive
+
+GOAL = 1e-2
+"""V/V0 at which the geometric law must end."""
+LAWS = ("geometric", "kinematic")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    parser.add_argument(
+        "--model", metavar="MODEL", default="two_mass", help="a model file or a sample (two_mass)"
+    )
+    parser.add_argument(
+        "--duration", metavar="S", type=positive, default=30.0, help="simulated, s (default 30)"
+    )
+    parser.add_argument(
+        "--realtime-factor",
+        metavar="F",
+        type=positive,
+        default=2.0,
+        help="simulated seconds a second (default 2)",
+    )
+    parser.add_argument(
+        "--initial",
+        metavar="STATE",
+        default="random:1",
+        help="of the observers: q1,..,qn,u1,..,un, random:SEED or zero (default random:1)",
+    )
+    parser.add_argument(
+        "--rate", metavar="HZ", type=positive, default=100.0, help="states, Hz (default 100)"
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FOLDER",
+        type=Path,
+        help="for bag, picture and logs (default demo_DATE_TIME)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    return demo(
+        args.model,
+        args.output,
+        duration=args.duration,
+        realtime_factor=args.realtime_factor,
+        initial=args.initial,
+        rate=args.rate,
+    )
+
+
+def demo(
+    model: str,
+    output: Path | None = None,
+    *,
+    duration: float,
+    realtime_factor: float,
+    initial: str,
+    rate: float,
+) -> int:
+    """Run the demonstration and judge it.
+
+    Args:
+        model: a model file or a sample's name.
+        output: folder for bag, picture and logs; None for a new one here.
+        duration: simulated seconds.
+        realtime_factor: simulated seconds a second.
+        initial: the observers' initial state, as users write it.
+        rate: true states and estimates, Hz.
+
+    Returns:
+        0 when the geometric law ends at ``V/V0 <= GOAL``, 1 otherwise.
+
+    Raises:
+        UsageError, ModelError: the arguments cannot be used, or ROS is not here.
+        DemonstrationError: a process failed.
+    """
+    from impact_observer.cli.progress import Progress
+    from impact_observer.model import read_model
+    from impact_observer.nodes.session import require_ros
+    from impact_observer.observer import initial_state
+
+    require_ros()
+    read = read_model(model)
+    read.initial_state()
+    initial_state(initial, read.system)
+    from impact_observer.nodes import demonstration
+
+    folder = output or Path(time.strftime("demo_%Y%m%d_%H%M%S"))
+    bag, picture, logs = folder / "bag", folder / "lyapunov.png", folder / "logs"
+    _make(folder)
+    logs.mkdir()
+    setting = demonstration.Setting(
+        model, LAWS, initial, duration, realtime_factor, rate, epoch=time.time_ns()
+    )
+    with Progress() as progress:
+        progress.line(f"{read.system.name}: plant, {len(LAWS)} observers, {len(LAWS)} monitors")
+        progress.show("starting the processes")
+
+        def show(live: demonstration.Live) -> None:
+            v = "  ".join(f"{law} V = {value:.2e} J" for law, value in sorted(live.v.items()))
+            progress.show(f"t = {live.time:5.1f} of {duration:g} s  impacts {live.impacts:3d}  {v}")
+
+        demonstration.run(setting, bag, logs, show)
+    return _judge(bag, picture)
+
+
+def _make(folder: Path) -> None:
+    from impact_observer.errors import UsageError
+
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        raise UsageError(f"{folder}: exists already; remove it or choose another name") from None
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be made: {error.strerror}") from None
+
+
+def _judge(bag: Path, picture: Path) -> int:
+    """Compare, draw, and say whether the geometric law has made it."""
+    from impact_observer.bag.comparisons import compare_bag
+    from impact_observer.bag.reader import BagReader
+    from impact_observer.bag.recordings import carried_model
+    from impact_observer.cli.compare import compare
+
+    compare([bag], plot=picture)
+    print(f"bag:     {bag}")
+    with BagReader(bag) as reader:
+        result = compare_bag(reader, carried_model(reader).system)
+    ratio = result.comparisons["/observer_geometric"].ratio
+    if ratio is None or not ratio <= GOAL:
+        shown = "undefined" if ratio is None else f"{ratio:.2e}"
+        print(f"geometric: V/V0 ended at {shown}; expected at most {GOAL:g}")
+        return 1
+    print(f"geometric: V/V0 ended at {ratio:.2e}, the goal was {GOAL:g}")
+    return 0

@@ -1,0 +1,263 @@
+"""Say what a bag holds: topics, impacts, model, observers."""
+
+import argparse
+import sys
+from collections import Counter
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, cast
+
+if TYPE_CHECKING:
+    from impact_observer.bag import BagReader
+
+_WIDTH = 140
+"""Columns where there is no terminal."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSummary:
+    """A topic of a bag.
+
+    Attributes:
+        name: the absolute name.
+        type: the message type.
+        count: messages.
+        rate: mean rate, Hz; None where there are fewer than two messages.
+        reliable: whether a lost message was sent again; None when the bag does not say.
+        transient_local: whether late subscribers received earlier messages; None likewise.
+        depth: messages kept for them, 0 for all; None likewise.
+    """
+
+    name: str
+    type: str
+    count: int
+    rate: float | None
+    reliable: bool | None
+    transient_local: bool | None
+    depth: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class BagSummary:
+    """What a bag holds.
+
+    Attributes:
+        path: the folder or file.
+        storage: ``mcap`` or ``sqlite3``.
+        size: bytes on disk.
+        start: log time of the first message, ns; 0 when there is none.
+        end: log time of the last message, ns; 0 when there is none.
+        duration: from the first message to the last, s.
+        messages: messages on all topics.
+        topics: the topics, by name.
+        impacts: impacts of each contact, by its name.
+        episodes: runs of the sender between resets.
+        model: name, version of the package and seed that made the bag; None when not carried.
+        observers: the law of each observer, by its prefix; empty when it published no state.
+    """
+
+    path: str
+    storage: str
+    size: int
+    start: int
+    end: int
+    duration: float
+    messages: int
+    topics: list[TopicSummary]
+    impacts: dict[str, int]
+    episodes: int
+    model: dict[str, str | int | None] | None
+    observers: dict[str, str]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    return info(args.bag, json=args.json)
+
+
+def info(bag: Path, *, json: bool = False) -> int:
+    """Print what a bag holds.
+
+    Args:
+        bag: the bag.
+        json: whether to print JSON instead of text.
+
+    Returns:
+        0.
+
+    Raises:
+        UsageError: there is no bag.
+        BagError: the bag is damaged.
+    """
+    summary = summarize(bag)
+    if json:
+        from json import dumps
+
+        print(dumps(asdict(summary), indent=2))
+    else:
+        _print(summary)
+    return 0
+
+
+def summarize(bag: Path) -> BagSummary:
+    """What a bag holds.
+
+    Raises:
+        UsageError: there is no bag.
+        BagError: the bag is damaged, or one of our topics has an invalid message.
+    """
+    from impact_observer.bag import BagReader
+    from impact_observer.stamps import seconds_between
+
+    with BagReader(bag) as reader:
+        impacts, episodes = _impacts(reader)
+        return BagSummary(
+            path=str(bag),
+            storage=reader.storage,
+            size=reader.size,
+            start=reader.start,
+            end=reader.end,
+            duration=seconds_between(reader.start, reader.end),
+            messages=reader.message_count,
+            topics=_topics(reader),
+            impacts=impacts,
+            episodes=episodes,
+            model=_model(reader),
+            observers={prefix: _law(reader, prefix) for prefix in reader.observers()},
+        )
+
+
+def _topics(reader: "BagReader") -> list[TopicSummary]:
+    """The topics of a bag, with the mean rate of each."""
+    first: dict[str, int] = {}
+    last: dict[str, int] = {}
+    for message in reader.raw():
+        first.setdefault(message.topic, message.log_time)
+        last[message.topic] = message.log_time
+    summaries = []
+    for topic in reader.topics.values():
+        length = (last.get(topic.name, 0) - first.get(topic.name, 0)) / 1e9
+        quality = topic.quality
+        summaries.append(
+            TopicSummary(
+                name=topic.name,
+                type=topic.type,
+                count=topic.count,
+                rate=(topic.count - 1) / length if length > 0 else None,
+                reliable=quality.reliable if quality else None,
+                transient_local=quality.transient_local if quality else None,
+                depth=quality.depth if quality else None,
+            )
+        )
+    return summaries
+
+
+def _impacts(reader: "BagReader") -> tuple[dict[str, int], int]:
+    """Impacts of each contact, and the number of episodes, over all topics of events."""
+    from impact_observer.bag.interfaces import IMPACT_EVENT
+    from impact_observer.events import Kind
+
+    counts: Counter[str] = Counter()
+    episodes = set()
+    for topic in reader.topics.values():
+        if topic.type == IMPACT_EVENT:
+            for event in reader.events(topic.name):
+                episodes.add((topic.name, event.episode))
+                counts.update(s.contact for s in event.switches if s.kind is not Kind.OPEN)
+    return dict(sorted(counts.items())), len(episodes)
+
+
+def _model(reader: "BagReader") -> dict[str, str | int | None] | None:
+    """Name, version and seed of the model that the bag carries; or why it cannot be read."""
+    from impact_observer.errors import ModelError
+    from impact_observer.model import parse_model
+
+    if (text := reader.model_text()) is None:
+        return None
+    try:
+        model = parse_model(text, "model")
+    except ModelError as error:
+        return {"error": str(error)}
+    version, seed = (model.provenance.get(key) for key in ("version", "seed"))
+    return {
+        "name": model.system.name,
+        "version": None if version is None else str(version),
+        "seed": seed if isinstance(seed, int) else None,
+    }
+
+
+def _law(reader: "BagReader", prefix: str) -> str:
+    """The law that an observer published with its first state; empty when it did not."""
+    from impact_observer.bag.messages import EstimateMessage
+
+    if (topic := f"{prefix}/state") not in reader.topics:
+        return ""
+    _, message = next(reader.messages(topic), (0, None))
+    return "" if message is None else cast("EstimateMessage", message).law
+
+
+def _print(summary: BagSummary) -> None:
+    """Print a summary as text."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from impact_observer.stamps import text
+
+    width = None if sys.stdout.isatty() else _WIDTH
+    console = Console(highlight=False, markup=False, width=width)
+    facts = Table.grid(padding=(0, 2))
+    facts.add_column(no_wrap=True)
+    facts.add_column(overflow="fold")
+    facts.add_row("bag", f"{summary.path} ({summary.storage}, {_bytes(summary.size)})")
+    facts.add_row("time", f"{text(summary.start)} to {text(summary.end)} s")
+    facts.add_row("duration", f"{summary.duration:.6g} s, {summary.messages} messages")
+    if summary.model:
+        facts.add_row("model", _said(summary.model))
+    if summary.episodes:
+        each = ", ".join(f"{count} at {contact}" for contact, count in summary.impacts.items())
+        facts.add_row("impacts", f"{each or 'none'}; episodes: {summary.episodes}")
+    for prefix, law in summary.observers.items():
+        facts.add_row("observer", f"{prefix}: {law or 'law not recorded'}")
+    console.print(facts)
+
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for header in ("topic", "type", "count", "Hz", "quality"):
+        side: Literal["left", "right"] = "right" if header in ("count", "Hz") else "left"
+        table.add_column(header, justify=side, overflow="fold")
+    for topic in summary.topics:
+        rate = "" if topic.rate is None else f"{topic.rate:.4g}"
+        short = topic.type.replace("/msg/", "/")
+        table.add_row(topic.name, short, str(topic.count), rate, _quality(topic))
+    console.print()
+    console.print(table)
+
+
+def _said(model: dict[str, str | int | None]) -> str:
+    """A model's origin in words."""
+    if "error" in model:
+        return f"cannot be read: {model['error']}"
+    origin = [f"{key} {model[key]}" for key in ("version", "seed") if model[key] is not None]
+    return ", ".join([str(model["name"]), *origin])
+
+
+def _quality(topic: TopicSummary) -> str:
+    """A topic's quality of service in words."""
+    if topic.depth is None:
+        return "not recorded"
+    reliable = "reliable" if topic.reliable else "best effort"
+    durable = "transient local" if topic.transient_local else "volatile"
+    return f"{reliable}, {durable}, {f'last {topic.depth}' if topic.depth else 'all'}"
+
+
+def _bytes(size: int) -> str:
+    """A number of bytes with a decimal unit."""
+    if size < 1000:
+        return f"{size} B"
+    value, unit = (size / 1e6, "MB") if size >= 1_000_000 else (size / 1e3, "kB")
+    return f"{value:.1f} {unit}"

@@ -1,0 +1,69 @@
+"""The entry point: finds the subcommand, runs it, turns known errors into one line."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from typing import NoReturn
+
+from impact_observer import __version__
+from impact_observer.errors import ImpactObserverError
+
+PROGRAM = "impact-observer"
+COMMANDS = {
+    "demo": "plant, observers and monitors as processes, a bag, a comparison, a picture",
+    "simulate": "run a plant without ROS: impacts and true states into a bag",
+    "observe": "run an observer on the impacts in a bag",
+    "compare": "estimates against the truth: V(t), errors, a picture",
+    "info": "what is in a bag",
+    "play": "publish a bag on its topics",
+    "record": "record topics into a bag",
+}
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``impact-observer`` with ``argv``, by default the process's own arguments.
+
+    Returns:
+        0, or 1 for a job that failed, or 2 for wrong use.
+    """
+    try:
+        return _run(sys.argv[1:] if argv is None else argv)
+    except ImpactObserverError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print(f"{PROGRAM}: interrupted", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # The reader of our output went away; it must not be told so again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def _run(argv: Sequence[str]) -> int:
+    parser = _Parser(
+        prog=PROGRAM,
+        description="Know the state of an impacting mechanical system from its impact times.",
+    )
+    parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    chosen = next((word for word in argv if word in COMMANDS), None)
+    for name, summary in COMMANDS.items():
+        subparser = subparsers.add_parser(name, help=summary)
+        if name == chosen:
+            # Only the module that is needed is imported: --help stays quick.
+            module = import_module(f"impact_observer.cli.{name.replace('-', '_')}")
+            subparser.description = module.__doc__
+            subparser.formatter_class = argparse.RawDescriptionHelpFormatter
+            module.add_arguments(subparser)
+    args = parser.parse_args(argv)
+    return int(import_module(f"impact_observer.cli.{args.command.replace('-', '_')}").run(args))

@@ -1,0 +1,95 @@
+"""Run an observer on the impacts in a bag: the same observer that the node runs."""
+
+import argparse
+from pathlib import Path
+
+from impact_observer.cli.arguments import positive, stamp
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
+    parser.add_argument(
+        "--model", metavar="MODEL", help="a model file or a sample (default: the one in the bag)"
+    )
+    parser.add_argument(
+        "--law", metavar="LAW", default="geometric", help="of the observer (default geometric)"
+    )
+    parser.add_argument(
+        "--initial",
+        metavar="STATE",
+        default="zero",
+        help="q1,..,qn,u1,..,un, random:SEED or zero (default)",
+    )
+    parser.add_argument(
+        "--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)"
+    )
+    parser.add_argument(
+        "--epoch", metavar="S", type=stamp, default=0, help="stamp of t = 0 (default: as in the bag)"
+    )
+    parser.add_argument(
+        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    return observe(
+        args.bag,
+        args.output,
+        model=args.model,
+        law=args.law,
+        initial=args.initial,
+        rate=args.rate,
+        epoch=args.epoch,
+    )
+
+
+def observe(
+    bag: Path,
+    output: Path,
+    *,
+    model: str | None = None,
+    law: str = "geometric",
+    initial: str = "zero",
+    rate: float | None = None,
+    epoch: int = 0,
+) -> int:
+    """Observe a bag into another one.
+
+    Args:
+        bag: has impacts; truth and model are carried along.
+        output: the bag to make.
+        model: a model file or a sample's name; None for the model that the bag carries.
+        law: name of the observer's law.
+        initial: the replica's initial state, as users write it.
+        rate: of the estimates, Hz; None for the stamps of the truth.
+        epoch: stamp of ``t = 0``, ns; 0 where the events say it.
+
+    Returns:
+        0.
+
+    Raises:
+        UsageError, ModelError: the arguments cannot be used.
+        BagError: a bag cannot be read or written.
+        LastingContactError, ImpactLawError: the replica cannot follow an event.
+    """
+    from impact_observer.bag.reader import BagReader
+    from impact_observer.bag.recordings import carried_model, observe_bag
+    from impact_observer.cli.progress import Progress
+    from impact_observer.model import read_model
+    from impact_observer.observer import Observer, initial_state, law_named
+
+    with BagReader(bag) as reader, Progress() as progress:
+        system = (carried_model(reader) if model is None else read_model(model)).system
+        observer = Observer(
+            system, law_named(law)(system), *initial_state(initial, system), epoch=epoch
+        )
+
+        def show(done: int, total: int) -> None:
+            if done % 1000 == 0:
+                progress.show(f"{law}: {done} of {total} estimates")
+
+        count = observe_bag(reader, observer, output, rate=rate, epoch=epoch, progress=show)
+        progress.line(f"{output}: {law}, {count} estimates")
+    return 0

@@ -1,0 +1,86 @@
+"""Run a plant without ROS: its impacts and its true states go into a bag."""
+
+import argparse
+from pathlib import Path
+
+from impact_observer.cli.arguments import positive, seed, stamp
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    parser.add_argument("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
+    parser.add_argument(
+        "--duration", metavar="S", type=positive, default=30.0, help="how long, s (default 30)"
+    )
+    parser.add_argument(
+        "--rate", metavar="HZ", type=positive, default=100.0, help="true states, Hz (default 100)"
+    )
+    parser.add_argument(
+        "--seed", metavar="N", type=seed, default=0, help="of everything random (default 0)"
+    )
+    parser.add_argument(
+        "--epoch", metavar="S", type=stamp, default=1_000_000_000, help="stamp of t = 0 (default 1)"
+    )
+    parser.add_argument(
+        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    return simulate(
+        args.model, args.output, args.duration, args.rate, seed=args.seed, epoch=args.epoch
+    )
+
+
+def simulate(
+    model: str | Path,
+    output: Path,
+    duration: float,
+    rate: float,
+    *,
+    seed: int = 0,
+    epoch: int = 1_000_000_000,
+) -> int:
+    """Simulate a plant and write its bag.
+
+    Args:
+        model: a model file or a sample's name.
+        output: the bag to make.
+        duration: s.
+        rate: of the true states, Hz.
+        seed: recorded in the bag; an ideal plant draws nothing at random.
+        epoch: stamp of ``t = 0``, ns.
+
+    Returns:
+        0.
+
+    Raises:
+        UsageError, ModelError: the arguments cannot be used.
+        LastingContactError: a contact stays closed, or impacts accumulate.
+        BagError: the bag cannot be written.
+    """
+    from impact_observer import plant
+    from impact_observer.bag.recordings import write_run
+    from impact_observer.bag.writer import check_free
+    from impact_observer.cli.progress import Progress
+    from impact_observer.model import read_model
+    from impact_observer.stamps import from_seconds, grid, seconds_between
+
+    check_free(output)
+    read = read_model(model)
+    stamps = grid(epoch, epoch + from_seconds(duration), rate)
+    with Progress() as progress:
+
+        def show(impact: int) -> None:
+            progress.show(f"simulated {seconds_between(epoch, impact):.1f} of {duration:g} s")
+
+        master = plant.Plant(read.system, *read.initial_state(), epoch=epoch)
+        done = plant.simulate(master, stamps, progress=show)
+        progress.show(f"writing {output}")
+        write_run(output, read, seed, done)
+        progress.line(
+            f"{output}: {read.system.name}, {duration:g} s, {len(done.impacts)} impacts,"
+            f" {stamps.size} true states"
+        )
+    return 0

@@ -1,0 +1,8 @@
+"""Exact motion between impacts, the law at an impact, and where the next impact lies."""
+
+from impact_observer.dynamics.flow import Flow, Motion, flow_of
+from impact_observer.dynamics.impact_law import ImpactLaw
+from impact_observer.dynamics.location import Closing, ContactSearch
+from impact_observer.dynamics.projection import PositionProjection
+
+__all__ = ["Closing", "ContactSearch", "Flow", "ImpactLaw", "Motion", "PositionProjection", "flow_of"]

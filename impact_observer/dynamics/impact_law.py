@@ -1,0 +1,97 @@
+"""Newton's impact law on any set of contacts at once.
+
+``0 <= gamma+ + eps gamma-  _|_  Lambda >= 0`` with ``u+ = u- + M^-1 W Lambda``: a linear
+complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 W``. With
+``G = B^T B``, ``B = L^-1 W``, ``M = L L^T``, it says that ``v = B Lambda`` is the least velocity jump
+that separates, ``min |v|`` subject to ``B^T v >= -b``. Lawson and Hanson (Solving Least Squares
+Problems, chapter 23) turn that into nonnegative least squares, which scipy solves; it has
+a solution unless no jump separates.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from impact_observer.errors import ImpactLawError
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+_RESIDUAL = 1e-9
+"""Violation of the law that is rounding, relative to the largest contact speed."""
+
+
+class ImpactLaw:
+    """Newton's impact law of one system."""
+
+    def __init__(self, system: System) -> None:
+        """Factorise the mass matrix and prepare ``M^-1 W``, ``G`` and ``B``."""
+        factor = linalg.cholesky(system.M, lower=True)
+        self._system = system
+        self._B = linalg.solve_triangular(factor, system.W, lower=True)
+        self._Minv_W = linalg.solve_triangular(factor.T, self._B, lower=False)
+        # Plain floats: the law of a single contact is on the path of every event.
+        self._single = [
+            ((1.0 + float(eps)) / float(g)) for eps, g in zip(system.eps, np.sum(self._B**2, axis=0), strict=True)
+        ]
+
+    def velocity_after(self, u: Vector, active: Sequence[int]) -> Vector:
+        """Velocities ``u+`` after an impact on the ``active`` contacts.
+
+        Args:
+            u: velocities ``u-``, shape (n,), m/s.
+            active: indices of all contacts that are closed at this instant.
+
+        Returns:
+            Shape (n,), m/s; equal to ``u`` when all active contacts separate anyway.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        if len(active) == 1:
+            i = active[0]
+            gamma = float(self._system.W[:, i] @ u)
+            return u - self._Minv_W[:, i] * (self._single[i] * gamma) if gamma < 0 else u
+        return np.asarray(u + self._Minv_W[:, list(active)] @ self.impulses(u, active))
+
+    def impulses(self, u: Vector, active: Sequence[int]) -> Vector:
+        """Impulses ``Lambda >= 0`` on the ``active`` contacts, shape (len(active),), Ns.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        active = list(active)
+        B, gamma = self._B[:, active], self._system.W[:, active].T @ u
+        b = (1.0 + self._system.eps[active]) * gamma
+        length = np.linalg.norm(B, axis=0)
+        scale = float(np.max(-b / length, initial=0.0))
+        if scale == 0:
+            return np.zeros(len(active))
+        B, b = B / length, b / (length * scale)
+        pressed = self._pressed(B, b)
+        impulses = np.zeros(len(active))
+        impulses[pressed] = linalg.lstsq(B[:, pressed].T @ B[:, pressed], -b[pressed])[0]
+        separation = B.T @ (B @ impulses) + b
+        if not (np.all(impulses >= -_RESIDUAL) and np.all(separation >= -_RESIDUAL)):
+            raise self._no_solution(active, gamma)
+        return np.maximum(impulses, 0.0) * (scale / length)
+
+    @staticmethod
+    def _pressed(B: Matrix, b: Vector) -> NDArray[np.bool_]:
+        """Which contacts take an impulse, by nonnegative least squares of ``[B; -b^T]``."""
+        distance = np.zeros(B.shape[0] + 1)
+        distance[-1] = 1.0
+        try:
+            return np.asarray(optimize.nnls(np.vstack([B, -b]), distance)[0] > 0)
+        except RuntimeError:  # it cycles, on contacts that all but depend on each other
+            return b < 0
+
+    def _no_solution(self, active: Sequence[int], gamma: Vector) -> ImpactLawError:
+        names = [self._system.contact_names[i] for i in active]
+        return ImpactLawError(
+            f"contacts {', '.join(map(repr, names))}: Newton's impact law has no solution for"
+            f" contact speeds {', '.join(f'{g:g}' for g in gamma)} m/s with restitution"
+            f" {', '.join(f'{e:g}' for e in self._system.eps[list(active)])};"
+            " give contacts that depend on each other a common restitution"
+        )

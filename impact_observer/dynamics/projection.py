@@ -1,0 +1,60 @@
+"""The position jump of switched geometric constraints, for any ``K >= 0``.
+
+``q+ = q- - Z g_A``: column ``i`` of ``Z`` minimises ``z^T K z`` subject to ``W_A^T z = e_i``, ties
+broken by the least ``z^T M z``. For ``K > 0`` this is ``Z = K^-1 W_A L^-1``, the K-orthogonal
+projection onto ``{g_A = 0}`` of Baumann and Leine (equation 5); for singular ``K`` it is our
+extension to rigid-body modes.
+"""
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+_RIGID = 1e-12
+"""``omega^2`` that counts as zero, relative to the stiffest mode's."""
+_RANK = 1e-10
+"""Singular value that counts as zero, relative to what cancelled: redundant contacts."""
+
+
+class PositionProjection:
+    """The position jumps of one system, one matrix ``Z`` a set of contacts."""
+
+    def __init__(self, system: System) -> None:
+        """Prepare the modes of ``K`` with respect to ``M``."""
+        self._system = system
+        stiffness, shapes = linalg.eigh(system.K, system.M)
+        elastic = stiffness > _RIGID * max(float(stiffness[-1]), 0.0)
+        self._rigid = shapes[:, ~elastic]
+        self._elastic = shapes[:, elastic] / np.sqrt(stiffness[elastic])
+        self._Z: dict[tuple[int, ...], Matrix] = {}
+
+    def Z(self, active: tuple[int, ...]) -> Matrix:
+        """Position jump per unit of gap, shape (n, len(active))."""
+        if active not in self._Z:
+            self._Z[active] = self._solve(self._system.W[:, list(active)])
+        return self._Z[active]
+
+    def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
+        """``q+``, shape (n,): the closest position with ``g = 0`` on the active contacts."""
+        gap = self._system.gap(q)[list(active)]
+        return np.asarray(q - self.Z(active) @ gap)
+
+    def _solve(self, W: Matrix) -> Matrix:
+        """Elastic deflection only as far as rigid motion cannot close the gaps."""
+        rigid, elastic = W.T @ self._rigid, W.T @ self._elastic
+        # Contacts between bodies do not see rigid motion: what rounding leaves of it is no rank.
+        rigid_inverse = _inverse(rigid, W, self._rigid)
+        beyond = np.eye(W.shape[1]) - rigid @ rigid_inverse
+        elastic_part = _inverse(beyond @ elastic, W, self._elastic) @ beyond
+        rigid_part = rigid_inverse @ (np.eye(W.shape[1]) - elastic @ elastic_part)
+        return np.asarray(self._elastic @ elastic_part + self._rigid @ rigid_part)
+
+
+def _inverse(seen: Matrix, W: Matrix, modes: Matrix) -> Matrix:
+    """Pseudo-inverse of what contacts see of modes; its rank is judged by ``|W|^T |modes|``."""
+    if not seen.size:
+        return seen.T
+    scale = float(np.linalg.norm(np.abs(W).T @ np.abs(modes)))
+    return np.asarray(linalg.pinv(seen, atol=_RANK * scale, rtol=0.0))

@@ -1,0 +1,54 @@
+"""The package's errors: one line that names the thing, what was found, what is wanted.
+
+Every error a user can cause derives from :class:`ImpactObserverError`; its ``exit_code`` is
+what a command ends with. Anything else that escapes is a bug and shows its traceback.
+"""
+
+from typing import ClassVar
+
+
+class ImpactObserverError(Exception):
+    """Root of all errors that are reported as one line.
+
+    Attributes:
+        exit_code: 1 for a job that failed, 2 for wrong use.
+    """
+
+    exit_code: ClassVar[int] = 1
+
+
+class UsageError(ImpactObserverError, ValueError):
+    """An argument, option or parameter that cannot be used."""
+
+    exit_code = 2
+
+
+class ModelError(UsageError):
+    """A model that is not a valid impacting system.
+
+    Attributes:
+        key: the key of the model file that is at fault, such as ``contacts[0].restitution``.
+    """
+
+    def __init__(self, key: str, problem: str) -> None:
+        """Name the ``key`` at fault and the ``problem``: found, expected, remedy."""
+        line = f"{key}: {problem}" if key else problem
+        super().__init__(" ".join(line.splitlines()))  # names in a file may hold line ends
+        self.key = key
+        self.problem = problem
+
+
+class BagError(ImpactObserverError):
+    """A bag that cannot be read, written or used for what is asked."""
+
+
+class DynamicsError(ImpactObserverError, ArithmeticError):
+    """A motion that cannot be computed."""
+
+
+class LastingContactError(DynamicsError):
+    """A contact that stays closed, or impacts that accumulate: not supported yet."""
+
+
+class ImpactLawError(DynamicsError):
+    """An impact whose law has no solution on the contacts that are closed."""

@@ -1,0 +1,77 @@
+"""What an observer is told: the switching function ``chi`` as a stream of events.
+
+These mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without needing ROS.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Kind(IntEnum):
+    """How ``chi`` of one contact switches; the numbers are those of ``ContactSwitch``."""
+
+    IMPACT = 0
+    """``chi`` is 1 at this instant only."""
+    CLOSE = 1
+    """An impact, and ``chi`` stays 1 from now on."""
+    OPEN = 2
+    """``chi`` becomes 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Switch:
+    """One contact that switches."""
+
+    contact: str
+    kind: Kind = Kind.IMPACT
+
+
+@dataclass(frozen=True, slots=True)
+class ImpactEvent:
+    """Everything that switches at one instant.
+
+    Attributes:
+        stamp: the instant itself, ns.
+        switches: the contacts that switch.
+        sequence: +1 a message; 0 when the sender does not count.
+        episode: +1 at every reset of the sender.
+        epoch: stamp of ``t = 0`` of the forcing, ns; 0 when the sender does not know it.
+    """
+
+    stamp: int
+    switches: tuple[Switch, ...]
+    sequence: int = 0
+    episode: int = 0
+    epoch: int = 0
+
+
+class Ruling(IntEnum):
+    """What became of an event; the numbers are those of ``EventVerdict``."""
+
+    APPLIED = 0
+    REJECTED = 1
+    INSERTED = 2
+    DUPLICATE = 3
+    TOO_LATE = 4
+    UNKNOWN_CONTACT = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What an observer made of one switch of an event.
+
+    Attributes:
+        stamp: the event's instant, ns.
+        ruling: what became of it.
+        sequence: the event's sequence number.
+        contact: the contact; empty when the verdict is on the whole event.
+        reason: why, in plain words; empty when applied.
+        innovation: normalised innovation in standard deviations; -1 where a law has none.
+    """
+
+    stamp: int
+    ruling: Ruling
+    sequence: int = 0
+    contact: str = ""
+    reason: str = ""
+    innovation: float = -1.0

@@ -1,0 +1,165 @@
+"""Reading values out of a model file, each mistake named by its key."""
+
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.errors import ModelError
+from impact_observer.states import Matrix, Vector
+
+Value: TypeAlias = object
+"""Anything that YAML can say."""
+
+_LARGEST = float(np.finfo(np.float64).max)
+
+
+class Section:
+    """A mapping of a model file that knows its own key and which keys it may hold."""
+
+    def __init__(self, key: str, value: Value, allowed: Sequence[str]) -> None:
+        """Take ``value`` found under ``key``.
+
+        Raises:
+            ModelError: it is not a mapping, or holds a key that is not ``allowed``.
+        """
+        if not isinstance(value, Mapping):
+            raise ModelError(key, f"{_shown(value)} found; expected keys: {', '.join(allowed)}")
+        self._key = key
+        self._values = value
+        for name in value:
+            if name not in allowed:
+                raise ModelError(
+                    self.key(str(name)), f"is not known here; expected one of {', '.join(allowed)}"
+                )
+
+    def __contains__(self, name: str) -> bool:
+        """Whether the key is present."""
+        return name in self._values
+
+    def key(self, name: str) -> str:
+        """The whole key of ``name``, such as ``contacts[0].gap``."""
+        return f"{self._key}.{name}" if self._key else name
+
+    def value(self, name: str) -> Value:
+        """What stands under ``name``.
+
+        Raises:
+            ModelError: nothing does.
+        """
+        if name not in self._values:
+            raise ModelError(self.key(name), "is missing")
+        return self._values[name]
+
+    def text(self, name: str) -> str:
+        """A non-empty string."""
+        value = self.value(name)
+        if not isinstance(value, str) or not value:
+            raise ModelError(self.key(name), f"{_shown(value)} found; expected a name")
+        return value
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """A number; ``default`` when the key is absent and has one."""
+        if default is not None and name not in self:
+            return default
+        return number(self.key(name), self.value(name))
+
+    def positive(self, name: str, *, or_zero: bool = False) -> float:
+        """A finite positive number."""
+        found = self.number(name)
+        if not (found > 0 or (or_zero and found == 0)):
+            wanted = "a number not below zero" if or_zero else "a positive number"
+            raise ModelError(self.key(name), f"is {found:g}; expected {wanted}")
+        return found
+
+    def items(self, name: str) -> list[tuple[str, Value]]:
+        """The members of a list with their keys; none when the key is absent."""
+        if name not in self:
+            return []
+        value = self.value(name)
+        if not isinstance(value, list):
+            raise ModelError(self.key(name), f"{_shown(value)} found; expected a list")
+        return [(f"{self.key(name)}[{i}]", item) for i, item in enumerate(value)]
+
+    def vector(self, name: str, n: int, *, optional: bool = False) -> Vector:
+        """``n`` numbers; zeros when the key is absent and ``optional``."""
+        if optional and name not in self:
+            return np.zeros(n)
+        return numbers(self.key(name), self.value(name), n)
+
+    def matrix(self, name: str, n: int, folder: Path | None) -> Matrix:
+        """An ``n`` x ``n`` matrix: rows, or the path of a ``.npy`` or Matrix Market file."""
+        value = self.value(name)
+        if isinstance(value, str):
+            return load_matrix(self.key(name), value, folder)
+        if not isinstance(value, list) or len(value) != n:
+            found = f"{len(value)} rows" if isinstance(value, list) else _shown(value)
+            raise ModelError(self.key(name), f"{found} found; expected {n} rows of {n} numbers")
+        return np.array([numbers(f"{self.key(name)}[{i}]", row, n) for i, row in enumerate(value)])
+
+
+def number(key: str, value: Value) -> float:
+    """``value`` as a finite float.
+
+    Raises:
+        ModelError: it is not a number (a boolean is not one), or too large for one.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ModelError(key, f"{_shown(value)} found; expected a number")
+    if not -_LARGEST <= value <= _LARGEST:  # so is NaN
+        raise ModelError(key, "is not finite; expected a number")
+    return float(value)
+
+
+def numbers(key: str, value: Value, n: int) -> Vector:
+    """``value`` as a vector of ``n`` numbers.
+
+    Raises:
+        ModelError: it is no list, has another length or a member that is not a number.
+    """
+    if not isinstance(value, list) or len(value) != n:
+        found = f"{len(value)} values" if isinstance(value, list) else _shown(value)
+        raise ModelError(key, f"{found} found; expected a list of {n} numbers")
+    return np.array([number(f"{key}[{i}]", item) for i, item in enumerate(value)])
+
+
+def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
+    """The dense matrix in a ``.npy`` or Matrix Market file, relative to the model file.
+
+    Raises:
+        ModelError: the file is missing, of another kind or not readable.
+    """
+    if folder is None:
+        raise ModelError(key, f"names the file {relative}; only a model file on disk may do so")
+    path = folder / relative
+    if not path.is_file():
+        raise ModelError(key, f"names the file {path}, which does not exist")
+    try:
+        if path.suffix == ".npy":
+            return _real(np.load(path, allow_pickle=False))
+        if path.suffix in {".mtx", ".gz"}:
+            from scipy import io, sparse
+
+            matrix = io.mmread(path)
+            return _real(matrix.toarray() if sparse.issparse(matrix) else matrix)
+    except (ValueError, OSError, EOFError, zlib.error) as error:
+        raise ModelError(key, f"{path} cannot be read: {error}") from None
+    raise ModelError(key, f"names {relative}; expected a .npy or Matrix Market (.mtx) file")
+
+
+def _real(matrix: NDArray[np.generic]) -> Matrix:
+    """``matrix`` as floats; numpy would drop an imaginary part with a warning only."""
+    if matrix.dtype.kind not in "fiu":
+        raise ValueError(f"holds {matrix.dtype} values, expected real numbers")
+    return np.asarray(matrix, dtype=np.float64)
+
+
+def _shown(value: Value) -> str:
+    """``value`` as a reader of the file would recognise it."""
+    if value is None:
+        return "nothing"
+    shown = repr(value)
+    return shown if len(shown) <= 40 else shown[:37] + "..."

@@ -1,0 +1,141 @@
+"""The element form of a model: bodies, springs, forces and stops along one line.
+
+It assembles to the same matrices as the matrix form.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_observer.errors import ModelError
+from impact_observer.model.document import Section, Value
+from impact_observer.model.system import Contact, Forcing
+from impact_observer.states import Matrix, Vector
+
+GROUND = "ground"
+KEYS = ("bodies", "springs", "forces", "stops")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assembly:
+    """The matrices that a list of elements assembles to, shapes as in ``System``."""
+
+    coordinates: tuple[str, ...]
+    M: Matrix
+    C: Matrix
+    K: Matrix
+    forcing: Forcing
+    contacts: tuple[Contact, ...]
+
+
+class _Line:
+    """The bodies on the line, by name; ``ground`` is at rest and has no coordinate."""
+
+    def __init__(self, names: list[str]) -> None:
+        self.names = names
+        self.n = len(names)
+
+    def unit(self, key: str, body: Value) -> Vector:
+        """The unit vector of ``body``, zero for the ground."""
+        e = np.zeros(self.n)
+        if body == GROUND:
+            return e
+        if not isinstance(body, str) or body not in self.names:
+            known = ", ".join((*self.names, GROUND))
+            raise ModelError(key, f"{body!r} is not a body; expected one of {known}")
+        e[self.names.index(body)] = 1.0
+        return e
+
+    def body(self, section: Section) -> Vector:
+        """The unit vector of a section's ``body``, which may not be the ground."""
+        e = self.unit(section.key("body"), section.value("body"))
+        if not e.any():
+            raise ModelError(section.key("body"), "is the ground, which does not move")
+        return e
+
+    def relative(self, section: Section) -> Vector:
+        """``q_b - q_a`` as a row, for a section's ``between: [a, b]``."""
+        key, pair = section.key("between"), section.value("between")
+        if not isinstance(pair, list) or len(pair) != 2 or pair[0] == pair[1]:
+            raise ModelError(key, f"{pair!r} found; expected two different bodies [a, b]")
+        return self.unit(f"{key}[1]", pair[1]) - self.unit(f"{key}[0]", pair[0])
+
+
+def assemble(document: Section) -> Assembly:
+    """Assemble the elements of a model file.
+
+    Raises:
+        ModelError: naming the element's key.
+    """
+    bodies = [Section(k, v, ("name", "mass")) for k, v in document.items("bodies")]
+    if not bodies:
+        raise ModelError("bodies", "is missing or empty; a system needs at least one body")
+    line = _Line([body.text("name") for body in bodies])
+    for body, name in zip(bodies, line.names, strict=True):
+        if name == GROUND:
+            raise ModelError(body.key("name"), f"{GROUND!r} is reserved; choose another name")
+    M = np.diag([body.positive("mass") for body in bodies])
+    C, K = np.zeros((line.n, line.n)), np.zeros((line.n, line.n))
+    for key, value in document.items("springs"):
+        spring = Section(key, value, ("between", "stiffness", "damping"))
+        direction = line.relative(spring)
+        dyad = np.outer(direction, direction)
+        K += spring.positive("stiffness", or_zero=True) * dyad
+        if "damping" in spring:
+            C += spring.positive("damping", or_zero=True) * dyad
+    return Assembly(
+        coordinates=tuple(line.names),
+        M=M,
+        C=C,
+        K=K,
+        forcing=_forcing(line, document.items("forces")),
+        contacts=tuple(_stop(line, key, value) for key, value in document.items("stops")),
+    )
+
+
+def _forcing(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
+    constant = np.zeros(line.n)
+    frequency, cosine, sine = [], [], []
+    for key, value in forces:
+        force = Section(key, value, ("body", "constant", "amplitude", "frequency", "phase"))
+        e = line.body(force)
+        if "constant" in force:
+            for name in ("amplitude", "frequency", "phase"):
+                if name in force:
+                    raise ModelError(
+                        force.key(name), "stands beside constant; write two forces instead"
+                    )
+            constant += force.number("constant") * e
+            continue
+        amplitude, phase = force.number("amplitude"), force.number("phase", 0.0)
+        frequency.append(force.positive("frequency"))
+        cosine.append(amplitude * np.cos(phase) * e)
+        sine.append(-amplitude * np.sin(phase) * e)
+    h = len(frequency)
+    return Forcing(
+        constant,
+        np.array(frequency),
+        np.reshape(cosine, (h, line.n)),
+        np.reshape(sine, (h, line.n)),
+    )
+
+
+def _stop(line: _Line, key: str, value: Value) -> Contact:
+    """A stop that limits one body, or one between two bodies."""
+    stop = Section(
+        key, value, ("name", "restitution", "body", "limit", "side", "between", "gap")
+    )
+    if "between" in stop:
+        for name in ("body", "limit", "side"):
+            if name in stop:
+                raise ModelError(stop.key(name), "does not go with between; expected gap")
+        direction, gap = line.relative(stop), stop.number("gap")
+    else:
+        if "gap" in stop:
+            raise ModelError(stop.key("gap"), "does not go with body; expected limit and side")
+        side = stop.value("side")
+        if side not in ("above", "below"):
+            raise ModelError(stop.key("side"), f"{side!r} found; expected above or below")
+        sign = -1.0 if side == "above" else 1.0
+        direction, gap = sign * line.body(stop), -sign * stop.number("limit")
+    return Contact(stop.text("name"), direction, gap, stop.number("restitution"))

@@ -1,0 +1,265 @@
+"""A model file: a system, and where the plant starts."""
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from impact_observer.errors import ModelError, UsageError
+from impact_observer.model import elements
+from impact_observer.model.document import Section, Value
+from impact_observer.model.system import Contact, Forcing, System
+from impact_observer.shares import shared
+from impact_observer.states import Matrix, Vector, frozen
+
+_MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "forcing", "contacts")
+_NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
+"""What ruamel raises: besides its own errors, those of values such as ``2020-13-45``."""
+_COMMON_KEYS = ("name", "initial_state", "provenance")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """What a model file says.
+
+    Attributes:
+        system: the system that plant and replica share.
+        position: the plant's coordinates at the epoch, shape (n,); None when not given.
+        velocity: the plant's velocities at the epoch, shape (n,); None when not given.
+        provenance: who wrote the file, free of meaning for the dynamics.
+    """
+
+    system: System
+    position: Vector | None = None
+    velocity: Vector | None = None
+    provenance: Mapping[str, Value] = field(default_factory=dict)
+
+    def initial_state(self) -> tuple[Vector, Vector]:
+        """The plant's state at the epoch.
+
+        Raises:
+            ModelError: the file gives none.
+        """
+        if self.position is None or self.velocity is None:
+            raise ModelError("initial_state", "is missing; a plant needs one")
+        return self.position, self.velocity
+
+    def text(self, provenance: Mapping[str, Value] | None = None) -> str:
+        """The model as a file in matrix form that reads back to equal numbers.
+
+        Args:
+            provenance: who makes it, such as package, version and seed.
+        """
+        s = self.system
+        document: dict[str, Value] = {
+            "name": s.name,
+            "coordinates": list(s.coordinates),
+            "mass": s.M.tolist(),
+            "damping": s.C.tolist(),
+            "stiffness": s.K.tolist(),
+            "forcing": {
+                "constant": s.forcing.constant.tolist(),
+                "harmonics": [
+                    {"frequency": w, "cosine": c, "sine": b}
+                    for w, c, b in zip(
+                        s.forcing.frequency.tolist(),
+                        s.forcing.cosine.tolist(),
+                        s.forcing.sine.tolist(),
+                        strict=True,
+                    )
+                ],
+            },
+            "contacts": [
+                {
+                    "name": c.name,
+                    "direction": c.direction.tolist(),
+                    "gap": c.gap,
+                    "restitution": c.restitution,
+                }
+                for c in s.contacts
+            ],
+        }
+        if self.position is not None and self.velocity is not None:
+            document["initial_state"] = {
+                "position": self.position.tolist(),
+                "velocity": self.velocity.tolist(),
+            }
+        if provenance or self.provenance:
+            document["provenance"] = dict(provenance or self.provenance)
+        stream = io.StringIO()
+        yaml = YAML(typ="safe", pure=True)
+        yaml.default_flow_style = None
+        yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+        yaml.width = 99
+        yaml.dump(document, stream)
+        return stream.getvalue()
+
+
+def read_model(source: str | Path) -> Model:
+    """Read a model file, or a sample model by its name, such as ``two_mass``.
+
+    Raises:
+        ModelError: one line that names the file, the key and what is wanted.
+        UsageError: there is no such file.
+    """
+    path = _find(source)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read as text: {error}") from None
+    return parse_model(text, str(path), path.parent)
+
+
+def _find(source: str | Path) -> Path:
+    path = Path(source)
+    if path.is_file():
+        return path
+    samples = shared("config")
+    if path.parent == Path() and (sample := samples / f"{path.name}.yaml").is_file():
+        return sample
+    names = ", ".join(sorted(p.stem for p in samples.glob("*.yaml")))
+    what = "a folder" if path.is_dir() else "no such file"
+    raise UsageError(f"{source}: {what}; expected a model file, or a sample model: {names}")
+
+
+def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
+    """Read a model from its text.
+
+    Args:
+        text: the YAML.
+        source: what to call it in errors, such as the file's path.
+        folder: where matrix files lie; without it a model may not name any.
+
+    Raises:
+        ModelError: one line that names ``source``, the key and what is wanted.
+    """
+    try:
+        return _model(_load(text), folder)
+    except ModelError as error:
+        raise ModelError(f"{source}: {error.key}" if error.key else source, error.problem) from None
+
+
+def _load(text: str) -> Value:
+    try:
+        return YAML(typ="safe", pure=True).load(text)
+    except _NOT_YAML as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
+        problem = str(getattr(error, "problem", None) or error).splitlines()[0]
+        raise ModelError("", f"is not YAML{where}: {problem}") from None
+
+
+def _model(document: Value, folder: Path | None) -> Model:
+    if not isinstance(document, Mapping):
+        raise ModelError("", "is not a model: expected a YAML mapping with name, mass, ...")
+    form = elements.KEYS if "bodies" in document else _MATRIX_KEYS
+    other = [k for k in (*elements.KEYS, *_MATRIX_KEYS) if k in document and k not in form]
+    if other and any(k in document for k in form):
+        raise ModelError(
+            other[0], f"does not go with {form[0]}; write matrices or elements, not both"
+        )
+    section = Section("", document, (*_COMMON_KEYS, *form))
+    name = section.text("name")
+    if form is elements.KEYS:
+        system = _system_of_elements(name, section)
+    else:
+        system = _system_of_matrices(name, section, folder)
+    position, velocity = _initial_state(section, system)
+    return Model(system, position, velocity, _provenance(section))
+
+
+def _system_of_elements(name: str, section: Section) -> System:
+    a = elements.assemble(section)
+    try:
+        return System(name, a.coordinates, a.M, a.C, a.K, a.forcing, a.contacts)
+    except ModelError as error:
+        key = error.key.replace("contacts[", "stops[").replace("coordinates[", "bodies[")
+        raise ModelError(key, error.problem) from None
+
+
+def _system_of_matrices(name: str, section: Section, folder: Path | None) -> System:
+    coordinates = tuple(_name(key, value) for key, value in section.items("coordinates"))
+    if not coordinates:
+        raise ModelError("coordinates", "is missing or empty; expected a list of names")
+    n = len(coordinates)
+    section.value("contacts")
+    return System(
+        name=name,
+        coordinates=coordinates,
+        M=section.matrix("mass", n, folder),
+        C=section.matrix("damping", n, folder),
+        K=section.matrix("stiffness", n, folder),
+        forcing=_forcing(section, n),
+        contacts=tuple(_contact(key, value, n) for key, value in section.items("contacts")),
+    )
+
+
+def _name(key: str, value: Value) -> str:
+    if not isinstance(value, str):
+        raise ModelError(key, f"{value!r} is not a name; give a string")
+    return value
+
+
+def _forcing(section: Section, n: int) -> Forcing:
+    if "forcing" not in section:
+        return Forcing.none(n)
+    forcing = Section("forcing", section.value("forcing"), ("constant", "harmonics"))
+    harmonics = [
+        Section(key, value, ("frequency", "cosine", "sine"))
+        for key, value in forcing.items("harmonics")
+    ]
+
+    def part(name: str) -> Matrix:
+        rows = [harmonic.vector(name, n, optional=True) for harmonic in harmonics]
+        return np.reshape(rows, (len(harmonics), n))
+
+    return Forcing(
+        constant=forcing.vector("constant", n, optional=True),
+        frequency=np.array([harmonic.number("frequency") for harmonic in harmonics]),
+        cosine=part("cosine"),
+        sine=part("sine"),
+    )
+
+
+def _contact(key: str, value: Value, n: int) -> Contact:
+    contact = Section(key, value, ("name", "direction", "gap", "restitution"))
+    return Contact(
+        contact.text("name"),
+        contact.vector("direction", n),
+        contact.number("gap"),
+        contact.number("restitution"),
+    )
+
+
+def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vector | None]:
+    """The plant's initial state, which must not be inside a stop."""
+    if "initial_state" not in section:
+        return None, None
+    state = Section(
+        "initial_state", section.value("initial_state"), ("position", "velocity")
+    )
+    position = frozen(state.vector("position", system.n))
+    velocity = frozen(state.vector("velocity", system.n))
+    for name, values in (("position", position), ("velocity", velocity)):
+        for i in np.flatnonzero(~np.isfinite(values)):
+            raise ModelError(f"initial_state.{name}[{i}]", "is not finite; expected a number")
+    for contact, gap in zip(system.contacts, system.gap(position), strict=True):
+        if gap < 0:
+            raise ModelError(
+                "initial_state.position",
+                f"is inside the stop {contact.name!r} (gap {gap:g}); expected gap >= 0",
+            )
+    return position, velocity
+
+
+def _provenance(section: Section) -> Mapping[str, Value]:
+    if "provenance" not in section:
+        return {}
+    value = section.value("provenance")
+    if not isinstance(value, Mapping):
+        raise ModelError("provenance", f"{value!r} found; expected keys and values")
+    return {str(k): v for k, v in value.items()}

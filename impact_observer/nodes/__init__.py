@@ -1,0 +1,1 @@
+"""ROS 2 nodes: parameters and conversion only, no mathematics."""

@@ -1,0 +1,178 @@
+"""The one table of the nodes' parameters: it declares, checks and documents them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from impact_observer.errors import UsageError
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+Value: TypeAlias = bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of a node; all are read-only while the node runs.
+
+    Attributes:
+        name: as in ``--ros-args -p name:=value``.
+        default: says the type too; an empty string means that one must be given.
+        meaning: one line, without the unit.
+        unit: SI unit; empty for none.
+        low: least value allowed, numbers only.
+        high: largest value allowed, numbers only.
+        choices: the values allowed, strings only; empty for any.
+        required: whether the empty default is refused.
+    """
+
+    name: str
+    default: Value
+    meaning: str
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+    required: bool = False
+
+    @property
+    def type(self) -> str:
+        """``bool``, ``int``, ``double`` or ``string``."""
+        names = {bool: "bool", int: "int", float: "double", str: "string"}
+        return names[type(self.default)]
+
+    @property
+    def limits(self) -> str:
+        """The values allowed, in words; empty for any."""
+        if self.choices:
+            return " | ".join(self.choices)
+        if self.low is None and self.high is None:
+            return "required" if self.required else ""
+        if self.high is None:
+            return f">= {self.low:g}"
+        return f"{self.low:g} to {self.high:g}"
+
+    def check(self, value: Value) -> None:
+        """Raise unless ``value``, of the right type, is one of those allowed.
+
+        Raises:
+            UsageError: naming the parameter, the value and what is expected.
+        """
+        if self.required and value == "":
+            raise UsageError(f"parameter {self.name}: is not set; expected {self.meaning}")
+        fits = (
+            (not self.choices or value in self.choices)
+            and (self.low is None or self.low <= value)  # type: ignore[operator]
+            and (self.high is None or value <= self.high)  # type: ignore[operator]
+        )
+        if not fits:
+            raise UsageError(f"parameter {self.name}: {value} found; expected {self.limits}")
+
+
+_MODEL = Parameter("model", "", "a model file or a sample's name", required=True)
+_EPOCH = 2**63 - 1
+
+PLANT = (
+    _MODEL,
+    Parameter("rate", 100.0, "true states published", "Hz", low=0.001, high=1e5),
+    Parameter("epoch", 0, "stamp of t = 0; 0 for the clock at the start", "ns", 0, _EPOCH),
+    Parameter("duration", 0.0, "end after so much simulated time; 0 for never", "s", low=0.0),
+    Parameter("publish_clock", False, "own the time and publish /clock"),
+    Parameter("clock_rate", 100.0, "of /clock, per simulated second", "Hz", low=0.1, high=1e4),
+    Parameter(
+        "realtime_factor", 1.0, "simulated seconds a second; not 1 needs publish_clock",
+        low=0.001, high=1000.0,
+    ),
+    Parameter("wait_for_subscribers", 0, "begin when each topic has so many", low=0, high=1000),
+    Parameter("seed", 0, "of everything random, recorded with the model", low=0, high=_EPOCH),
+)
+OBSERVER = (
+    _MODEL,
+    Parameter("law", "geometric", "name of the observer's law"),
+    Parameter("initial_state", "zero", "q1,..,qn,u1,..,un, random:SEED or zero"),
+    Parameter("rate", 100.0, "estimates published", "Hz", low=0.001, high=1e5),
+    Parameter("epoch", 0, "stamp of t = 0; 0 to learn it from the events", "ns", 0, _EPOCH),
+    Parameter("history", 10.0, "how late an event may be and still be applied", "s", low=0.001),
+    Parameter(
+        "events_durability", "volatile", "of the subscription to impacts",
+        choices=("volatile", "transient_local"),
+    ),
+)
+MONITOR = (
+    _MODEL,
+    Parameter("law", "", "named in the messages; empty for the observer's topic"),
+)
+TABLES: Mapping[str, tuple[Parameter, ...]] = {
+    "plant": PLANT,
+    "observer": OBSERVER,
+    "monitor": MONITOR,
+}
+
+
+class Values:
+    """The values of a node's parameters, by name and type."""
+
+    def __init__(self, values: Mapping[str, Value]) -> None:
+        self._values = values
+
+    def text(self, name: str) -> str:
+        """A string parameter."""
+        return str(self._values[name])
+
+    def number(self, name: str) -> float:
+        """A double parameter."""
+        return float(self._values[name])
+
+    def integer(self, name: str) -> int:
+        """An int parameter."""
+        return int(self._values[name])
+
+    def flag(self, name: str) -> bool:
+        """A bool parameter."""
+        return bool(self._values[name])
+
+
+def declare(node: "Node", table: tuple[Parameter, ...]) -> Values:
+    """Declare a table's parameters on ``node`` and read them.
+
+    Raises:
+        UsageError: a parameter of the wrong type, out of range, or missing.
+    """
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+    from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+
+    values: dict[str, Value] = {}
+    for each in table:
+        descriptor = ParameterDescriptor(
+            description=f"{each.meaning} [{each.unit}]" if each.unit else each.meaning,
+            additional_constraints=each.limits,
+            read_only=True,
+        )
+        if each.low is not None and each.type == "int":
+            to = _EPOCH if each.high is None else int(each.high)
+            descriptor.integer_range = [IntegerRange(from_value=int(each.low), to_value=to)]
+        elif each.low is not None:
+            to_value = 1e300 if each.high is None else float(each.high)
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(each.low), to_value=to_value)
+            ]
+        try:
+            value = node.declare_parameter(each.name, each.default, descriptor).value
+        except (InvalidParameterTypeException, InvalidParameterValueException) as error:
+            wanted = ", ".join(filter(None, (f"a {each.type}", each.limits)))
+            raise UsageError(f"parameter {each.name}: expected {wanted}: {error}") from None
+        each.check(value)
+        values[each.name] = value
+    return Values(values)
+
+
+def markdown(table: tuple[Parameter, ...]) -> str:
+    """The table as the README shows it."""
+    rows = ["| parameter | type | default | unit | allowed | meaning |", "|---|---|---|---|---|---|"]
+    for p in table:
+        default = str(p.default).lower() if isinstance(p.default, bool) else p.default
+        cells = (f"`{p.name}`", p.type, f"`{default}`" if default != "" else "", p.unit,
+                 p.limits.replace("|", "\\|"), p.meaning)
+        rows.append("| " + " | ".join(str(cell) for cell in cells) + " |")
+    return "\n".join(rows)

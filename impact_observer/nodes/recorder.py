@@ -1,0 +1,233 @@
+"""Recording topics of the ROS graph into a bag, as ``ros2 bag record`` does."""
+
+import time
+from collections.abc import Callable, Collection
+from functools import partial
+from itertools import islice
+from pathlib import Path
+
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from impact_observer.bag.interfaces import Quality, usual_quality
+from impact_observer.bag.reader import RawMessage
+from impact_observer.bag.typestores import installed_definition, typestore
+from impact_observer.bag.writer import BagWriter
+from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.nodes.messages import message_class
+from impact_observer.nodes.quality import offered_quality, qos_profile
+from impact_observer.nodes.session import Stop, ros_node
+
+_DISCOVERY_PERIOD = 0.1
+"""How often the graph is looked at for new topics, s."""
+_BURST = 5000
+"""Messages a topic may be ahead of the recorder; more than any of our publishers keeps."""
+_DRAIN = 0.05
+"""How long the network must be silent before a stopped recording is closed, s."""
+_LONGEST_DRAIN = 1.0
+"""After this long, a recording that was stopped is closed in any case, s."""
+
+
+class Recorder:
+    """Writes what is published, as serialized, to a bag; while its node is spun.
+
+    A topic is subscribed to when its first publisher appears, with the quality of service that
+    all its publishers offer, so that latched messages and earlier events are kept too. The log
+    time is the node's clock, which may be simulated; it never goes back.
+
+    Attributes:
+        counts: messages recorded, by topic; 0 for a topic that has said nothing yet.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        writer: BagWriter,
+        topics: Collection[str] | None = None,
+        *,
+        on_topic: Callable[[str, str], None] | None = None,
+        on_message: Callable[[RawMessage], None] | None = None,
+    ) -> None:
+        """Record with ``node`` into ``writer``.
+
+        Args:
+            node: subscribes; the caller spins it.
+            writer: an open bag; the caller closes it, after :meth:`close`.
+            topics: only these topics; None for every topic that appears, hidden ones left out.
+            on_topic: told the name and the type of each topic that is found.
+            on_message: told each message that is recorded.
+        """
+        self.counts: dict[str, int] = {}
+        self._node = node
+        self._writer = writer
+        self._wanted = None if topics is None else {node.resolve_topic_name(t) for t in topics}
+        self._on_topic = on_topic
+        self._on_message = on_message
+        self._asked: dict[str, Quality] = {}
+        self._given_up: set[str] = set()
+        self._subscriptions: dict[str, Subscription] = {}
+        self._last = 0
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(_DISCOVERY_PERIOD, self.discover, clock=steady)
+
+    @property
+    def missing(self) -> list[str]:
+        """Topics that were asked for and have not appeared."""
+        return sorted((self._wanted or set()) - self.counts.keys())
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._node.destroy_timer(self._timer)
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+
+    def discover(self) -> None:
+        """Subscribe to the topics that have appeared since the last look.
+
+        Under simulated time nothing is recorded before the clock runs.
+        """
+        if self._node.get_clock().now().nanoseconds == 0:
+            return
+        for topic, _ in self._node.get_topic_names_and_types():
+            if self._is_wanted(topic) and (publishers := self._publishers(topic)):
+                depth = usual_quality(topic).depth
+                offers = [offered_quality(each.qos_profile, depth) for each in publishers]
+                if topic in self.counts:
+                    self._check(topic, Quality.common(offers))
+                else:
+                    self._subscribe(topic, publishers[0].topic_type, Quality.common(offers))
+
+    def _is_wanted(self, topic: str) -> bool:
+        """Whether a topic is to be recorded."""
+        if topic in self._given_up:
+            return False
+        if self._wanted is not None:
+            return topic in self._wanted
+        return not any(part.startswith("_") for part in topic.split("/"))
+
+    def _publishers(self, topic: str) -> list[TopicEndpointInfo]:
+        """The publishers of a topic, other than this node itself."""
+        own = (self._node.get_name(), self._node.get_namespace())
+        return [
+            publisher
+            for publisher in self._node.get_publishers_info_by_topic(topic)
+            if (publisher.node_name, publisher.node_namespace) != own
+        ]
+
+    def _subscribe(self, topic: str, type_name: str, offer: Quality) -> None:
+        """Record a topic from now on, or say once why it cannot be."""
+        known = type_name in typestore().fielddefs
+        definition = "" if known else installed_definition(type_name)
+        try:
+            if definition is None:
+                raise UsageError(f"the definition of {type_name} is not installed")
+            message_type = message_class(type_name)
+            self._writer.declare(topic, type_name=type_name, quality=offer, definition=definition)
+        except ImpactObserverError as error:
+            self._given_up.add(topic)
+            self._node.get_logger().warning(f"{topic} is not recorded: {error}")
+            return
+        self.counts[topic] = 0
+        self._asked[topic] = offer
+        quality = Quality(offer.reliable, offer.transient_local, depth=_BURST)
+        self._subscriptions[topic] = self._node.create_subscription(
+            message_type, topic, partial(self._take, topic), qos_profile(quality), raw=True
+        )
+        if self._on_topic:
+            self._on_topic(topic, type_name)
+
+    def _check(self, topic: str, offer: Quality) -> None:
+        """Say once that a later publisher offers less than was asked of the first ones."""
+        asked = self._asked[topic]
+        if (asked.reliable, asked.transient_local) != (
+            asked.reliable and offer.reliable,
+            asked.transient_local and offer.transient_local,
+        ):
+            self._asked[topic] = offer
+            self._node.get_logger().warning(
+                f"{topic} has a new publisher that is less reliable or durable than the first; "
+                "its messages are not recorded"
+            )
+
+    def _take(self, topic: str, data: bytes) -> None:
+        """Write a message that the executor brings, and at once those that wait behind it.
+
+        The executor's own work for a message is several times that of taking it, so a burst
+        would run ahead of it.
+        """
+        self._write(topic, data)
+        subscription = self._subscriptions[topic]
+        with subscription.handle:
+            take = partial(subscription.handle.take_message, subscription.msg_type, True)  # True: serialized
+            for data_behind, _ in islice(iter(take, None), _BURST):
+                self._write(topic, data_behind)
+
+    def _write(self, topic: str, data: bytes) -> None:
+        """Write a message."""
+        self._last = max(self._last, self._node.get_clock().now().nanoseconds)
+        self._writer.write_raw(topic, self._last, data)
+        self.counts[topic] += 1
+        if self._on_message:
+            self._on_message(RawMessage(topic, self._last, data))
+
+
+def record(
+    path: Path | str,
+    topics: Collection[str] | None = None,
+    *,
+    use_sim_time: bool = False,
+    duration: float | None = None,
+    on_topic: Callable[[str, str], None] | None = None,
+    on_progress: Callable[[int], None] | None = None,
+) -> dict[str, int]:
+    """Record a bag until SIGINT, SIGTERM or the end of ``duration``.
+
+    What was published before the end is still taken in.
+
+    Args:
+        path: the folder to make.
+        topics: only these topics; None for every topic that appears.
+        use_sim_time: whether log times follow ``/clock``.
+        duration: how long, s of wall time; None for until a signal.
+        on_topic: told the name and the type of each topic that is found.
+        on_progress: told the number of messages so far, about ten times a second.
+
+    Returns:
+        Messages recorded, by topic; a topic that was asked for and never appeared has 0.
+
+    Raises:
+        UsageError: something is at ``path`` already, or the duration is not positive.
+        BagError: the bag cannot be written.
+    """
+    if duration is not None and not 0 < duration < float("inf"):
+        raise UsageError(f"duration is {duration}; expected a positive number of seconds")
+    with (
+        Stop() as stop,
+        ros_node("recorder", use_sim_time=use_sim_time) as (node, executor),
+        BagWriter(path) as writer,
+    ):
+        recorder = Recorder(node, writer, topics, on_topic=on_topic)
+        begin = shown = time.monotonic()
+        while not stop.requested and (duration is None or time.monotonic() < begin + duration):
+            executor.spin_once(timeout_sec=_DISCOVERY_PERIOD)
+            if on_progress and time.monotonic() > shown + _DISCOVERY_PERIOD:
+                shown = time.monotonic()
+                on_progress(writer.message_count)
+        _drain(executor, writer)
+        recorder.close()
+        return {**dict.fromkeys(recorder.missing, 0), **recorder.counts}
+
+
+def _drain(executor: SingleThreadedExecutor, writer: BagWriter) -> None:
+    """Take in what is on its way: spin until nothing has come for a moment."""
+    latest = silent_since = time.monotonic()
+    latest += _LONGEST_DRAIN
+    while time.monotonic() < min(latest, silent_since + _DRAIN):
+        before = writer.message_count
+        executor.spin_once(timeout_sec=_DRAIN)
+        if writer.message_count > before:
+            silent_since = time.monotonic()

@@ -1,0 +1,43 @@
+"""The observer's laws: what a replica does while the plant's ``chi`` is 1.
+
+One file a law. A law from another package is found by its entry point in the group
+``impact_observer.laws``.
+"""
+
+from importlib.metadata import entry_points
+
+from impact_observer.errors import UsageError
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.kinematic import Kinematic
+from impact_observer.observer.laws.law import Law
+from impact_observer.observer.laws.open_loop import OpenLoop
+
+__all__ = ["BUILT_IN", "Geometric", "Kinematic", "Law", "OpenLoop", "law_named", "law_names"]
+
+ENTRY_POINTS = "impact_observer.laws"
+BUILT_IN: dict[str, type[Law]] = {law.name: law for law in (OpenLoop, Kinematic, Geometric)}
+
+
+def law_names() -> tuple[str, ...]:
+    """Names of all laws that are installed, the built-in ones first."""
+    others = sorted(entry.name for entry in entry_points(group=ENTRY_POINTS))
+    return (*BUILT_IN, *(name for name in others if name not in BUILT_IN))
+
+
+def law_named(name: str) -> type[Law]:
+    """The law called ``name``.
+
+    Raises:
+        UsageError: no such law is installed, or its entry point cannot be imported or is no law.
+    """
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    for entry in entry_points(group=ENTRY_POINTS, name=name):
+        try:
+            law = entry.load()
+        except (ImportError, AttributeError) as error:
+            raise UsageError(f"law {name!r}: {entry.value} cannot be imported: {error}") from None
+        if isinstance(law, type) and issubclass(law, Law):
+            return law
+        raise UsageError(f"law {name!r}: {entry.value} is not a subclass of Law")
+    raise UsageError(f"law {name!r}: not installed; expected one of {', '.join(law_names())}")

@@ -1,0 +1,256 @@
+"""The observer: events in, estimates out. The node and the offline command run this object."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from impact_observer.dynamics import flow_of
+from impact_observer.errors import ImpactLawError, LastingContactError, UsageError
+from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.model import System
+from impact_observer.observer.laws import Law
+from impact_observer.observer.timeline import Entry, Key, Timeline
+from impact_observer.stamps import from_seconds, seconds_between, text
+from impact_observer.states import Estimate, Vector
+
+DEFAULT_HISTORY = 10.0
+"""How late an event may be and still be applied, s."""
+
+
+class Observer:
+    """A replica of ``system``, switched by events only.
+
+    Its initial state holds at the epoch, or, when the observer hears of the plant only later
+    (the lowest sequence number that it sees is not 1), at the first stamp it sees.
+
+    Attributes:
+        system: the system that plant and replica share.
+        law: what the replica does at an event.
+        restarts: how often a new episode or epoch made the replica begin again.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        law: Law,
+        position: Vector,
+        velocity: Vector,
+        *,
+        epoch: int = 0,
+        history: float = DEFAULT_HISTORY,
+    ) -> None:
+        """Make an observer that has seen nothing yet.
+
+        Args:
+            system: the system.
+            law: a law for the same system.
+            position: initial coordinates, shape (n,), m or rad.
+            velocity: initial velocities, shape (n,).
+            epoch: stamp of ``t = 0`` of the forcing, ns; 0 to learn it from the events.
+            history: how late an event may be and still be applied, s.
+
+        Raises:
+            UsageError: a state of the wrong size, or a history that is not positive.
+        """
+        if not history > 0:
+            raise UsageError(f"history: {history:g} s found; expected a positive number")
+        q, u = system.checked_state(position, velocity)
+        self.system = system
+        self.law = law
+        self._flow = flow_of(system)
+        self._initial = np.concatenate([q, u])
+        self._history = from_seconds(history)
+        self._index = {name: i for i, name in enumerate(system.contact_names)}
+        self._given_epoch = epoch
+        self.restarts = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget everything, as if just made: for a clock that jumped back, or a new plant."""
+        self._epoch = self._given_epoch
+        self._episode: int | None = None
+        self._timeline: Timeline | None = None
+        self._placed = False
+        self._seen: dict[int, int] = {}
+        self._numbered = self._first = self._earliest = self._forgotten = 0
+        if self._epoch:
+            self._timeline = Timeline(self._epoch, self._initial)
+
+    def set_state(self, stamp: int, position: ArrayLike, velocity: ArrayLike) -> None:
+        """Forget the past: from ``stamp`` (ns) on the replica moves from the given state.
+
+        Before anything is known of the plant, this becomes the initial state.
+
+        Raises:
+            UsageError: a state of the wrong size or one that is not finite.
+        """
+        x = np.concatenate(self.system.checked_state(position, velocity))
+        if self._timeline is None:
+            self._initial = x
+        else:
+            self._timeline = Timeline(max(stamp, self._timeline.start.stamp), x)
+
+    @property
+    def start(self) -> int | None:
+        """The earliest stamp that can be asked for, ns; None before anything is known."""
+        return None if self._timeline is None else self._timeline.start.stamp
+
+    @property
+    def epoch(self) -> int:
+        """Stamp of ``t = 0`` of the forcing, ns; 0 while unknown."""
+        return self._epoch
+
+    @property
+    def last_event(self) -> int:
+        """Stamp of the latest event applied, ns; 0 before the first."""
+        newest = self._timeline.newest if self._timeline else None
+        return newest.stamp if newest and newest.active else 0
+
+    @property
+    def missing(self) -> int:
+        """Events that the sender numbered and that have not come in time, since the first seen."""
+        return max(self._seen) - self._first + 1 - self._numbered if self._seen else 0
+
+    def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
+        """Apply ``event`` at its own stamp, whenever it arrives.
+
+        Returns:
+            One verdict a switch, or one on the whole event.
+
+        Raises:
+            LastingContactError: the event opens or closes a contact for good.
+            ImpactLawError: the impact law has no solution; the event is not applied.
+            UsageError: the forcing depends on time and nobody has said when it began.
+        """
+        if self._episode is not None and event.episode < self._episode:
+            return (self._refuse(event, Ruling.REJECTED, f"episode {event.episode} is over"),)
+        self._meet(event)
+        self._require_epoch()
+        if event.sequence and event.sequence in self._seen:
+            return (self._refuse(event, Ruling.DUPLICATE, "this sequence number was seen"),)
+        verdicts, active = self._sorted_out(event)
+        self._remember(event)
+        timeline = self._begun()
+        if not active:
+            return verdicts
+        key = Key(event.stamp, event.sequence, active)
+        if key < timeline.start:
+            reason = f"older than {text(timeline.start.stamp)} s, where the known past begins"
+            return (self._refuse(event, Ruling.TOO_LATE, reason),)
+        if key in timeline:
+            return (self._refuse(event, Ruling.DUPLICATE, "the same event was seen"),)
+        timeline.insert(key, self._step)
+        self._forget(timeline)
+        return verdicts
+
+    def estimate(self, stamp: int) -> Estimate:
+        """The state at ``stamp`` (ns) after all known events at or before it.
+
+        Raises:
+            UsageError: ``stamp`` lies before the known past, or nothing is known yet, or the
+                forcing depends on time and nobody has said when it began.
+        """
+        if self._timeline is None or stamp < self._timeline.start.stamp:
+            known = "no event has come" if self._timeline is None else (
+                f"the known past begins at {text(self._timeline.start.stamp)} s"
+            )
+            raise UsageError(f"estimate at {text(stamp)} s: {known}")
+        self._require_epoch()
+        entry, n = self._timeline.at(stamp), self.system.n
+        x = self._flowed(entry, stamp)
+        applied = bool(entry.key.active)
+        return Estimate(
+            stamp=stamp,
+            law=self.law.name,
+            q=x[:n],
+            u=x[n:],
+            last_sequence=entry.key.sequence if applied else 0,
+            last_event=entry.key.stamp if applied else 0,
+        )
+
+    def _meet(self, event: ImpactEvent) -> None:
+        """Notice a new episode or epoch: the plant began again, and so does the replica."""
+        moved = bool(event.epoch and self._epoch and event.epoch != self._epoch)
+        newer = self._episode is not None and event.episode > self._episode
+        if moved or newer:
+            self.restart()
+            self.restarts += 1
+            self._timeline = None
+        self._episode = event.episode
+        self._epoch = event.epoch or self._epoch
+
+    def _sorted_out(self, event: ImpactEvent) -> tuple[tuple[Verdict, ...], tuple[int, ...]]:
+        """A verdict for each switch, and the contacts to apply."""
+        verdicts: list[Verdict] = []
+        active: set[int] = set()
+        for switch in event.switches:
+            if switch.contact not in self._index:
+                known = ", ".join(self._index) or "none"
+                verdicts.append(
+                    Verdict(
+                        event.stamp,
+                        Ruling.UNKNOWN_CONTACT,
+                        event.sequence,
+                        switch.contact,
+                        f"the model's contacts are {known}",
+                    )
+                )
+                continue
+            if switch.kind is not Kind.IMPACT:
+                raise LastingContactError(
+                    f"contact {switch.contact!r}: {switch.kind.name} at stamp"
+                    f" {text(event.stamp)} s; lasting contact is not supported yet"
+                )
+            active.add(self._index[switch.contact])
+            verdicts.append(
+                Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact)
+            )
+        return tuple(verdicts), tuple(sorted(active))
+
+    def _require_epoch(self) -> None:
+        if self.system.forcing.depends_on_time and not self._epoch:
+            raise UsageError(
+                f"epoch: the forcing of {self.system.name} depends on time and the events do not"
+                " say when it began; give the epoch"
+            )
+
+    def _begun(self) -> Timeline:
+        """The timeline, begun where all events seen so far, in any order, say it begins."""
+        start = self._epoch if self._epoch and self._first <= 1 else self._earliest
+        if self._timeline is None:
+            self._timeline = Timeline(start, self._initial)
+        elif self._timeline.whole and not self._placed and self._timeline.start.stamp != start:
+            self._timeline.begin(start, self._initial, self._step)
+        return self._timeline
+
+    def _remember(self, event: ImpactEvent) -> None:
+        """Note an event, to know it when it comes twice and to miss the others."""
+        self._earliest = min(self._earliest or event.stamp, event.stamp)
+        if event.sequence > self._forgotten:
+            self._first = min(self._first or event.sequence, event.sequence)
+            self._numbered += 1
+            self._seen[event.sequence] = event.stamp
+
+    def _forget(self, timeline: Timeline) -> None:
+        """Keep the past bounded: what is older than the history is too late anyway."""
+        timeline.forget_before(timeline.newest.stamp - self._history)
+        if len(self._seen) > 2 * len(timeline.entries) + 64:
+            oldest, newest = timeline.start.stamp, max(self._seen)
+            old = {k for k, stamp in self._seen.items() if stamp < oldest and k != newest}
+            self._forgotten = max(old, default=self._forgotten)
+            self._seen = {k: stamp for k, stamp in self._seen.items() if k not in old}
+
+    def _refuse(self, event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
+        return Verdict(event.stamp, ruling, event.sequence, reason=reason)
+
+    def _step(self, previous: Entry, event: Key) -> Vector:
+        """The state after ``event``, from the state after the one before it."""
+        try:
+            return self.law.impact(self._flowed(previous, event.stamp), event.active)
+        except ImpactLawError as error:
+            raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
+
+    def _flowed(self, entry: Entry, stamp: int) -> Vector:
+        """One exact flow from just after ``entry`` to ``stamp``."""
+        origin = self._epoch or entry.key.stamp
+        t = seconds_between(origin, entry.key.stamp)
+        return self._flow.start(t, entry.x).state(seconds_between(entry.key.stamp, stamp))

@@ -1,0 +1,74 @@
+"""Instants: int64 nanoseconds outside, float seconds only inside a phase.
+
+A *stamp* is an ``int`` of nanoseconds, as in ROS messages and bags. The plant knows its impact
+times better than that, so it keeps an :class:`Instant`: a stamp and a float remainder.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+NS_PER_S = 1_000_000_000
+MAX_STAMP = (2**31 - 1) * NS_PER_S + (NS_PER_S - 1)
+"""The last stamp that ``builtin_interfaces/Time`` can carry (int32 seconds)."""
+
+
+class Instant(NamedTuple):
+    """An instant known better than one nanosecond.
+
+    Attributes:
+        stamp: nanoseconds, rounded to the nearest.
+        remainder: what the stamp leaves over, s, in [-0.5e-9, 0.5e-9].
+    """
+
+    stamp: int
+    remainder: float = 0.0
+
+    def after(self, seconds: float) -> "Instant":
+        """The instant ``seconds`` (s, either sign) later."""
+        nanoseconds = round(seconds * 1e9)
+        left = (seconds - nanoseconds * 1e-9) + self.remainder
+        carry = round(left * 1e9)
+        return Instant(self.stamp + nanoseconds + carry, left - carry * 1e-9)
+
+    def until(self, stamp: int) -> float:
+        """Seconds from here to ``stamp``."""
+        return seconds_between(self.stamp, stamp) - self.remainder
+
+
+def seconds_between(start: int, stop: int) -> float:
+    """Seconds from stamp ``start`` to stamp ``stop``: integers are subtracted first."""
+    return (stop - start) / NS_PER_S
+
+
+def grid(start: int, stop: int, rate: float) -> NDArray[np.int64]:
+    """Stamps ``start + k / rate`` up to and including ``stop``.
+
+    Every stamp is rounded from its own product, never summed up.
+
+    Args:
+        start: first stamp, ns.
+        stop: last stamp allowed, ns.
+        rate: samples per second, Hz.
+
+    Returns:
+        Stamps, shape (samples,), ns; empty when ``stop < start``.
+    """
+    if stop < start:
+        return np.empty(0, dtype=np.int64)
+    last = int(seconds_between(start, stop) * rate) + 1
+    stamps = start + np.rint(np.arange(last + 1) * (NS_PER_S / rate)).astype(np.int64)
+    return stamps[stamps <= stop]
+
+
+def from_seconds(seconds: float) -> int:
+    """The nearest stamp or length in ns to ``seconds``."""
+    return round(seconds * NS_PER_S)
+
+
+def text(stamp: int) -> str:
+    """``stamp`` as decimal seconds with all nine digits, such as ``12.000000345``."""
+    sign = "-" if stamp < 0 else ""
+    whole, part = divmod(abs(stamp), NS_PER_S)
+    return f"{sign}{whole}.{part:09d}"

@@ -1,0 +1,49 @@
+"""States of the plant and of its estimates at a stamp."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+def frozen(values: object) -> NDArray[np.float64]:
+    """A read-only float64 copy of ``values``, with no minus zero in it."""
+    array = np.array(values, dtype=np.float64) + 0.0
+    array = np.asarray(array)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What an observer says at a stamp; mirrors ``impact_observer_msgs/ObserverState``.
+
+    Attributes:
+        stamp: when the state holds, ns.
+        law: name of the observer's law.
+        q: coordinates, shape (n,), m or rad.
+        u: velocities, shape (n,), m/s or rad/s.
+        covariance: shape (2n, 2n), order (q, u); shape (0, 0) for a law that has none.
+        closed: names of the contacts that the replica holds closed.
+        convergence: largest V distance between replicas, J; -1 while there is only one.
+        synchronized: whether the replicas agree.
+        clock_offset: estimated offset of the sensor's clock, s; 0 unless asked for.
+        last_sequence: sequence number of the last event applied; 0 before the first.
+        last_event: stamp of the last event applied, ns; 0 before the first.
+    """
+
+    stamp: int
+    law: str
+    q: Vector
+    u: Vector
+    covariance: Matrix = field(default_factory=lambda: frozen(np.empty((0, 0))))
+    closed: tuple[str, ...] = ()
+    convergence: float = -1.0
+    synchronized: bool = False
+    clock_offset: float = 0.0
+    last_sequence: int = 0
+    last_event: int = 0

@@ -1,0 +1,63 @@
+"""Installs impact_observer: by colcon as an ament_python package, or by pip."""
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from setuptools import find_packages, setup
+
+NAME = "impact_observer"
+SHARE = Path("share", NAME)
+
+
+def manifest(tag: str) -> str:
+    """Returns a text of package.xml, the one place of version and description."""
+    text = ET.parse("package.xml").getroot().findtext(tag, default="")
+    return " ".join(text.split())
+
+
+def requirements(name: str) -> list[str]:
+    """Returns the packages of requirements/<name>.txt."""
+    lines = Path("requirements", f"{name}.txt").read_text(encoding="utf-8").splitlines()
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+def shared(*roots: str) -> list[tuple[str, list[str]]]:
+    """Returns the data_files entries that install every file below roots, as it lies, to SHARE."""
+    files = sorted(path for root in roots for path in Path(root).rglob("*") if path.is_file())
+    folders = sorted({path.parent for path in files if path.parent.name != "__pycache__"})
+    return [
+        (str(SHARE / folder), [str(path) for path in files if path.parent == folder])
+        for folder in folders
+    ]
+
+
+setup(
+    name=NAME,
+    version=manifest("version"),
+    description=manifest("description"),
+    maintainer=manifest("maintainer"),
+    maintainer_email="maintainers@impact-observer.invalid",
+    license="Apache-2.0",
+    python_requires=">=3.10",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (str(SHARE), ["package.xml"]),
+        *shared("launch", "config", "layouts", "bags", "msg_defs/msg", "msg_defs/srv"),
+    ],
+    install_requires=requirements("run"),
+    extras_require={
+        "test": requirements("test"),
+        "dev": [*requirements("test"), *requirements("lint")],
+    },
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "impact-observer = impact_observer.cli.main:main",
+            "plant = impact_observer.nodes.plant:main",
+            "observer = impact_observer.nodes.observer:main",
+            "monitor = impact_observer.nodes.monitor:main",
+        ],
+    },
+)
