@@ -59,7 +59,7 @@ def grid(start: int, stop: int, rate: float) -> NDArray[np.int64]:
         return np.empty(0, dtype=np.int64)
     last = int(seconds_between(start, stop) * rate) + 1
     stamps = start + np.rint(np.arange(last + 1) * (NS_PER_S / rate)).astype(np.int64)
-    return stamps[stamps <= stop]
+    return np.asarray(stamps[stamps <= stop])
 
 
 def from_seconds(seconds: float) -> int:

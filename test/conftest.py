@@ -6,7 +6,14 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from impact_observer.bag import BagWriter, JointState
+from impact_observer.bag.messages import bag_messages
+from impact_observer.events import ImpactEvent, Switch
+from impact_observer.shares import shared
+from impact_observer.states import Estimate
 
 
 @pytest.fixture
@@ -26,3 +33,23 @@ def ros_environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]
             yield dict(os.environ)
             return
     pytest.fail("all ROS domains are taken; remove impact_observer_domain_*.lock")
+
+
+@pytest.fixture
+def sample_bag(tmp_path: Path) -> Path:
+    """Half a second of truth, impacts, model and an estimate, from 1 s on."""
+    make, names = bag_messages(), ("x1", "x2")
+    provenance = "\nprovenance: {package: impact_observer, version: 1.2.3, seed: 7}\n"
+    text = shared("config/two_mass.yaml").read_text("utf-8") + provenance
+    with BagWriter(tmp_path / "sample") as writer:
+        writer.write("/plant/model", 1_000_000_000, make.model(text))
+        for k in range(51):
+            stamp = 1_000_000_000 + k * 10_000_000
+            q, u = np.array([k, -k]) * 0.5, np.array([1.0, k])
+            state, estimate = JointState(stamp, names, q, u), Estimate(stamp, "geometric", q, u)
+            if k % 5 == 0:
+                event = ImpactEvent(stamp, (Switch("stop"),), k // 5 + 1, 1, 1_000_000_000)
+                writer.write("/impacts", stamp, make.event(event))
+            writer.write("/plant/joint_states", stamp, make.joint_state(state))
+            writer.write("/observer_geometric/state", stamp, make.estimate(estimate, names))
+    return tmp_path / "sample"

@@ -35,6 +35,7 @@ class Comparison:
     """One law's estimate against the truth.
 
     Attributes:
+        system: the system that both move by.
         law: name of the law.
         stamps: of the samples that count, ns, shape (samples,).
         error: estimate minus truth, (dq, du), shape (samples, 2n).
@@ -43,6 +44,7 @@ class Comparison:
         impacts: impact instants that the estimate used.
     """
 
+    system: System
     law: str
     stamps: Stamps
     error: NDArray[np.float64]
@@ -129,6 +131,7 @@ def compare(
     n = system.n
     last = int(common[kept][-1])
     return Comparison(
+        system=system,
         law=law,
         stamps=common[kept],
         error=error,

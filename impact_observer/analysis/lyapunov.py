@@ -2,14 +2,19 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from impact_observer.model import System
 from impact_observer.states import Vector
 
 
-def distance(
-    system: System, q: NDArray[np.float64], u: NDArray[np.float64]
-) -> Vector:
+def is_seminorm(system: System) -> bool:
+    """Whether ``V`` is blind to some displacement: ``K`` is singular, a rigid-body mode."""
+    eigenvalues = linalg.eigvalsh(system.K)
+    return bool(eigenvalues[0] <= 1e-12 * max(float(eigenvalues[-1]), 0.0))
+
+
+def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> Vector:
     """``V = 1/2 du^T M du + 1/2 dq^T K dq``, J.
 
     A seminorm where ``K`` is singular: it does not see rigid-body displacements.

@@ -19,11 +19,13 @@ class BagComparison:
     """All estimates of one bag against its truth.
 
     Attributes:
+        system: the system that plant and observers share.
         comparisons: by the observer's topic prefix, such as ``/observer_geometric``.
         impacts: stamps of the impacts (ns), by contact.
         epoch: stamp of ``t = 0``, ns; where no event says it, the first stamp of the truth.
     """
 
+    system: System
     comparisons: dict[str, Comparison]
     impacts: dict[str, Stamps]
     epoch: int
@@ -49,7 +51,7 @@ def compare_bag(reader: BagReader, system: System) -> BagComparison:
     for prefix in observers:
         comparisons[prefix] = _compare_observer(reader, prefix, system, truth, events)
     epochs = [e.epoch for e in events if e.epoch] or [int(truth.stamps[0])]
-    return BagComparison(comparisons, _impacts_of(events), epochs[0])
+    return BagComparison(system, comparisons, _impacts_of(events), epochs[0])
 
 
 def _compare_observer(

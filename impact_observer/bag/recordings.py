@@ -45,8 +45,12 @@ def write_run(path: Path, model: Model, seed: int, run: Run) -> None:
         # At equal stamps the event comes first: the state there is the one after it.
         events = ((e.stamp, 0, interfaces.IMPACTS.topic, make.event(e)) for e in run.events)
         states = (
-            (stamp, 1, interfaces.PLANT_JOINT_STATES.topic,
-             make.joint_state(JointState(stamp, names, x[:n], x[n:])))
+            (
+                stamp,
+                1,
+                interfaces.PLANT_JOINT_STATES.topic,
+                make.joint_state(JointState(stamp, names, x[:n], x[n:])),
+            )
             for stamp, x in zip(run.stamps.tolist(), run.states, strict=True)
         )
         for stamp, _, topic, message in heapq.merge(events, states, key=lambda item: item[:2]):
@@ -152,9 +156,7 @@ def observe_bag(
     return count
 
 
-def _messages(
-    item: Estimate | Verdict, names: tuple[str, ...]
-) -> Iterator[tuple[str, object]]:
+def _messages(item: Estimate | Verdict, names: tuple[str, ...]) -> Iterator[tuple[str, object]]:
     """What an observer node publishes of an estimate or a verdict, with the topics."""
     make = bag_messages()
     if isinstance(item, Verdict):

@@ -10,7 +10,7 @@ from impact_observer.cli.arguments import positive
 
 if TYPE_CHECKING:
     from impact_observer.analysis.comparison import Comparison
-    from impact_observer.model import System
+    from impact_observer.bag.comparisons import BagComparison
 
 SETTLED = 1e-2
 """V over V at the start below which an estimate counts as settled, unless told otherwise."""
@@ -77,43 +77,48 @@ def compare(
         from impact_observer.analysis.figures import check_picture
 
         check_picture(plot)
-    results: list[tuple[Path, str, Comparison]] = []
+    results: list[tuple[Path, BagComparison]] = []
     for bag in bags:
         with BagReader(bag) as reader:
-            read = carried_model(reader) if model is None else read_model(model)
-            result = compare_bag(reader, read.system)
-        results += [(bag, prefix, each) for prefix, each in result.comparisons.items()]
-    labelled = label(results)
+            system = (carried_model(reader) if model is None else read_model(model)).system
+            results.append((bag, compare_bag(reader, system)))
+    labelled = labelled_by_law(results)
     if json:
         print(json_module.dumps({k: figures(v, threshold) for k, v in labelled.items()}, indent=2))
     else:
-        print_tables(labelled, read.system, threshold)
+        print_tables(labelled, threshold)
     if plot is not None:
-        from impact_observer.analysis.figures import lyapunov_figure, save
-
-        save(
-            lyapunov_figure(
-                labelled, result.impacts, title=read.system.name, epoch=result.epoch
-            ),
-            plot,
-        )
+        draw(labelled, results[0][1], plot)
         if not json:
             print(f"picture: {plot}")
     return 0
 
 
-def label(results: "Sequence[tuple[Path, str, Comparison]]") -> "dict[str, Comparison]":
-    """Name each result by its law, and by observer and bag where that is not enough."""
+def draw(labelled: "dict[str, Comparison]", first: "BagComparison", plot: Path) -> None:
+    """Draw V over time; impacts and epoch are those of the first bag."""
+    from impact_observer.analysis.figures import lyapunov_figure, save
+
+    title = f"{first.system.name}: distance of the estimates from the truth"
+    save(lyapunov_figure(labelled, first.impacts, title=title, epoch=first.epoch), plot)
+
+
+def labelled_by_law(results: "Sequence[tuple[Path, BagComparison]]") -> "dict[str, Comparison]":
+    """Name each estimate by its law, and by observer and bag where that is not enough."""
+    each = [
+        (bag, prefix, comparison)
+        for bag, result in results
+        for prefix, comparison in result.comparisons.items()
+    ]
     namings = [
-        [each.law for _, _, each in results],
-        [f"{each.law} {prefix}" for _, prefix, each in results],
-        [f"{each.law} {bag.name}" for bag, _, each in results],
-        [f"{each.law} {prefix} {bag}" for bag, prefix, each in results],
+        [comparison.law for _, _, comparison in each],
+        [f"{comparison.law} {prefix}" for _, prefix, comparison in each],
+        [f"{comparison.law} {bag.name}" for bag, _, comparison in each],
+        [f"{comparison.law} {prefix} {bag}" for bag, prefix, comparison in each],
     ]
     names = next((n for n in namings if len(set(n)) == len(n)), None)
     if names is None:
         names = [f"{name} #{i}" for i, name in enumerate(namings[-1], start=1)]
-    return dict(zip(names, (each for _, _, each in results), strict=True))
+    return dict(zip(names, (comparison for _, _, comparison in each), strict=True))
 
 
 def figures(comparison: "Comparison", threshold: float) -> dict[str, object]:
@@ -136,44 +141,54 @@ def figures(comparison: "Comparison", threshold: float) -> dict[str, object]:
     }
 
 
-def print_tables(
-    labelled: "dict[str, Comparison]", system: "System", threshold: float = SETTLED
-) -> None:
+def print_tables(labelled: "dict[str, Comparison]", threshold: float = SETTLED) -> None:
     """A table of V and one of the errors, coordinate by coordinate."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
+    from impact_observer.analysis.lyapunov import is_seminorm
+
     console = Console()
-    table = Table(box=box.SIMPLE_HEAD, title=f"Estimates of {system.name}", title_justify="left")
+    systems = {each.system.name: each.system for each in labelled.values()}
+    title = f"Estimates of {', '.join(systems)}"
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("law", overflow="fold")
-    headings = ("V0 [J]", "V end [J]", "V/V0", f"s to {threshold:g} V0", "impacts", "late")
-    for heading in headings:
+    for heading in ("V0 [J]", "V end [J]", "V/V0", f"s to {threshold:g} V0", "impacts", "late"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for label, comparison in labelled.items():
-        settled = comparison.settling_time(threshold)
-        table.add_row(
-            label,
-            f"{comparison.V[0]:.4g}",
-            f"{comparison.V[-1]:.3g}",
-            "undefined" if comparison.ratio is None else f"{comparison.ratio:.2e}",
-            "never" if settled is None else f"{settled:.2f}",
-            str(comparison.impacts),
-            str(comparison.late),
-        )
-    console.print(table)
-    errors = Table(box=box.SIMPLE_HEAD, title="Errors, estimate minus truth", title_justify="left")
+    errors = Table(
+        box=box.SIMPLE_HEAD, title="Errors, estimate minus truth, SI units", title_justify="left"
+    )
     errors.add_column("law", overflow="fold")
     errors.add_column("state")
     for heading in ("rms", "largest", "final"):
         errors.add_column(heading, justify="right")
-    states = [*(f"{c} [m]" for c in system.coordinates),
-              *(f"d{c}/dt [m/s]" for c in system.coordinates)]
-    for label, comparison in labelled.items():
-        rows = zip(states, comparison.rms, comparison.largest, comparison.final, strict=True)
-        for i, (state, rms, largest, final) in enumerate(rows):
-            errors.add_row(
-                label if i == 0 else "", state, f"{rms:.3e}", f"{largest:.3e}", f"{final:+.3e}",
-                end_section=i == len(states) - 1,
-            )
+    for label, each in labelled.items():
+        settled = each.settling_time(threshold)
+        table.add_row(
+            label,
+            f"{each.V[0]:.4g}",
+            f"{each.V[-1]:.3g}",
+            "undefined" if each.ratio is None else f"{each.ratio:.2e}",
+            "never" if settled is None else f"{settled:.2f}",
+            str(each.impacts),
+            str(each.late),
+        )
+        for row in _error_rows(label, each):
+            errors.add_row(*row)
+        errors.add_section()
+    console.print(table)
     console.print(errors)
+    for name, system in systems.items():
+        if is_seminorm(system):
+            print(f"{name} has a rigid-body mode: V does not see an error of its position")
+
+
+def _error_rows(label: str, comparison: "Comparison") -> "list[tuple[str, ...]]":
+    coordinates = comparison.system.coordinates
+    states = [*coordinates, *(f"d{name}/dt" for name in coordinates)]
+    figures_of = zip(states, comparison.rms, comparison.largest, comparison.final, strict=True)
+    return [
+        ("" if i else label, state, f"{rms:.3e}", f"{largest:.3e}", f"{final:+.3e}")
+        for i, (state, rms, largest, final) in enumerate(figures_of)
+    ]

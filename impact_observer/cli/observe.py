@@ -25,7 +25,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)"
     )
     parser.add_argument(
-        "--epoch", metavar="S", type=stamp, default=0, help="stamp of t = 0 (default: as in the bag)"
+        "--epoch",
+        metavar="S",
+        type=stamp,
+        default=0,
+        help="stamp of t = 0 (default: as in the bag)",
     )
     parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"

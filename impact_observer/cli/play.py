@@ -11,6 +11,11 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
+    # BAG comes first: behind --clock or --topics it would be taken for their value.
+    parser.usage = (
+        "%(prog)s BAG [--rate R] [--loop] [--start S] [--topics TOPIC ...] [--clock [HZ]] "
+        "[--delay S]"
+    )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     parser.add_argument(
         "--rate", metavar="R", type=float, default=1.0, help="times as fast (default: 1)"

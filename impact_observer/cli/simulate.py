@@ -19,7 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seed", metavar="N", type=seed, default=0, help="of everything random (default 0)"
     )
     parser.add_argument(
-        "--epoch", metavar="S", type=stamp, default=1_000_000_000, help="stamp of t = 0 (default 1)"
+        "--epoch",
+        metavar="S",
+        type=stamp,
+        default=1_000_000_000,
+        help="stamp of t = 0 (default 1)",
     )
     parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"

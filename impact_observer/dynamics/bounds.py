@@ -8,14 +8,13 @@ Two lower bounds on ``g`` over an interval; the larger one counts.
   that of a body at rest against its stop while others move.
 
 Both need bounds on derivatives of ``g``. Those of the motion obey the equation of motion as well:
-``M y'' = -C y' - K y + f^(k)(t)`` for ``y = q^(k)``. So ``y'^T M y' + y^T K y`` grows only as fast as
-``f^(k)`` does work, and bounds ``g^(k+1) = W^T y'`` by Cauchy and Schwarz.
+``M y'' = -C y' - K y + f^(k)(t)`` for ``y = q^(k)``. So ``y'^T M y' + y^T K y`` grows only as fast
+as ``f^(k)`` does work, and bounds ``g^(k+1) = W^T y'`` by Cauchy and Schwarz.
 """
 
 from math import comb, factorial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.model import System
@@ -35,9 +34,9 @@ class GapBounds:
         self._Minv = linalg.inv(system.M)
         self._reach = np.sqrt(np.einsum("ij,ij->j", system.W, self._Minv @ system.W))
         amplitudes = np.stack([forcing.cosine, forcing.sine])
-        self._work = np.sqrt(
-            np.einsum("...i,...i->...", amplitudes @ self._Minv, amplitudes)
-        ).sum(axis=0)
+        self._work = np.sqrt(np.einsum("...i,...i->...", amplitudes @ self._Minv, amplitudes)).sum(
+            axis=0
+        )
         self._bernstein = _bernstein(_ORDER)
 
     def acceleration(self, derivatives: list[Matrix], h: float) -> Matrix:

@@ -20,7 +20,8 @@ def first(a: Complex, b: Complex, s: NDArray[np.float64]) -> Complex:
     low, high = np.where(swap, b, a), np.where(swap, a, b)
     z = (low - high) * s
     small = np.where(z == 0, 1.0, z)
-    return s * np.exp(high * s) * np.where(z == 0, 1.0, np.expm1(small) / small)
+    quotient: Complex = np.where(z == 0, 1.0, np.expm1(small) / small)
+    return np.asarray(s * np.exp(high * s) * quotient)
 
 
 def second(a: Complex, b: Complex, c: Complex, s: NDArray[np.float64]) -> Complex:

@@ -11,7 +11,6 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.model import System
 from impact_observer.states import Vector
 
 
@@ -37,7 +36,7 @@ class Motion(ABC):
 
     def state(self, s: float) -> Vector:
         """The state (q, u), shape (2n,), at ``s`` seconds after the phase's start."""
-        return self.states(np.array([s]))[0]
+        return np.asarray(self.states(np.array([s]))[0])
 
 
 class Flow(ABC):
@@ -46,12 +45,3 @@ class Flow(ABC):
     @abstractmethod
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
-
-
-def flow_of(system: System) -> Flow:
-    """The fastest flow of ``system`` without contact that keeps full accuracy."""
-    from impact_observer.dynamics.dense import DenseFlow
-    from impact_observer.dynamics.spectral import SpectralFlow, split
-
-    modes = split(system)
-    return DenseFlow(system) if modes is None else SpectralFlow(system, modes)

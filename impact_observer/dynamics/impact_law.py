@@ -2,10 +2,10 @@
 
 ``0 <= gamma+ + eps gamma-  _|_  Lambda >= 0`` with ``u+ = u- + M^-1 W Lambda``: a linear
 complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 W``. With
-``G = B^T B``, ``B = L^-1 W``, ``M = L L^T``, it says that ``v = B Lambda`` is the least velocity jump
-that separates, ``min |v|`` subject to ``B^T v >= -b``. Lawson and Hanson (Solving Least Squares
-Problems, chapter 23) turn that into nonnegative least squares, which scipy solves; it has
-a solution unless no jump separates.
+``G = B^T B``, ``B = L^-1 W``, ``M = L L^T``, it says that ``v = B Lambda`` is the least velocity
+jump that separates, ``min |v|`` subject to ``B^T v >= -b``. Lawson and Hanson (Solving Least
+Squares Problems, chapter 23) turn that into nonnegative least squares, which scipy solves; it
+has a solution unless no jump separates.
 """
 
 from collections.abc import Sequence
@@ -32,9 +32,7 @@ class ImpactLaw:
         self._B = linalg.solve_triangular(factor, system.W, lower=True)
         self._Minv_W = linalg.solve_triangular(factor.T, self._B, lower=False)
         # Plain floats: the law of a single contact is on the path of every event.
-        self._single = [
-            ((1.0 + float(eps)) / float(g)) for eps, g in zip(system.eps, np.sum(self._B**2, axis=0), strict=True)
-        ]
+        self._single = ((1.0 + system.eps) / np.sum(self._B**2, axis=0)).tolist()
 
     def velocity_after(self, u: Vector, active: Sequence[int]) -> Vector:
         """Velocities ``u+`` after an impact on the ``active`` contacts.
@@ -75,7 +73,7 @@ class ImpactLaw:
         separation = B.T @ (B @ impulses) + b
         if not (np.all(impulses >= -_RESIDUAL) and np.all(separation >= -_RESIDUAL)):
             raise self._no_solution(active, gamma)
-        return np.maximum(impulses, 0.0) * (scale / length)
+        return np.asarray(np.maximum(impulses, 0.0) * (scale / length))
 
     @staticmethod
     def _pressed(B: Matrix, b: Vector) -> NDArray[np.bool_]:

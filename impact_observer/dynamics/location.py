@@ -87,7 +87,7 @@ class ContactSearch:
         suspects = low < -DEPTH * scale
         falling = gamma[:-1] + self._bounds.acceleration(derivatives, h) * h < 0
         for j in np.flatnonzero(suspects.any(axis=1)):
-            contacts = np.flatnonzero(suspects[j])
+            contacts = np.flatnonzero(suspects[j]).tolist()
             clear = (g[j, contacts] >= 0) & (g[j + 1, contacts] < 0) & falling[j, contacts]
             if clear.all():
                 roots = [self._root(motion, i, s[j], s[j + 1]) for i in contacts]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.model import System
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix, Vector, frozen
 
 _RIGID = 1e-12
 """``omega^2`` that counts as zero, relative to the stiffest mode's."""
@@ -30,16 +30,16 @@ class PositionProjection:
         self._elastic = shapes[:, elastic] / np.sqrt(stiffness[elastic])
         self._Z: dict[tuple[int, ...], Matrix] = {}
 
-    def Z(self, active: tuple[int, ...]) -> Matrix:
-        """Position jump per unit of gap, shape (n, len(active))."""
+    def jump(self, active: tuple[int, ...]) -> Matrix:
+        """``Z``, the position jump per unit of gap, shape (n, len(active))."""
         if active not in self._Z:
-            self._Z[active] = self._solve(self._system.W[:, list(active)])
+            self._Z[active] = frozen(self._solve(self._system.W[:, list(active)]))
         return self._Z[active]
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (n,): the closest position with ``g = 0`` on the active contacts."""
         gap = self._system.gap(q)[list(active)]
-        return np.asarray(q - self.Z(active) @ gap)
+        return np.asarray(q - self.jump(active) @ gap)
 
     def _solve(self, W: Matrix) -> Matrix:
         """Elastic deflection only as far as rigid motion cannot close the gaps."""
@@ -55,6 +55,6 @@ class PositionProjection:
 def _inverse(seen: Matrix, W: Matrix, modes: Matrix) -> Matrix:
     """Pseudo-inverse of what contacts see of modes; its rank is judged by ``|W|^T |modes|``."""
     if not seen.size:
-        return seen.T
+        return np.asarray(seen.T)
     scale = float(np.linalg.norm(np.abs(W).T @ np.abs(modes)))
     return np.asarray(linalg.pinv(seen, atol=_RANK * scale, rtol=0.0))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics.dense import state_matrix
+from impact_observer.dynamics.dense import DenseFlow, state_matrix
 from impact_observer.dynamics.divided_differences import Complex, first, second
 from impact_observer.dynamics.flow import Flow, Motion
 from impact_observer.model import System
@@ -46,6 +46,12 @@ class Modes:
     T: Matrix
     T_inverse: Matrix
     J: NDArray[np.float64]
+
+
+def flow_of(system: System) -> Flow:
+    """The fastest flow of ``system`` without contact that keeps full accuracy."""
+    modes = split(system)
+    return DenseFlow(system) if modes is None else SpectralFlow(system, modes)
 
 
 def split(system: System) -> Modes | None:
@@ -161,7 +167,7 @@ class SpectralFlow(Flow):
         if not self._frequency.size:
             return np.broadcast_to(self._steady_constant, (t.size, 2 * self._n))
         angle = np.outer(t, self._frequency)
-        return (
+        return np.asarray(
             self._steady_constant
             + np.cos(angle) @ self._steady_cosine.T
             + np.sin(angle) @ self._steady_sine.T
@@ -198,7 +204,8 @@ class SpectralFlow(Flow):
         shifted = self._deviator[block] + (self._a[block] - one)[:, None, None] * np.eye(2)
         turned = (shifted @ beta[..., None])[..., 0]
         response: Complex = phi_1[..., None] * beta + phi_2[..., None] * turned
-        np.add.at(y, (slice(None), block), response.real)
+        for k, pair in enumerate(block):
+            y[:, pair] += response[:, k].real
         return y
 
     @property
@@ -208,7 +215,7 @@ class SpectralFlow(Flow):
 
     def assemble(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
         """States from pairs: ``x = T y``, shape (samples, 2n)."""
-        return y.reshape(-1, 2 * self._n) @ self._T.T
+        return np.asarray(y.reshape(-1, 2 * self._n) @ self._T.T)
 
 
 class _SpectralMotion(Motion):

@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import io, sparse
 
 from impact_observer.errors import ModelError
 from impact_observer.states import Matrix, Vector
@@ -141,8 +142,6 @@ def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
         if path.suffix == ".npy":
             return _real(np.load(path, allow_pickle=False))
         if path.suffix in {".mtx", ".gz"}:
-            from scipy import io, sparse
-
             matrix = io.mmread(path)
             return _real(matrix.toarray() if sparse.issparse(matrix) else matrix)
     except (ValueError, OSError, EOFError, zlib.error) as error:

@@ -71,9 +71,11 @@ def assemble(document: Section) -> Assembly:
     if not bodies:
         raise ModelError("bodies", "is missing or empty; a system needs at least one body")
     line = _Line([body.text("name") for body in bodies])
-    for body, name in zip(bodies, line.names, strict=True):
+    for i, (body, name) in enumerate(zip(bodies, line.names, strict=True)):
         if name == GROUND:
             raise ModelError(body.key("name"), f"{GROUND!r} is reserved; choose another name")
+        if name in line.names[:i]:
+            raise ModelError(body.key("name"), f"{name!r} is taken already; names must differ")
     M = np.diag([body.positive("mass") for body in bodies])
     C, K = np.zeros((line.n, line.n)), np.zeros((line.n, line.n))
     for key, value in document.items("springs"):
@@ -122,9 +124,7 @@ def _forcing(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
 
 def _stop(line: _Line, key: str, value: Value) -> Contact:
     """A stop that limits one body, or one between two bodies."""
-    stop = Section(
-        key, value, ("name", "restitution", "body", "limit", "side", "between", "gap")
-    )
+    stop = Section(key, value, ("name", "restitution", "body", "limit", "side", "between", "gap"))
     if "between" in stop:
         for name in ("body", "limit", "side"):
             if name in stop:

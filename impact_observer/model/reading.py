@@ -140,7 +140,8 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
     try:
         return _model(_load(text), folder)
     except ModelError as error:
-        raise ModelError(f"{source}: {error.key}" if error.key else source, error.problem) from None
+        key = f"{source}: {error.key}" if error.key else source
+        raise ModelError(key, error.problem) from None
 
 
 def _load(text: str) -> Value:
@@ -177,8 +178,7 @@ def _system_of_elements(name: str, section: Section) -> System:
     try:
         return System(name, a.coordinates, a.M, a.C, a.K, a.forcing, a.contacts)
     except ModelError as error:
-        key = error.key.replace("contacts[", "stops[").replace("coordinates[", "bodies[")
-        raise ModelError(key, error.problem) from None
+        raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
 
 
 def _system_of_matrices(name: str, section: Section, folder: Path | None) -> System:
@@ -239,9 +239,7 @@ def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vec
     """The plant's initial state, which must not be inside a stop."""
     if "initial_state" not in section:
         return None, None
-    state = Section(
-        "initial_state", section.value("initial_state"), ("position", "velocity")
-    )
+    state = Section("initial_state", section.value("initial_state"), ("position", "velocity"))
     position = frozen(state.vector("position", system.n))
     velocity = frozen(state.vector("velocity", system.n))
     for name, values in (("position", position), ("velocity", velocity)):

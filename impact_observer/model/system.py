@@ -147,11 +147,11 @@ class System:
 
     def gap(self, q: Vector) -> Vector:
         """Contact distances ``g = W^T q + q_r``, shape (m,), paper's equation (2)."""
-        return self.W.T @ q + self.q_r
+        return np.asarray(self.W.T @ q + self.q_r)
 
     def contact_speed(self, u: Vector) -> Vector:
         """Contact speeds ``gamma = W^T u``, shape (m,), paper's equation (3)."""
-        return self.W.T @ u
+        return np.asarray(self.W.T @ u)
 
     def checked_state(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
         """``position`` and ``velocity`` as read-only arrays of shape (n,).
@@ -159,11 +159,17 @@ class System:
         Raises:
             UsageError: a wrong number of values, or one that is not finite.
         """
-        return (_state_part("position", position, self.n), _state_part("velocity", velocity, self.n))
+        return (
+            _state_part("position", position, self.n),
+            _state_part("velocity", velocity, self.n),
+        )
 
 
 def _state_part(name: str, values: ArrayLike, n: int) -> Vector:
-    array = frozen(values)
+    try:
+        array = frozen(values)
+    except (TypeError, ValueError):
+        raise UsageError(f"{name}: is not made of numbers only; expected {n} numbers") from None
     if array.shape != (n,):
         raise UsageError(f"{name}: {array.size} values, expected {n}, one a coordinate")
     if not np.all(np.isfinite(array)):
@@ -171,7 +177,7 @@ def _state_part(name: str, values: ArrayLike, n: int) -> Vector:
     return array
 
 
-def _check_names(key: str, names: Sequence[str]) -> None:
+def _check_names(key: str, names: Sequence[object]) -> None:
     for i, name in enumerate(names):
         if not isinstance(name, str) or not name:
             raise ModelError(f"{key}[{i}]", f"{name!r} is not a name; give a non-empty string")
@@ -257,4 +263,6 @@ def _amplitudes(part: str, rows: Iterable[ArrayLike], h: int, n: int) -> Matrix:
         _finite(f"forcing.harmonics[{k}].{part}", row, (n,), f"{n} numbers, one a coordinate")
         for k, row in enumerate(rows)
     ]
+    if len(checked) != h:
+        raise ModelError("forcing.harmonics", f"{len(checked)} rows of {part} for {h} frequencies")
     return frozen(np.reshape(checked, (h, n)))

@@ -103,7 +103,7 @@ def run(setting: Setting, bag: Path, logs: Path, show: Callable[[Live], None]) -
         live = Live()
         _subscribe(node, setting, live)
         with _processes(setting, logs) as processes:
-            _wait_for_nodes(executor, node, setting, processes, stop)
+            _wait_for_nodes(executor, node, processes, stop)
             with _process("plant", _plant_arguments(setting), logs) as plant:
                 heard = time.monotonic()
                 while plant.poll() is None and not stop.requested:
@@ -172,7 +172,6 @@ def _refuse_company(node: Node, executor: SingleThreadedExecutor) -> None:
 def _wait_for_nodes(
     executor: SingleThreadedExecutor,
     node: Node,
-    setting: Setting,
     processes: Mapping[str, "subprocess.Popen[bytes]"],
     stop: Stop,
 ) -> None:
@@ -192,9 +191,7 @@ def _wait_for_nodes(
 
 
 @contextlib.contextmanager
-def _processes(
-    setting: Setting, logs: Path
-) -> Iterator[dict[str, "subprocess.Popen[bytes]"]]:
+def _processes(setting: Setting, logs: Path) -> Iterator[dict[str, "subprocess.Popen[bytes]"]]:
     """Observers and monitors, ended when the block ends."""
     with contextlib.ExitStack() as stack:
         processes = {}

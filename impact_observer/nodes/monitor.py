@@ -26,7 +26,7 @@ _MEMORY = 2000
 """States kept until their counterpart comes."""
 
 
-class MonitorNode(Node):  # type: ignore[misc]
+class MonitorNode(Node):
     """Publishes ``~/error`` for every estimate whose stamp the truth has too."""
 
     def __init__(self) -> None:

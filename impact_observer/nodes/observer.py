@@ -6,10 +6,12 @@ from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from impact_observer_msgs.srv import SetState
+from numpy.typing import ArrayLike
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
 from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from impact_observer.bag import interfaces
@@ -31,7 +33,7 @@ _STALE = 60 * NS_PER_S
 """Silence after which the diagnostics suspect that stamps and clock disagree, ns."""
 
 
-class ObserverNode(Node):  # type: ignore[misc]
+class ObserverNode(Node):
     """Runs one observer; every estimate is stamped ``epoch + k / rate``.
 
     When an event arrives after an estimate that should contain it, that estimate is published
@@ -85,7 +87,7 @@ class ObserverNode(Node):  # type: ignore[misc]
             backwards, post_callback=self._on_clock_back
         )
 
-    def _publisher(self, interface: interfaces.Interface):  # type: ignore[no-untyped-def]  # noqa: ANN202
+    def _publisher(self, interface: interfaces.Interface) -> Publisher:
         topic = f"~/{interface.name.rpartition('/')[2]}"
         return self.create_publisher(
             message_class(interface.type), topic, qos_profile(interface.quality)
@@ -176,7 +178,7 @@ class ObserverNode(Node):  # type: ignore[misc]
         response.success, response.message = self._set_state(request.position, request.velocity)
         return response
 
-    def _set_state(self, position: Sequence[float], velocity: Sequence[float]) -> tuple[bool, str]:
+    def _set_state(self, position: ArrayLike, velocity: ArrayLike) -> tuple[bool, str]:
         """The state holds from the last estimate's stamp on, or as the initial one."""
         try:
             stamp = max(self._last_stamp, self._observer.last_event)
@@ -231,11 +233,8 @@ class ObserverNode(Node):  # type: ignore[misc]
             return DiagnosticStatus.WARN, "no impact has come yet"
         silence = self._now() - max(observer.last_event, observer.start)
         if silence > _STALE:
-            return (
-                DiagnosticStatus.WARN,
-                f"the clock is {silence / NS_PER_S:.0f} s after the last impact;"
-                " is use_sim_time missing?",
-            )
+            ago = f"the last impact was {silence / NS_PER_S:.0f} s ago by this clock"
+            return DiagnosticStatus.WARN, f"{ago}; is use_sim_time missing?"
         if observer.missing:
             return DiagnosticStatus.WARN, f"{observer.missing} events are missing"
         refused = sum(self._counts[r.name.lower()] for r in Ruling) - self._counts["applied"]

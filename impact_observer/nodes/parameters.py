@@ -81,8 +81,11 @@ PLANT = (
     Parameter("publish_clock", False, "own the time and publish /clock"),
     Parameter("clock_rate", 100.0, "of /clock, per simulated second", "Hz", low=0.1, high=1e4),
     Parameter(
-        "realtime_factor", 1.0, "simulated seconds a second; not 1 needs publish_clock",
-        low=0.001, high=1000.0,
+        "realtime_factor",
+        1.0,
+        "simulated seconds a second; not 1 needs publish_clock",
+        low=0.001,
+        high=1000.0,
     ),
     Parameter("wait_for_subscribers", 0, "begin when each topic has so many", low=0, high=1000),
     Parameter("seed", 0, "of everything random, recorded with the model", low=0, high=_EPOCH),
@@ -95,7 +98,9 @@ OBSERVER = (
     Parameter("epoch", 0, "stamp of t = 0; 0 to learn it from the events", "ns", 0, _EPOCH),
     Parameter("history", 10.0, "how late an event may be and still be applied", "s", low=0.001),
     Parameter(
-        "events_durability", "volatile", "of the subscription to impacts",
+        "events_durability",
+        "volatile",
+        "of the subscription to impacts",
         choices=("volatile", "transient_local"),
     ),
 )
@@ -169,10 +174,19 @@ def declare(node: "Node", table: tuple[Parameter, ...]) -> Values:
 
 def markdown(table: tuple[Parameter, ...]) -> str:
     """The table as the README shows it."""
-    rows = ["| parameter | type | default | unit | allowed | meaning |", "|---|---|---|---|---|---|"]
+    rows = [
+        "| parameter | type | default | unit | allowed | meaning |",
+        "|---|---|---|---|---|---|",
+    ]
     for p in table:
         default = str(p.default).lower() if isinstance(p.default, bool) else p.default
-        cells = (f"`{p.name}`", p.type, f"`{default}`" if default != "" else "", p.unit,
-                 p.limits.replace("|", "\\|"), p.meaning)
+        cells = (
+            f"`{p.name}`",
+            p.type,
+            f"`{default}`" if default != "" else "",
+            p.unit,
+            p.limits.replace("|", "\\|"),
+            p.meaning,
+        )
         rows.append("| " + " | ".join(str(cell) for cell in cells) + " |")
     return "\n".join(rows)

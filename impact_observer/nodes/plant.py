@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from impact_observer.bag import interfaces
@@ -29,7 +30,7 @@ _SETTLE = 0.2
 """Between the last subscriber's appearance and the beginning, s of wall time."""
 
 
-class PlantNode(Node):  # type: ignore[misc]
+class PlantNode(Node):
     """Publishes ``impacts``, true states and the model; owns ``/clock`` on request.
 
     Attributes:
@@ -70,13 +71,15 @@ class PlantNode(Node):  # type: ignore[misc]
         """Refuse two owners of the time, or a pace that nobody else would know."""
         simulated = self.get_parameter("use_sim_time").value
         if self._owns_clock and simulated:
-            raise UsageError("parameter publish_clock: true together with use_sim_time; choose one")
+            raise UsageError(
+                "parameter publish_clock: true together with use_sim_time; choose one"
+            )
         if self._factor != 1.0 and not self._owns_clock:
             raise UsageError(
                 f"parameter realtime_factor: {self._factor:g} needs publish_clock: true"
             )
 
-    def _publisher(self, interface: interfaces.Interface, topic: str):  # type: ignore[no-untyped-def]  # noqa: ANN202
+    def _publisher(self, interface: interfaces.Interface, topic: str) -> Publisher:
         return self.create_publisher(
             message_class(interface.type), topic, qos_profile(interface.quality)
         )
@@ -100,7 +103,7 @@ class PlantNode(Node):  # type: ignore[misc]
         Until then simulated time, if it is the plant's own, stands still just before the epoch.
         """
         now = self._wanted_epoch or self.get_clock().now().nanoseconds
-        if self._owns_clock:
+        if self._clock_topic is not None:
             self._wanted_epoch = now
             self._clock_topic.publish(self._make.clock(max(now - self._clock_period, 1)))
         listeners = min(

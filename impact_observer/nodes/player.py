@@ -1,15 +1,12 @@
 """Playing a bag to the ROS graph, as ``ros2 bag play`` does."""
 
 import math
-import queue
-import threading
 import time
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator
-from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection
+from contextlib import closing
+from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
-from typing import NamedTuple
 
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -17,7 +14,8 @@ from rclpy.publisher import Publisher
 
 from impact_observer.bag.interfaces import LATCHED, SIMULATED_CLOCK, Quality, usual_quality
 from impact_observer.bag.reader import BagReader, RawMessage
-from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.bag.schedule import Schedule, read_ahead, steps
+from impact_observer.errors import UsageError
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
 from impact_observer.nodes.session import Stop, ros_node
@@ -35,8 +33,6 @@ _LONGEST_SLEEP = 0.05
 """How long a request to stop may go unnoticed, s."""
 _BURST = 1000
 """Least depth of a volatile topic: what a fast rate piles up before it is acknowledged."""
-_READ_AHEAD = 5000
-"""Messages read before their time: a bag is stored in chunks that take a while to open."""
 _PROGRESS_PERIOD = 0.1
 _SHORTEST_PASS = 1_000_000
 """The least time that one pass of a loop takes, ns, so that it cannot flood the network."""
@@ -47,96 +43,6 @@ KeepOn = Callable[[], bool]
 def _always() -> bool:
     """Keep on."""
     return True
-
-
-@dataclass(frozen=True, slots=True)
-class Schedule:
-    """When a log time is due.
-
-    Attributes:
-        start: the log time that is due at once, ns.
-        rate: seconds of the bag a second of the wall clock.
-    """
-
-    start: int
-    rate: float = 1.0
-
-    def due(self, log_time: int) -> int:
-        """Wall time from the beginning to ``log_time``, ns."""
-        return round((log_time - self.start) / self.rate)
-
-
-class Step(NamedTuple):
-    """Something to publish.
-
-    Attributes:
-        due: wall time from the beginning, ns.
-        bag_time: what the simulated clock shows then, ns.
-        message: the message; None when only the clock ticks.
-    """
-
-    due: int
-    bag_time: int
-    message: RawMessage | None
-
-
-def steps(
-    messages: Iterable[RawMessage], schedule: Schedule, clock_rate: float | None = None
-) -> Iterator[Step]:
-    """The steps of one pass through a bag, in order.
-
-    Args:
-        messages: ordered by log time, none before the schedule's start.
-        schedule: when they are due.
-        clock_rate: ticks of the clock between the messages, Hz of wall time; None for none.
-            Tick ``k`` is due at ``k / clock_rate`` exactly, never summed up.
-    """
-    tick = 0
-    for message in messages:
-        due = schedule.due(message.log_time)
-        while clock_rate and (at := round(tick * NS_PER_S / clock_rate)) <= due:
-            bag_time = schedule.start + round(at * schedule.rate)
-            if bag_time < message.log_time:
-                yield Step(at, bag_time, None)
-            tick += 1
-        yield Step(due, message.log_time, message)
-
-
-def read_ahead(messages: Iterable[RawMessage]) -> Generator[RawMessage, None, None]:
-    """The same ``messages``, read in a thread so that each is there when it is due.
-
-    Raises:
-        BagError: reading failed, at the message where it did.
-    """
-    ahead: queue.Queue[RawMessage | BaseException | None] = queue.Queue(_READ_AHEAD)
-    given_up = threading.Event()
-
-    def put(item: RawMessage | BaseException | None) -> None:
-        while not given_up.is_set():
-            with suppress(queue.Full):
-                ahead.put(item, timeout=_LONGEST_SLEEP)
-                break
-
-    def read() -> None:
-        try:
-            for message in messages:
-                put(message)
-                if given_up.is_set():
-                    return
-            put(None)
-        except ImpactObserverError as error:
-            put(error)
-
-    thread = threading.Thread(target=read, name="read ahead", daemon=True)
-    thread.start()
-    try:
-        while (item := ahead.get()) is not None:
-            if isinstance(item, BaseException):
-                raise item
-            yield item
-    finally:
-        given_up.set()
-        thread.join()
 
 
 class Player:

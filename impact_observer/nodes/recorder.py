@@ -25,6 +25,7 @@ _DISCOVERY_PERIOD = 0.1
 """How often the graph is looked at for new topics, s."""
 _BURST = 5000
 """Messages a topic may be ahead of the recorder; more than any of our publishers keeps."""
+_SERIALIZED = True
 _DRAIN = 0.05
 """How long the network must be silent before a stopped recording is closed, s."""
 _LONGEST_DRAIN = 1.0
@@ -162,7 +163,7 @@ class Recorder:
         self._write(topic, data)
         subscription = self._subscriptions[topic]
         with subscription.handle:
-            take = partial(subscription.handle.take_message, subscription.msg_type, True)  # True: serialized
+            take = partial(subscription.handle.take_message, subscription.msg_type, _SERIALIZED)
             for data_behind, _ in islice(iter(take, None), _BURST):
                 self._write(topic, data_behind)
 

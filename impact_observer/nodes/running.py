@@ -14,9 +14,7 @@ _PATIENCE = 0.1
 """How long a signal may wait to be noticed, s."""
 
 
-def run_node(
-    name: str, make: "Callable[[], Node]", args: Sequence[str] | None = None
-) -> int:
+def run_node(name: str, make: "Callable[[], Node]", args: Sequence[str] | None = None) -> int:
     """Spin a node until Ctrl-C, SIGTERM, its own end or an error.
 
     Args:

@@ -150,8 +150,10 @@ class Observer:
                 forcing depends on time and nobody has said when it began.
         """
         if self._timeline is None or stamp < self._timeline.start.stamp:
-            known = "no event has come" if self._timeline is None else (
-                f"the known past begins at {text(self._timeline.start.stamp)} s"
+            known = (
+                "no event has come"
+                if self._timeline is None
+                else (f"the known past begins at {text(self._timeline.start.stamp)} s")
             )
             raise UsageError(f"estimate at {text(stamp)} s: {known}")
         self._require_epoch()
@@ -201,9 +203,7 @@ class Observer:
                     f" {text(event.stamp)} s; lasting contact is not supported yet"
                 )
             active.add(self._index[switch.contact])
-            verdicts.append(
-                Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact)
-            )
+            verdicts.append(Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact))
         return tuple(verdicts), tuple(sorted(active))
 
     def _require_epoch(self) -> None:

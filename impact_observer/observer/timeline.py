@@ -12,7 +12,6 @@ from typing import NamedTuple, TypeAlias
 
 from impact_observer.states import Vector
 
-
 _BEGINNING = -1
 """Sequence of the entry before any event, so that it comes first at its stamp."""
 

@@ -42,9 +42,11 @@ class Plant:
         epoch: stamp of ``t = 0`` of the forcing and of the initial state, ns.
     """
 
-    def __init__(
-        self, system: System, position: Vector, velocity: Vector, *, epoch: int
-    ) -> None:
+    _closing: Closing | None
+    _next: Impact | None
+    _windows: int
+
+    def __init__(self, system: System, position: Vector, velocity: Vector, *, epoch: int) -> None:
         """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
 
         Raises:
@@ -105,8 +107,8 @@ class Plant:
         self._start = instant
         self._motion = self._flow.start(self._time(instant), x)
         self._windows = 0
-        self._closing: Closing | None = None
-        self._next: Impact | None = None
+        self._closing = None
+        self._next = None
         self._refuse_lasting_contact(instant, x, touching)
 
     def _time(self, instant: Instant) -> float:

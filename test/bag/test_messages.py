@@ -176,8 +176,14 @@ def test_number_that_is_not_finite_never_leaves(bad: float) -> None:
     """The error names message, field and entry."""
     make = bag_messages()
     for field, refused in (
-        (r"JointState\.position\[1\]", lambda: make.joint_state(replace(STATE, q=[0, bad]))),
-        (r"JointState\.velocity\[0\]", lambda: make.joint_state(replace(STATE, u=[bad, 0]))),
+        (
+            r"JointState\.position\[1\]",
+            lambda: make.joint_state(replace(STATE, q=np.array([0, bad]))),
+        ),
+        (
+            r"JointState\.velocity\[0\]",
+            lambda: make.joint_state(replace(STATE, u=np.array([bad, 0]))),
+        ),
         (
             r"ObserverState\.convergence",
             lambda: make.estimate(replace(ESTIMATE, convergence=bad), STATE.names),

@@ -147,7 +147,7 @@ def test_bag_is_whole_after_an_exception(tmp_path: Path) -> None:
 def test_bag_is_whole_wherever_an_interrupt_strikes(tmp_path: Path, patience: float) -> None:
     """Also amid a record: everything that was taken before is read back."""
     timer = threading.Timer(patience, _thread.interrupt_main)
-    taken = []
+    taken: list[int] = []
 
     def write_until_interrupted() -> None:
         message = event(1)

@@ -13,4 +13,5 @@ class OpenLoop(Law):
 
     def impact(self, x: Vector, active: tuple[int, ...]) -> Vector:
         """The state as it was."""
+        del active
         return x

@@ -1,0 +1,92 @@
+"""One observer of a rig, or of a bag that is played, which publishes impacts.
+
+    ros2 launch impact_observer observer.launch.py model:=rig.yaml impacts:=/rig/impacts
+
+An argument beats params_file; one that is left out stays as the file, else the node, has it.
+Several observers live side by side under names of their own, such as name:=observer_kinematic.
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from impact_observer.nodes.parameters import MONITOR, OBSERVER, Parameter
+
+SIM_TIME = Parameter("use_sim_time", False, "follow /clock, of a simulation or a bag")
+PARAMETERS = (*OBSERVER, SIM_TIME)
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The arguments, the observer, and the monitor if there is to be one."""
+    return LaunchDescription([
+        *(_argument(each) for each in PARAMETERS),
+        DeclareLaunchArgument(
+            "params_file", default_value="", description="a file such as config/nodes/observer.yaml"
+        ),
+        DeclareLaunchArgument("name", default_value="observer", description="of the observer"),
+        DeclareLaunchArgument(
+            "namespace", default_value="", description="of the nodes and their topics"
+        ),
+        DeclareLaunchArgument(
+            "impacts", default_value="impacts", description="the topic of the rig's impacts"
+        ),
+        DeclareLaunchArgument(
+            "monitor",
+            default_value="false",
+            description="whether to compare with the truth on plant/joint_states",
+        ),
+        DeclareLaunchArgument("monitor_name", default_value="monitor", description="its name"),
+        OpaqueFunction(function=_nodes),
+    ])
+
+
+def _argument(parameter: Parameter) -> DeclareLaunchArgument:
+    """A parameter as an argument; empty means: as params_file or the node has it."""
+    unit = f" [{parameter.unit}]" if parameter.unit else ""
+    allowed = f"; {parameter.limits}" if parameter.limits else ""
+    default = f"; the node's default: {parameter.default}" if parameter.default != "" else ""
+    return DeclareLaunchArgument(
+        parameter.name,
+        default_value="",
+        description=f"{parameter.meaning}{unit}{allowed}{default}",
+    )
+
+
+def _nodes(context: LaunchContext) -> list[Node]:
+    given = context.launch_configurations
+    observer = Node(
+        package="impact_observer",
+        executable="observer",
+        name=given["name"],
+        namespace=given["namespace"],
+        parameters=_parameters(context, PARAMETERS),
+        remappings=[("impacts", given["impacts"])],
+        output="screen",
+    )
+    monitor = Node(
+        package="impact_observer",
+        executable="monitor",
+        name=given["monitor_name"],
+        namespace=given["namespace"],
+        parameters=_parameters(context, (*MONITOR, SIM_TIME)),
+        remappings=[("observer/joint_states", f"{given['name']}/joint_states")],
+        output="screen",
+        condition=IfCondition(LaunchConfiguration("monitor")),
+    )
+    return [observer, monitor]
+
+
+def _parameters(
+    context: LaunchContext, table: tuple[Parameter, ...]
+) -> list[str | dict[str, ParameterValue]]:
+    """The file, if there is one, and what beats it."""
+    given = context.launch_configurations
+    values = {
+        each.name: ParameterValue(LaunchConfiguration(each.name), value_type=type(each.default))
+        for each in table
+        if given[each.name]
+    }
+    return [*filter(None, (given["params_file"], values))]

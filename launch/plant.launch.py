@@ -1,0 +1,61 @@
+"""The plant alone: a simulated system that publishes its impacts and its true states.
+
+    ros2 launch impact_observer plant.launch.py model:=two_mass publish_clock:=true
+
+An argument beats params_file; one that is left out stays as the file, else the node, has it.
+"""
+
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+from impact_observer.nodes.parameters import PLANT, Parameter
+
+PARAMETERS = (*PLANT, Parameter("use_sim_time", False, "follow a /clock that is not the plant's"))
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The arguments and the node."""
+    return LaunchDescription([
+        *(_argument(each) for each in PARAMETERS),
+        DeclareLaunchArgument(
+            "params_file", default_value="", description="a file such as config/nodes/plant.yaml"
+        ),
+        DeclareLaunchArgument(
+            "namespace", default_value="", description="of the node and its topics"
+        ),
+        OpaqueFunction(function=_plant),
+    ])
+
+
+def _argument(parameter: Parameter) -> DeclareLaunchArgument:
+    """A parameter as an argument; empty means: as params_file or the node has it."""
+    unit = f" [{parameter.unit}]" if parameter.unit else ""
+    allowed = f"; {parameter.limits}" if parameter.limits else ""
+    default = f"; the node's default: {parameter.default}" if parameter.default != "" else ""
+    return DeclareLaunchArgument(
+        parameter.name,
+        default_value="",
+        description=f"{parameter.meaning}{unit}{allowed}{default}",
+    )
+
+
+def _plant(context: LaunchContext) -> list[Node]:
+    given = context.launch_configurations
+    values = {
+        each.name: ParameterValue(LaunchConfiguration(each.name), value_type=type(each.default))
+        for each in PARAMETERS
+        if given[each.name]
+    }
+    return [
+        Node(
+            package="impact_observer",
+            executable="plant",
+            name="plant",
+            namespace=given["namespace"],
+            parameters=[*filter(None, (given["params_file"], values))],
+            output="screen",
+        )
+    ]

@@ -1,0 +1,113 @@
+"""The command that says what a bag holds."""
+
+import argparse
+import json
+from pathlib import Path
+
+import pytest
+
+from impact_observer.bag import BagWriter
+from impact_observer.bag.messages import bag_messages
+from impact_observer.cli import info
+from impact_observer.errors import BagError, UsageError
+from impact_observer.events import ImpactEvent, Kind, Switch
+
+
+def parsed(*words: str) -> argparse.Namespace:
+    """The command line ``words``."""
+    parser = argparse.ArgumentParser()
+    info.add_arguments(parser)
+    return parser.parse_args(words)
+
+
+def test_json_has_all_figures(sample_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And nothing else is printed."""
+    assert info.run(parsed(str(sample_bag), "--json")) == 0
+    figures = json.loads(capsys.readouterr().out)
+    topics = figures.pop("topics")
+    size = figures.pop("size")
+    assert figures == {
+        "path": str(sample_bag),
+        "storage": "mcap",
+        "start": 1_000_000_000,
+        "end": 1_500_000_000,
+        "duration": 0.5,
+        "messages": 114,
+        "impacts": {"stop": 11},
+        "episodes": 1,
+        "model": {"name": "two_mass", "version": "1.2.3", "seed": 7},
+        "observers": {"/observer_geometric": "geometric"},
+    }
+    assert size == sum(file.stat().st_size for file in sample_bag.iterdir())
+    assert topics[0] == {
+        "name": "/impacts",
+        "type": "impact_observer_msgs/msg/ImpactEvent",
+        "count": 11,
+        "rate": 20.0,
+        "reliable": True,
+        "transient_local": True,
+        "depth": 2000,
+    }
+    assert {each["name"]: each["rate"] for each in topics}["/plant/model"] is None
+
+
+def test_text_says_the_same_in_words(sample_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One line a fact and one a topic, whole names however narrow."""
+    assert info.run(parsed(str(sample_bag))) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert "time 1.000000000 to 1.500000000 s" in lines
+    assert "duration 0.5 s, 114 messages" in lines
+    assert "model two_mass, version 1.2.3, seed 7" in lines
+    assert "impacts 11 at stop; episodes: 1" in lines
+    assert "observer /observer_geometric: geometric" in lines
+    assert (
+        "/impacts impact_observer_msgs/ImpactEvent 11 20 reliable, transient local, last 2000"
+        in lines
+    )
+    assert "/plant/joint_states sensor_msgs/JointState 51 100 reliable, volatile, last 10" in lines
+
+
+def test_impacts_are_counted_by_contact_and_episode(tmp_path: Path) -> None:
+    """A closing is an impact, an opening is none."""
+    make = bag_messages()
+    both = (Switch("left"), Switch("right", Kind.CLOSE))
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/impacts", 1, make.event(ImpactEvent(1, both, 1, 1)))
+        writer.write(
+            "/impacts", 2, make.event(ImpactEvent(2, (Switch("right", Kind.OPEN),), 2, 1))
+        )
+        writer.write("/impacts", 3, make.event(ImpactEvent(3, (Switch("left"),), 3, 2)))
+    summary = info.summarize(tmp_path / "bag")
+    assert summary.impacts == {"left": 2, "right": 1}
+    assert summary.episodes == 2
+    assert summary.model is None
+    assert summary.observers == {}
+
+
+def test_foreign_and_empty_bags_are_described_too(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A model that is none is a fact, not a failure."""
+    make = bag_messages()
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/plant/model", 1, make.model("[just, a, list]"))
+        writer.declare("/observer/joint_states")
+        writer.declare("/torque", type_name="rig/msg/Torque", definition="float64 torque\n")
+    with BagWriter(tmp_path / "empty"):
+        pass
+    assert info.info(tmp_path / "bag") == info.info(tmp_path / "empty") == 0
+    said = capsys.readouterr().out
+    assert "model     cannot be read: model: " in said
+    assert "observer  /observer: law not recorded" in said
+    assert "rig/Torque" in said
+    assert "0 s, 0 messages" in said
+
+
+def test_failures_keep_their_exit_codes(tmp_path: Path) -> None:
+    """No bag is wrong use, a damaged one a failure."""
+    with pytest.raises(UsageError, match="does not exist") as absent:
+        info.run(parsed(str(tmp_path / "absent")))
+    (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP0\r\n")
+    with pytest.raises(BagError, match="cannot be read as a bag") as damaged:
+        info.run(parsed(str(tmp_path / "bag.mcap")))
+    assert (absent.value.exit_code, damaged.value.exit_code) == (2, 1)

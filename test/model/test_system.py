@@ -1,0 +1,132 @@
+"""A system checks itself, copies what it is given and cannot be changed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from systems import Harmonic, forcing, system
+
+from impact_observer.errors import ModelError, UsageError
+from impact_observer.model import Contact, Forcing, System
+
+STOP = ([0, -1], 0.5, 0.7)
+
+
+def example() -> System:
+    """A system with everything in it."""
+    return system(
+        np.eye(2),
+        np.eye(2),
+        np.eye(2),
+        contacts=[STOP],
+        force=forcing(2, 1.0, [Harmonic(2.0, [1, 0], [0, 1])]),
+    )
+
+
+def arrays(s: System) -> list[np.ndarray]:
+    """All arrays of a system."""
+    f, contact = s.forcing, s.contacts[0]
+    parts = [f.constant, f.frequency, f.cosine, f.sine, contact.direction]
+    return [s.M, s.C, s.K, s.W, s.q_r, s.eps, *parts]
+
+
+def test_arrays_are_read_only() -> None:
+    """Nobody can change a system behind another's back."""
+    for array in arrays(example()):
+        assert not array.flags.writeable
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        example().M = np.eye(2)  # type: ignore[misc]
+
+
+def test_caller_keeps_his_arrays() -> None:
+    """They are copied, not frozen and not symmetrised in place."""
+    M, K = np.eye(2), np.array([[2.0, -1.0 + 1e-10], [-1.0, 1.0]])
+    direction = np.array([0.0, 1.0])
+    kept = K.copy()
+    s = System("s", ("a", "b"), M, M, K, Forcing.none(2), (Contact("c", direction, 0, 1),))
+    M[0, 0] = direction[0] = 7.0
+    np.testing.assert_array_equal(K, kept)
+    assert s.M[0, 0] == s.C[0, 0] == 1.0
+    assert s.W[0, 0] == 0.0
+
+
+def test_gaps_and_contact_speeds_are_those_of_the_paper() -> None:
+    """``g = W^T q + q_r`` and ``gamma = W^T u``; no contacts give no gaps."""
+    s = system(np.eye(2), np.eye(2), np.eye(2), contacts=[STOP, ([2, 1], 0.1, 0.3)])
+    q = np.array([3.0, 0.25])
+    assert s.gap(q).tolist() == [0.25, 6.35]
+    assert s.contact_speed(q).tolist() == [-0.25, 6.25]
+    free = system([[1]], [[0]], [[0]])
+    assert (free.m, free.W.shape, free.gap(np.zeros(1)).shape) == (0, (1, 0), (0,))
+
+
+def test_time_dependence_is_told_by_amplitudes() -> None:
+    """A harmonic without amplitude needs no epoch."""
+    assert not Forcing.none(2).depends_on_time
+    assert not forcing(1, 1.0, [Harmonic(2.0, [0], [0])]).depends_on_time
+    assert forcing(1, 0.0, [Harmonic(2.0, [0], [1])]).depends_on_time
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"M": np.eye(3)}, "mass: has shape 3 x 3; expected 2 x 2, one row and one column a coord"),
+        ({"M": 1.0}, "mass: has shape a single number"),
+        ({"K": [["a", "b"], ["c", "d"]]}, "stiffness: is not made of numbers only; expected 2 x 2"),
+        ({"K": [[1.0], [2.0, 3.0]]}, "stiffness: is not made of numbers only"),
+        ({"C": np.full((2, 2), np.inf)}, r"damping\[0\]\[0\]: is not finite"),
+        ({"M": np.array([[1, 0.5], [0, 1]])}, r"mass: is not symmetric: \[0\]\[1\] is 0.5 but"),
+        ({"M": np.ones((2, 2))}, "mass: is not positive definite"),
+        ({"K": -np.eye(2)}, "stiffness: it is not positive semidefinite"),
+        ({"C": -np.eye(2)}, "damping: the symmetric part of it is not positive semidefinite"),
+        ({"coordinates": ()}, "coordinates: is empty"),
+        ({"coordinates": ("a", "a")}, r"coordinates\[1\]: 'a' is taken already"),
+        ({"coordinates": ("a", 3)}, r"coordinates\[1\]: 3 is not a name"),
+        ({"contacts": (Contact("", np.ones(2), 0, 0),)}, r"contacts\[0\]: '' is not a name"),
+        ({"contacts": (Contact("c", np.ones(1), 0, 0),)}, r"contacts\[0\].direction: has shape 1"),
+        ({"contacts": (Contact("c", np.zeros(2), 0, 0),)}, r"contacts\[0\].direction: is zero"),
+        ({"contacts": (Contact("c", np.ones(2), np.nan, 0),)}, r"contacts\[0\].gap: is not fin"),
+        ({"contacts": (Contact("c", np.ones(2), 0, 1.5),)}, r"contacts\[0\].restitution: is 1.5"),
+        ({"forcing": Forcing.none(3)}, "forcing.constant: has shape 3; expected 2 numbers"),
+        (
+            {"forcing": Forcing(np.zeros(2), np.zeros(1), np.zeros((1, 2)), np.zeros((1, 2)))},
+            r"forcing.harmonics\[0\].frequency: is 0; expected a positive number",
+        ),
+        (
+            {"forcing": Forcing(np.zeros(2), np.ones(1), np.zeros((1, 3)), np.zeros((1, 2)))},
+            r"forcing.harmonics\[0\].cosine: has shape 3; expected 2 numbers",
+        ),
+        (
+            {"forcing": Forcing(np.zeros(2), np.ones(1), np.zeros((1, 2)), np.zeros((2, 2)))},
+            "forcing.harmonics: 2 rows of sine for 1 frequencies",
+        ),
+    ],
+)
+def test_invalid_system_is_named_by_its_key(change: dict[str, object], message: str) -> None:
+    """The same checks hold for systems that no file describes."""
+    parts: dict[str, object] = {
+        "name": "s",
+        "coordinates": ("a", "b"),
+        "M": np.eye(2),
+        "C": np.eye(2),
+        "K": np.eye(2),
+        "forcing": Forcing.none(2),
+        "contacts": (Contact("c", np.ones(2), 0.0, 0.5),),
+    }
+    with pytest.raises(ModelError, match=message):
+        System(**{**parts, **change})  # type: ignore[arg-type]
+
+
+def test_states_are_checked_and_frozen() -> None:
+    """A state has n finite numbers twice."""
+    q, u = example().checked_state([1, 2], (3, 4))
+    assert (q.tolist(), u.tolist()) == ([1, 2], [3, 4])
+    assert not q.flags.writeable
+    with pytest.raises(UsageError, match="position: 1 values, expected 2, one a coordinate"):
+        example().checked_state([1], [1, 2])
+    with pytest.raises(UsageError, match=r"velocity: .* is not finite"):
+        example().checked_state([1, 2], [1, np.inf])
+    with pytest.raises(UsageError, match="position: is not made of numbers only"):
+        example().checked_state(["a", 2], [1, 2])

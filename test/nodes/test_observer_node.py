@@ -1,0 +1,283 @@
+"""The observer node: estimates on topics, verdicts, services, diagnostics."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
+from impact_observer_msgs.srv import SetState
+from processes import Spinner, ros_arguments, running, spinning
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from impact_observer.bag.interfaces import EVENTS, STATES, Quality
+from impact_observer.bag.messages import read_estimate
+from impact_observer.events import ImpactEvent as Event
+from impact_observer.events import Kind, Ruling, Switch
+from impact_observer.model import read_model
+from impact_observer.nodes.messages import ros_messages
+from impact_observer.nodes.observer import ObserverNode
+from impact_observer.nodes.quality import qos_profile
+from impact_observer.observer import Observer, initial_state, law_named
+from impact_observer.states import Estimate
+
+pytestmark = pytest.mark.ros
+
+EPOCH = 5_000_000_000
+SYSTEM = read_model("two_mass").system
+PARAMETERS = {"model": "two_mass", "use_sim_time": True, "initial_state": "'random:1'"}
+
+
+def event(stamp: int, sequence: int, contact: str = "stop", **more: int) -> Event:
+    """An impact of two_mass."""
+    return Event(stamp, (Switch(contact),), sequence, epoch=more.get("epoch", EPOCH), **{
+        key: value for key, value in more.items() if key != "epoch"
+    })
+
+
+@dataclass
+class Rig:
+    """A running observer node and everything a test wants to say and hear."""
+
+    spinner: Spinner
+    node: ObserverNode
+    impacts: Publisher
+    clock: Publisher
+    states: list[ObserverState] = field(default_factory=list)
+    verdicts: list[EventVerdict] = field(default_factory=list)
+    diagnostics: list[DiagnosticStatus] = field(default_factory=list)
+
+    def send(self, what: Event) -> None:
+        """Publish an event and wait until the node has said what it made of it."""
+        before = len(self.verdicts)
+        self.impacts.publish(ros_messages().event(what))
+        self.spinner.until(lambda: len(self.verdicts) > before)
+
+    def tick(self, stamp: int) -> None:
+        """Let simulated time be ``stamp``, and the node act on it."""
+        self.clock.publish(ros_messages().clock(stamp))
+        self.spinner.until(lambda: self.node.get_clock().now().nanoseconds == stamp)
+        self.spinner.settle(0.1)
+
+    def estimates(self) -> list[Estimate]:
+        """All estimates heard so far."""
+        return [read_estimate(message)[1] for message in self.states]
+
+
+def make_rig(spinner: Spinner, quality: Quality = EVENTS) -> Rig:
+    """An observer node beside a probe that plays the plant's part."""
+    node, probe = ObserverNode(), spinner.probe
+    spinner.add(node)
+    rig = Rig(
+        spinner,
+        node,
+        probe.create_publisher(ImpactEvent, "impacts", qos_profile(quality)),
+        probe.create_publisher(Clock, "/clock", qos_profile(STATES)),
+    )
+    many = qos_profile(Quality(depth=1000))
+    probe.create_subscription(ObserverState, "observer/state", rig.states.append, many)
+    probe.create_subscription(EventVerdict, "observer/verdicts", rig.verdicts.append, many)
+    probe.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: rig.diagnostics.extend(array.status), many
+    )
+    spinner.until(lambda: rig.clock.get_subscription_count() == 1)
+    return rig
+
+
+@pytest.fixture
+def rig(ros_environment: dict[str, str]) -> Iterator[Rig]:
+    """A rig that knows the epoch from the start."""
+    assert ros_environment
+    with spinning(ros_arguments({**PARAMETERS, "epoch": EPOCH})) as spinner:
+        made = make_rig(spinner)
+        spinner.until(lambda: made.impacts.get_subscription_count() == 1)
+        yield made
+
+
+def replica(*events: Event) -> Observer:
+    """The same observer without ROS."""
+    law = law_named("geometric")(SYSTEM)
+    observer = Observer(SYSTEM, law, *initial_state("random:1", SYSTEM), epoch=EPOCH)
+    for each in events:
+        observer.receive(each)
+    return observer
+
+
+def assert_same(estimate: Estimate, wanted: Estimate) -> None:
+    """Bit for bit."""
+    assert estimate.stamp == wanted.stamp
+    assert estimate.q.tobytes() == wanted.q.tobytes()
+    assert estimate.u.tobytes() == wanted.u.tobytes()
+    assert estimate.last_sequence == wanted.last_sequence
+    assert estimate.last_event == wanted.last_event
+
+
+def test_estimates_stand_on_the_grid_of_the_epoch(rig: Rig) -> None:
+    """Stamps are epoch + k / rate; each state is that of the same observer without ROS."""
+    rig.tick(EPOCH + 35_000_000)
+    heard = rig.estimates()
+    assert [each.stamp - EPOCH for each in heard] == [0, 10_000_000, 20_000_000, 30_000_000]
+    for each in heard:
+        assert_same(each, replica().estimate(each.stamp))
+
+
+def test_a_late_event_corrects_the_last_estimate_at_once(rig: Rig) -> None:
+    """The estimate that should have contained the event is published again with it."""
+    rig.tick(EPOCH + 30_000_000)
+    late = event(EPOCH + 25_000_000, 1)
+    rig.send(late)
+    rig.spinner.until(lambda: rig.states[-1].last_sequence == 1)
+    stamps = [each.stamp for each in rig.estimates()]
+    assert stamps == sorted(stamps), "stamps never go back"
+    assert stamps[-1] == stamps[-2] == EPOCH + 30_000_000
+    assert_same(rig.estimates()[-1], replica(late).estimate(EPOCH + 30_000_000))
+
+
+def test_every_switch_gets_a_verdict_with_its_latency(rig: Rig) -> None:
+    """Applied, duplicate, unknown contact and too late are told apart on the topic."""
+    rig.tick(EPOCH + 50_000_000)
+    rig.send(event(EPOCH + 20_000_000, 1))
+    rig.send(event(EPOCH + 20_000_000, 1))
+    rig.send(event(EPOCH + 21_000_000, 2, "anvil"))
+    rig.send(event(EPOCH - 1, 3))
+    rulings = [Ruling(verdict.verdict) for verdict in rig.verdicts]
+    assert rulings == [
+        Ruling.APPLIED, Ruling.DUPLICATE, Ruling.UNKNOWN_CONTACT, Ruling.TOO_LATE
+    ]
+    assert rig.verdicts[0].latency == pytest.approx(0.03)
+    assert rig.verdicts[2].contact == "anvil"
+    assert "stop" in rig.verdicts[2].reason
+
+
+def test_a_clock_that_jumps_back_begins_again(rig: Rig) -> None:
+    """After a bag loop the replica is what it was at the start."""
+    rig.tick(EPOCH + 10_000_000)
+    rig.send(event(EPOCH + 5_000_000, 1))
+    rig.tick(EPOCH + 20_000_000)
+    rig.states.clear()
+    rig.tick(EPOCH + 1)
+    rig.tick(EPOCH + 12_000_000)
+    heard = rig.estimates()
+    assert [each.stamp - EPOCH for each in heard] == [0, 10_000_000]
+    for each in heard:
+        assert_same(each, replica().estimate(each.stamp))
+
+
+def test_a_new_episode_begins_again_at_its_epoch(rig: Rig) -> None:
+    """A reset of the plant moves the epoch; the replica follows."""
+    rig.tick(EPOCH + 10_000_000)
+    moved = EPOCH + 500_000_000
+    again = event(moved + 3_000_000, 1, episode=1, epoch=moved)
+    rig.send(again)
+    rig.states.clear()
+    rig.tick(moved + 10_000_000)
+    last = rig.estimates()[-1]
+    assert last.stamp == moved + 10_000_000
+    assert_same(last, replica(again).estimate(last.stamp))
+
+
+def test_services_set_and_reset_the_state(rig: Rig) -> None:
+    """set_state holds from the last estimate on; reset brings the initial state back."""
+    probe, spinner = rig.spinner.probe, rig.spinner
+    rig.tick(EPOCH + 20_000_000)
+    client = probe.create_client(SetState, "observer/set_state")
+    spinner.until(client.service_is_ready)
+    wanted = [0.1, 0.2, 0.3, 0.4]
+    future = client.call_async(SetState.Request(position=wanted[:2], velocity=wanted[2:]))
+    spinner.until(future.done)
+    assert future.result().success, future.result().message
+    estimate = rig.node._observer.estimate(EPOCH + 20_000_000)
+    np.testing.assert_allclose(np.r_[estimate.q, estimate.u], wanted, rtol=1e-14)
+
+    future = client.call_async(SetState.Request(position=[1.0], velocity=[0.0, 0.0]))
+    spinner.until(future.done)
+    assert not future.result().success
+    assert "1 values, expected 2" in future.result().message
+
+    future = client.call_async(SetState.Request(covariance=[1.0] * 16))
+    spinner.until(future.done)
+    assert not future.result().success
+    assert "carries none" in future.result().message
+
+    reset = probe.create_client(Trigger, "observer/reset")
+    spinner.until(reset.service_is_ready)
+    future = reset.call_async(Trigger.Request())
+    spinner.until(future.done)
+    assert future.result().success
+    estimate = rig.node._observer.estimate(EPOCH + 20_000_000)
+    np.testing.assert_allclose(
+        np.r_[estimate.q, estimate.u],
+        np.concatenate(initial_state("random:1", SYSTEM)),
+        rtol=1e-14,
+    )
+
+
+def test_a_publisher_that_is_not_durable_enough_is_an_error_diagnostic(
+    ros_environment: dict[str, str],
+) -> None:
+    """Who asks for transient_local never hears a volatile publisher; it is told so."""
+    assert ros_environment
+    wanted = {**PARAMETERS, "events_durability": "transient_local"}
+    with spinning(ros_arguments(wanted)) as spinner:
+        rig = make_rig(spinner, Quality(transient_local=False, depth=10))
+        spinner.until(lambda: any(s.level == DiagnosticStatus.ERROR for s in rig.diagnostics))
+        assert "events_durability" in rig.diagnostics[-1].message
+
+
+def test_the_epoch_is_learnt_from_the_first_event(ros_environment: dict[str, str]) -> None:
+    """Without it nothing is published; with it the replica started at the epoch."""
+    assert ros_environment
+    with spinning(ros_arguments(PARAMETERS)) as spinner:
+        rig = make_rig(spinner)
+        spinner.until(lambda: rig.impacts.get_subscription_count() == 1)
+        rig.tick(EPOCH + 40_000_000)
+        assert not rig.states
+        first = event(EPOCH + 45_000_000, 1)
+        rig.send(first)
+        rig.tick(EPOCH + 60_000_000)
+        assert_same(rig.estimates()[-1], replica(first).estimate(EPOCH + 60_000_000))
+
+
+def test_no_event_of_lasting_contact_is_taken_for_an_impact(
+    ros_environment: dict[str, str],
+) -> None:
+    """Until lasting contact is supported the process ends with one line and exit code 1."""
+    arguments = ros_arguments({"model": "two_mass", "epoch": EPOCH})
+    with running("impact_observer.nodes.observer", arguments, ros_environment) as process, \
+            spinning() as spinner:
+        impacts = spinner.probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
+        spinner.until(lambda: impacts.get_subscription_count() == 1)
+        closing = Event(EPOCH + 1, (Switch("stop", Kind.CLOSE),), 1, epoch=EPOCH)
+        impacts.publish(ros_messages().event(closing))
+        spinner.until(lambda: process.poll() is not None)
+        _, errors = process.communicate()
+        assert process.returncode == 1
+        assert "contact 'stop'" in errors.splitlines()[-1]
+        assert "5.000000001 s" in errors.splitlines()[-1]
+
+
+def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str, str]) -> None:
+    """Checked on the ROS graph: no ground truth goes into the observer."""
+    arguments = ros_arguments({"model": "two_mass", "use_sim_time": True})
+    with running("impact_observer.nodes.observer", arguments, ros_environment), \
+            spinning() as spinner:
+        probe = spinner.probe
+        spinner.until(lambda: "observer" in probe.get_node_names())
+        spinner.until(
+            lambda: any(
+                name == "/impacts"
+                for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")
+            )
+        )
+        spinner.settle(0.5)
+        heard = {
+            name for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")
+        }
+        assert heard <= {"/impacts", "/clock", "/parameter_events"}

@@ -1,0 +1,128 @@
+"""The nodes as processes: parameters, signals, exit codes, and the estimate on the topic."""
+
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+
+from impact_observer_msgs.msg import EstimateError
+from processes import PATIENCE, interrupt, ros_arguments, running, spinning
+from std_srvs.srv import Trigger
+
+from impact_observer.bag.interfaces import Quality
+from impact_observer.nodes.quality import qos_profile
+
+pytestmark = pytest.mark.ros
+
+
+def test_plant_and_observer_processes_converge_on_the_topic(
+    ros_environment: dict[str, str],
+) -> None:
+    """Three processes over DDS; the monitor's error falls by a factor of a hundred."""
+    simulated = {"model": "two_mass", "use_sim_time": True}
+    epoch = 7_000_000_000
+    observer = ros_arguments({**simulated, "epoch": epoch, "initial_state": "'random:1'"})
+    plant = ros_arguments(
+        {
+            "model": "two_mass",
+            "publish_clock": True,
+            "epoch": epoch,
+            "realtime_factor": 5.0,
+            "duration": 15.0,
+            "wait_for_subscribers": 1,
+        }
+    )
+    errors: list[EstimateError] = []
+    with running("impact_observer.nodes.observer", observer, ros_environment) as first, running(
+        "impact_observer.nodes.monitor", ros_arguments(simulated), ros_environment
+    ) as second, spinning() as spinner:
+        spinner.probe.create_subscription(
+            EstimateError, "monitor/error", errors.append, qos_profile(Quality(depth=1000))
+        )
+        spinner.until(lambda: {"observer", "monitor"} <= set(spinner.probe.get_node_names()))
+        with running("impact_observer.nodes.plant", plant, ros_environment) as third:
+            spinner.until(lambda: third.poll() is not None)
+            assert third.returncode == 0, third.communicate()
+        spinner.settle()
+        assert interrupt(first)[0] == 0
+        assert interrupt(second)[0] == 0
+    assert len(errors) > 1000
+    assert 3.5 < errors[0].v < 4.18, "at the epoch it is 4.176 J, and it falls"
+    assert errors[-1].v < 1e-2 * errors[0].v
+    last = errors[-1]
+    assert list(last.name) == ["x1", "x2"]
+    assert np.abs(last.position_error).max() < 0.05
+
+
+def test_a_reset_of_the_plant_is_a_new_episode(ros_environment: dict[str, str]) -> None:
+    """The service answers with the episode and the new epoch."""
+    arguments = ros_arguments({"model": "three_mass"})
+    with running("impact_observer.nodes.plant", arguments, ros_environment), \
+            spinning() as spinner:
+        client = spinner.probe.create_client(Trigger, "plant/reset")
+        spinner.until(client.service_is_ready)
+        spinner.settle()  # the plant begins when its timer first fires
+        future = client.call_async(Trigger.Request())
+        spinner.until(future.done)
+        assert future.result().success
+        assert future.result().message.startswith("episode 1, epoch ")
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("name", ["plant", "observer", "monitor"])
+def test_a_signal_ends_a_node_with_exit_code_0(
+    ros_environment: dict[str, str], name: str, how: signal.Signals
+) -> None:
+    """Ctrl-C prints no traceback."""
+    arguments = ros_arguments({"model": "two_mass"})
+    with running(f"impact_observer.nodes.{name}", arguments, ros_environment) as process, \
+            spinning() as spinner:
+        spinner.until(lambda: name in spinner.probe.get_node_names())
+        spinner.settle()
+        code, errors = interrupt(process, how)
+    assert code == 0
+    assert "Traceback" not in errors
+
+
+@pytest.mark.parametrize(
+    ("module", "parameters", "expected"),
+    [
+        ("observer", {}, "parameter model: is not set"),
+        ("observer", {"model": "nothing.yaml"}, "nothing.yaml: no such file"),
+        ("observer", {"model": "two_mass", "law": "magic"}, "law 'magic': not installed"),
+        ("observer", {"model": "two_mass", "rate": -1.0}, "parameter rate: expected a double"),
+        ("observer", {"model": "two_mass", "rate": 100}, "parameter rate: expected a double"),
+        ("observer", {"model": "two_mass", "initial_state": "one"}, "initial state 'one'"),
+        ("plant", {"model": "two_mass", "realtime_factor": 2.0}, "needs publish_clock"),
+        ("monitor", {"model": "two_mass", "law": 3}, "parameter law: expected a string"),
+    ],
+)
+def test_a_wrong_parameter_is_one_line_and_exit_code_2(
+    ros_environment: dict[str, str], module: str, parameters: dict[str, object], expected: str
+) -> None:
+    """It names the parameter, what was found and what is expected."""
+    done = subprocess.run(
+        [sys.executable, "-m", f"impact_observer.nodes.{module}", *ros_arguments(parameters)],
+        env=ros_environment, capture_output=True, text=True, timeout=PATIENCE, check=False,
+    )
+    assert done.returncode == 2
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith(f"{module}: ")
+    assert expected in lines[0]
+
+
+def test_a_misspelt_parameter_is_warned_of(ros_environment: dict[str, str]) -> None:
+    """ROS itself would pass over it in silence."""
+    arguments = ros_arguments({"model": "two_mass", "lwa": "kinematic"})
+    with running("impact_observer.nodes.observer", arguments, ros_environment) as process, \
+            spinning() as spinner:
+        spinner.until(lambda: "observer" in spinner.probe.get_node_names())
+        spinner.settle()
+        _, errors = interrupt(process)
+    assert "parameter lwa is not known" in errors

@@ -1,0 +1,97 @@
+"""Nodes for tests: as processes that never outlive the test, or in this process."""
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+PATIENCE = 30.0
+"""How long a process may take to do what a test waits for, s."""
+
+
+def ros_arguments(parameters: Mapping[str, object], *remappings: str) -> list[str]:
+    """``--ros-args`` for ``parameters`` and remappings such as ``__node:=name``."""
+    arguments = ["--ros-args"]
+    for name, value in parameters.items():
+        shown = str(value).lower() if isinstance(value, bool) else str(value)
+        arguments += ["-p", f"{name}:={shown}"]
+    for remapping in remappings:
+        arguments += ["-r", remapping]
+    return arguments
+
+
+@contextlib.contextmanager
+def running(
+    module: str, arguments: list[str], environment: Mapping[str, str]
+) -> Iterator["subprocess.Popen[str]"]:
+    """``python -m module arguments`` as a process, killed at the end if it still runs."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, *arguments],
+        env=dict(environment),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def interrupt(process: "subprocess.Popen[str]", how: int = signal.SIGINT) -> tuple[int, str]:
+    """Send a signal; the exit code and what was written to stderr."""
+    process.send_signal(how)
+    _, errors = process.communicate(timeout=PATIENCE)
+    return process.returncode, errors
+
+
+class Spinner:
+    """Nodes of this process on one executor."""
+
+    def __init__(self) -> None:
+        """Make a probe node that keeps to itself what the test's arguments say."""
+        self.executor = SingleThreadedExecutor()
+        self.probe = Node("probe", use_global_arguments=False)
+        self.executor.add_node(self.probe)
+        self.nodes: list[Node] = [self.probe]
+
+    def add(self, node: Node) -> None:
+        """Spin ``node`` too."""
+        self.executor.add_node(node)
+        self.nodes.append(node)
+
+    def until(self, condition: Callable[[], object], patience: float = PATIENCE) -> None:
+        """Spin until ``condition`` holds; fail the test when it does not in time."""
+        end = time.monotonic() + patience
+        while not condition():
+            assert time.monotonic() < end, "the condition never held"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def settle(self, seconds: float = 0.3) -> None:
+        """Spin for a while."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.02)
+
+
+@contextlib.contextmanager
+def spinning(arguments: list[str] | None = None) -> Iterator[Spinner]:
+    """ROS in this process: nodes made inside see ``arguments``; all is torn down at the end."""
+    rclpy.init(args=arguments or [])
+    spinner = Spinner()
+    try:
+        yield spinner
+    finally:
+        for node in reversed(spinner.nodes):
+            node.destroy_node()
+        spinner.executor.shutdown()
+        rclpy.shutdown()

@@ -1,0 +1,210 @@
+"""Systems, motions and switching sequences for the tests of the core.
+
+The strategies draw every number by itself, from a grid of multiples of 1/64, so that a failing
+example shrinks to one with small whole numbers and zeros.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from hypothesis import settings
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+
+from impact_observer.events import ImpactEvent, Switch
+from impact_observer.model import Contact, Forcing, Model, System, read_model
+from impact_observer.observer import Observer, law_named
+from impact_observer.plant import Plant, Run, simulate
+from impact_observer.stamps import NS_PER_S, grid
+
+Array = NDArray[np.float64]
+
+EPOCH = 5 * NS_PER_S
+"""An epoch that is not zero, ns."""
+
+
+def examples(count: int) -> settings:
+    """Settings that try the same ``count`` examples on every machine."""
+    return settings(max_examples=count, derandomize=True, deadline=None, database=None)
+
+
+def sample(name: str) -> Model:
+    """A sample model by its name."""
+    return read_model(name)
+
+
+class Harmonic(NamedTuple):
+    """``cosine cos(frequency t) + sine sin(frequency t)``."""
+
+    frequency: float
+    cosine: Sequence[float]
+    sine: Sequence[float]
+
+
+def forcing(n: int, constant: ArrayLike = 0.0, harmonics: Sequence[Harmonic] = ()) -> Forcing:
+    """A forcing of ``n`` coordinates."""
+    h = len(harmonics)
+    return Forcing(
+        np.broadcast_to(np.asarray(constant, dtype=float), (n,)),
+        np.array([part.frequency for part in harmonics], dtype=float),
+        np.reshape([part.cosine for part in harmonics], (h, n)).astype(float),
+        np.reshape([part.sine for part in harmonics], (h, n)).astype(float),
+    )
+
+
+def system(
+    M: ArrayLike,
+    C: ArrayLike,
+    K: ArrayLike,
+    *,
+    contacts: Sequence[tuple[Sequence[float], float, float]] = (),
+    force: Forcing | None = None,
+) -> System:
+    """A system from its matrices and contacts ``(direction, gap, restitution)``."""
+    M, C, K = (np.atleast_2d(np.asarray(matrix, dtype=float)) for matrix in (M, C, K))
+    n = len(M)
+    return System(
+        name="test",
+        coordinates=tuple(f"x{i + 1}" for i in range(n)),
+        M=M,
+        C=C,
+        K=K,
+        forcing=Forcing.none(n) if force is None else force,
+        contacts=tuple(
+            Contact(f"c{i + 1}", np.asarray(direction, dtype=float), gap, eps)
+            for i, (direction, gap, eps) in enumerate(contacts)
+        ),
+    )
+
+
+def chain(n: int, stiffness: float = 10.0, damping: float = 0.1, **others: object) -> System:
+    """``n`` unit masses between two walls, joined by equal springs and dampers."""
+    laplacian = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    return system(np.eye(n), damping * laplacian, stiffness * laplacian, **others)  # type: ignore[arg-type]
+
+
+def numbers(low: float = -2.0, high: float = 2.0) -> st.SearchStrategy[float]:
+    """Multiples of 1/64 in [low, high]."""
+    return st.integers(round(low * 64), round(high * 64)).map(lambda k: k / 64)
+
+
+def vectors(n: int, low: float = -2.0, high: float = 2.0) -> st.SearchStrategy[Array]:
+    """Vectors of ``n`` numbers."""
+    return st.lists(numbers(low, high), min_size=n, max_size=n).map(np.array)
+
+
+def matrices(rows: int, columns: int) -> st.SearchStrategy[Array]:
+    """Matrices of numbers."""
+    return vectors(rows * columns).map(lambda values: np.reshape(values, (rows, columns)))
+
+
+def restitutions() -> st.SearchStrategy[float]:
+    """Multiples of 1/8 in [0, 1]."""
+    return st.integers(0, 8).map(lambda k: k / 8)
+
+
+@st.composite
+def forcings(draw: st.DrawFn, n: int) -> Forcing:
+    """A constant and up to two harmonics."""
+    return forcing(
+        n,
+        draw(vectors(n)),
+        [
+            Harmonic(draw(numbers(0.25, 6.0)), draw(vectors(n)).tolist(), draw(vectors(n)).tolist())
+            for _ in range(draw(st.integers(0, 2)))
+        ],
+    )
+
+
+@st.composite
+def systems(
+    draw: st.DrawFn,
+    *,
+    max_n: int = 4,
+    contacts: tuple[int, int] = (1, 3),
+    rigid: bool | None = None,
+    common_restitution: bool | None = None,
+    gaps: tuple[float, float] = (-1.0, 2.0),
+    forced: bool = True,
+    damped: bool = True,
+) -> System:
+    """A valid system with everything in it that the theory allows.
+
+    Args:
+        draw: from hypothesis.
+        max_n: most coordinates.
+        contacts: fewest and most contacts.
+        rigid: whether ``K`` is singular; None for either.
+        common_restitution: whether all contacts have the same; None for either.
+        gaps: range of the gaps in the rest position.
+        forced: whether to force it.
+        damped: whether to damp it, with a gyroscopic part.
+    """
+    n = draw(st.integers(1, max_n))
+    m = draw(st.integers(*contacts))
+    root = draw(matrices(n, n))
+    singular = draw(st.booleans()) if rigid is None else rigid
+    rows = draw(st.integers(0, n - 1)) if singular else n
+    springs = draw(matrices(rows, n))
+    dampers, turning = draw(matrices(n, n)), draw(matrices(n, n))
+    equal = draw(st.booleans()) if common_restitution is None else common_restitution
+    eps = draw(restitutions())
+    directions = [draw(vectors(n)) for _ in range(m)]
+    return system(
+        root @ root.T + np.eye(n) / 2,
+        (dampers.T @ dampers + turning - turning.T) / 8 if damped else np.zeros((n, n)),
+        4 * springs.T @ springs + (0.0 if singular else 0.5) * np.eye(n),
+        contacts=[
+            (
+                w if np.any(w) else np.eye(n)[i % n],
+                draw(numbers(*gaps)),
+                eps if equal else draw(restitutions()),
+            )
+            for i, w in enumerate(directions)
+        ],
+        force=draw(forcings(n)) if forced else None,
+    )
+
+
+def switchings(
+    m: int, most: int = 8, seconds: float = 5.0
+) -> st.SearchStrategy[list[tuple[float, tuple[int, ...]]]]:
+    """Any sequence of (seconds since the last, active contacts), as no plant would make it."""
+    active = st.sets(st.integers(0, m - 1), min_size=1).map(lambda found: tuple(sorted(found)))
+    return st.lists(st.tuples(numbers(0.0, seconds / most), active), max_size=most)
+
+
+def run(
+    model: System, position: ArrayLike, velocity: ArrayLike, *, seconds: float, rate: float = 100.0
+) -> Run:
+    """A run of the plant from ``EPOCH`` on."""
+    plant = Plant(model, np.asarray(position, float), np.asarray(velocity, float), epoch=EPOCH)
+    return simulate(plant, grid(EPOCH, EPOCH + round(seconds * NS_PER_S), rate))
+
+
+def observer(model: System, law: str, x: ArrayLike, **options: object) -> Observer:
+    """An observer that starts at ``x`` = (q, u)."""
+    start = np.asarray(x, float)
+    return Observer(
+        model,
+        law_named(law)(model),
+        start[: model.n],
+        start[model.n :],
+        **options,  # type: ignore[arg-type]
+    )
+
+
+def estimates(watcher: Observer, stamps: NDArray[np.int64]) -> Array:
+    """States (q, u) that an observer estimates at ``stamps``, shape (samples, 2n)."""
+    found = [watcher.estimate(int(stamp)) for stamp in stamps]
+    return np.array([np.concatenate([estimate.q, estimate.u]) for estimate in found])
+
+
+def event(
+    seconds: float, *contacts: str, sequence: int = 0, episode: int = 0, epoch: int = EPOCH
+) -> ImpactEvent:
+    """An impact of ``contacts`` at ``seconds`` since ``EPOCH``."""
+    switches = tuple(Switch(contact) for contact in contacts)
+    stamp = EPOCH + round(seconds * NS_PER_S)
+    return ImpactEvent(stamp, switches, sequence, episode, epoch)
