@@ -67,7 +67,7 @@ def _plant() -> Node:
             }
         ],
         output="screen",
-        on_exit=Shutdown(reason="the plant has ended"),
+        on_exit=Shutdown(),
     )
 
 
@@ -88,7 +88,7 @@ def _observer(law: str) -> Node:
             }
         ],
         output="screen",
-        on_exit=Shutdown(reason=f"observer_{law} has ended"),
+        on_exit=Shutdown(),
     )
 
 
@@ -100,7 +100,7 @@ def _monitor(law: str) -> Node:
         parameters=[{"use_sim_time": True, "model": _argument("model", str), "law": law}],
         remappings=[("observer/joint_states", f"observer_{law}/joint_states")],
         output="screen",
-        on_exit=Shutdown(reason=f"monitor_{law} has ended"),
+        on_exit=Shutdown(),
     )
 
 

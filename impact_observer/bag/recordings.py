@@ -1,6 +1,7 @@
 """Whole recordings: a plant's run written to a bag, a bag observed into another one."""
 
 import heapq
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from operator import itemgetter
 from pathlib import Path
@@ -13,7 +14,7 @@ from impact_observer.bag.messages import JointState, bag_messages
 from impact_observer.bag.reader import BagReader, RawMessage
 from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import BagError, UsageError
-from impact_observer.events import ImpactEvent, Verdict
+from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.model import Model, parse_model
 from impact_observer.observer import Observer, replay
 from impact_observer.plant import Run
@@ -114,7 +115,7 @@ def observe_bag(
     rate: float | None = None,
     epoch: int = 0,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
-) -> int:
+) -> tuple[int, Counter[Ruling]]:
     """Run ``observer`` on a bag's events; impacts, truth and model are carried along.
 
     Args:
@@ -126,7 +127,7 @@ def observe_bag(
         progress: told the estimates made and the stamps to make them for.
 
     Returns:
-        The number of estimates.
+        The number of estimates, and how often each verdict was given.
 
     Raises:
         UsageError, BagError: the bags cannot be used as asked.
@@ -135,7 +136,7 @@ def observe_bag(
     events = events_in(reader)
     stamps = sample_stamps(reader, events, rate, epoch)
     carried = [topic for each in _CARRIED if (topic := reader.find(each)) is not None]
-    count = 0
+    count, rulings = 0, Counter[Ruling]()
     with BagWriter(output) as writer:
         for topic in carried:
             info = reader.topics[topic]
@@ -153,7 +154,9 @@ def observe_bag(
             if isinstance(item, Estimate):
                 count += 1
                 progress(count, stamps.size)
-    return count
+            else:
+                rulings[item.ruling] += 1
+    return count, rulings
 
 
 def _messages(item: Estimate | Verdict, names: tuple[str, ...]) -> Iterator[tuple[str, object]]:

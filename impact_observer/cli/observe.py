@@ -94,6 +94,12 @@ def observe(
             if done % 1000 == 0:
                 progress.show(f"{law}: {done} of {total} estimates")
 
-        count = observe_bag(reader, observer, output, rate=rate, epoch=epoch, progress=show)
-        progress.line(f"{output}: {law}, {count} estimates")
+        count, rulings = observe_bag(
+            reader, observer, output, rate=rate, epoch=epoch, progress=show
+        )
+        verdicts = [
+            f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items()
+        ]
+        impacts = f"impacts: {', '.join(verdicts) or 'none'}"
+        progress.line(f"{output}: {law}, {count} estimates, {impacts}")
     return 0

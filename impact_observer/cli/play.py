@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from impact_observer.nodes.player import Player
 
+_CLOCK_RATE = 100.0
+"""Nodes that hear the bag want its time too, so /clock is published unless told otherwise."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     # BAG comes first: behind --clock or --topics it would be taken for their value.
     parser.usage = (
-        "%(prog)s BAG [--rate R] [--loop] [--start S] [--topics TOPIC ...] [--clock [HZ]] "
-        "[--delay S]"
+        "%(prog)s BAG [--rate R] [--loop] [--start S] [--topics TOPIC ...] "
+        "[--clock [HZ] | --no-clock] [--delay S]"
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     parser.add_argument(
@@ -27,14 +30,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--topics", metavar="TOPIC", nargs="+", help="play these topics only (default: all)"
     )
-    parser.add_argument(
+    clock = parser.add_mutually_exclusive_group()
+    clock.add_argument(
         "--clock",
         metavar="HZ",
         nargs="?",
         type=float,
-        const=100.0,
+        const=_CLOCK_RATE,
+        default=_CLOCK_RATE,
         help="publish the bag's time on /clock, at every message and HZ times a second "
-        "(default: 100)",
+        f"(default: {_CLOCK_RATE:g})",
+    )
+    clock.add_argument(
+        "--no-clock",
+        dest="clock",
+        action="store_const",
+        const=None,
+        help="leave /clock alone: for a bag whose stamps are the present",
     )
     parser.add_argument(
         "--delay",

@@ -29,8 +29,10 @@ _RIGID = 1e-13
 """``omega^2`` that counts as zero, relative to the stiffest mode's, times n."""
 _WORST_CONDITION = 1e4
 """Condition of the modes, in units of energy, beyond which digits would be lost."""
-_RESONANCE = 1e-3
-"""Distance of a forcing frequency from an eigenvalue, relative to it, that is near."""
+_RESONANCE = 1e-2
+"""Distance of a forcing frequency from an eigenvalue, relative to the fastest rate, that is near."""
+_SLOW = 0.1
+"""The same, 1/s: phases are short against a slower beat, and its steady response is huge."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,9 +137,9 @@ class SpectralFlow(Flow):
         two = np.where(self._oscillates, self._a - imaginary, 2 * self._a - self._slow)
         mu = 1j * omega
         distance = np.minimum(abs(mu - one[:, None]), abs(mu - two[:, None]))
-        size = np.maximum(np.maximum(abs(one), abs(two))[:, None], omega)
+        fastest = float(np.max(np.abs(np.concatenate([one, two, omega]))))
         forced = np.any(beta != 0, axis=2)
-        near = forced & (distance <= _RESONANCE * size)
+        near = forced & (distance <= max(_RESONANCE * fastest, _SLOW))
         far = forced & ~near
         # Steady response of the pairs away from resonance, (mu - J)^{-1} beta by Cramer's rule.
         J = self._deviator + self._a[:, None, None] * np.eye(2)

@@ -20,7 +20,7 @@ from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.nodes.messages import message_class
 from impact_observer.nodes.quality import qos_profile
-from impact_observer.nodes.recorder import Recorder
+from impact_observer.nodes.recorder import Recorder, drain
 from impact_observer.nodes.session import Stop, ros_node
 
 _START_UP = 30.0
@@ -119,18 +119,8 @@ def run(setting: Setting, bag: Path, logs: Path, show: Callable[[Live], None]) -
                 if stop.requested:
                     raise DemonstrationError(f"interrupted; what was recorded is in {bag}")
                 _check("plant", plant, logs)
-            _drain(executor, writer)
+            drain(executor, writer)
             recorder.close()
-
-
-def _drain(executor: SingleThreadedExecutor, writer: BagWriter) -> None:
-    """Take in the last messages: spin until nothing has come for a moment."""
-    quiet_since = time.monotonic()
-    while time.monotonic() < quiet_since + 0.3:
-        before = writer.message_count
-        executor.spin_once(timeout_sec=_SPIN)
-        if writer.message_count > before:
-            quiet_since = time.monotonic()
 
 
 def _subscribe(node: Node, setting: Setting, live: Live) -> None:

@@ -218,12 +218,12 @@ def record(
             if on_progress and time.monotonic() > shown + _DISCOVERY_PERIOD:
                 shown = time.monotonic()
                 on_progress(writer.message_count)
-        _drain(executor, writer)
+        drain(executor, writer)
         recorder.close()
         return {**dict.fromkeys(recorder.missing, 0), **recorder.counts}
 
 
-def _drain(executor: SingleThreadedExecutor, writer: BagWriter) -> None:
+def drain(executor: SingleThreadedExecutor, writer: BagWriter) -> None:
     """Take in what is on its way: spin until nothing has come for a moment."""
     latest = silent_since = time.monotonic()
     latest += _LONGEST_DRAIN

@@ -28,7 +28,7 @@ def error(model: System, found: Array, expected: Array, start: Array) -> float:
     """Largest error, in units of the largest state; positions count with the fastest mode."""
     stiffest = linalg.eigh(model.K, model.M, eigvals_only=True)[-1]
     unit = np.repeat([max(1.0, np.sqrt(max(stiffest, 0.0))), 1.0], model.n)
-    scale = np.max(np.abs(np.vstack([expected, start]) * unit))
+    scale = max(np.max(np.abs(np.vstack([expected, start]) * unit)), 1e-3)
     return float(np.max(np.abs(found - expected) * unit) / scale)
 
 
@@ -86,13 +86,13 @@ PHASES |= {
 }
 PHASES |= {
     f"nearly resonant {delta:g}": oscillator(0.0, 1.0, push(1 + delta))
-    for delta in (1e-15, 1e-12, 1e-9, -1e-6, 0.9e-3, 1.1e-3, -1.1e-3, 1e-2)
+    for delta in (1e-15, 1e-12, 1e-9, -1e-6, 0.9e-3, 1.1e-3, 9e-3, -1.1e-2)
 }
 PHASES |= {
     f"lightly damped resonance {c:g}": oscillator(c, 4.0, push(2.0)) for c in (1e-12, 1e-6, 3e-3)
 }
 PHASES |= {
-    f"nearly free {k:g}": oscillator(0.0, k, push(0.3), constant=1.0) for k in (1e-14, 1e-8, 1e-4)
+    f"nearly free {k:g}": oscillator(0.0, k, push(0.3), constant=1.0) for k in (1e-14, 1e-8, 1e-4, 9e-3, 1.1e-2)
 }
 
 
@@ -104,7 +104,7 @@ def test_flow_is_exact(model: System) -> None:
     for t in (0.0, 3.3):
         expected = precise.flow(model, t, x, seconds.tolist())
         for flow in (flow_of(model), DenseFlow(model)):
-            assert error(model, flow.start(t, x).states(seconds), expected, x) < 3e-14
+            assert error(model, flow.start(t, x).states(seconds), expected, x) < 1e-13
 
 
 @pytest.mark.parametrize("seconds", [1e-6, 1e-3, 1.0, 100.0, 2e4])
@@ -231,27 +231,11 @@ def test_forcing_is_periodic_in_the_starting_time() -> None:
 
 
 def defective() -> System:
-    """Two oscillators coupled by a damper so that two complex eigenvectors coincide.
+    """Two oscillators and one damper, with the characteristic polynomial (z^2 + z/2 + 1)^2.
 
-    With ``x1 +- x2`` for two equal masses, stiffnesses ``1 +- d`` and one damper ``c`` between
-    them, eigenvalues meet at ``c = d`` to first order; the exact place is bisected here.
+    ``(z^2 + 2c z + c^2 + 1)(z^2 + 1) - c^2 = (z^2 + c z + 1)^2``, and one eigenvector a root.
     """
-
-    def model(c: float) -> System:
-        return system(np.eye(2), np.diag([2 * c, 0.0]), [[2.0, -0.5], [-0.5, 2.0]])
-
-    low, high = 0.1, 2.0
-    for _ in range(200):
-        middle = (low + high) / 2
-        values = np.linalg.eigvals(_state_matrix(model(middle)))
-        pair = values[values.imag > 0]
-        low, high = (middle, high) if abs(pair[0].real - pair[1].real) < 1e-5 else (low, middle)
-    return model(low)
-
-
-def _state_matrix(model: System) -> Array:
-    zero = np.zeros_like(model.M)
-    return np.block([[zero, np.eye(model.n)], [-model.K, -model.C]])
+    return system(np.eye(2), np.diag([1.0, 0.0]), [[1.25, 0.5], [0.5, 1.0]])
 
 
 def test_defective_system_is_left_to_the_matrix_exponential() -> None:
@@ -261,7 +245,7 @@ def test_defective_system_is_left_to_the_matrix_exponential() -> None:
     assert isinstance(flow_of(model), DenseFlow)
     x, s = np.array([1.0, 0.5, -0.3, 0.2]), np.array([0.3, 2.0])
     expected = precise.flow(model, 0.0, x, s.tolist())
-    assert error(model, flow_of(model).start(0.0, x).states(s), expected, x) < 3e-14
+    assert error(model, flow_of(model).start(0.0, x).states(s), expected, x) < 1e-13
 
 
 def test_motion_knows_when_it_starts() -> None:

@@ -37,9 +37,13 @@ PARAMETERS = {"model": "two_mass", "use_sim_time": True, "initial_state": "'rand
 
 def event(stamp: int, sequence: int, contact: str = "stop", **more: int) -> Event:
     """An impact of two_mass."""
-    return Event(stamp, (Switch(contact),), sequence, epoch=more.get("epoch", EPOCH), **{
-        key: value for key, value in more.items() if key != "epoch"
-    })
+    return Event(
+        stamp,
+        (Switch(contact),),
+        sequence,
+        epoch=more.get("epoch", EPOCH),
+        **{key: value for key, value in more.items() if key != "epoch"},
+    )
 
 
 @dataclass
@@ -148,9 +152,7 @@ def test_every_switch_gets_a_verdict_with_its_latency(rig: Rig) -> None:
     rig.send(event(EPOCH + 21_000_000, 2, "anvil"))
     rig.send(event(EPOCH - 1, 3))
     rulings = [Ruling(verdict.verdict) for verdict in rig.verdicts]
-    assert rulings == [
-        Ruling.APPLIED, Ruling.DUPLICATE, Ruling.UNKNOWN_CONTACT, Ruling.TOO_LATE
-    ]
+    assert rulings == [Ruling.APPLIED, Ruling.DUPLICATE, Ruling.UNKNOWN_CONTACT, Ruling.TOO_LATE]
     assert rig.verdicts[0].latency == pytest.approx(0.03)
     assert rig.verdicts[2].contact == "anvil"
     assert "stop" in rig.verdicts[2].reason
@@ -250,8 +252,10 @@ def test_no_event_of_lasting_contact_is_taken_for_an_impact(
 ) -> None:
     """Until lasting contact is supported the process ends with one line and exit code 1."""
     arguments = ros_arguments({"model": "two_mass", "epoch": EPOCH})
-    with running("impact_observer.nodes.observer", arguments, ros_environment) as process, \
-            spinning() as spinner:
+    with (
+        running("impact_observer.nodes.observer", arguments, ros_environment) as process,
+        spinning() as spinner,
+    ):
         impacts = spinner.probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
         spinner.until(lambda: impacts.get_subscription_count() == 1)
         closing = Event(EPOCH + 1, (Switch("stop", Kind.CLOSE),), 1, epoch=EPOCH)
@@ -266,8 +270,10 @@ def test_no_event_of_lasting_contact_is_taken_for_an_impact(
 def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str, str]) -> None:
     """Checked on the ROS graph: no ground truth goes into the observer."""
     arguments = ros_arguments({"model": "two_mass", "use_sim_time": True})
-    with running("impact_observer.nodes.observer", arguments, ros_environment), \
-            spinning() as spinner:
+    with (
+        running("impact_observer.nodes.observer", arguments, ros_environment),
+        spinning() as spinner,
+    ):
         probe = spinner.probe
         spinner.until(lambda: "observer" in probe.get_node_names())
         spinner.until(
@@ -277,7 +283,5 @@ def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str
             )
         )
         spinner.settle(0.5)
-        heard = {
-            name for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")
-        }
+        heard = {name for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")}
         assert heard <= {"/impacts", "/clock", "/parameter_events"}

@@ -38,9 +38,13 @@ def test_plant_and_observer_processes_converge_on_the_topic(
         }
     )
     errors: list[EstimateError] = []
-    with running("impact_observer.nodes.observer", observer, ros_environment) as first, running(
-        "impact_observer.nodes.monitor", ros_arguments(simulated), ros_environment
-    ) as second, spinning() as spinner:
+    with (
+        running("impact_observer.nodes.observer", observer, ros_environment) as first,
+        running(
+            "impact_observer.nodes.monitor", ros_arguments(simulated), ros_environment
+        ) as second,
+        spinning() as spinner,
+    ):
         spinner.probe.create_subscription(
             EstimateError, "monitor/error", errors.append, qos_profile(Quality(depth=1000))
         )
@@ -62,8 +66,7 @@ def test_plant_and_observer_processes_converge_on_the_topic(
 def test_a_reset_of_the_plant_is_a_new_episode(ros_environment: dict[str, str]) -> None:
     """The service answers with the episode and the new epoch."""
     arguments = ros_arguments({"model": "three_mass"})
-    with running("impact_observer.nodes.plant", arguments, ros_environment), \
-            spinning() as spinner:
+    with running("impact_observer.nodes.plant", arguments, ros_environment), spinning() as spinner:
         client = spinner.probe.create_client(Trigger, "plant/reset")
         spinner.until(client.service_is_ready)
         spinner.settle()  # the plant begins when its timer first fires
@@ -80,8 +83,10 @@ def test_a_signal_ends_a_node_with_exit_code_0(
 ) -> None:
     """Ctrl-C prints no traceback."""
     arguments = ros_arguments({"model": "two_mass"})
-    with running(f"impact_observer.nodes.{name}", arguments, ros_environment) as process, \
-            spinning() as spinner:
+    with (
+        running(f"impact_observer.nodes.{name}", arguments, ros_environment) as process,
+        spinning() as spinner,
+    ):
         spinner.until(lambda: name in spinner.probe.get_node_names())
         spinner.settle()
         code, errors = interrupt(process, how)
@@ -108,7 +113,11 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
     """It names the parameter, what was found and what is expected."""
     done = subprocess.run(
         [sys.executable, "-m", f"impact_observer.nodes.{module}", *ros_arguments(parameters)],
-        env=ros_environment, capture_output=True, text=True, timeout=PATIENCE, check=False,
+        env=ros_environment,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
     )
     assert done.returncode == 2
     lines = done.stderr.strip().splitlines()
@@ -120,8 +129,10 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
 def test_a_misspelt_parameter_is_warned_of(ros_environment: dict[str, str]) -> None:
     """ROS itself would pass over it in silence."""
     arguments = ros_arguments({"model": "two_mass", "lwa": "kinematic"})
-    with running("impact_observer.nodes.observer", arguments, ros_environment) as process, \
-            spinning() as spinner:
+    with (
+        running("impact_observer.nodes.observer", arguments, ros_environment) as process,
+        spinning() as spinner,
+    ):
         spinner.until(lambda: "observer" in spinner.probe.get_node_names())
         spinner.settle()
         _, errors = interrupt(process)

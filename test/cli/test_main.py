@@ -1,0 +1,149 @@
+"""The command itself: help, errors of one line, exit codes."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from impact_observer import __version__
+from impact_observer.cli.main import COMMANDS, main
+
+ROOT = Path(__file__).parents[2]
+
+
+def model_file(folder: Path, old: str, new: str) -> Path:
+    """The sample two_mass with a mistake in it."""
+    text = (ROOT / "config" / "two_mass.yaml").read_text()
+    assert old in text
+    path = folder / "broken.yaml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_subcommand_has_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """It says what the subcommand does and names its options."""
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code == 0
+    assert "usage: impact-observer" in capsys.readouterr().out
+
+
+def test_version_is_that_of_the_manifest(capsys: pytest.CaptureFixture[str]) -> None:
+    """package.xml and the package agree."""
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert __version__ in capsys.readouterr().out
+    assert f"<version>{__version__}</version>" in (ROOT / "package.xml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ("mass:      [[1, 0], [0, 1]]", "mass: [[1, 0.1], [0, 1]]", "mass: is not symmetric"),
+        ("restitution: 0.7", "restitution: -0.7", "contacts[0].restitution: is -0.7"),
+        ("gap: 0.5", "gap: .nan", "contacts[0].gap: is not finite"),
+        ("gap: 0.5, ", "", "contacts[0].gap: is missing"),
+        ("[[20, -10], [-10, 10]]", "[[20, -10]]", "stiffness: 1 rows found; expected 2 rows"),
+        ("stiffness:", "stifness:", "stifness: is not known here"),
+    ],
+)
+def test_a_mistake_in_a_model_is_one_line_and_exit_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, key: str
+) -> None:
+    """The line names the file and the key; there is no traceback and no bag."""
+    path = model_file(tmp_path, old, new)
+    bag = tmp_path / "bag"
+    assert main(["simulate", str(path), "-o", str(bag)]) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert len(printed.err.strip().splitlines()) == 1
+    assert printed.err.startswith(f"impact-observer: {path}: {key}")
+    assert not bag.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["simulate", "two_mass"], "-o/--output"),
+        (["simulate", "two_mass", "-o", "x", "--duration", "-1"], "above 0"),
+        (["simulate", "two_mass", "-o", "x", "--rate", "nan"], "expected a number"),
+        (["simulate", "two_mass", "-o", "x", "--epoch", "0"], "above zero"),
+        (["simulate", "two_mass", "-o", "x", "--seed", "1.5"], "whole number"),
+        (["magic"], "invalid choice"),
+        ([], "COMMAND"),
+    ],
+)
+def test_a_wrong_argument_is_one_line_and_exit_code_2(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
+) -> None:
+    """The line says what is expected and where help is."""
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    errors = capsys.readouterr().err
+    assert len(errors.strip().splitlines()) == 1
+    assert expected in errors
+    assert "--help" in errors
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["simulate", "no_model", "-o", "x"], "no_model: no such file; expected a model file"),
+        (["observe", "nowhere", "-o", "x"], "nowhere: does not exist"),
+        (["compare", "nowhere"], "nowhere: does not exist"),
+        (["compare", "nowhere", "--plot", "v.gif"], "v.gif: expected a picture's name"),
+        (["info", "nowhere"], "nowhere: does not exist"),
+    ],
+)
+def test_what_does_not_exist_is_one_line_and_exit_code_2(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    expected: str,
+) -> None:
+    """The line names it."""
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 2
+    errors = capsys.readouterr().err
+    assert len(errors.strip().splitlines()) == 1
+    assert expected in errors
+
+
+def test_lasting_contact_is_one_line_and_exit_code_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The ball's impacts accumulate at 8.578949 s; the line names contact and time."""
+    assert main(["simulate", "bouncing_ball", "-o", str(tmp_path / "bag")]) == 1
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert "contact 'floor'" in errors[0]
+    assert "t = 8.57894" in errors[0]
+
+
+def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A second bag of the same name is refused before anything is computed."""
+    arguments = ["simulate", "two_mass", "--duration", "1", "-o", str(tmp_path / "bag")]
+    assert main(arguments) == 0
+    capsys.readouterr()
+    assert main(arguments) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_help_imports_nothing_heavy() -> None:
+    """--help stays quick: no numpy, no scipy, no ROS, no plotting, no bags."""
+    code = (
+        "import sys\n"
+        "from impact_observer.cli.main import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "heavy = {'numpy', 'scipy', 'rclpy', 'matplotlib', 'rosbags', 'rich', 'ruamel'}\n"
+        "print('heavy:', sorted(heavy & set(sys.modules)))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=os.environ, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip().splitlines()[-1] == "heavy: []"

@@ -1,0 +1,159 @@
+"""simulate, observe, compare: from a model to a judgement, without ROS."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_observer.bag.reader import BagReader
+from impact_observer.bag.recordings import carried_model, events_in
+from impact_observer.cli.main import main
+from impact_observer.model import read_model
+from impact_observer.observer import Observer, initial_state, law_named
+from impact_observer.plant import Plant, simulate
+from impact_observer.stamps import grid
+
+EPOCH = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def run_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Fifteen seconds of two_mass."""
+    bag = tmp_path_factory.mktemp("offline") / "plant"
+    assert main(["simulate", "two_mass", "--duration", "15", "--seed", "7", "-o", str(bag)]) == 0
+    return bag
+
+
+def observed(bag: Path, name: str, *arguments: str) -> Path:
+    """``bag`` observed into a bag beside it."""
+    output = bag.parent / name
+    assert main(["observe", str(bag), *arguments, "-o", str(output)]) == 0
+    return output
+
+
+def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
+    """The model in the bag is the model it was made of; provenance says by whom."""
+    with BagReader(run_bag) as reader:
+        model = carried_model(reader)
+        events = events_in(reader)
+    sample = read_model("two_mass")
+    np.testing.assert_array_equal(model.system.K, sample.system.K)
+    np.testing.assert_array_equal(model.system.forcing.cosine, sample.system.forcing.cosine)
+    assert model.provenance["seed"] == 7
+    assert model.provenance["package"] == "impact_observer"
+    assert [e.sequence for e in events] == list(range(1, len(events) + 1))
+    assert {e.epoch for e in events} == {EPOCH}
+
+
+def test_truth_in_a_bag_starts_at_the_epoch_and_follows_the_events(run_bag: Path) -> None:
+    """Every sample is the plant's state; at equal stamps it is the one after the impact."""
+    model = read_model("two_mass")
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    wanted = simulate(plant, grid(EPOCH, 16 * 1_000_000_000, 100.0))
+    with BagReader(run_bag) as reader:
+        truth = reader.joint_states("/plant/joint_states")
+    np.testing.assert_array_equal(truth.stamps, wanted.stamps)
+    np.testing.assert_array_equal(np.hstack([truth.q, truth.u]), wanted.states)
+
+
+@pytest.mark.parametrize("law", ["open-loop", "kinematic", "geometric"])
+def test_observe_writes_what_the_observer_says(run_bag: Path, law: str) -> None:
+    """Offline estimates are those of the same object fed by hand, bit for bit."""
+    output = observed(run_bag, f"out_{law}", "--law", law, "--initial", "random:3")
+    system = read_model("two_mass").system
+    observer = Observer(
+        system, law_named(law)(system), *initial_state("random:3", system), history=1e6
+    )
+    with BagReader(output) as reader:
+        for event in events_in(reader):
+            observer.receive(event)
+        states = reader.observer_states("/observer/state")
+        joints = reader.joint_states("/observer/joint_states")
+        assert set(reader.topics) == {
+            "/impacts",
+            "/plant/joint_states",
+            "/plant/model",
+            "/observer/joint_states",
+            "/observer/state",
+            "/observer/verdicts",
+        }
+    assert states.law == law
+    assert states.stamps[0] == EPOCH
+    for stamp, q, u, sequence in zip(
+        states.stamps.tolist(), states.q, states.u, states.last_sequence, strict=True
+    ):
+        estimate = observer.estimate(stamp)
+        assert estimate.q.tobytes() == q.tobytes()
+        assert estimate.u.tobytes() == u.tobytes()
+        assert estimate.last_sequence == sequence
+    np.testing.assert_array_equal(joints.q, states.q)
+
+
+def test_compare_orders_the_laws_and_draws_them(
+    run_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Open loop is worst; V never rises with a law that jumps; the picture is a PNG."""
+    bags = {
+        law: observed(run_bag, f"cmp_{law}", "--law", law, "--initial", "random:1")
+        for law in ("open-loop", "kinematic", "geometric")
+    }
+    picture = run_bag.parent / "v.png"
+    capsys.readouterr()
+    assert main(["compare", *map(str, bags.values()), "--json", "--plot", str(picture)]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert list(figures) == list(bags)
+    assert figures["geometric"]["V_ratio"] < figures["kinematic"]["V_ratio"] < 0.1
+    assert figures["open-loop"]["V_ratio"] > 0.1
+    for law in ("kinematic", "geometric"):
+        assert figures[law]["V_largest_rise"] <= 1e-9
+        assert figures[law]["late_samples"] == 0
+    assert figures["geometric"]["impacts_used"] == 10
+    assert figures["geometric"]["settling_time"] == pytest.approx(10.5, abs=0.1)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+    assert main(["compare", *map(str, bags.values())]) == 0
+    table = capsys.readouterr().out
+    assert "geometric" in table
+    assert "dx2/dt" in table
+
+
+def test_equal_starts_leave_ratios_undefined(
+    run_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """V0 = 0 is not a success."""
+    bag = observed(run_bag, "exact", "--initial", "0.1,-0.2,0.5,0")
+    capsys.readouterr()
+    assert main(["compare", str(bag), "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)["geometric"]
+    assert figures["V_start"] == 0.0
+    assert figures["V_ratio"] is None
+    assert figures["V_end"] < 1e-12
+    assert main(["compare", str(bag)]) == 0
+    assert "undefined" in capsys.readouterr().out
+
+
+def test_observe_takes_another_rate_and_model(
+    run_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """--rate samples from the epoch on; --model replaces the one in the bag."""
+    bag = observed(run_bag, "slow", "--rate", "10", "--model", "two_mass")
+    with BagReader(bag) as reader:
+        stamps = reader.observer_states("/observer/state").stamps
+    np.testing.assert_array_equal(stamps, grid(EPOCH, 16 * 1_000_000_000, 10.0))
+    capsys.readouterr()
+    wrong = run_bag.parent / "wrong"
+    assert main(["observe", str(run_bag), "--model", "three_mass", "-o", str(wrong)]) == 0
+    with BagReader(wrong) as reader:
+        rulings = {int(v.ruling) for v in reader.verdicts("/observer/verdicts")}
+    assert rulings == {5}, "three_mass has no contact called stop"
+
+
+def test_compare_without_estimates_says_what_to_do(
+    run_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A plain recording has nothing to compare: exit code 1, one line."""
+    assert main(["compare", str(run_bag)]) == 1
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert "no estimates" in errors[0]

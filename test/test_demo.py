@@ -1,0 +1,128 @@
+"""The demonstration as a user runs it: real processes, a bag, a verdict."""
+
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+
+from impact_observer.bag.comparisons import compare_bag
+from impact_observer.bag.reader import BagReader
+from impact_observer.bag.recordings import carried_model, events_in
+from impact_observer.cli.main import main
+from impact_observer.plant import Plant, simulate
+from impact_observer.stamps import grid
+
+pytestmark = pytest.mark.ros
+
+PROGRAM = [sys.executable, "-m", "impact_observer"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a demonstration left."""
+
+    folder: Path
+    code: int
+    out: str
+    err: str
+
+
+def run_demo(folder: Path, environment: dict[str, str], *arguments: str) -> Run:
+    """Run the command; it ends by itself."""
+    done = subprocess.run(
+        [*PROGRAM, "demo", "-o", str(folder), *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=90,
+        check=False,
+    )
+    return Run(folder, done.returncode, done.stdout, done.stderr)
+
+
+@pytest.fixture
+def demo(tmp_path: Path, ros_environment: dict[str, str]) -> Run:
+    """Twenty simulated seconds, five times as fast as real."""
+    arguments = ("--duration", "20", "--realtime-factor", "5")
+    return run_demo(tmp_path / "demo", ros_environment, *arguments)
+
+
+def test_a_demonstration_shows_records_and_judges(demo: Run) -> None:
+    """Table, picture and bag are there; live and offline estimates agree bit for bit."""
+    assert demo.code == 0, demo.out + demo.err
+    assert re.search(r"geometric +4\.\d+ .* \d\.\d+e-0\d", demo.out)
+    assert re.search(r"kinematic +4\.\d+ ", demo.out)
+    assert (demo.folder / "lyapunov.png").read_bytes().startswith(b"\x89PNG")
+    bag = demo.folder / "bag"
+    with BagReader(bag) as reader:
+        model = carried_model(reader)
+        result = compare_bag(reader, model.system)
+        events = events_in(reader)
+    count = len(events)
+    plant = Plant(model.system, *model.initial_state(), epoch=1_000_000_000)
+    offline = simulate(plant, grid(1_000_000_000, 21_000_000_000, 100.0)).events
+    moved = np.array([event.stamp - event.epoch for event in events])
+    np.testing.assert_allclose(moved, [e.stamp - e.epoch for e in offline], rtol=0, atol=1)
+    for comparison in result.comparisons.values():
+        assert comparison.impacts == count
+        assert comparison.stamps.size > 1900, "nearly every sample of 2001 has its estimate"
+        assert comparison.largest_rise() <= 1e-9
+    laws = {each.law: each for each in result.comparisons.values()}
+    assert laws["geometric"].V[-1] < laws["kinematic"].V[-1]
+    for law in laws:
+        assert_live_is_offline(bag, law)
+
+
+def assert_live_is_offline(bag: Path, law: str) -> None:
+    """What the node published is what ``observe`` says, wherever it had the same events."""
+    output = bag.parent / f"offline_{law}"
+    arguments = ["observe", str(bag), "--law", law, "--initial", "random:1", "-o", str(output)]
+    assert main(arguments) == 0
+    with BagReader(bag) as reader:
+        live = reader.observer_states(f"/observer_{law}/state")
+    with BagReader(output) as reader:
+        offline = reader.observer_states("/observer/state")
+    where = {int(stamp): i for i, stamp in enumerate(offline.stamps)}
+    compared = 0
+    for k, stamp in enumerate(live.stamps.tolist()):
+        i = where.get(stamp)
+        if i is None or live.last_sequence[k] != offline.last_sequence[i]:
+            continue
+        assert live.q[k].tobytes() == offline.q[i].tobytes()
+        assert live.u[k].tobytes() == offline.u[i].tobytes()
+        assert live.last_event[k] == offline.last_event[i]
+        compared += 1
+    assert compared > 1900
+    early = np.count_nonzero(np.isin(live.stamps, offline.stamps)) - compared
+    assert early < 100, "few estimates are published before their event arrives"
+
+
+def test_a_demonstration_that_falls_short_says_so(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """After two seconds the goal is not reached: exit code 1, and the ratio is named."""
+    run = run_demo(
+        tmp_path / "short", ros_environment, "--duration", "2", "--realtime-factor", "5"
+    )
+    assert run.code == 1
+    assert "too much: the goal is 0.01" in run.out
+
+
+def test_a_model_that_the_plant_cannot_follow_ends_the_demonstration(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """The ball's impacts accumulate: one line with the plant's own reason, exit code 1."""
+    arguments = ("--model", "bouncing_ball", "--realtime-factor", "20")
+    run = run_demo(tmp_path / "ball", ros_environment, *arguments)
+    assert run.code == 1
+    lines = run.err.strip().splitlines()
+    assert len(lines) == 1, run.err
+    assert "contact 'floor'" in lines[0]
+    assert "8.57894" in lines[0]
