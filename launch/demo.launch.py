@@ -22,31 +22,33 @@ _CLOCK_RATE = PythonExpression(["max(", LaunchConfiguration("rate"), ", 100.0)"]
 
 def generate_launch_description() -> LaunchDescription:
     """The arguments and five nodes; the first that ends, as the plant does, ends all."""
-    return LaunchDescription([
-        DeclareLaunchArgument(
-            "model", default_value="two_mass", description="a model file or a sample's name"
-        ),
-        DeclareLaunchArgument(
-            "duration", default_value="30.0", description="simulated [s]; 0 for no end"
-        ),
-        DeclareLaunchArgument(
-            "realtime_factor", default_value="2.0", description="simulated seconds a second"
-        ),
-        DeclareLaunchArgument(
-            "initial_state",
-            default_value="random:1",
-            description="of the observers: q1,..,qn,u1,..,un, random:SEED or zero",
-        ),
-        DeclareLaunchArgument(
-            "rate", default_value="100.0", description="true states and estimates [Hz]"
-        ),
-        DeclareLaunchArgument(
-            "epoch", default_value=str(time.time_ns()), description="stamp of t = 0 [ns]; now"
-        ),
-        *(_observer(law) for law in LAWS),
-        *(_monitor(law) for law in LAWS),
-        _plant(),
-    ])
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument(
+                "model", default_value="two_mass", description="a model file or a sample's name"
+            ),
+            DeclareLaunchArgument(
+                "duration", default_value="30.0", description="simulated [s]; 0 for no end"
+            ),
+            DeclareLaunchArgument(
+                "realtime_factor", default_value="2.0", description="simulated seconds a second"
+            ),
+            DeclareLaunchArgument(
+                "initial_state",
+                default_value="random:1",
+                description="of the observers: q1,..,qn,u1,..,un, random:SEED or zero",
+            ),
+            DeclareLaunchArgument(
+                "rate", default_value="100.0", description="true states and estimates [Hz]"
+            ),
+            DeclareLaunchArgument(
+                "epoch", default_value=str(time.time_ns()), description="stamp of t = 0 [ns]; now"
+            ),
+            *(_observer(law) for law in LAWS),
+            *(_monitor(law) for law in LAWS),
+            _plant(),
+        ]
+    )
 
 
 def _plant() -> Node:

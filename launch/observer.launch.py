@@ -21,26 +21,30 @@ PARAMETERS = (*OBSERVER, SIM_TIME)
 
 def generate_launch_description() -> LaunchDescription:
     """The arguments, the observer, and the monitor if there is to be one."""
-    return LaunchDescription([
-        *(_argument(each) for each in PARAMETERS),
-        DeclareLaunchArgument(
-            "params_file", default_value="", description="a file such as config/nodes/observer.yaml"
-        ),
-        DeclareLaunchArgument("name", default_value="observer", description="of the observer"),
-        DeclareLaunchArgument(
-            "namespace", default_value="", description="of the nodes and their topics"
-        ),
-        DeclareLaunchArgument(
-            "impacts", default_value="impacts", description="the topic of the rig's impacts"
-        ),
-        DeclareLaunchArgument(
-            "monitor",
-            default_value="false",
-            description="whether to compare with the truth on plant/joint_states",
-        ),
-        DeclareLaunchArgument("monitor_name", default_value="monitor", description="its name"),
-        OpaqueFunction(function=_nodes),
-    ])
+    return LaunchDescription(
+        [
+            *(_argument(each) for each in PARAMETERS),
+            DeclareLaunchArgument(
+                "params_file",
+                default_value="",
+                description="a file such as config/nodes/observer.yaml",
+            ),
+            DeclareLaunchArgument("name", default_value="observer", description="of the observer"),
+            DeclareLaunchArgument(
+                "namespace", default_value="", description="of the nodes and their topics"
+            ),
+            DeclareLaunchArgument(
+                "impacts", default_value="impacts", description="the topic of the rig's impacts"
+            ),
+            DeclareLaunchArgument(
+                "monitor",
+                default_value="false",
+                description="whether to compare with the truth on plant/joint_states",
+            ),
+            DeclareLaunchArgument("monitor_name", default_value="monitor", description="its name"),
+            OpaqueFunction(function=_nodes),
+        ]
+    )
 
 
 def _argument(parameter: Parameter) -> DeclareLaunchArgument:

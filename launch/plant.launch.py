@@ -18,16 +18,20 @@ PARAMETERS = (*PLANT, Parameter("use_sim_time", False, "follow a /clock that is 
 
 def generate_launch_description() -> LaunchDescription:
     """The arguments and the node."""
-    return LaunchDescription([
-        *(_argument(each) for each in PARAMETERS),
-        DeclareLaunchArgument(
-            "params_file", default_value="", description="a file such as config/nodes/plant.yaml"
-        ),
-        DeclareLaunchArgument(
-            "namespace", default_value="", description="of the node and its topics"
-        ),
-        OpaqueFunction(function=_plant),
-    ])
+    return LaunchDescription(
+        [
+            *(_argument(each) for each in PARAMETERS),
+            DeclareLaunchArgument(
+                "params_file",
+                default_value="",
+                description="a file such as config/nodes/plant.yaml",
+            ),
+            DeclareLaunchArgument(
+                "namespace", default_value="", description="of the node and its topics"
+            ),
+            OpaqueFunction(function=_plant),
+        ]
+    )
 
 
 def _argument(parameter: Parameter) -> DeclareLaunchArgument:

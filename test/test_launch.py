@@ -1,0 +1,351 @@
+"""The launch files and the nodes' parameter files: alone, against the demo command, and run."""
+
+import importlib
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from impact_observer.cli.demo import LAWS
+from impact_observer.cli.main import main
+from impact_observer.nodes.parameters import TABLES
+
+ROOT = Path(__file__).parents[1]
+LAUNCH_FILES = sorted(ROOT.glob("launch/*.launch.py"))
+PARAMETER_FILES = sorted(ROOT.glob("config/nodes/*.yaml"))
+EPOCH = 1_700_000_000_123_456_789
+
+ARGUMENTS = {
+    "demo": {"model", "duration", "realtime_factor", "initial_state", "rate", "epoch"},
+    "plant": {p.name for p in TABLES["plant"]} | {"use_sim_time", "params_file", "namespace"},
+    "observer": {p.name for p in TABLES["observer"]}
+    | {"use_sim_time", "params_file", "name", "namespace", "impacts", "monitor", "monitor_name"},
+}
+
+
+def load_yaml(text: str) -> Any:  # noqa: ANN401 (YAML holds anything)
+    """What a YAML text holds, as plain values."""
+    return YAML(typ="safe", pure=True).load(text)
+
+
+@dataclass
+class Started:
+    """A node as it is started."""
+
+    executable: str
+    name: str = ""
+    namespace: str = "/"
+    parameters: dict[str, object] = field(default_factory=dict)
+    remappings: dict[str, str] = field(default_factory=dict)
+
+
+def started(executable: str, arguments: Sequence[str]) -> Started:
+    """The node that ``executable`` becomes under ``arguments`` such as ``--ros-args -p a:=b``."""
+    node = Started(executable)
+    flags = [argument for argument in arguments if argument != "--ros-args"]
+    for flag, value in zip(flags[::2], flags[1::2], strict=True):
+        if flag == "--params-file":
+            (parameters,) = load_yaml(Path(value).read_text(encoding="utf-8")).values()
+            node.parameters |= parameters["ros__parameters"]
+            continue
+        left, right = value.split(":=")
+        if flag == "-p":
+            node.parameters[left] = load_yaml(right)
+        elif left == "__node":
+            node.name = right
+        elif left == "__ns":
+            node.namespace = right
+        else:
+            node.remappings[left] = right
+    return node
+
+
+@dataclass
+class Launcher:
+    """The real launch, which starts no process but tells what it would start."""
+
+    launch: ModuleType
+    nodes: list[Started]
+
+    def load(self, name: str) -> Any:  # noqa: ANN401 (launch has no types)
+        """The description in a launch file."""
+        sources = importlib.import_module("launch.launch_description_sources")
+        path = ROOT / "launch" / f"{name}.launch.py"
+        return sources.get_launch_description_from_python_launch_file(str(path))
+
+    def run(self, file: str, **given: str) -> list[Started]:
+        """What ``ros2 launch`` starts."""
+        context = self.launch.LaunchContext()
+        context.launch_configurations.update(given)
+        self.nodes.clear()
+        entities = [self.load(file)]
+        while entities:
+            entities = (entities.pop(0).visit(context) or []) + entities
+        return list(self.nodes)
+
+
+@pytest.fixture
+def launcher(monkeypatch: pytest.MonkeyPatch) -> Launcher:
+    """The real launch; where it is missing the test is skipped."""
+    launch_ros = pytest.importorskip("launch_ros.actions")  # `launch` is a folder here, too
+    launch = importlib.import_module("launch")
+    perform = importlib.import_module("launch.utilities").perform_substitutions
+    nodes: list[Started] = []
+
+    def execute(action: Any, context: Any) -> None:  # noqa: ANN401
+        arguments = [perform(context, list(part)) for part in action.cmd[1:]]
+        nodes.append(started(action.node_executable, arguments))
+
+    monkeypatch.setattr(launch_ros.Node.__mro__[1], "execute", execute)
+    return Launcher(launch, nodes)
+
+
+def demo_nodes(duration: float) -> list[Started]:
+    """What the demo command starts."""
+    pytest.importorskip("rclpy")
+    demonstration = importlib.import_module("impact_observer.nodes.demonstration")
+    setting = demonstration.Setting("three_mass", LAWS, "random:7", duration, 4.0, 200.0, EPOCH)
+    commands = [demonstration._plant_arguments(setting)]
+    for make in (demonstration._observer_arguments, demonstration._monitor_arguments):
+        commands += [make(setting, law) for law in LAWS]
+    return [started(module.rpartition(".")[2], rest) for module, *rest in commands]
+
+
+def by_name(node: Started) -> str:
+    """The name of a node, for sorting."""
+    return node.name
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_launch_file_compiles_and_names_only_executables_of_the_package(path: Path) -> None:
+    """What setup.py installs is what the files start."""
+    text = path.read_text(encoding="utf-8")
+    assert "generate_launch_description" in compile(text, str(path), "exec").co_names
+    installed = re.findall(r'"(\w+) = impact_observer\.nodes', (ROOT / "setup.py").read_text())
+    assert set(re.findall(r'executable="(\w+)"', text)) <= set(installed)
+
+
+def test_every_launch_file_is_tested() -> None:
+    """A new launch file needs its arguments listed here."""
+    assert {path.name.partition(".")[0] for path in LAUNCH_FILES} == set(ARGUMENTS)
+
+
+@pytest.mark.parametrize("path", PARAMETER_FILES, ids=lambda path: path.name)
+def test_parameter_file_holds_the_whole_table_at_its_defaults(path: Path) -> None:
+    """Names, types and values are those of the table; only the required model is an example."""
+    (parameters,) = load_yaml(path.read_text(encoding="utf-8")).values()
+    values = parameters["ros__parameters"]
+    assert values.pop("use_sim_time", False) is False
+    assert list(values) == [each.name for each in TABLES[path.stem]]
+    for each in TABLES[path.stem]:
+        assert type(values[each.name]) is type(each.default), each.name
+        each.check(values[each.name])
+        assert each.required or values[each.name] == each.default, each.name
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("path", PARAMETER_FILES, ids=lambda path: path.name)
+def test_node_accepts_its_parameter_file(path: Path, ros_environment: dict[str, str]) -> None:
+    """A node of another name comes up with it, and misses and mistrusts nothing."""
+    from processes import interrupt, running, spinning
+
+    arguments = ["--ros-args", "--params-file", str(path), "-r", "__node:=mine"]
+    module = f"impact_observer.nodes.{path.stem}"
+    with spinning() as spinner, running(module, arguments, ros_environment) as process:
+        spinner.until(lambda: process.poll() is not None or seen(spinner.probe, "mine"))
+        code, errors = interrupt(process)
+    assert code == 0, errors
+    assert "not known" not in errors
+
+
+def seen(probe: Any, name: str) -> bool:  # noqa: ANN401 (rclpy has no types)
+    """Whether a node of that name is on the graph."""
+    return name in probe.get_node_names()
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_launch_file_declares_its_arguments(launcher: Launcher, name: str) -> None:
+    """Each with a description and a default, as ``--show-args`` tells them."""
+    arguments = launcher.load(name).get_launch_arguments()
+    assert {argument.name for argument in arguments} == ARGUMENTS[name]
+    assert all(argument.description for argument in arguments)
+    assert all(argument.default_value is not None for argument in arguments)
+
+
+@pytest.mark.parametrize("duration", [12.5, 0.0])
+def test_demo_launch_starts_the_nodes_of_the_demo_command(
+    launcher: Launcher, duration: float
+) -> None:
+    """The same executables, names, parameters and remappings; but nobody records."""
+    launched = launcher.run(
+        "demo",
+        model="three_mass",
+        duration=f"{duration:g}",
+        realtime_factor="4",
+        initial_state="random:7",
+        rate="200",
+        epoch=str(EPOCH),
+    )
+    commanded = demo_nodes(duration)
+    for node in launched:
+        if node.executable == "plant":
+            node.parameters["wait_for_subscribers"] = len(LAWS) + 1
+    assert sorted(launched, key=by_name) == sorted(commanded, key=by_name)
+    kinds = [{k: type(v) for k, v in n.parameters.items()} for n in sorted(launched, key=by_name)]
+    assert kinds == [
+        {k: type(v) for k, v in n.parameters.items()} for n in sorted(commanded, key=by_name)
+    ]
+
+
+def test_demo_launch_has_the_defaults_of_the_demo_command(
+    launcher: Launcher, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What ``impact-observer demo --help`` says."""
+    with pytest.raises(SystemExit):
+        main(["demo", "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    nodes = {node.name: node for node in launcher.run("demo")}
+    plant, observer = nodes["plant"].parameters, nodes["observer_geometric"].parameters
+    assert f"a sample ({plant['model']})" in text
+    for name in ("duration", "realtime_factor", "rate"):
+        assert f"(default {plant[name]:g})" in text, name
+    assert f"(default {observer['initial_state']})" in text
+
+
+def test_observer_launch_passes_only_what_is_given(launcher: Launcher) -> None:
+    """The rest stays as the node has it; its topics keep their names."""
+    (observer,) = launcher.run("observer", model="two_mass")
+    remappings = {"impacts": "impacts"}
+    assert observer == Started("observer", "observer", "/", {"model": "two_mass"}, remappings)
+
+
+@pytest.mark.parametrize("state", ["random:1", "zero", "0.1,-0.2,0.5,0", "1,2,3,4", "1"])
+def test_initial_state_arrives_as_a_string(launcher: Launcher, state: str) -> None:
+    """Whatever YAML would make of it."""
+    (observer,) = launcher.run("observer", model="two_mass", initial_state=state)
+    assert observer.parameters["initial_state"] == state
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "value"),
+    [
+        ("rate", "50", 50.0),
+        ("epoch", str(EPOCH), EPOCH),
+        ("use_sim_time", "true", True),
+        ("events_durability", "transient_local", "transient_local"),
+    ],
+)
+def test_argument_arrives_with_the_type_of_its_parameter(
+    launcher: Launcher, name: str, text: str, value: object
+) -> None:
+    """A double needs no point on the command line, and nanoseconds lose no digit."""
+    (observer,) = launcher.run("observer", model="two_mass", **{name: text})
+    assert (observer.parameters[name], type(observer.parameters[name])) == (value, type(value))
+
+
+@pytest.mark.parametrize("name", ["plant", "observer"])
+def test_argument_beats_the_parameter_file(launcher: Launcher, name: str) -> None:
+    """The file gives the rest."""
+    path = ROOT / "config" / "nodes" / f"{name}.yaml"
+    (node,) = launcher.run(name, params_file=str(path), rate="20", namespace="rig")
+    assert (node.parameters["rate"], node.parameters["model"]) == (20.0, "two_mass")
+    assert (node.name, node.namespace) == (name, "/rig")
+
+
+def test_observer_launch_starts_a_monitor_on_request(launcher: Launcher) -> None:
+    """It listens to that observer and has the parameters that it knows."""
+    observer, monitor = launcher.run(
+        "observer",
+        model="rig.yaml",
+        law="kinematic",
+        rate="20",
+        impacts="/rig/impacts",
+        name="observer_kinematic",
+        monitor="true",
+        monitor_name="monitor_kinematic",
+    )
+    assert observer.remappings == {"impacts": "/rig/impacts"}
+    assert monitor == Started(
+        "monitor",
+        "monitor_kinematic",
+        "/",
+        {"model": "rig.yaml", "law": "kinematic"},
+        {"observer/joint_states": "observer_kinematic/joint_states"},
+    )
+
+
+@pytest.fixture
+def ros2_launch(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> Callable[..., "subprocess.Popen[str]"]:
+    """The command itself, with this package as colcon installed it."""
+    index = pytest.importorskip("ament_index_python")
+    pytest.importorskip("launch_ros")
+    if shutil.which("ros2") is None:
+        pytest.skip("no command ros2")
+    try:
+        index.get_package_prefix("impact_observer")
+    except index.PackageNotFoundError:
+        pytest.skip("impact_observer is not in the ament index; colcon build, then source it")
+
+    def start(name: str, *arguments: str) -> "subprocess.Popen[str]":
+        return subprocess.Popen(
+            ["ros2", "launch", str(ROOT / "launch" / f"{name}.launch.py"), *arguments],
+            env={**ros_environment, "ROS_LOG_DIR": os.fspath(tmp_path)},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+
+    return start
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_demo_launch_runs_and_estimates(
+    ros2_launch: Callable[..., "subprocess.Popen[str]"],
+) -> None:
+    """Estimates and errors of both laws come, and all ends with the plant, in good order."""
+    from processes import spinning
+
+    from impact_observer.bag import interfaces
+    from impact_observer.nodes.messages import message_class
+    from impact_observer.nodes.quality import qos_profile
+
+    quality = qos_profile(interfaces.STATES)
+    heard = {law: [0, 0] for law in LAWS}
+
+    def count(law: str, kind: int) -> Callable[[object], None]:
+        def add(_: object) -> None:
+            heard[law][kind] += 1
+
+        return add
+
+    with spinning() as spinner:
+        for law in LAWS:
+            topics = (
+                (interfaces.JOINT_STATE, f"observer_{law}/joint_states"),
+                (interfaces.ESTIMATE_ERROR, f"monitor_{law}/error"),
+            )
+            for kind, (type_name, topic) in enumerate(topics):
+                spinner.probe.create_subscription(
+                    message_class(type_name), topic, count(law, kind), quality
+                )
+        process = ros2_launch("demo", "duration:=3")
+        try:
+            spinner.until(lambda: process.poll() is not None, patience=90)
+        finally:
+            process.terminate()
+            output, _ = process.communicate(timeout=30)
+    assert process.returncode == 0, output
+    assert "process has died" not in output, output
+    assert all(estimates > 200 and errors > 200 for estimates, errors in heard.values()), heard
