@@ -8,11 +8,12 @@ The observers hear of the plant's impacts and of nothing else, and start from a 
 
 import time
 
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.substitutions import LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+
+from launch import LaunchDescription
 
 LAWS = ("geometric", "kinematic")
 

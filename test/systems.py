@@ -111,7 +111,9 @@ def forcings(draw: st.DrawFn, n: int) -> Forcing:
         n,
         draw(vectors(n)),
         [
-            Harmonic(draw(numbers(0.25, 6.0)), draw(vectors(n)).tolist(), draw(vectors(n)).tolist())
+            Harmonic(
+                draw(numbers(0.25, 6.0)), draw(vectors(n)).tolist(), draw(vectors(n)).tolist()
+            )
             for _ in range(draw(st.integers(0, 2)))
         ],
     )

@@ -39,6 +39,18 @@ class GapBounds:
         )
         self._bernstein = _bernstein(_ORDER)
 
+    def scale(self, q: Matrix) -> Vector:
+        """What gaps are rounded against: all of the motion, as modes superpose to ``q``.
+
+        Args:
+            q: coordinates, shape (samples, n).
+
+        Returns:
+            Shape (m,), m.
+        """
+        largest = np.sqrt(np.max(np.einsum("si,si->s", q @ self._system.M, q)))
+        return np.asarray(np.abs(self._system.q_r) + largest * self._reach)
+
     def acceleration(self, derivatives: list[Matrix], h: float) -> Matrix:
         """Bound on ``|g''|`` over intervals of length ``h``, shape (intervals, m)."""
         return self._derivative(derivatives, 2, h)

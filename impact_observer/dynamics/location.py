@@ -66,13 +66,16 @@ class ContactSearch:
         """
         while start < horizon:
             stop = min(start + self.window, horizon)
-            found = self._first_in(motion, start, stop)
+            q = motion.states(np.linspace(start, stop, _SAMPLES + 1))[:, : self._system.n]
+            found = self._first_in(motion, start, stop, self._bounds.scale(q))
             if found is not None:
                 return found
             start = stop
         return None
 
-    def _first_in(self, motion: Motion, start: float, stop: float) -> Closing | None:
+    def _first_in(
+        self, motion: Motion, start: float, stop: float, scale: Vector
+    ) -> Closing | None:
         """The first closing in one interval, looked at in ``_SAMPLES`` parts."""
         s = np.linspace(start, stop, _SAMPLES + 1)
         h = s[1] - s[0]
@@ -81,7 +84,6 @@ class ContactSearch:
         g, gamma = q @ self._system.W + self._system.q_r, u @ self._system.W
         if start == 0.0:
             g[0] = np.maximum(g[0], 0.0)  # below zero by rounding only: the last impact was there
-        scale = np.abs(self._system.q_r) + (np.abs(q) @ np.abs(self._system.W)).max(axis=0)
         derivatives = self._bounds.derivatives(motion.t + s[:-1], q[:-1], u[:-1])
         low = self._bounds.lower(g, derivatives, gamma, h)
         suspects = low < -DEPTH * scale
@@ -94,7 +96,7 @@ class ContactSearch:
                 return self._closing(motion, min(roots), contacts[np.argmin(roots)], scale)
             if h <= _ROOT * max(s[j + 1], 1e-9):
                 return self._closing(motion, float(s[j]), contacts[0], scale)
-            found = self._first_in(motion, s[j], s[j + 1])
+            found = self._first_in(motion, s[j], s[j + 1], scale)
             if found is not None:
                 return found
         return None

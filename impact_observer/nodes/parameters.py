@@ -71,12 +71,13 @@ class Parameter:
 
 
 _MODEL = Parameter("model", "", "a model file or a sample's name", required=True)
-_EPOCH = 2**63 - 1
+_LARGEST = 2**63 - 1
+"""The largest int that a ROS parameter can hold."""
 
 PLANT = (
     _MODEL,
     Parameter("rate", 100.0, "true states published", "Hz", low=0.001, high=1e5),
-    Parameter("epoch", 0, "stamp of t = 0; 0 for the clock at the start", "ns", 0, _EPOCH),
+    Parameter("epoch", 0, "stamp of t = 0; 0 for the clock at the start", "ns", low=0),
     Parameter("duration", 0.0, "end after so much simulated time; 0 for never", "s", low=0.0),
     Parameter("publish_clock", False, "own the time and publish /clock"),
     Parameter("clock_rate", 100.0, "of /clock, per simulated second", "Hz", low=0.1, high=1e4),
@@ -88,14 +89,14 @@ PLANT = (
         high=1000.0,
     ),
     Parameter("wait_for_subscribers", 0, "begin when each topic has so many", low=0, high=1000),
-    Parameter("seed", 0, "of everything random, recorded with the model", low=0, high=_EPOCH),
+    Parameter("seed", 0, "of everything random, recorded with the model", low=0),
 )
 OBSERVER = (
     _MODEL,
     Parameter("law", "geometric", "name of the observer's law"),
     Parameter("initial_state", "zero", "q1,..,qn,u1,..,un, random:SEED or zero"),
     Parameter("rate", 100.0, "estimates published", "Hz", low=0.001, high=1e5),
-    Parameter("epoch", 0, "stamp of t = 0; 0 to learn it from the events", "ns", 0, _EPOCH),
+    Parameter("epoch", 0, "stamp of t = 0; 0 to learn it from the events", "ns", low=0),
     Parameter("history", 10.0, "how late an event may be and still be applied", "s", low=0.001),
     Parameter(
         "events_durability",
@@ -155,7 +156,7 @@ def declare(node: "Node", table: tuple[Parameter, ...]) -> Values:
             read_only=True,
         )
         if each.low is not None and each.type == "int":
-            to = _EPOCH if each.high is None else int(each.high)
+            to = _LARGEST if each.high is None else int(each.high)
             descriptor.integer_range = [IntegerRange(from_value=int(each.low), to_value=to)]
         elif each.low is not None:
             to_value = 1e300 if each.high is None else float(each.high)

@@ -65,7 +65,9 @@ PHASES = {
     "rigid, not proportional": system(
         np.diag([1, 2, 3]), NOT_PROPORTIONAL, 4 * LAPLACIAN, force=forcing(3, [1, 0, 2], TWO)
     ),
-    "no stiffness": system(np.eye(3), np.diag([0, 0.1, 3]), 0 * LAPLACIAN, force=forcing(3, 1, TWO)),
+    "no stiffness": system(
+        np.eye(3), np.diag([0, 0.1, 3]), 0 * LAPLACIAN, force=forcing(3, 1, TWO)
+    ),
     "coupled mass": system(
         [[2, 0.5], [0.5, 1]], [[0.1, 0], [0, 0]], [[3, 1], [1, 2]], force=forcing(2, [0, 1])
     ),
@@ -92,7 +94,8 @@ PHASES |= {
     f"lightly damped resonance {c:g}": oscillator(c, 4.0, push(2.0)) for c in (1e-12, 1e-6, 3e-3)
 }
 PHASES |= {
-    f"nearly free {k:g}": oscillator(0.0, k, push(0.3), constant=1.0) for k in (1e-14, 1e-8, 1e-4, 9e-3, 1.1e-2)
+    f"nearly free {k:g}": oscillator(0.0, k, push(0.3), constant=1.0)
+    for k in (1e-14, 1e-8, 1e-4, 9e-3, 1.1e-2)
 }
 
 

@@ -32,9 +32,7 @@ def enumerated(model: System, u: Array) -> list[Array]:
     subsets = joined.from_iterable(combinations(range(model.m), k) for k in range(model.m + 1))
     for subset in map(list, subsets):
         impulses = np.zeros(model.m)
-        impulses[subset] = np.linalg.lstsq(
-            G[np.ix_(subset, subset)], -b[subset], rcond=1e-12
-        )[0]
+        impulses[subset] = np.linalg.lstsq(G[np.ix_(subset, subset)], -b[subset], rcond=1e-12)[0]
         separation = G @ impulses + b
         solves = np.all(np.abs(separation[subset]) <= scale)
         if solves and np.all(impulses >= -scale) and np.all(separation >= -scale):

@@ -115,11 +115,13 @@ def test_earlier_of_two_crossings_in_one_window_is_found() -> None:
     found = search(both, np.array([0.0, 1.0]), 10.0)
     assert found == (pytest.approx(np.arcsin(0.8), abs=1e-14), (1,))
     # Fast and slow together: the first of many crossings.
-    beats = system(np.eye(2), np.zeros((2, 2)), np.diag([1.0, 2500.0]), contacts=[([1, 1], 0.0, 1)])
-    x = np.array([1.0, 0.9, 0.0, 0.0])
+    beats = system(
+        np.eye(2), np.zeros((2, 2)), np.diag([1.0, 2500.0]), contacts=[([1, 1], 0.0, 1)]
+    )
+    x = np.array([1.0, 1.5, 0.0, 0.0])
     found = search(beats, x, 3.0)
     assert found is not None
-    first = optimize.brentq(lambda s: np.cos(s) + 0.9 * np.cos(50 * s), 0.0, np.pi / 50)
+    first = optimize.brentq(lambda s: np.cos(s) + 1.5 * np.cos(50 * s), 0.0, np.pi / 50)
     assert found.s == pytest.approx(first, abs=1e-13)
 
 

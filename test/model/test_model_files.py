@@ -109,14 +109,26 @@ IN_MATRIX_FORM = {
         "restitution: -0.7",
         "contacts[0].restitution: is -0.7; expected a number in [0, 1]",
     ),
-    "restitution above one": ("restitution: 0.7", "restitution: 1.1", "contacts[0].restitution: is 1.1;"),
-    "restitution NaN": ("restitution: 0.7", "restitution: .nan", "contacts[0].restitution: is not fi"),
+    "restitution above one": (
+        "restitution: 0.7",
+        "restitution: 1.1",
+        "contacts[0].restitution: is 1.1;",
+    ),
+    "restitution NaN": (
+        "restitution: 0.7",
+        "restitution: .nan",
+        "contacts[0].restitution: is not fi",
+    ),
     "restitution missing": (", restitution: 0.7", "", "contacts[0].restitution: is missing"),
     "gap infinite": ("gap: 0.5", "gap: -.inf", "contacts[0].gap: is not finite"),
     "gap a boolean": ("gap: 0.5", "gap: true", "contacts[0].gap: True found; expected a number"),
     "gap too large an integer": ("gap: 0.5", "gap: 1" + "0" * 400, "contacts[0].gap: is not fin"),
     "gap a date": ("gap: 0.5", "gap: 2020-01-01", "contacts[0].gap: datetime.date"),
-    "gap misspelt": ("gap: 0.5", "gpa: 0.5", "contacts[0].gpa: is not known here; expected one of"),
+    "gap misspelt": (
+        "gap: 0.5",
+        "gpa: 0.5",
+        "contacts[0].gpa: is not known here; expected one of",
+    ),
     "direction zero": ("[0, -1]", "[0, 0]", "contacts[0].direction: is zero"),
     "direction too long": ("[0, -1]", "[0, 0, 1]", "contacts[0].direction: 3 values found"),
     "contact a list": (
@@ -135,7 +147,11 @@ IN_MATRIX_FORM = {
         "contacts[1]: 'stop' is taken already",
     ),
     "frequency zero": ("frequency: 2.5", "frequency: 0", "forcing.harmonics[0].frequency: is 0"),
-    "frequency negative": ("frequency: 2.5", "frequency: -1", "forcing.harmonics[0].frequency: is -1"),
+    "frequency negative": (
+        "frequency: 2.5",
+        "frequency: -1",
+        "forcing.harmonics[0].frequency: is -1",
+    ),
     "frequency missing": ("frequency: 2.5, ", "", "forcing.harmonics[0].frequency: is missing"),
     "cosine too short": ("[0, 4]", "[4]", "forcing.harmonics[0].cosine: 1 values found"),
     "forcing unknown key": ("  constant", "  constants", "forcing.constants: is not known here"),
@@ -153,7 +169,11 @@ IN_MATRIX_FORM = {
     "initial state too short": ("[0.1, -0.2]", "[0.1]", "initial_state.position: 1 values found"),
     "initial state infinite": ("[0.5, 0]", "[.inf, 0]", "initial_state.velocity[0]: is not fin"),
     "initial velocity missing": (", velocity: [0.5, 0]", "", "initial_state.velocity: is missing"),
-    "unknown key": ("name: two_mass", "name: two_mass\nmas: 3", "mas: is not known here; expected"),
+    "unknown key": (
+        "name: two_mass",
+        "name: two_mass\nmas: 3",
+        "mas: is not known here; expected",
+    ),
     "unknown key with a line end": (
         "name: two_mass",
         'name: two_mass\n"a\\nb": 3',
@@ -165,7 +185,11 @@ IN_MATRIX_FORM = {
         "name: two_mass\nsprings: []",
         "springs: does not go with coordinates; write matrices or elements, not both",
     ),
-    "provenance a number": ("name: two_mass", "name: two_mass\nprovenance: 3", "provenance: 3 fou"),
+    "provenance a number": (
+        "name: two_mass",
+        "name: two_mass\nprovenance: 3",
+        "provenance: 3 fou",
+    ),
     "doubled key": (
         "name: two_mass",
         "name: two_mass\nname: three_mass",
@@ -188,7 +212,11 @@ IN_ELEMENT_FORM = {
         "[]",
         "bodies: is missing or empty; a system needs at least one body",
     ),
-    "mass zero": ("{name: b, mass: 1}", "{name: b, mass: 0}", "bodies[1].mass: is 0; expected a p"),
+    "mass zero": (
+        "{name: b, mass: 1}",
+        "{name: b, mass: 0}",
+        "bodies[1].mass: is 0; expected a p",
+    ),
     "mass NaN": ("{name: b, mass: 1}", "{name: b, mass: .nan}", "bodies[1].mass: is not finite"),
     "body doubled": ("{name: b,", "{name: a,", "bodies[1].name: 'a' is taken already"),
     "body named ground": ("{name: b,", "{name: ground,", "bodies[1].name: 'ground' is reserved"),
@@ -197,8 +225,16 @@ IN_ELEMENT_FORM = {
         "[ground, c]",
         "springs[0].between[1]: 'c' is not a body; expected one of a, b, ground",
     ),
-    "spring to itself": ("[ground, a]", "[a, a]", "springs[0].between: ['a', 'a'] found; expected"),
-    "spring of three": ("[ground, a]", "[ground, a, b]", "springs[0].between: ['ground', 'a', 'b']"),
+    "spring to itself": (
+        "[ground, a]",
+        "[a, a]",
+        "springs[0].between: ['a', 'a'] found; expected",
+    ),
+    "spring of three": (
+        "[ground, a]",
+        "[ground, a, b]",
+        "springs[0].between: ['ground', 'a', 'b']",
+    ),
     "stiffness negative": ("stiffness: 10", "stiffness: -1", "springs[0].stiffness: is -1"),
     "damping infinite": ("damping: 0.1", "damping: .inf", "springs[0].damping: is not finite"),
     "force on ground": ("{body: b, amp", "{body: ground, amp", "forces[0].body: is the ground"),
@@ -211,7 +247,11 @@ IN_ELEMENT_FORM = {
     "force infinite": ("constant: 1", "constant: .inf", "forces[1].constant: is not finite"),
     "frequency negative": ("frequency: 2.5", "frequency: -2", "forces[0].frequency: is -2"),
     "amplitude NaN": ("amplitude: 4", "amplitude: .nan", "forces[0].amplitude: is not finite"),
-    "side unknown": ("side: above", "side: left", "stops[0].side: 'left' found; expected above or"),
+    "side unknown": (
+        "side: above",
+        "side: left",
+        "stops[0].side: 'left' found; expected above or",
+    ),
     "limit NaN": ("limit: 0.5", "limit: .nan", "stops[0].limit: is not finite"),
     "limit beside between": (
         "body: b, limit: 0.5, side: above",
@@ -270,7 +310,9 @@ def test_text_that_is_no_model_is_one_line(text: str, line: str) -> None:
 )
 def test_numbers_are_read_in_every_notation(written: str, meant: float) -> None:
     """Also 1e-3, which YAML 1.1 would take for a string."""
-    contact = parse_model(mistaken(MATRICES, "gap: 0.5", f"gap: {written}"), "m").system.contacts[0]
+    contact = parse_model(mistaken(MATRICES, "gap: 0.5", f"gap: {written}"), "m").system.contacts[
+        0
+    ]
     assert contact.gap == meant
 
 

@@ -72,9 +72,15 @@ def test_time_dependence_is_told_by_amplitudes() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"M": np.eye(3)}, "mass: has shape 3 x 3; expected 2 x 2, one row and one column a coord"),
+        (
+            {"M": np.eye(3)},
+            "mass: has shape 3 x 3; expected 2 x 2, one row and one column a coord",
+        ),
         ({"M": 1.0}, "mass: has shape a single number"),
-        ({"K": [["a", "b"], ["c", "d"]]}, "stiffness: is not made of numbers only; expected 2 x 2"),
+        (
+            {"K": [["a", "b"], ["c", "d"]]},
+            "stiffness: is not made of numbers only; expected 2 x 2",
+        ),
         ({"K": [[1.0], [2.0, 3.0]]}, "stiffness: is not made of numbers only"),
         ({"C": np.full((2, 2), np.inf)}, r"damping\[0\]\[0\]: is not finite"),
         ({"M": np.array([[1, 0.5], [0, 1]])}, r"mass: is not symmetric: \[0\]\[1\] is 0.5 but"),

@@ -1,0 +1,127 @@
+"""A plant's run with its impacts: closed-form flow against a general integrator with events."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from benchmarks.harness import Benchmark, Contest, DisagreementError
+from impact_observer.model import Model, System, read_model
+from impact_observer.plant import Plant, Run, simulate
+from impact_observer.stamps import from_seconds, grid, seconds_between
+from impact_observer.states import Stamps
+
+EPOCH = 1_000_000_000
+DURATION = 30.0
+RATE = 1000.0
+INSTANTS_AGREE = 1e-9
+"""s"""
+STATES_AGREE = 1e-8
+"""m, m/s"""
+TOLERANCE = 1e-13
+"""Relative and absolute, of the integrator: what it needs for instants to ``INSTANTS_AGREE``."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Integrated:
+    """What the integrator found: impact times, s, and states on the grid, (samples, 2n)."""
+
+    instants: list[float]
+    states: Array
+
+
+def prepare(_: Path) -> Contest:
+    """Run both and compare every impact and every sample."""
+    model = read_model("two_mass")
+    stamps = grid(EPOCH, EPOCH + from_seconds(DURATION), RATE)
+    run, integrated = _simulated(model, stamps), _integrated(model, stamps)
+    found = [
+        seconds_between(EPOCH, each.instant.stamp) + each.instant.remainder for each in run.impacts
+    ]
+    if len(found) != len(integrated.instants):
+        raise DisagreementError(f"{len(found)} impacts, {len(integrated.instants)} by scipy")
+    apart = float(np.max(np.abs(np.subtract(found, integrated.instants))))
+    off = float(np.max(np.abs(run.states - integrated.states)))
+    if not (apart < INSTANTS_AGREE and off < STATES_AGREE):
+        raise DisagreementError(f"instants differ by {apart:.1e} s, states by {off:.1e}")
+    return Contest(
+        f"two_mass, {DURATION:g} s, {len(found)} impacts, {stamps.size} states;"
+        f" instants agree to {apart:.0e} s, states to {off:.0e}",
+        lambda _: _simulated(model, stamps),
+        {"solve_ivp, DOP853": lambda _: _integrated(model, stamps)},
+    )
+
+
+def _simulated(model: Model, stamps: Stamps) -> Run:
+    return simulate(Plant(model.system, *model.initial_state(), epoch=EPOCH), stamps)
+
+
+def _integrated(model: Model, stamps: Stamps) -> Integrated:
+    """The same run, phase by phase from event to event."""
+    system = model.system
+    q_r, w, reflect = float(system.q_r[0]), system.W[:, 0], _reflection(system)
+
+    def gap(_: float, x: Array) -> float:
+        return float(w @ x[: system.n]) + q_r
+
+    gap.terminal, gap.direction = True, -1.0  # type: ignore[attr-defined]
+    derivative, x = _derivative(system), np.concatenate(model.initial_state())
+    times = (stamps - EPOCH) * 1e-9
+    instants: list[float] = []
+    pieces: list[Array] = []
+    t = done = 0
+    while done < times.size:
+        phase = solve_ivp(
+            derivative,
+            (t, times[-1]),
+            x,
+            method="DOP853",
+            t_eval=times[done:],
+            events=gap,
+            rtol=TOLERANCE,
+            atol=TOLERANCE,
+        )
+        if phase.t.size:
+            pieces.append(phase.y.T)
+            done += phase.t.size
+        if phase.t_events[0].size == 0:
+            break
+        t = phase.t_events[0][0]
+        x = reflect @ phase.y_events[0][0]
+        instants.append(float(t))
+    return Integrated(instants, np.concatenate(pieces))
+
+
+def _derivative(system: System) -> Callable[[float, Array], Array]:
+    """``dx/dt = A x + B f(t)`` with one harmonic: as few operations as there can be."""
+    n, inverse = system.n, np.linalg.inv(system.M)
+    A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ system.K, -inverse @ system.C]])
+    forcing = system.forcing
+    (omega,), (cosine,) = forcing.frequency, forcing.cosine
+    if np.any(forcing.constant) or np.any(forcing.sine):
+        raise DisagreementError(f"{system.name}: expected one cosine only")
+    b = np.concatenate([np.zeros(n), inverse @ cosine])
+
+    def derivative(t: float, x: Array) -> Array:
+        return A @ x + b * math.cos(omega * t)
+
+    return derivative
+
+
+def _reflection(system: System) -> Array:
+    """``u+ = u- - (1 + eps) M^-1 W (W^T M^-1 W)^-1 W^T u-`` of one contact, on (q, u)."""
+    n, w = system.n, system.W[:, 0]
+    direction = np.linalg.solve(system.M, w)
+    jump = (1.0 + system.eps[0]) * np.outer(direction, w) / (w @ direction)
+    R = np.eye(2 * n)
+    R[n:, n:] -= jump
+    return R
+
+
+BENCHMARK = Benchmark("plant", "how fast is a plant's run, with its impacts?", prepare)

@@ -1,0 +1,219 @@
+"""The laws: what the theory proves of them, and how they are found by name."""
+
+from importlib.metadata import EntryPoint, EntryPoints
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from systems import EPOCH, examples, sample, switchings, systems, vectors
+
+from impact_observer.analysis import lyapunov
+from impact_observer.dynamics import flow_of
+from impact_observer.errors import ImpactLawError, LastingContactError, UsageError
+from impact_observer.model import System
+from impact_observer.observer import Law, law_named, law_names
+from impact_observer.observer import laws as laws_module
+from impact_observer.observer.laws import Geometric, Kinematic, OpenLoop
+from impact_observer.plant import Impact, Plant
+from impact_observer.stamps import NS_PER_S
+
+Array = NDArray[np.float64]
+CORRECTING = pytest.mark.parametrize("law", [Kinematic, Geometric], ids=lambda law: law.name)
+
+
+def distance(model: System, one: Array, two: Array) -> float:
+    """``V`` of two states."""
+    q, u = np.split(one - two, 2)
+    return float(lyapunov.distance(model, q, u))
+
+
+def passes_eigenvalue_test(model: System) -> bool:
+    """``G - E G E >= 0``, or a common restitution: then every impact is non-expansive."""
+    if np.ptp(model.eps) == 0:
+        return True
+    G, E = model.W.T @ np.linalg.solve(model.M, model.W), np.diag(model.eps)
+    return bool(np.linalg.eigvalsh(G - E @ G @ E)[0] >= 0)
+
+
+@CORRECTING
+@examples(100)
+@given(st.data())
+def test_two_replicas_never_part_under_any_switching(law: type[Law], data: st.DataObject) -> None:
+    """No plant at all: random instants, random contacts, K singular or not."""
+    model = data.draw(systems(contacts=(1, 3)))
+    assume(passes_eigenvalue_test(model))
+    states = [data.draw(vectors(2 * model.n)) for _ in range(2)]
+    replica, flow, t = law(model), flow_of(model), data.draw(st.integers(0, 3)) / 2
+    last = distance(model, *states)
+    rounding = 1e-10 * (1 + last)
+    for wait, active in data.draw(switchings(model.m)):
+        states = [flow.start(t, x).state(wait) for x in states]
+        t += wait
+        size = 1e-13 * max(float(np.max(np.abs(x))) for x in states) ** 2
+        before = distance(model, *states)
+        assert before <= last + rounding + size
+        try:
+            states = [replica.impact(x, active) for x in states]
+        except ImpactLawError:
+            assume(False)
+        size += 1e-13 * max(float(np.max(np.abs(x))) for x in states) ** 2
+        last = distance(model, *states)
+        assert last <= before + rounding + size
+
+
+def impacts_of(model: System, x: Array, seconds: float, most: int = 40) -> list[Impact]:
+    """What a plant does from ``x`` until it ends, sticks or has done enough."""
+    found: list[Impact] = []
+    try:
+        plant = Plant(model, *np.split(x, 2), epoch=EPOCH)
+        while len(found) < most:
+            impact = plant.next_impact(EPOCH + round(seconds * NS_PER_S))
+            if impact is None:
+                break
+            found.append(impact)
+            plant.cross(impact)
+    except (LastingContactError, ImpactLawError):
+        pass
+    return found
+
+
+@CORRECTING
+@examples(60)
+@given(st.data())
+def test_replica_never_parts_from_its_plant(law: type[Law], data: st.DataObject) -> None:
+    """Under the true switching, at the true instants: V falls in every flow and every jump."""
+    model = data.draw(systems(contacts=(1, 3), gaps=(0.0, 1.0)))
+    assume(passes_eigenvalue_test(model))
+    x = np.concatenate([data.draw(vectors(model.n, -0.5, 0.5)), data.draw(vectors(model.n))])
+    assume(np.all(model.gap(x[: model.n]) >= 0))
+    impacts = impacts_of(model, x, seconds=5.0)
+    assume(impacts)
+    replica, flow = law(model), flow_of(model)
+    y, t = data.draw(vectors(2 * model.n)), 0.0
+    first = last = distance(model, x, y)
+    for impact in impacts:
+        until = -impact.instant.until(EPOCH)
+        y = flow.start(t, y).state(until - t)
+        size = 1e-9 * (first + 1e-3) + 1e-12 * float(np.max(np.abs(y))) ** 2
+        before = distance(model, impact.before, y)
+        assert before <= last + size
+        try:
+            y = replica.impact(y, impact.contacts)
+        except ImpactLawError:
+            assume(False)
+        last = distance(model, impact.after, y)
+        assert last <= before + size
+        t = until
+
+
+@CORRECTING
+def test_true_state_is_left_alone(law: type[Law]) -> None:
+    """A replica in the plant's state jumps as the plant does."""
+    for name in ("two_mass", "three_mass", "bouncing_ball"):
+        model = sample(name)
+        x = np.concatenate(model.initial_state())
+        replica = law(model.system)
+        for impact in impacts_of(model.system, x, seconds=8.0):
+            found = replica.impact(impact.before, impact.contacts)
+            np.testing.assert_allclose(found, impact.after, atol=1e-13)
+
+
+def test_open_loop_hears_nothing() -> None:
+    """The state after is the state before."""
+    x = np.arange(4.0)
+    assert OpenLoop(sample("two_mass").system).impact(x, (0,)).tolist() == x.tolist()
+
+
+def test_kinematic_law_is_a_sprag_clutch() -> None:
+    """Velocities jump only where the replica's own contact closes, positions never do."""
+    law = Kinematic(sample("two_mass").system)
+    closing = law.impact(np.array([0.1, 0.2, 1.0, 2.0]), (0,))
+    np.testing.assert_allclose(closing, [0.1, 0.2, 1.0, -1.4], rtol=1e-14)
+    opening = law.impact(np.array([0.1, 0.2, 1.0, -2.0]), (0,))
+    assert opening.tolist() == [0.1, 0.2, 1.0, -2.0]
+
+
+def test_geometric_law_also_closes_the_gap() -> None:
+    """``q+ = q- - K^-1 W L^-1 g`` by hand for two_mass: both masses move, the second to 0.5."""
+    law = Geometric(sample("two_mass").system)
+    found = law.impact(np.array([0.1, 0.2, 1.0, 2.0]), (0,))
+    # K^-1 w is proportional to (1, 2): the first mass moves half as far as the second.
+    np.testing.assert_allclose(found, [0.1 + 0.15, 0.5, 1.0, -1.4], rtol=1e-14)
+
+
+@CORRECTING
+def test_law_does_not_change_what_it_is_given(law: type[Law]) -> None:
+    """The state before the impact stays the caller's."""
+    x = np.array([0.1, 0.2, 1.0, 2.0])
+    kept = x.copy()
+    law(sample("two_mass").system).impact(x, (0,))
+    np.testing.assert_array_equal(x, kept)
+
+
+class Mirror(Law):
+    """Another package's law."""
+
+    name: ClassVar[str] = "mirror"
+
+    def impact(self, x: Array, active: tuple[int, ...]) -> Array:
+        """Everything turned round."""
+        del active
+        return -x
+
+
+NOT_A_LAW = 3
+
+
+def install(monkeypatch: pytest.MonkeyPatch, **entries: str) -> None:
+    """As if packages with these entry points were installed."""
+    found = EntryPoints(
+        EntryPoint(name.replace("_", "-"), value, laws_module.ENTRY_POINTS)
+        for name, value in entries.items()
+    )
+    monkeypatch.setattr(laws_module, "entry_points", found.select)
+
+
+def test_built_in_laws_have_the_documented_names() -> None:
+    """The names of bags, scripts and parameters."""
+    assert law_names()[:3] == ("open-loop", "kinematic", "geometric")
+    assert law_named("geometric") is Geometric
+
+
+def test_law_of_another_package_is_found_by_its_entry_point(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It stands after the built-in ones and cannot replace one of them."""
+    install(monkeypatch, a_mirror=f"{__name__}:Mirror", geometric=f"{__name__}:Mirror")
+    monkeypatch.setitem(
+        __import__("sys").modules, __name__, __import__("types").SimpleNamespace(Mirror=Mirror)
+    )
+    assert law_names() == ("open-loop", "kinematic", "geometric", "a-mirror")
+    assert law_named("a-mirror") is Mirror
+    assert law_named("geometric") is Geometric
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("math:pi", "law 'broken': math:pi is not a subclass of Law"),
+        ("math:no_such", "law 'broken': math:no_such cannot be imported: .*no_such"),
+        ("no_such_module:Law", "law 'broken': no_such_module:Law cannot be imported: No module"),
+    ],
+)
+def test_entry_point_that_is_no_law_is_one_line(
+    value: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether it cannot be imported or is something else."""
+    install(monkeypatch, broken=value)
+    with pytest.raises(UsageError, match=message):
+        law_named("broken")
+
+
+def test_unknown_law_is_told_with_those_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The names to choose from, others' included."""
+    install(monkeypatch, a_mirror="x:y")
+    with pytest.raises(UsageError, match="law 'geo': .*open-loop, kinematic, geometric, a-mirror"):
+        law_named("geo")

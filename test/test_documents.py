@@ -1,0 +1,97 @@
+"""What the README and the docs say is so."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from impact_observer.cli.main import COMMANDS
+from impact_observer.model import parse_model
+from impact_observer.nodes.parameters import TABLES, markdown
+from impact_observer.observer import Law
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+HOUSE = (ROOT / "docs" / "house.md").read_text()
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """The fenced blocks of a language, without their indentation."""
+    found = re.findall(rf"^( *)```{language}\n(.*?)^ *```$", text, re.MULTILINE | re.DOTALL)
+    return [
+        "".join(line[len(indent) :] for line in body.splitlines(keepends=True))
+        for indent, body in found
+    ]
+
+
+def test_the_readme_begins_with_the_two_commands() -> None:
+    """./dev demo and ./dev test stand first."""
+    code = [line.strip() for line in README.splitlines() if line.startswith("    ")]
+    assert code[:2] == ["./dev demo", "./dev test"]
+
+
+@pytest.mark.parametrize("node", TABLES)
+def test_the_readme_lists_every_parameter(node: str) -> None:
+    """Made by parameters.markdown; when they differ, the README is out of date."""
+    assert markdown(TABLES[node]) in README
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_readme_lists_every_command(command: str) -> None:
+    """With what it does."""
+    assert re.search(rf"^\| `{command}[ `]", README, re.MULTILINE)
+
+
+def test_the_example_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    """It prints the estimate beside the truth, and they agree."""
+    (code,) = blocks(README, "python")
+    exec(compile(code, "README.md", "exec"), {})
+    estimate, truth = re.findall(r"\[([^]]*)\]", capsys.readouterr().out)
+    difference = [
+        abs(float(a) - float(b)) for a, b in zip(estimate.split(), truth.split(), strict=True)
+    ]
+    assert max(difference) < 0.01
+
+
+def test_the_model_of_the_readme_is_a_model() -> None:
+    """It can be copied as it stands."""
+    (text,) = blocks(README, "yaml")
+    model = parse_model(text, "README.md")
+    assert model.system.name == "hammer"
+    assert model.system.contact_names == ("anvil",)
+
+
+def test_the_law_of_the_docs_is_a_law() -> None:
+    """The class can be made and used as it stands."""
+    code = blocks(HOUSE, "python")[0]
+    space: dict[str, object] = {}
+    exec(compile(code, "house.md", "exec"), space)
+    law = space["PositionOnly"]
+    assert isinstance(law, type)
+    assert issubclass(law, Law)
+    from impact_observer.model import read_model
+
+    system = read_model("two_mass").system
+    import numpy as np
+
+    x = law(system).impact(np.array([0.1, 0.2, 0.3, 0.4]), (0,))
+    np.testing.assert_allclose(system.gap(x[:2]), 0.0, atol=1e-15)
+    np.testing.assert_array_equal(x[2:], [0.3, 0.4])
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        "README.md",
+        "CHANGELOG.md",
+        "bags/README.md",
+        *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md")),
+    ],
+)
+def test_links_between_documents_lead_somewhere(document: str) -> None:
+    """Every relative link names a file that is there."""
+    path = ROOT / document
+    links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text())
+    missing = [link for link in links if not (path.parent / link).exists()]
+    assert missing == []
+    assert path.stat().st_size > 0
