@@ -36,6 +36,8 @@ def main(args: Sequence[str] | None = None) -> int:
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(known)}")
     if given.rounds < 1:
         parser.error(f"argument --rounds: {given.rounds}; expected 1 or more")
+    if given.json and not given.json.absolute().parent.is_dir():
+        parser.error(f"argument --json: no folder {given.json.parent}; make it first")
     console = Console()
     if given.list:
         for each in BENCHMARKS:

@@ -22,8 +22,8 @@ INSTANTS_AGREE = 1e-9
 """s"""
 STATES_AGREE = 1e-8
 """m, m/s"""
-TOLERANCE = 1e-13
-"""Relative and absolute, of the integrator: what it needs for instants to ``INSTANTS_AGREE``."""
+TOLERANCE = 1e-10
+"""Relative and absolute, of the integrator: the loosest decade that reaches ``INSTANTS_AGREE``."""
 
 Array = NDArray[np.float64]
 

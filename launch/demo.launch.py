@@ -1,6 +1,6 @@
 """The nodes of `impact-observer demo`: a plant, two observers of it, and their monitors.
 
-    ros2 launch impact_observer demo.launch.py model:=three_mass duration:=0.0
+    ros2 launch impact_observer demo.launch.py model:=three_mass duration:=0
 
 The observers hear of the plant's impacts and of nothing else, and start from a wrong state. Watch
 `/monitor_geometric/error` go to zero, or record with `ros2 bag record -a`.
@@ -8,25 +8,23 @@ The observers hear of the plant's impacts and of nothing else, and start from a 
 
 import time
 
-from launch.actions import DeclareLaunchArgument, Shutdown
-from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from launch import LaunchDescription
-
-LAWS = ("geometric", "kinematic")
-
-_CLOCK_RATE = PythonExpression(["max(", LaunchConfiguration("rate"), ", 100.0)"])
-"""The observers' timers follow /clock, so it is no slower than they are."""
+from impact_observer.nodes.wiring import Setting, Started, monitors, observers, plant
 
 
 def generate_launch_description() -> LaunchDescription:
-    """The arguments and five nodes; the first that ends, as the plant does, ends all."""
+    """The arguments and the nodes; the first that ends, as the plant does, ends all."""
     return LaunchDescription(
         [
             DeclareLaunchArgument(
                 "model", default_value="two_mass", description="a model file or a sample's name"
+            ),
+            DeclareLaunchArgument(
+                "laws", default_value="geometric,kinematic", description="one observer each"
             ),
             DeclareLaunchArgument(
                 "duration", default_value="30.0", description="simulated [s]; 0 for no end"
@@ -45,67 +43,37 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "epoch", default_value=str(time.time_ns()), description="stamp of t = 0 [ns]; now"
             ),
-            *(_observer(law) for law in LAWS),
-            *(_monitor(law) for law in LAWS),
-            _plant(),
+            OpaqueFunction(function=_nodes),
         ]
     )
 
 
-def _plant() -> Node:
+def _nodes(context: LaunchContext) -> list[Node]:
+    given = context.launch_configurations
+    setting = Setting(
+        model=given["model"],
+        laws=given["laws"].split(","),
+        initial=given["initial_state"],
+        duration=float(given["duration"]),
+        realtime_factor=float(given["realtime_factor"]),
+        rate=float(given["rate"]),
+        epoch=int(given["epoch"]),
+    )
+    return [_node(each) for each in (*observers(setting), *monitors(setting), plant(setting))]
+
+
+def _node(started: Started) -> Node:
     return Node(
         package="impact_observer",
-        executable="plant",
-        name="plant",
+        executable=started.executable,
+        name=started.name,
         parameters=[
             {
-                "model": _argument("model", str),
-                "rate": _argument("rate", float),
-                "epoch": _argument("epoch", int),
-                "duration": _argument("duration", float),
-                "publish_clock": True,
-                "clock_rate": ParameterValue(_CLOCK_RATE, value_type=float),
-                "realtime_factor": _argument("realtime_factor", float),
-                "wait_for_subscribers": len(LAWS),  # it begins when all of them listen
+                name: ParameterValue(value, value_type=type(value))
+                for name, value in started.parameters.items()
             }
         ],
+        remappings=list(started.remappings.items()),
         output="screen",
         on_exit=Shutdown(),
     )
-
-
-def _observer(law: str) -> Node:
-    return Node(
-        package="impact_observer",
-        executable="observer",
-        name=f"observer_{law}",
-        parameters=[
-            {
-                "use_sim_time": True,
-                "model": _argument("model", str),
-                "law": law,
-                "initial_state": _argument("initial_state", str),
-                "rate": _argument("rate", float),
-                "epoch": _argument("epoch", int),
-                "events_durability": "transient_local",
-            }
-        ],
-        output="screen",
-        on_exit=Shutdown(),
-    )
-
-
-def _monitor(law: str) -> Node:
-    return Node(
-        package="impact_observer",
-        executable="monitor",
-        name=f"monitor_{law}",
-        parameters=[{"use_sim_time": True, "model": _argument("model", str), "law": law}],
-        remappings=[("observer/joint_states", f"observer_{law}/joint_states")],
-        output="screen",
-        on_exit=Shutdown(),
-    )
-
-
-def _argument(name: str, kind: type) -> ParameterValue:
-    return ParameterValue(LaunchConfiguration(name), value_type=kind)

@@ -6,6 +6,7 @@ An argument beats params_file; one that is left out stays as the file, else the 
 Several observers live side by side under names of their own, such as name:=observer_kinematic.
 """
 
+from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
@@ -13,7 +14,6 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.nodes.parameters import MONITOR, OBSERVER, Parameter
-from launch import LaunchContext, LaunchDescription
 
 SIM_TIME = Parameter("use_sim_time", False, "follow /clock, of a simulation or a bag")
 PARAMETERS = (*OBSERVER, SIM_TIME)

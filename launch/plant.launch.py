@@ -5,13 +5,13 @@
 An argument beats params_file; one that is left out stays as the file, else the node, has it.
 """
 
+from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.nodes.parameters import PLANT, Parameter
-from launch import LaunchContext, LaunchDescription
 
 PARAMETERS = (*PLANT, Parameter("use_sim_time", False, "follow a /clock that is not the plant's"))
 

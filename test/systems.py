@@ -58,7 +58,7 @@ def system(
     C: ArrayLike,
     K: ArrayLike,
     *,
-    contacts: Sequence[tuple[Sequence[float], float, float]] = (),
+    contacts: Sequence[tuple[ArrayLike, float, float]] = (),
     force: Forcing | None = None,
 ) -> System:
     """A system from its matrices and contacts ``(direction, gap, restitution)``."""

@@ -1,9 +1,11 @@
 """The launch files and the nodes' parameter files: alone, against the demo command, and run."""
 
+import contextlib
 import importlib
 import os
 import re
 import shutil
+import signal
 import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -17,6 +19,7 @@ from ruamel.yaml import YAML
 from impact_observer.cli.demo import LAWS
 from impact_observer.cli.main import main
 from impact_observer.nodes.parameters import TABLES
+from impact_observer.nodes.wiring import Setting, monitors, observers, plant
 
 ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted(ROOT.glob("launch/*.launch.py"))
@@ -24,7 +27,7 @@ PARAMETER_FILES = sorted(ROOT.glob("config/nodes/*.yaml"))
 EPOCH = 1_700_000_000_123_456_789
 
 ARGUMENTS = {
-    "demo": {"model", "duration", "realtime_factor", "initial_state", "rate", "epoch"},
+    "demo": {"model", "laws", "duration", "realtime_factor", "initial_state", "rate", "epoch"},
     "plant": {p.name for p in TABLES["plant"]} | {"use_sim_time", "params_file", "namespace"},
     "observer": {p.name for p in TABLES["observer"]}
     | {"use_sim_time", "params_file", "name", "namespace", "impacts", "monitor", "monitor_name"},
@@ -112,10 +115,9 @@ def demo_nodes(duration: float) -> list[Started]:
     """What the demo command starts."""
     pytest.importorskip("rclpy")
     demonstration = importlib.import_module("impact_observer.nodes.demonstration")
-    setting = demonstration.Setting("three_mass", LAWS, "random:7", duration, 4.0, 200.0, EPOCH)
-    commands = [demonstration._plant_arguments(setting)]
-    for make in (demonstration._observer_arguments, demonstration._monitor_arguments):
-        commands += [make(setting, law) for law in LAWS]
+    setting = Setting("three_mass", LAWS, "random:7", duration, 4.0, 200.0, EPOCH)
+    nodes = (*observers(setting), *monitors(setting), plant(setting, recorders=1))
+    commands = [demonstration._arguments(node) for node in nodes]
     return [started(module.rpartition(".")[2], rest) for module, *rest in commands]
 
 
@@ -304,6 +306,7 @@ def ros2_launch(
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
+            start_new_session=True,
         )
 
     return start
@@ -344,8 +347,9 @@ def test_demo_launch_runs_and_estimates(
         try:
             spinner.until(lambda: process.poll() is not None, patience=90)
         finally:
-            process.terminate()
-            output, _ = process.communicate(timeout=30)
+            with contextlib.suppress(ProcessLookupError):  # the nodes, if any is left
+                os.killpg(process.pid, signal.SIGKILL)
+            output, _ = process.communicate()
     assert process.returncode == 0, output
     assert "process has died" not in output, output
     assert all(estimates > 200 and errors > 200 for estimates, errors in heard.values()), heard

@@ -95,14 +95,13 @@ def demo(
     read.initial_state()
     initial_state(initial, read.system)
     from impact_observer.nodes import demonstration
+    from impact_observer.nodes.wiring import Setting
 
     folder = output or Path(time.strftime("demo_%Y%m%d_%H%M%S"))
     bag, picture, logs = folder / "bag", folder / "lyapunov.png", folder / "logs"
     _make(folder)
     logs.mkdir()
-    setting = demonstration.Setting(
-        model, LAWS, initial, duration, realtime_factor, rate, epoch=time.time_ns()
-    )
+    setting = Setting(model, LAWS, initial, duration, realtime_factor, rate, epoch=time.time_ns())
     with Progress() as progress:
         progress.line(f"{read.system.name}: plant, {len(LAWS)} observers, {len(LAWS)} monitors")
         progress.show("starting the processes")

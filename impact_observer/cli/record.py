@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--use-sim-time",
         action="store_true",
-        help="log times follow /clock; nothing is recorded before it runs",
+        help="log times follow /clock",
     )
     parser.add_argument(
         "--duration", metavar="S", type=float, help="stop by itself after S seconds of wall time"

@@ -37,19 +37,25 @@ class GapBounds:
         self._work = np.sqrt(np.einsum("...i,...i->...", amplitudes @ self._Minv, amplitudes)).sum(
             axis=0
         )
+        stiffest = float(linalg.eigh(system.K, system.M, eigvals_only=True)[-1])
+        # A mode's amplitude is u / omega; a slower one has not got there within a second.
+        self._slowness = 1.0 / max(stiffest, 1.0)
         self._bernstein = _bernstein(_ORDER)
 
-    def scale(self, q: Matrix) -> Vector:
-        """What gaps are rounded against: all of the motion, as modes superpose to ``q``.
+    def scale(self, q: Matrix, u: Matrix) -> Matrix:
+        """What gaps are rounded against: all of the motion, whose modes superpose to ``q``.
 
         Args:
             q: coordinates, shape (samples, n).
+            u: velocities, shape (samples, n).
 
         Returns:
-            Shape (m,), m.
+            Shape (samples - 1, m), m.
         """
-        largest = np.sqrt(np.max(np.einsum("si,si->s", q @ self._system.M, q)))
-        return np.asarray(np.abs(self._system.q_r) + largest * self._reach)
+        M = self._system.M
+        size = np.einsum("si,si->s", q @ M, q) + np.einsum("si,si->s", u @ M, u) * self._slowness
+        largest = np.sqrt(np.maximum(size[:-1], size[1:]))
+        return np.asarray(np.abs(self._system.q_r) + np.outer(largest, self._reach))
 
     def acceleration(self, derivatives: list[Matrix], h: float) -> Matrix:
         """Bound on ``|g''|`` over intervals of length ``h``, shape (intervals, m)."""

@@ -8,10 +8,9 @@ Squares Problems, chapter 23) turn that into nonnegative least squares, which sc
 has a solution unless no jump separates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize
 
 from impact_observer.errors import ImpactLawError
@@ -67,23 +66,11 @@ class ImpactLaw:
         if scale == 0:
             return np.zeros(len(active))
         B, b = B / length, b / (length * scale)
-        pressed = self._pressed(B, b)
-        impulses = np.zeros(len(active))
-        impulses[pressed] = linalg.lstsq(B[:, pressed].T @ B[:, pressed], -b[pressed])[0]
-        separation = B.T @ (B @ impulses) + b
-        if not (np.all(impulses >= -_RESIDUAL) and np.all(separation >= -_RESIDUAL)):
-            raise self._no_solution(active, gamma)
-        return np.asarray(np.maximum(impulses, 0.0) * (scale / length))
-
-    @staticmethod
-    def _pressed(B: Matrix, b: Vector) -> NDArray[np.bool_]:
-        """Which contacts take an impulse, by nonnegative least squares of ``[B; -b^T]``."""
-        distance = np.zeros(B.shape[0] + 1)
-        distance[-1] = 1.0
-        try:
-            return np.asarray(optimize.nnls(np.vstack([B, -b]), distance)[0] > 0)
-        except RuntimeError:  # it cycles, on contacts that all but depend on each other
-            return b < 0
+        for impulses in _candidates(B, b):
+            separation = B.T @ (B @ impulses) + b
+            if np.all(impulses >= -_RESIDUAL) and np.all(separation >= -_RESIDUAL):
+                return np.asarray(np.maximum(impulses, 0.0) * (scale / length))
+        raise self._no_solution(active, gamma)
 
     def _no_solution(self, active: Sequence[int], gamma: Vector) -> ImpactLawError:
         names = [self._system.contact_names[i] for i in active]
@@ -93,3 +80,25 @@ class ImpactLaw:
             f" {', '.join(f'{e:g}' for e in self._system.eps[list(active)])};"
             " give contacts that depend on each other a common restitution"
         )
+
+
+def _candidates(B: Matrix, b: Vector) -> Iterator[Vector]:
+    """Impulses that solve the law if anything does, the most accurate first.
+
+    With ``y >= 0`` the least squares solution of ``[B; -b^T] y = (0, ..., 0, 1)`` the impulses are
+    ``y / (1 + b^T y)``. The equations of the contacts that take one give them more digits, unless
+    those contacts depend on each other.
+    """
+    target = np.zeros(B.shape[0] + 1)
+    target[-1] = 1.0
+    try:
+        y = np.asarray(optimize.nnls(np.vstack([B, -b]), target)[0])
+    except RuntimeError:  # it cycles, on contacts that all but depend on each other
+        return
+    pressed = y > 0
+    impulses = np.zeros(b.size)
+    impulses[pressed] = linalg.lstsq(B[:, pressed].T @ B[:, pressed], -b[pressed])[0]
+    yield impulses
+    residual = 1.0 + b @ y
+    if residual > 0:
+        yield y / residual

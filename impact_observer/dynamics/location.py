@@ -66,16 +66,13 @@ class ContactSearch:
         """
         while start < horizon:
             stop = min(start + self.window, horizon)
-            q = motion.states(np.linspace(start, stop, _SAMPLES + 1))[:, : self._system.n]
-            found = self._first_in(motion, start, stop, self._bounds.scale(q))
+            found = self._first_in(motion, start, stop)
             if found is not None:
                 return found
             start = stop
         return None
 
-    def _first_in(
-        self, motion: Motion, start: float, stop: float, scale: Vector
-    ) -> Closing | None:
+    def _first_in(self, motion: Motion, start: float, stop: float) -> Closing | None:
         """The first closing in one interval, looked at in ``_SAMPLES`` parts."""
         s = np.linspace(start, stop, _SAMPLES + 1)
         h = s[1] - s[0]
@@ -86,6 +83,7 @@ class ContactSearch:
             g[0] = np.maximum(g[0], 0.0)  # below zero by rounding only: the last impact was there
         derivatives = self._bounds.derivatives(motion.t + s[:-1], q[:-1], u[:-1])
         low = self._bounds.lower(g, derivatives, gamma, h)
+        scale = self._bounds.scale(q, u)
         suspects = low < -DEPTH * scale
         falling = gamma[:-1] + self._bounds.acceleration(derivatives, h) * h < 0
         for j in np.flatnonzero(suspects.any(axis=1)):
@@ -93,10 +91,10 @@ class ContactSearch:
             clear = (g[j, contacts] >= 0) & (g[j + 1, contacts] < 0) & falling[j, contacts]
             if clear.all():
                 roots = [self._root(motion, i, s[j], s[j + 1]) for i in contacts]
-                return self._closing(motion, min(roots), contacts[np.argmin(roots)], scale)
+                return self._closing(motion, min(roots), contacts[np.argmin(roots)], scale[j])
             if h <= _ROOT * max(s[j + 1], 1e-9):
-                return self._closing(motion, float(s[j]), contacts[0], scale)
-            found = self._first_in(motion, s[j], s[j + 1], scale)
+                return self._closing(motion, float(s[j]), contacts[0], scale[j])
+            found = self._first_in(motion, s[j], s[j + 1])
             if found is not None:
                 return found
         return None
@@ -120,4 +118,4 @@ class ContactSearch:
         gap = self._system.gap(motion.state(s)[: self._system.n])
         closed = gap <= _TOUCH * scale
         closed[contact] = True
-        return Closing(s, tuple(np.flatnonzero(closed).tolist()))
+        return Closing(float(s), tuple(np.flatnonzero(closed).tolist()))

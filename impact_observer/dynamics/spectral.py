@@ -30,7 +30,7 @@ _RIGID = 1e-13
 _WORST_CONDITION = 1e4
 """Condition of the modes, in units of energy, beyond which digits would be lost."""
 _RESONANCE = 1e-2
-"""Distance of a forcing frequency from an eigenvalue, relative to the fastest rate, that is near."""
+"""Distance of a forcing frequency from an eigenvalue that is near, over the fastest rate."""
 _SLOW = 0.1
 """The same, 1/s: phases are short against a slower beat, and its steady response is huge."""
 

@@ -1,6 +1,7 @@
 """The demonstration: plant, observers and monitors as processes, recorded while they run."""
 
 import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -21,7 +22,17 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.nodes.messages import message_class
 from impact_observer.nodes.quality import qos_profile
 from impact_observer.nodes.recorder import Recorder, drain
+from impact_observer.nodes.running import FOLLOW
 from impact_observer.nodes.session import Stop, ros_node
+from impact_observer.nodes.wiring import (
+    Setting,
+    Started,
+    monitor_name,
+    monitors,
+    observer_name,
+    observers,
+    plant,
+)
 
 _START_UP = 30.0
 """How long the processes may take to appear on the graph, s."""
@@ -37,29 +48,6 @@ class DemonstrationError(ImpactObserverError):
     """A process that failed, or that did not come up."""
 
 
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """What a demonstration runs.
-
-    Attributes:
-        model: a model file or a sample's name.
-        laws: one observer and one monitor each.
-        initial: the observers' initial state, as users write it.
-        duration: simulated seconds.
-        realtime_factor: simulated seconds a second.
-        rate: true states and estimates, Hz.
-        epoch: stamp of ``t = 0``, ns.
-    """
-
-    model: str
-    laws: Sequence[str]
-    initial: str
-    duration: float
-    realtime_factor: float
-    rate: float
-    epoch: int
-
-
 @dataclass(slots=True)
 class Live:
     """What is known while it runs.
@@ -73,11 +61,6 @@ class Live:
     time: float = 0.0
     impacts: int = 0
     v: dict[str, float] = field(default_factory=dict)
-
-
-def observer_name(law: str) -> str:
-    """Name of the observer node of a law."""
-    return f"observer_{law.replace('-', '_')}"
 
 
 def run(setting: Setting, bag: Path, logs: Path, show: Callable[[Live], None]) -> None:
@@ -99,26 +82,23 @@ def run(setting: Setting, bag: Path, logs: Path, show: Callable[[Live], None]) -
         BagWriter(bag) as writer,
     ):
         _refuse_company(node, executor)
-        recorder = Recorder(node, writer)
-        live = Live()
+        recorder, live = Recorder(node, writer), Live()
         _subscribe(node, setting, live)
         with _processes(setting, logs) as processes:
-            _wait_for_nodes(executor, node, processes, stop)
-            with _process("plant", _plant_arguments(setting), logs) as plant:
-                heard = time.monotonic()
-                while plant.poll() is None and not stop.requested:
-                    before = (live.time, writer.message_count)
+            _wait_until_heard(executor, recorder, processes, stop, setting=setting, logs=logs)
+            with _process(plant(setting, recorders=1), logs) as master:
+                heard, told = time.monotonic(), -1
+                while master.poll() is None and not stop.requested:
                     executor.spin_once(timeout_sec=_SPIN)
-                    for name, process in processes.items():
-                        _check(name, process, logs)
+                    _check_all(processes, logs)
                     show(live)
-                    if (live.time, writer.message_count) != before:
-                        heard = time.monotonic()
+                    if writer.message_count > told:
+                        heard, told = time.monotonic(), writer.message_count
                     elif time.monotonic() > heard + _SILENCE:
                         raise DemonstrationError(f"plant: silent for {_SILENCE:g} s; see {logs}")
                 if stop.requested:
                     raise DemonstrationError(f"interrupted; what was recorded is in {bag}")
-                _check("plant", plant, logs)
+                _check("plant", master, logs)
             drain(executor, writer)
             recorder.close()
 
@@ -142,7 +122,7 @@ def _subscribe(node: Node, setting: Setting, live: Live) -> None:
     )
     error = message_class(interfaces.ESTIMATE_ERROR)
     for law in setting.laws:
-        topic = f"{observer_name(law).replace('observer', 'monitor', 1)}/error"
+        topic = f"{monitor_name(law)}/error"
         node.create_subscription(error, topic, on_error, qos_profile(interfaces.STATES))
 
 
@@ -159,24 +139,35 @@ def _refuse_company(node: Node, executor: SingleThreadedExecutor) -> None:
             )
 
 
-def _wait_for_nodes(
+def _wait_until_heard(
     executor: SingleThreadedExecutor,
-    node: Node,
+    recorder: Recorder,
     processes: Mapping[str, "subprocess.Popen[bytes]"],
     stop: Stop,
+    *,
+    setting: Setting,
+    logs: Path,
 ) -> None:
-    """Until all observers and monitors are on the graph."""
+    """Until the recorder is connected to all observers and monitors: nothing is missed then."""
+    topics = [
+        topic
+        for law in setting.laws
+        for topic in (
+            f"{observer_name(law)}/state",
+            f"{observer_name(law)}/joint_states",
+            f"{observer_name(law)}/verdicts",
+            f"{monitor_name(law)}/error",
+        )
+    ]
     until = time.monotonic() + _START_UP
-    while missing := set(processes) - set(node.get_node_names()):
+    while missing := [topic for topic in topics if not recorder.hears(topic)]:
         executor.spin_once(timeout_sec=_SPIN)
-        for name, process in processes.items():
-            _check(name, process, None)
+        _check_all(processes, logs)
         if stop.requested:
             raise DemonstrationError("interrupted before the plant began")
         if time.monotonic() > until:
-            names = ", ".join(sorted(missing))
             raise DemonstrationError(
-                f"{names}: not on the graph after {_START_UP:g} s; does DDS work on this machine?"
+                f"{missing[0]}: not heard after {_START_UP:g} s; does DDS work on this machine?"
             )
 
 
@@ -184,26 +175,18 @@ def _wait_for_nodes(
 def _processes(setting: Setting, logs: Path) -> Iterator[dict[str, "subprocess.Popen[bytes]"]]:
     """Observers and monitors, ended when the block ends."""
     with contextlib.ExitStack() as stack:
-        processes = {}
-        for law in setting.laws:
-            observer = observer_name(law)
-            monitor = observer.replace("observer", "monitor", 1)
-            processes[observer] = stack.enter_context(
-                _process(observer, _observer_arguments(setting, law), logs)
-            )
-            processes[monitor] = stack.enter_context(
-                _process(monitor, _monitor_arguments(setting, law), logs)
-            )
+        processes = {
+            each.name: stack.enter_context(_process(each, logs))
+            for each in (*observers(setting), *monitors(setting))
+        }
         yield processes
 
 
 @contextlib.contextmanager
-def _process(
-    name: str, arguments: Sequence[str], logs: Path
-) -> Iterator["subprocess.Popen[bytes]"]:
+def _process(node: Started, logs: Path) -> Iterator["subprocess.Popen[bytes]"]:
     """One node as a process in a group of its own: Ctrl-C comes from here only."""
-    with (logs / f"{name}.log").open("wb") as log:
-        process = _spawn(arguments, log)
+    with (logs / f"{node.name}.log").open("wb") as log:
+        process = _spawn(_arguments(node), log)
         try:
             yield process
         finally:
@@ -215,12 +198,13 @@ def _process(
                 process.kill()
                 process.wait()
     if process.returncode != 0 and sys.exc_info()[0] is None:
-        _check(name, process, logs)
+        _check(node.name, process, logs)
 
 
 def _spawn(arguments: Sequence[str], log: IO[bytes]) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(
         [sys.executable, "-m", *arguments],
+        env={**os.environ, FOLLOW: str(os.getpid())},
         stdin=subprocess.DEVNULL,
         stdout=log,
         stderr=subprocess.STDOUT,
@@ -228,64 +212,26 @@ def _spawn(arguments: Sequence[str], log: IO[bytes]) -> "subprocess.Popen[bytes]
     )
 
 
-def _check(name: str, process: "subprocess.Popen[bytes]", logs: Path | None) -> None:
+def _check_all(processes: Mapping[str, "subprocess.Popen[bytes]"], logs: Path) -> None:
+    for name, process in processes.items():
+        _check(name, process, logs)
+
+
+def _check(name: str, process: "subprocess.Popen[bytes]", logs: Path) -> None:
     """Raise if a process has failed, with the last line it printed."""
     if process.poll() in (None, 0):
         return
-    last = ""
-    if logs is not None:
-        lines = (logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
-        last = f": {lines[-1]}" if lines else ""
+    lines = (logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
+    last = f": {lines[-1]}" if lines else ""
     raise DemonstrationError(f"{name} ended with exit code {process.returncode}{last}")
 
 
-def _ros_arguments(module: str, name: str, values: Mapping[str, object]) -> list[str]:
-    arguments = [f"impact_observer.nodes.{module}", "--ros-args", "-r", f"__node:={name}"]
-    for key, value in values.items():
-        shown = str(value).lower() if isinstance(value, bool) else str(value)
-        arguments += ["-p", f"{key}:={shown}"]
+def _arguments(node: Started) -> list[str]:
+    """For ``python -m``; strings are quoted, as YAML would read some of them otherwise."""
+    arguments = [f"impact_observer.nodes.{node.executable}", "--ros-args"]
+    arguments += ["-r", f"__node:={node.name}"]
+    for name, value in node.parameters.items():
+        arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
+    for ours, theirs in node.remappings.items():
+        arguments += ["-r", f"{ours}:={theirs}"]
     return arguments
-
-
-def _plant_arguments(setting: Setting) -> list[str]:
-    # Observers or monitors, and the recorder, on each topic.
-    return _ros_arguments(
-        "plant",
-        "plant",
-        {
-            "model": setting.model,
-            "rate": setting.rate,
-            "epoch": setting.epoch,
-            "duration": setting.duration,
-            "publish_clock": True,
-            "clock_rate": max(setting.rate, 100.0),
-            "realtime_factor": setting.realtime_factor,
-            "wait_for_subscribers": len(setting.laws) + 1,
-        },
-    )
-
-
-def _observer_arguments(setting: Setting, law: str) -> list[str]:
-    return _ros_arguments(
-        "observer",
-        observer_name(law),
-        {
-            "use_sim_time": True,
-            "model": setting.model,
-            "law": law,
-            "initial_state": f"'{setting.initial}'",
-            "rate": setting.rate,
-            "epoch": setting.epoch,
-            "events_durability": "transient_local",
-        },
-    )
-
-
-def _monitor_arguments(setting: Setting, law: str) -> list[str]:
-    name = observer_name(law)
-    arguments = _ros_arguments(
-        "monitor",
-        name.replace("observer", "monitor", 1),
-        {"use_sim_time": True, "model": setting.model, "law": law},
-    )
-    return [*arguments, "-r", f"observer/joint_states:={name}/joint_states"]

@@ -166,7 +166,8 @@ def declare(node: "Node", table: tuple[Parameter, ...]) -> Values:
         try:
             value = node.declare_parameter(each.name, each.default, descriptor).value
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
-            wanted = ", ".join(filter(None, (f"a {each.type}", each.limits)))
+            article = "an" if each.type == "int" else "a"
+            wanted = ", ".join(filter(None, (f"{article} {each.type}", each.limits)))
             raise UsageError(f"parameter {each.name}: expected {wanted}: {error}") from None
         each.check(value)
         values[each.name] = value

@@ -71,6 +71,7 @@ class Recorder:
         self._given_up: set[str] = set()
         self._subscriptions: dict[str, Subscription] = {}
         self._last = 0
+        self._waiting: list[tuple[str, bytes]] = []
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(_DISCOVERY_PERIOD, self.discover, clock=steady)
 
@@ -79,20 +80,24 @@ class Recorder:
         """Topics that were asked for and have not appeared."""
         return sorted((self._wanted or set()) - self.counts.keys())
 
+    def hears(self, topic: str) -> bool:
+        """Whether a publisher of ``topic`` is connected."""
+        subscription = self._subscriptions.get(self._node.resolve_topic_name(topic))
+        return subscription is not None and subscription.get_publisher_count() > 0
+
     def close(self) -> None:
         """Stop listening."""
+        if self._waiting:
+            self._node.get_logger().warning(
+                f"{len(self._waiting)} messages are not recorded: /clock never ran"
+            )
         self._node.destroy_timer(self._timer)
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions.clear()
 
     def discover(self) -> None:
-        """Subscribe to the topics that have appeared since the last look.
-
-        Under simulated time nothing is recorded before the clock runs.
-        """
-        if self._node.get_clock().now().nanoseconds == 0:
-            return
+        """Subscribe to the topics that have appeared since the last look."""
         for topic, _ in self._node.get_topic_names_and_types():
             if self._is_wanted(topic) and (publishers := self._publishers(topic)):
                 depth = usual_quality(topic).depth
@@ -168,12 +173,19 @@ class Recorder:
                 self._write(topic, data_behind)
 
     def _write(self, topic: str, data: bytes) -> None:
-        """Write a message."""
-        self._last = max(self._last, self._node.get_clock().now().nanoseconds)
-        self._writer.write_raw(topic, self._last, data)
-        self.counts[topic] += 1
-        if self._on_message:
-            self._on_message(RawMessage(topic, self._last, data))
+        """Write a message; what comes before simulated time runs waits for its first instant."""
+        self._waiting.append((topic, data))
+        now = self._node.get_clock().now().nanoseconds
+        if now == 0:
+            return
+        self._last = max(self._last, now)
+        waiting, self._waiting = self._waiting, []
+        for each in waiting:
+            message = RawMessage(each[0], self._last, each[1])
+            self._writer.write_raw(*message)
+            self.counts[message.topic] += 1
+            if self._on_message:
+                self._on_message(message)
 
 
 def record(

@@ -1,69 +1,103 @@
 """Running one node as a process: arguments in, an orderly end, an exit code out."""
 
+import ctypes
+import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from typing import TYPE_CHECKING
 
-from impact_observer.errors import ImpactObserverError
+from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.nodes.session import Stop, require_ros
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
+FOLLOW = "IMPACT_OBSERVER_FOLLOW"
+"""Environment variable with the process whose end, however it comes, is to be this one's too."""
+_PR_SET_PDEATHSIG = 1
 _PATIENCE = 0.1
 """How long a signal may wait to be noticed, s."""
 
 
-def run_node(name: str, make: "Callable[[], Node]", args: Sequence[str] | None = None) -> int:
+def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None = None) -> int:
     """Spin a node until Ctrl-C, SIGTERM, its own end or an error.
+
+    Signals are noted before anything heavy is imported: one that comes early ends the process
+    as quietly as a late one.
 
     Args:
         name: what errors call the process.
-        make: makes the node; it may have an attribute ``done`` that ends it.
+        module: where the node's class is.
+        node_class: the class; an attribute ``done`` of its instance ends it.
         args: the process's arguments with ``--ros-args``; None for ``sys.argv``.
 
     Returns:
         0 after an orderly end, also by a signal; 1 for a failure; 2 for wrong use.
     """
     try:
-        require_ros()
-        return _spin(make, args)
+        with Stop() as stop:
+            _follow(os.environ.get(FOLLOW))
+            require_ros()
+            _spin(stop, module, node_class, args)
     except ImpactObserverError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return error.exit_code
+    return 0
 
 
-def _spin(make: "Callable[[], Node]", args: Sequence[str] | None) -> int:
+def _follow(process: str | None) -> None:
+    """Be terminated when ``process``, if it is the parent, dies (Linux)."""
+    if process == str(os.getppid()):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str] | None) -> None:
     import rclpy
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    make = getattr(import_module(module), node_class)
+    node = None
+    try:
+        node = _started(make, args)
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while rclpy.ok() and not stop.requested and not getattr(node, "done", False):
+            executor.spin_once(timeout_sec=_PATIENCE)
+    except ExternalShutdownException:
+        return
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def _started(make: "type[Node]", args: Sequence[str] | None) -> "Node":
+    """The node, or one line about the arguments that ROS cannot read.
+
+    Raises:
+        UsageError: after ``--ros-args`` stands something that is no argument of ROS.
+    """
+    import rclpy
+    from rclpy.impl.implementation_singleton import rclpy_implementation
     from rclpy.signals import SignalHandlerOptions
 
-    with Stop() as stop:
+    try:
         rclpy.init(
             args=None if args is None else list(args),
             signal_handler_options=SignalHandlerOptions.NO,
         )
-        node = None
-        try:
-            executor = SingleThreadedExecutor()
-            node = make()
-            _warn_of_unknown_parameters(node)
-            executor.add_node(node)
-            while rclpy.ok() and not stop.requested and not getattr(node, "done", False):
-                executor.spin_once(timeout_sec=_PATIENCE)
-        except ExternalShutdownException:
-            return 0
-        finally:
-            if node is not None:
-                node.destroy_node()
-            rclpy.try_shutdown()
-    return 0
+        node = make()
+    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError) as error:
+        raise UsageError(f"--ros-args: {str(error).splitlines()[0]}") from None
+    _warn_of_unknown_parameters(node)
+    return node
 
 
 def _warn_of_unknown_parameters(node: "Node") -> None:
     """A misspelt parameter is ignored by ROS; say so."""
-    overrides = getattr(node, "_parameter_overrides", {})
-    for name in overrides:
+    for name in getattr(node, "_parameter_overrides", {}):
         if not node.has_parameter(name) and not name.startswith("qos_overrides."):
             known = ", ".join(sorted(node.get_parameters_by_prefix("")))
             node.get_logger().warning(f"parameter {name} is not known; known are {known}")

@@ -88,6 +88,7 @@ class Observer:
             self._initial = x
         else:
             self._timeline = Timeline(max(stamp, self._timeline.start.stamp), x)
+            self._placed = True
 
     @property
     def start(self) -> int | None:

@@ -67,7 +67,7 @@ class Plant:
                 " expected gap >= 0"
             )
         touching = tuple(np.flatnonzero(gap <= 0).tolist())
-        self._begin(Instant(epoch), np.concatenate([q, u]), touching)
+        self._begin(Instant(epoch), np.concatenate([q, u]), touching, u)
 
     def next_impact(self, limit: int) -> Impact | None:
         """The next impact if its stamp is not after ``limit`` (ns).
@@ -93,7 +93,8 @@ class Plant:
     def cross(self, impact: Impact) -> None:
         """Go on after ``impact``, which must be the one that ``next_impact`` told."""
         assert impact is self._next, "only the next impact can be crossed"
-        self._begin(impact.instant, impact.after, impact.contacts)
+        before = impact.before[self.system.n :]
+        self._begin(impact.instant, impact.after, impact.contacts, before)
 
     def states(self, stamps: Stamps) -> Vector:
         """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n).
@@ -103,13 +104,17 @@ class Plant:
         s = (stamps - self._start.stamp) * 1e-9 - self._start.remainder
         return self._motion.states(np.maximum(s, 0.0))
 
-    def _begin(self, instant: Instant, x: Vector, touching: tuple[int, ...]) -> None:
+    def _begin(
+        self, instant: Instant, x: Vector, touching: tuple[int, ...], before: Vector
+    ) -> None:
+        """Begin a phase at ``instant`` from state ``x``; velocities were ``before``."""
         self._start = instant
         self._motion = self._flow.start(self._time(instant), x)
         self._windows = 0
         self._closing = None
         self._next = None
-        self._refuse_lasting_contact(instant, x, touching)
+        rounding = 1e-12 * (np.abs(self.system.W).T @ np.abs(before))
+        self._refuse_lasting_contact(instant, x, touching, rounding)
 
     def _time(self, instant: Instant) -> float:
         """Seconds since the epoch."""
@@ -126,18 +131,17 @@ class Plant:
         return Impact(instant, contacts, before, np.concatenate([before[:n], velocity]))
 
     def _refuse_lasting_contact(
-        self, instant: Instant, x: Vector, touching: tuple[int, ...]
+        self, instant: Instant, x: Vector, touching: tuple[int, ...], rounding: Vector
     ) -> None:
-        """Raise where a contact does not get away from the stop that it touches."""
+        """Raise where a contact does not get away from its stop; ``rounding`` is of its speed."""
         system = self.system
         q, u = x[: system.n], x[system.n :]
         gamma = system.contact_speed(u)
         load = system.forcing(self._time(instant)) - system.C @ u - system.K @ q
         acceleration = system.W.T @ np.linalg.solve(system.M, load)
-        rounding = 1e-12 * float(np.max(np.abs(u), initial=0.0))
         for i in touching:
             falls_back = 2 * max(gamma[i], 0.0) <= -acceleration[i] * _SHORTEST_FLIGHT
-            if gamma[i] >= -rounding and acceleration[i] < 0 and falls_back:
+            if gamma[i] >= -rounding[i] and acceleration[i] < 0 and falls_back:
                 raise LastingContactError(
                     f"contact {system.contact_names[i]!r}: closes for good, or its impacts"
                     f" accumulate, at stamp {text(instant.stamp)} s"

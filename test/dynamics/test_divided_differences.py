@@ -40,7 +40,7 @@ def test_divided_differences_agree_with_ninety_digits(
             assert abs(second(*order, at)[0] - two) < 5e-15 * s**2
 
 
-@examples(100)
+@examples(50)
 @given(st.tuples(*[numbers(-2, 0)] * 3), st.tuples(*[numbers(-4, 4)] * 3), numbers(0, 3))
 def test_divided_differences_agree_with_ninety_digits_anywhere(
     real: tuple[float, ...], imaginary: tuple[float, ...], s: float

@@ -56,7 +56,7 @@ def assert_law_holds(model: System, u: Array, active: tuple[int, ...]) -> None:
     np.testing.assert_allclose(model.M @ (after - u), W @ impulses, atol=1e-9 * (1 + scale))
     gained = (after @ model.M @ after - u @ model.M @ u) / 2
     expected = np.sum((1 - eps) * before * impulses) / 2
-    assert gained == pytest.approx(expected, abs=1e-8 * (1 + u @ model.M @ u))
+    assert gained == pytest.approx(expected, abs=1e-8 * float(1 + u @ model.M @ u))
 
 
 def test_single_contact_is_the_closed_form() -> None:
@@ -77,7 +77,7 @@ def test_separating_contact_takes_no_impulse() -> None:
         assert ImpactLaw(model).impulses(np.array([speed]), (0,)).tolist() == [0.0]
 
 
-@examples(150)
+@examples(60)
 @given(st.data())
 def test_single_contact_agrees_with_the_law_for_many(data: st.DataObject) -> None:
     """The short cut for one contact is the complementarity problem's solution."""
@@ -88,7 +88,7 @@ def test_single_contact_agrees_with_the_law_for_many(data: st.DataObject) -> Non
     np.testing.assert_allclose(law.velocity_after(u, (0,)), general, atol=1e-12)
 
 
-@examples(200)
+@examples(60)
 @given(st.data())
 def test_law_holds_for_simultaneous_impacts(data: st.DataObject) -> None:
     """Signs, complementarity and energy, for any number of contacts with a common restitution."""
@@ -97,7 +97,7 @@ def test_law_holds_for_simultaneous_impacts(data: st.DataObject) -> None:
     assert_law_holds(model, data.draw(vectors(model.n)), tuple(sorted(active)))
 
 
-@examples(200)
+@examples(60)
 @given(st.data())
 def test_law_agrees_with_trying_every_set_of_contacts(data: st.DataObject) -> None:
     """``u+`` is unique; where no set solves the problem the error says so."""
@@ -133,7 +133,7 @@ def test_floor_and_ceiling_with_unequal_restitution_have_no_solution() -> None:
     assert upwards == pytest.approx(-0.5, rel=1e-12)  # the other way round there is one
 
 
-@examples(100)
+@examples(60)
 @given(st.data())
 def test_common_restitution_always_has_a_solution_that_loses_energy(data: st.DataObject) -> None:
     """Dependent contacts included: ``dT = -(1 - eps)/(2 (1 + eps)) Lambda^T G Lambda``."""
@@ -144,10 +144,10 @@ def test_common_restitution_always_has_a_solution_that_loses_energy(data: st.Dat
     eps = model.eps[0]
     lost = (u @ model.M @ u - after @ model.M @ after) / 2
     expected = (1 - eps) / (1 + eps) / 2 * (impulses @ delassus(model) @ impulses)
-    assert lost == pytest.approx(expected, abs=1e-9 * (1 + u @ model.M @ u))
+    assert lost == pytest.approx(expected, abs=1e-9 * float(1 + u @ model.M @ u))
 
 
-@examples(200)
+@examples(60)
 @given(st.data())
 def test_velocity_jump_does_not_part_two_solutions(data: st.DataObject) -> None:
     """``du^T M du`` cannot grow when ``G - E G E >= 0``, whichever contacts are closed."""
@@ -211,6 +211,19 @@ def test_masses_of_very_different_size_are_no_trouble() -> None:
         contacts=[([1, 0], 0, 0.5), ([-1, 1], 0, 0.5), ([0, 1], 0, 0.5)],
     )
     assert_law_holds(model, np.array([-1.0, -2.0]), (0, 1, 2))
+
+
+def test_three_contacts_that_are_tight_in_a_plane_are_solved() -> None:
+    """More tight contacts than coordinates, two of them nearly opposite: the body stops."""
+    model = system(
+        np.eye(2) / 2,
+        np.eye(2),
+        np.eye(2),
+        contacts=[([1, 0], 0, 0), ([-0.265625, 0.359375], 0, 0), ([1.203125, -1.640625], 0, 0)],
+    )
+    u = np.array([1 / 64, 0.0])
+    assert_law_holds(model, u, (0, 1, 2))
+    np.testing.assert_allclose(ImpactLaw(model).velocity_after(u, (0, 1, 2)), 0.0, atol=1e-9)
 
 
 def test_nothing_closed_changes_nothing() -> None:

@@ -20,10 +20,17 @@ def search(model: System, x: Array, horizon: float, t: float = 0.0) -> Closing |
     return ContactSearch(model).first_closing(flow_of(model).start(t, x), horizon)
 
 
+def assert_closing(found: Closing | None, s: float, *contacts: int) -> None:
+    """The closing is that of ``contacts`` at ``s``."""
+    assert found is not None
+    assert found.s == pytest.approx(s, abs=1e-14)
+    assert found.contacts == contacts
+
+
 def sampled(model: System, x: Array, horizon: float, t: float) -> float | None:
-    """The first closing of a gap by looking at 20001 samples and refining the first sign."""
+    """The first closing of a gap by looking at 4001 samples and refining the first sign."""
     motion = flow_of(model).start(t, x)
-    s = np.linspace(0.0, horizon, 20_001)
+    s = np.linspace(0.0, horizon, 4_001)
     g = motion.states(s)[:, : model.n] @ model.W + model.q_r
     roots = []
     for i in range(model.m):
@@ -38,7 +45,7 @@ def sampled(model: System, x: Array, horizon: float, t: float) -> float | None:
     return min(roots, default=None)
 
 
-@examples(120)
+@examples(40)
 @given(st.data())
 def test_first_closing_is_the_one_that_dense_sampling_finds(data: st.DataObject) -> None:
     """Or an earlier one between two samples, with all gaps open before it."""
@@ -62,7 +69,7 @@ def test_first_closing_is_the_one_that_dense_sampling_finds(data: st.DataObject)
         assert found.s == pytest.approx(expected, abs=1e-9)
 
 
-@examples(150)
+@examples(40)
 @given(st.data())
 def test_bounds_hold_between_samples(data: st.DataObject) -> None:
     """No gap gets below its lower bound, no acceleration above its upper one."""
@@ -70,7 +77,7 @@ def test_bounds_hold_between_samples(data: st.DataObject) -> None:
     x = np.concatenate([data.draw(vectors(model.n)), data.draw(vectors(model.n, -4, 4))])
     t, h = data.draw(numbers(0, 4)), data.draw(st.sampled_from([0.01, 0.1, 0.5, 2.0]))
     motion = flow_of(model).start(t, x)
-    s = h * np.arange(4)
+    s = h * np.arange(4.0)
     states = motion.states(s)
     q, u = states[:, : model.n], states[:, model.n :]
     g, gamma = q @ model.W + model.q_r, u @ model.W
@@ -113,7 +120,7 @@ def test_earlier_of_two_crossings_in_one_window_is_found() -> None:
     """Two contacts, and one contact twice."""
     both = system(1, 0, 1, contacts=[([-1], 0.9, 0.5), ([-1], 0.8, 0.5)])
     found = search(both, np.array([0.0, 1.0]), 10.0)
-    assert found == (pytest.approx(np.arcsin(0.8), abs=1e-14), (1,))
+    assert_closing(found, np.arcsin(0.8), 1)
     # Fast and slow together: the first of many crossings.
     beats = system(
         np.eye(2), np.zeros((2, 2)), np.diag([1.0, 2500.0]), contacts=[([1, 1], 0.0, 1)]
@@ -131,7 +138,7 @@ def test_contacts_that_close_together_are_told_together() -> None:
         np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=[([1, 0], 0.5, 1), ([0, -1], 0.5, 1)]
     )
     found = search(model, np.array([0.0, 0.0, -1.0, 1.0]), 5.0)
-    assert found == (pytest.approx(np.pi / 6, abs=1e-14), (0, 1))
+    assert_closing(found, np.pi / 6, 0, 1)
 
 
 def test_nothing_closes_beyond_the_horizon() -> None:
@@ -140,7 +147,7 @@ def test_nothing_closes_beyond_the_horizon() -> None:
     x = np.array([1.0, -1.0])
     assert search(model, x, 0.999) is None
     found = search(model, x, 1.001)
-    assert found == (1.0, (0,))
+    assert_closing(found, 1.0, 0)
 
 
 def test_contact_that_just_separated_is_not_found_again() -> None:

@@ -39,7 +39,7 @@ def potential(model: System, difference: Array) -> float:
     return float(difference @ model.K @ difference) / 2
 
 
-@examples(150)
+@examples(50)
 @given(st.data())
 def test_jump_is_the_least_one_of_the_theory(data: st.DataObject) -> None:
     """Every column against null spaces, K singular or not, contacts redundant or not."""
@@ -58,7 +58,7 @@ def test_jump_is_the_least_one_of_the_theory(data: st.DataObject) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-6 * (1 + np.max(np.abs(expected))))
 
 
-@examples(150)
+@examples(50)
 @given(st.data())
 def test_jump_is_the_papers_where_stiffness_is_definite(data: st.DataObject) -> None:
     """``q+ = q- - K^-1 W_A L^-1 g_A``, equation (5)."""
@@ -76,7 +76,7 @@ def test_jump_is_the_papers_where_stiffness_is_definite(data: st.DataObject) -> 
     np.testing.assert_allclose(beyond, 0.0, atol=1e-7 * (1 + np.max(np.abs(pushes))))
 
 
-@examples(200)
+@examples(50)
 @given(st.data())
 def test_jump_lowers_the_distance_by_what_the_theory_says(data: st.DataObject) -> None:
     """``dV = -1/2 dg_A^T L^-1 dg_A`` for two replicas, with ``L^-1 = Z^T K Z``."""
@@ -98,7 +98,7 @@ def test_jump_lowers_the_distance_by_what_the_theory_says(data: st.DataObject) -
     )
 
 
-@examples(100)
+@examples(30)
 @given(st.data())
 def test_second_jump_changes_nothing(data: st.DataObject) -> None:
     """A projection is idempotent, on contacts that can be closed together."""

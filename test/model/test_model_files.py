@@ -156,8 +156,10 @@ IN_MATRIX_FORM = {
     "cosine too short": ("[0, 4]", "[4]", "forcing.harmonics[0].cosine: 1 values found"),
     "forcing unknown key": ("  constant", "  constants", "forcing.constants: is not known here"),
     "forcing empty": (
-        "forcing:\n  constant: [0, 0]\n"
-        "  harmonics: [{frequency: 2.5, cosine: [0, 4], sine: [0, 0]}]",
+        (
+            "forcing:\n  constant: [0, 0]\n"
+            "  harmonics: [{frequency: 2.5, cosine: [0, 4], sine: [0, 0]}]"
+        ),
         "forcing:",
         "forcing: nothing found; expected keys",
     ),
@@ -274,7 +276,7 @@ NOT_A_MODEL = {
     "two documents": (MATRICES + "---\n" + MATRICES, "is not YAML at line 11, column 1"),
     "an unknown tag": ("name: !!python/object:os.system x", "is not YAML at line 1, column 7"),
     "a number that is none": ("name: !!int x", "is not YAML: invalid literal"),
-    "too deep": ("a: " + "[" * 3000 + "]" * 3000, "is not YAML: maximum recursion depth"),
+    "too deep": ("a: " + "[" * 1200 + "]" * 1200, "is not YAML: maximum recursion depth"),
 }
 
 
@@ -451,18 +453,16 @@ def test_sample_model_survives_its_text(name: str) -> None:
     assert_equal_models(model, parse_model(model.text(), "text"))
 
 
-@examples(60)
+@examples(25)
 @given(st.data())
 def test_any_model_survives_its_text(data: st.DataObject) -> None:
     """Write then read is identity, and the second text is the first."""
     system = data.draw(systems())
-    model = Model(system, data.draw(vectors(system.n)) / 3, data.draw(vectors(system.n)) / 7e9)
+    position, velocity = data.draw(vectors(system.n)) / 3, data.draw(vectors(system.n)) / 7e9
+    outside = bool(np.all(system.gap(position) >= 0))
+    model = Model(system, position, velocity) if outside else Model(system)
     text = model.text()
-    try:
-        again = parse_model(text, "text")
-    except ModelError as error:
-        assert error.key == "text: initial_state.position"  # inside a stop by luck of the draw
-        return
+    again = parse_model(text, "text")
     assert_equal_models(model, again)
     assert again.text() == text
 

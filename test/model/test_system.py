@@ -135,4 +135,4 @@ def test_states_are_checked_and_frozen() -> None:
     with pytest.raises(UsageError, match=r"velocity: .* is not finite"):
         example().checked_state([1, 2], [1, np.inf])
     with pytest.raises(UsageError, match="position: is not made of numbers only"):
-        example().checked_state(["a", 2], [1, 2])
+        example().checked_state(["a", "2"], [1, 2])

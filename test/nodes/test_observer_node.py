@@ -23,7 +23,7 @@ from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Kind, Ruling, Switch
 from impact_observer.model import read_model
 from impact_observer.nodes.messages import ros_messages
-from impact_observer.nodes.observer import ObserverNode
+from impact_observer.nodes.observer_node import ObserverNode
 from impact_observer.nodes.quality import qos_profile
 from impact_observer.observer import Observer, initial_state, law_named
 from impact_observer.states import Estimate

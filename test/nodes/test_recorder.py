@@ -191,7 +191,7 @@ def test_only_the_topics_asked_for_are_recorded(
 def test_log_times_follow_the_simulated_clock_and_never_go_back(
     tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
-    """Nothing is recorded before that clock runs."""
+    """What comes before that clock runs is recorded at its first instant."""
     assert ros_environment
     with (
         ros_node("plant") as (plant, _),
@@ -201,11 +201,14 @@ def test_log_times_follow_the_simulated_clock_and_never_go_back(
         impacts.publish(event(1))
         for _ in range(20):
             executor.spin_once(timeout_sec=0.02)
-        assert recorder.counts == {}
+        assert recorder.counts == {"/impacts": 0}
         spin_until(executor, lambda: clock.get_subscription_count() > 0)
-        clock.publish(MAKE.clock(5_000_000_000))
-        spin_until(executor, lambda: recorder.counts.get("/impacts") == 1)
-        for count, now in ((2, 7_000_000_000), (3, 2_000_000_000), (4, 7_000_000_001)):
+        for count, now in (
+            (2, 5_000_000_000),
+            (3, 7_000_000_000),
+            (4, 2_000_000_000),
+            (5, 7_000_000_001),
+        ):
             clock.publish(MAKE.clock(now))
             latest = time.monotonic() + 0.3
             spin_until(executor, lambda latest=latest: time.monotonic() > latest)  # type: ignore[misc]
@@ -213,6 +216,7 @@ def test_log_times_follow_the_simulated_clock_and_never_go_back(
             spin_until(executor, lambda count=count: recorder.counts["/impacts"] == count)  # type: ignore[misc]
     with BagReader(tmp_path / "bag") as bag:
         assert [each.log_time for each in bag.raw()] == [
+            5_000_000_000,
             5_000_000_000,
             7_000_000_000,
             7_000_000_000,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 from systems import (
     EPOCH,
@@ -44,9 +44,9 @@ def approach(model: System, impact: Impact) -> float:
     return float(model.contact_speed(impact.before[model.n :])[impact.contacts[0]])
 
 
-def started(model: System, position: list[float], velocity: list[float]) -> Plant:
+def started(model: System, position: ArrayLike, velocity: ArrayLike) -> Plant:
     """A plant at ``EPOCH``."""
-    return Plant(model, np.array(position), np.array(velocity), epoch=EPOCH)
+    return Plant(model, np.asarray(position, float), np.asarray(velocity, float), epoch=EPOCH)
 
 
 def crossed(plant: Plant, count: int) -> list[Impact]:
@@ -61,7 +61,7 @@ def crossed(plant: Plant, count: int) -> list[Impact]:
 
 
 def test_ball_bounces_at_the_published_times() -> None:
-    """eps 0.9 from 1 m: closed form of every impact, published for the first three."""
+    """Eps 0.9 from 1 m: closed form of every impact, published for the first three."""
     model = sample("bouncing_ball").system
     times = [seconds(impact) for impact in crossed(started(model, [1.0], [0.0]), 60)]
     published = [0.4515236409857308, 1.264266194760045, 1.995734493156927]
@@ -81,7 +81,7 @@ def test_accumulating_impacts_are_one_line_with_contact_and_time() -> None:
     line = str(caught.value)
     assert len(line.splitlines()) == 1
     assert "'floor'" in line
-    told = float(line.split("t = ")[1].split(" s")[0])
+    told = float(line.split("t = ")[1].split(" s", maxsplit=1)[0])
     assert 8.578949178728887 - 1e-6 < told <= 8.578949178728887
 
 
@@ -91,7 +91,7 @@ def test_run_that_ends_before_the_impacts_accumulate_is_whole() -> None:
 
 
 def test_impact_without_restitution_is_one_line_with_contact_and_time() -> None:
-    """eps = 0 closes the contact for good where the load presses."""
+    """Eps = 0 closes the contact for good where the load presses."""
     model = system(1, 0, 0, contacts=[([1], 0.0, 0.0)], force=forcing(1, -9.81))
     with pytest.raises(LastingContactError, match=r"'c1'.* stamp 5\.451523641 s \(t = 0\.4515236"):
         run(model, [1.0], [0.0], seconds=1.0)
@@ -212,7 +212,7 @@ def test_symmetric_chain_hits_both_walls_at_once() -> None:
     assert event.switches == (Switch("c1"), Switch("c2"))
 
 
-@examples(40)
+@examples(25)
 @given(st.data())
 def test_gaps_never_close_beyond_rounding(data: st.DataObject) -> None:
     """``g >= -1e-10`` along random runs, at and between impacts; each impact obeys its law."""
@@ -223,7 +223,7 @@ def test_gaps_never_close_beyond_rounding(data: st.DataObject) -> None:
     impacts: list[Impact] = []
     states, last = [], EPOCH - 1
     try:
-        while len(impacts) < 60:
+        while len(impacts) < 20:
             impact = plant.next_impact(int(stamps[-1]))
             until = int(stamps[-1]) if impact is None else impact.instant.stamp
             phase = stamps[(stamps > last) & (stamps <= until)]

@@ -1,0 +1,95 @@
+"""The monitor node: the estimate's distance from the truth. Only it sees both."""
+
+from collections import OrderedDict
+
+import numpy as np
+from rclpy.node import Node
+
+from impact_observer.analysis.lyapunov import distance
+from impact_observer.bag import interfaces
+from impact_observer.bag.messages import (
+    EstimateError,
+    JointState,
+    JointStateMessage,
+    MessageError,
+    read_joint_state,
+)
+from impact_observer.model import read_model
+from impact_observer.nodes import parameters
+from impact_observer.nodes.messages import message_class, ros_messages
+from impact_observer.nodes.quality import qos_profile
+
+_MEMORY = 2000
+"""States kept until their counterpart comes."""
+
+
+class MonitorNode(Node):
+    """Publishes ``~/error`` for every estimate whose stamp the truth has too."""
+
+    def __init__(self) -> None:
+        super().__init__("monitor")
+        values = parameters.declare(self, parameters.MONITOR)
+        self._system = read_model(values.text("model")).system
+        self._make = ros_messages()
+        self._truth: OrderedDict[int, JointState] = OrderedDict()
+        self._waiting: OrderedDict[int, JointState] = OrderedDict()
+        quality = qos_profile(interfaces.STATES)
+        joint_state = message_class(interfaces.JOINT_STATE)
+        self._errors = self.create_publisher(
+            message_class(interfaces.MONITOR_ERROR.type), "~/error", quality
+        )
+        self.create_subscription(joint_state, "plant/joint_states", self._on_truth, quality)
+        estimates = self.create_subscription(
+            joint_state, "observer/joint_states", self._on_estimate, quality
+        )
+        self._law = values.text("law") or estimates.topic_name.rpartition("/")[0].lstrip("/")
+
+    def _on_truth(self, message: JointStateMessage) -> None:
+        state = self._read(message, "plant/joint_states")
+        if state is None:
+            return
+        _keep(self._truth, state)
+        estimate = self._waiting.pop(state.stamp, None)
+        if estimate is not None:
+            self._compare(state, estimate)
+
+    def _on_estimate(self, message: JointStateMessage) -> None:
+        """An estimate may come twice: the second time corrected by an event that was late."""
+        state = self._read(message, "observer/joint_states")
+        if state is None:
+            return
+        truth = self._truth.get(state.stamp)
+        if truth is None:
+            _keep(self._waiting, state)
+        else:
+            self._compare(truth, state)
+
+    def _read(self, message: JointStateMessage, topic: str) -> JointState | None:
+        """The state with its columns in the model's order; None, and a line, if it has others."""
+        try:
+            state = read_joint_state(message)
+        except MessageError as error:
+            self.get_logger().error(f"{topic}: {error}", throttle_duration_sec=5.0)
+            return None
+        names = self._system.coordinates
+        if sorted(state.names) != sorted(names):
+            self.get_logger().error(
+                f"{topic}: names {', '.join(state.names)}; expected {', '.join(names)}",
+                throttle_duration_sec=5.0,
+            )
+            return None
+        order = [state.names.index(name) for name in names]
+        return JointState(state.stamp, names, state.q[order], state.u[order])
+
+    def _compare(self, truth: JointState, estimate: JointState) -> None:
+        q, u = estimate.q - truth.q, estimate.u - truth.u
+        v = float(distance(self._system, q, u))
+        error = EstimateError(truth.stamp, self._law, v, truth.names, np.asarray(q), np.asarray(u))
+        self._errors.publish(self._make.estimate_error(error))
+
+
+def _keep(states: OrderedDict[int, JointState], state: JointState) -> None:
+    """Remember ``state`` by its stamp and forget the oldest."""
+    states[state.stamp] = state
+    while len(states) > _MEMORY:
+        states.popitem(last=False)

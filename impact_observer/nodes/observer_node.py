@@ -1,0 +1,240 @@
+"""The observer node: impact events in, the estimated state out."""
+
+from collections import Counter
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from impact_observer_msgs.srv import SetState
+from numpy.typing import ArrayLike
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from rclpy.event_handler import QoSRequestedIncompatibleQoSInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from std_srvs.srv import Trigger
+
+from impact_observer.bag import interfaces
+from impact_observer.bag.interfaces import Quality
+from impact_observer.bag.messages import EventMessage, JointState, MessageError, read_event
+from impact_observer.errors import UsageError
+from impact_observer.events import Ruling
+from impact_observer.model import read_model
+from impact_observer.nodes import parameters
+from impact_observer.nodes.messages import message_class, ros_messages
+from impact_observer.nodes.quality import qos_profile
+from impact_observer.observer import Observer, initial_state, law_named
+from impact_observer.stamps import NS_PER_S, seconds_between
+
+_BACKLOG = 20
+"""Estimates made up for at once when the node was late; older ones are passed over."""
+_STALE = 60 * NS_PER_S
+"""Silence after which the diagnostics suspect that stamps and clock disagree, ns."""
+
+
+class ObserverNode(Node):
+    """Runs one observer; every estimate is stamped ``epoch + k / rate``.
+
+    When an event arrives after an estimate that should contain it, that estimate is published
+    again, corrected, at once. Ground truth is never subscribed to.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("observer")
+        values = parameters.declare(self, parameters.OBSERVER)
+        system = read_model(values.text("model")).system
+        law = law_named(values.text("law"))(system)
+        self._initial = initial_state(values.text("initial_state"), system)
+        self._observer = Observer(
+            system,
+            law,
+            *self._initial,
+            epoch=values.integer("epoch"),
+            history=values.number("history"),
+        )
+        self._names = system.coordinates
+        self._rate = values.number("rate")
+        self._make = ros_messages()
+        self._states = self._publisher(interfaces.OBSERVER_STATES)
+        self._joint_states = self._publisher(interfaces.OBSERVER_JOINT_STATES)
+        self._verdicts = self._publisher(interfaces.OBSERVER_VERDICTS)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, "/diagnostics", qos_profile(interfaces.DIAGNOSTIC_ARRAYS.quality)
+        )
+        self._counts: Counter[str] = Counter()
+        self._latency = 0.0
+        self._mismatch = ""
+        self._forget()
+        durability = values.text("events_durability")
+        events = Quality(transient_local=durability == "transient_local", depth=2000)
+        self.create_subscription(
+            message_class(interfaces.IMPACTS.type),
+            "impacts",
+            self._on_event,
+            qos_profile(events),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_mismatch),
+        )
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(SetState, "~/set_state", self._on_set_state)
+        self.create_timer(1.0 / self._rate, self._on_timer)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(1.0, self._diagnose, clock=steady)
+        backwards = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+        )
+        self._jump = self.get_clock().create_jump_callback(
+            backwards, post_callback=self._on_clock_back
+        )
+
+    def _publisher(self, interface: interfaces.Interface) -> Publisher:
+        topic = f"~/{interface.name.rpartition('/')[2]}"
+        return self.create_publisher(
+            message_class(interface.type), topic, qos_profile(interface.quality)
+        )
+
+    def _forget(self) -> None:
+        """Nothing has been published yet."""
+        self._last_sample = -1
+        self._last_stamp = 0
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _on_event(self, message: EventMessage) -> None:
+        """Apply an event and say what became of it."""
+        try:
+            event = read_event(message)
+        except MessageError as error:
+            self._counts["invalid"] += 1
+            self.get_logger().error(f"impacts: {error}")
+            return
+        restarts = self._observer.restarts
+        verdicts = self._observer.receive(event)
+        if self._observer.restarts > restarts:
+            self._forget()
+            self.get_logger().warning(
+                f"the plant began again: episode {event.episode}, epoch {event.epoch} ns"
+            )
+        now = self._now()
+        latency = max(seconds_between(event.stamp, now), 0.0)
+        for verdict in verdicts:
+            self._counts[verdict.ruling.name.lower()] += 1
+            if verdict.ruling is not Ruling.APPLIED:
+                self.get_logger().warning(
+                    f"event {verdict.sequence} {verdict.contact}: {verdict.ruling.name.lower()},"
+                    f" {verdict.reason}"
+                )
+            self._verdicts.publish(self._make.verdict(verdict, latency))
+        if any(verdict.ruling is Ruling.APPLIED for verdict in verdicts):
+            self._latency = max(self._latency, latency)
+            if event.stamp <= self._last_stamp:
+                self._publish(self._last_stamp)
+
+    def _on_timer(self) -> None:
+        """Publish the estimates whose stamps have come."""
+        start, now = self._observer.start, self._now()
+        if start is None or now < start:
+            return
+        epoch = self._observer.epoch or start
+        newest = int(seconds_between(epoch, now) * self._rate) + 1
+        first = max(self._last_sample + 1, newest - _BACKLOG)
+        if self._last_sample >= 0:
+            self._counts["passed_over"] += first - self._last_sample - 1
+        for k in range(first, newest + 1):
+            stamp = epoch + round(k * NS_PER_S / self._rate)
+            if stamp > now:
+                break
+            self._last_sample = k
+            if stamp >= start:
+                self._last_stamp = stamp
+                self._publish(stamp)
+
+    def _publish(self, stamp: int) -> None:
+        estimate = self._observer.estimate(stamp)
+        self._states.publish(self._make.estimate(estimate, self._names))
+        state = JointState(stamp, self._names, estimate.q, estimate.u)
+        self._joint_states.publish(self._make.joint_state(state))
+
+    def _on_clock_back(self, _: TimeJump) -> None:
+        """The clock jumped back (a bag loop, say): begin again."""
+        self._observer.restart()
+        self._forget()
+        self._counts["clock_jumps"] += 1
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Put the replica back to its initial state, now."""
+        response.success, response.message = self._set_state(*self._initial)
+        return response
+
+    def _on_set_state(
+        self, request: SetState.Request, response: SetState.Response
+    ) -> SetState.Response:
+        """Put the replica into a state, now."""
+        if len(request.covariance):
+            response.success = False
+            response.message = f"covariance: the law {self._observer.law.name} carries none"
+            return response
+        response.success, response.message = self._set_state(request.position, request.velocity)
+        return response
+
+    def _set_state(self, position: ArrayLike, velocity: ArrayLike) -> tuple[bool, str]:
+        """The state holds from the last estimate's stamp on, or as the initial one."""
+        try:
+            stamp = max(self._last_stamp, self._observer.last_event)
+            self._observer.set_state(stamp, position, velocity)
+        except UsageError as error:
+            return False, str(error)
+        return True, f"holds at {stamp} ns" if stamp else "holds at the start"
+
+    def _on_mismatch(self, info: QoSRequestedIncompatibleQoSInfo) -> None:
+        """A publisher of impacts will never be heard."""
+        self._mismatch = (
+            f"a publisher of impacts offers an incompatible quality of service"
+            f" ({info.last_policy_kind}); set events_durability: volatile"
+        )
+        self.get_logger().error(self._mismatch)
+
+    def _diagnose(self) -> None:
+        """Publish counts and what is wrong to ``/diagnostics``."""
+        level, message = self._health()
+        observer = self._observer
+        figures = {
+            "law": observer.law.name,
+            "events applied": self._counts["applied"],
+            "events rejected": self._counts["rejected"],
+            "duplicates": self._counts["duplicate"],
+            "too late": self._counts["too_late"],
+            "unknown contacts": self._counts["unknown_contact"],
+            "invalid messages": self._counts["invalid"],
+            "missing sequence numbers": observer.missing,
+            "estimates passed over": self._counts["passed_over"],
+            "clock jumps back": self._counts["clock_jumps"],
+            "restarts": observer.restarts,
+            "largest latency [s]": f"{self._latency:.6f}",
+        }
+        status = DiagnosticStatus(
+            level=level,
+            name=f"{self.get_fully_qualified_name()}: impacts",
+            message=message,
+            hardware_id=observer.system.name,
+            values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def _health(self) -> tuple[bytes, str]:
+        """Level and message of the diagnostics: the worst that is true."""
+        observer = self._observer
+        if self._mismatch:
+            return DiagnosticStatus.ERROR, self._mismatch
+        if observer.start is None:
+            return DiagnosticStatus.WARN, "no impact has come yet"
+        silence = self._now() - max(observer.last_event, observer.start)
+        if silence > _STALE:
+            ago = f"the last impact was {silence / NS_PER_S:.0f} s ago by this clock"
+            return DiagnosticStatus.WARN, f"{ago}; is use_sim_time missing?"
+        if observer.missing:
+            return DiagnosticStatus.WARN, f"{observer.missing} events are missing"
+        refused = sum(self._counts[r.name.lower()] for r in Ruling) - self._counts["applied"]
+        if refused or self._counts["invalid"]:
+            return DiagnosticStatus.WARN, f"{refused + self._counts['invalid']} events not applied"
+        return DiagnosticStatus.OK, f"{self._counts['applied']} impacts applied"

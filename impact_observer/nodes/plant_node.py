@@ -1,0 +1,202 @@
+"""The plant node: simulates the impacting system and publishes its impact times."""
+
+import time
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from std_srvs.srv import Trigger
+
+from impact_observer.bag import interfaces
+from impact_observer.bag.messages import JointState
+from impact_observer.bag.recordings import carried_text
+from impact_observer.errors import UsageError
+from impact_observer.model import read_model
+from impact_observer.nodes import parameters
+from impact_observer.nodes.messages import message_class, ros_messages
+from impact_observer.nodes.quality import qos_profile
+from impact_observer.plant import Impact, Plant, event_of
+from impact_observer.stamps import NS_PER_S, from_seconds
+
+_LOOK_AHEAD = NS_PER_S
+"""How far beyond the present an impact is looked for, ns."""
+_LONGEST_SLEEP = 0.05
+"""Between two looks at a clock that is not the node's own, s."""
+_SETTLE = 0.2
+"""Between the last subscriber's appearance and the beginning, s of wall time."""
+
+
+class PlantNode(Node):
+    """Publishes ``impacts``, true states and the model; owns ``/clock`` on request.
+
+    Attributes:
+        done: whether the duration is over.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("plant")
+        values = parameters.declare(self, parameters.PLANT)
+        self.done = False
+        self._model = read_model(values.text("model"))
+        self._rate = values.number("rate")
+        self._duration = from_seconds(values.number("duration"))
+        self._factor = values.number("realtime_factor")
+        self._owns_clock = values.flag("publish_clock")
+        self._clock_period = from_seconds(1.0 / values.number("clock_rate"))
+        self._wanted_subscribers = values.integer("wait_for_subscribers")
+        self._wanted_epoch = values.integer("epoch")
+        self._check_time_source()
+        self._make = ros_messages()
+        model_text = carried_text(self._model, values.integer("seed"))
+        self._impacts = self._publisher(interfaces.IMPACTS, "impacts")
+        self._states = self._publisher(interfaces.PLANT_JOINT_STATES, "~/joint_states")
+        self._model_topic = self._publisher(interfaces.PLANT_MODEL, "~/model")
+        self._clock_topic = (
+            self._publisher(interfaces.SIMULATED_CLOCK, "/clock") if self._owns_clock else None
+        )
+        self._model_topic.publish(self._make.model(model_text))
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self._episode = 0
+        self._plant: Plant | None = None
+        # The plant paces itself by wall time: the timer sleeps just to what is due next.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(_LONGEST_SLEEP, self._tick, clock=steady)
+        self._ready_since: float | None = None
+
+    def _check_time_source(self) -> None:
+        """Refuse two owners of the time, or a pace that nobody else would know."""
+        simulated = self.get_parameter("use_sim_time").value
+        if self._owns_clock and simulated:
+            raise UsageError(
+                "parameter publish_clock: true together with use_sim_time; choose one"
+            )
+        if self._factor != 1.0 and not self._owns_clock:
+            raise UsageError(
+                f"parameter realtime_factor: {self._factor:g} needs publish_clock: true"
+            )
+
+    def _publisher(self, interface: interfaces.Interface, topic: str) -> Publisher:
+        return self.create_publisher(
+            message_class(interface.type), topic, qos_profile(interface.quality)
+        )
+
+    def _tick(self) -> None:
+        """Publish what is due, in the order of stamps, and sleep to the next."""
+        if self._plant is None and not self._begins():
+            return
+        now = self._now()
+        end = self._epoch + self._duration if self._duration else None
+        self._publish_until(now if end is None else min(now, end))
+        if end is not None and now >= end:
+            self.get_logger().info(f"{self._duration / NS_PER_S:g} s are over")
+            self.done = True
+            return
+        self._sleep_from(now)
+
+    def _begins(self) -> bool:
+        """Start the plant if it is time: subscribers are there and the clock runs.
+
+        Until then simulated time, if it is the plant's own, stands still just before the epoch.
+        """
+        now = self._wanted_epoch or self.get_clock().now().nanoseconds
+        if self._clock_topic is not None:
+            self._wanted_epoch = now
+            self._clock_topic.publish(self._make.clock(max(now - self._clock_period, 1)))
+        listeners = min(
+            self._impacts.get_subscription_count(), self._states.get_subscription_count()
+        )
+        if listeners < self._wanted_subscribers:
+            return False
+        self._ready_since = self._ready_since or time.monotonic()
+        if self._wanted_subscribers and time.monotonic() < self._ready_since + _SETTLE:
+            return False
+        if now == 0:
+            return False  # simulated time that has not begun
+        self._start(now)
+        return True
+
+    def _start(self, epoch: int) -> None:
+        """Begin an episode at ``epoch``."""
+        self._plant = Plant(self._model.system, *self._model.initial_state(), epoch=epoch)
+        self._plant.next_impact(epoch + _LOOK_AHEAD)
+        self._epoch = epoch
+        self._started = time.monotonic_ns()  # last: the first use of everything takes its time
+        self._sequence = 0
+        self._next_sample = 0
+        self._next_clock = epoch
+        name, impacts = self._model.system.name, f"episode {self._episode}"
+        self.get_logger().info(f"{name}, {impacts}, epoch {epoch} ns")
+
+    def _now(self) -> int:
+        """The present stamp, ns."""
+        if self._owns_clock:
+            elapsed = (time.monotonic_ns() - self._started) * self._factor
+            return self._epoch + int(elapsed)
+        return int(self.get_clock().now().nanoseconds)
+
+    def _sample_stamp(self, k: int) -> int:
+        """Stamp of the true state number ``k``, ns."""
+        return self._epoch + round(k * NS_PER_S / self._rate)
+
+    def _publish_until(self, now: int) -> None:
+        """Events and states up to ``now``: at equal stamps the event first, the clock last."""
+        assert self._plant is not None
+        while (impact := self._plant.next_impact(now + _LOOK_AHEAD)) is not None:
+            if impact.instant.stamp > now:
+                break
+            self._publish_states(impact.instant.stamp - 1)
+            self._publish_event(impact)
+            self._plant.cross(impact)
+        self._publish_states(now)
+        if self._clock_topic is not None and now >= self._next_clock:
+            self._clock_topic.publish(self._make.clock(now))
+            late = max(now - self._next_clock, 0) // self._clock_period
+            self._next_clock += (late + 1) * self._clock_period
+
+    def _publish_states(self, last: int) -> None:
+        """True states of the present phase up to the stamp ``last``."""
+        assert self._plant is not None
+        n, names = self._model.system.n, self._model.system.coordinates
+        while (stamp := self._sample_stamp(self._next_sample)) <= last:
+            x = self._plant.states(np.array([stamp]))[0]
+            state = JointState(stamp, names, x[:n], x[n:])
+            self._states.publish(self._make.joint_state(state))
+            self._next_sample += 1
+
+    def _publish_event(self, impact: Impact) -> None:
+        self._sequence += 1
+        event = event_of(
+            impact,
+            self._model.system,
+            sequence=self._sequence,
+            episode=self._episode,
+            epoch=self._epoch,
+        )
+        self._impacts.publish(self._make.event(event))
+
+    def _sleep_from(self, now: int) -> None:
+        """Set the timer to the next thing that is due."""
+        assert self._plant is not None
+        due = self._sample_stamp(self._next_sample)
+        if self._owns_clock:
+            due = min(due, self._next_clock)
+        impact = self._plant.next_impact(now + _LOOK_AHEAD)
+        if impact is not None:
+            due = min(due, impact.instant.stamp)
+        wait = max(due - now, 0) / self._factor
+        if not self._owns_clock:
+            wait = min(wait, _LONGEST_SLEEP * NS_PER_S)
+        self._timer.timer_period_ns = max(int(wait), 1000)
+        self._timer.reset()
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Begin again from the initial state, as a new episode whose epoch is now."""
+        if self._plant is None:
+            response.success, response.message = False, "the plant has not begun yet"
+            return response
+        self._episode += 1
+        self._start(max(self._now(), self._sample_stamp(self._next_sample - 1) + 1))
+        response.success = True
+        response.message = f"episode {self._episode}, epoch {self._epoch} ns"
+        return response

@@ -1,0 +1,448 @@
+"""The observer: what it makes of events, and that an estimate depends on nothing else."""
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from systems import (
+    EPOCH,
+    chain,
+    estimates,
+    event,
+    examples,
+    observer,
+    run,
+    sample,
+    system,
+)
+
+from impact_observer.analysis import lyapunov
+from impact_observer.dynamics import flow_of
+from impact_observer.errors import ImpactLawError, LastingContactError, UsageError
+from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
+from impact_observer.model import System
+from impact_observer.observer import Observer, law_named
+from impact_observer.plant import Run
+from impact_observer.stamps import NS_PER_S, grid
+
+Array = NDArray[np.float64]
+LAWS = ("open-loop", "kinematic", "geometric")
+TWO_MASS = sample("two_mass").system
+
+
+def true_run(name: str, seconds: float, rate: float = 100.0) -> Run:
+    """A run of a sample model from its own initial state."""
+    model = sample(name)
+    return run(model.system, *model.initial_state(), seconds=seconds, rate=rate)
+
+
+def random_start(n: int, seed: int) -> Array:
+    """What ``random:SEED`` means."""
+    return np.random.default_rng(seed).normal(size=2 * n)
+
+
+def told(watcher: Observer, run: Run) -> list[Ruling]:
+    """The verdicts on all events of a run."""
+    return [verdict.ruling for each in run.events for verdict in watcher.receive(each)]
+
+
+def distances(model: System, watcher: Observer, run: Run) -> Array:
+    """``V`` at the samples of a run, both sides after all events at or before them."""
+    difference = estimates(watcher, run.stamps) - run.states
+    return np.asarray(lyapunov.distance(model, difference[:, : model.n], difference[:, model.n :]))
+
+
+def state(watcher: Observer, seconds: float) -> list[float]:
+    """The estimate at ``seconds`` since ``EPOCH``."""
+    found = watcher.estimate(EPOCH + round(seconds * NS_PER_S))
+    return [*found.q.tolist(), *found.u.tolist()]
+
+
+@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+@pytest.mark.parametrize("law", ["kinematic", "geometric"])
+def test_distance_to_the_plant_never_rises(name: str, law: str) -> None:
+    """The paper's theorem on its kind of examples, through events rounded to 1 ns."""
+    model, truth = sample(name).system, true_run(name, 30.0, rate=20.0)
+    for seed in range(5):
+        watcher = observer(model, law, random_start(model.n, seed), epoch=EPOCH, history=100.0)
+        assert set(told(watcher, truth)) == {Ruling.APPLIED}
+        V = distances(model, watcher, truth)
+        assert np.max(np.diff(V)) <= 1e-9 * V[0]
+        assert V[-1] < 0.5 * V[0]
+
+
+@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+def test_geometric_law_ends_closer_than_kinematic(name: str) -> None:
+    """The paper's claim, in the median of 20 initial states after 30 s."""
+    model, truth = sample(name).system, true_run(name, 30.0, rate=1.0)
+    ratios = {}
+    for law in ("kinematic", "geometric"):
+        ends = []
+        for seed in range(20):
+            watcher = observer(model, law, random_start(model.n, seed), epoch=EPOCH, history=100.0)
+            told(watcher, truth)
+            V = distances(model, watcher, truth)
+            ends.append(V[-1] / V[0])
+        ratios[law] = np.median(ends)
+    assert ratios["geometric"] < ratios["kinematic"]
+
+
+def test_open_loop_is_the_flow_without_contact() -> None:
+    """Whatever it is told, to the last bit."""
+    x, truth = random_start(2, 3), true_run("two_mass", 8.0)
+    watcher = observer(TWO_MASS, "open-loop", x)
+    told(watcher, truth)
+    motion = flow_of(TWO_MASS).start(0.0, x)
+    for seconds in (0.25, truth.impacts[0].instant.stamp / NS_PER_S - 5, 7.5):
+        np.testing.assert_allclose(state(watcher, seconds), motion.state(seconds), atol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["kinematic", "geometric"])
+@pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball"])
+def test_observer_that_starts_in_the_true_state_stays_there(name: str, law: str) -> None:
+    """To what stamps of 1 ns allow."""
+    model, truth = sample(name), true_run(name, 5.0)
+    watcher = observer(model.system, law, np.concatenate(model.initial_state()))
+    told(watcher, truth)
+    np.testing.assert_allclose(estimates(watcher, truth.stamps), truth.states, atol=2e-7)
+
+
+def test_geometric_observer_of_a_ball_finds_its_height() -> None:
+    """K = 0: each bounce tells the height exactly, and the speed converges with eps."""
+    model, truth = sample("bouncing_ball").system, true_run("bouncing_ball", 7.5)
+    watcher = observer(model, "geometric", [3.0, -2.0])
+    told(watcher, truth)
+    error = np.abs(estimates(watcher, truth.stamps) - truth.states)
+    assert error[0].tolist() == [2.0, 2.0]
+    bounce = np.searchsorted(truth.stamps, truth.impacts[0].instant.stamp)
+    assert error[bounce, 0] < 0.05
+    assert np.all(error[-1] < 2.5 * 0.9 ** len(truth.impacts))
+    V = distances(model, watcher, truth)
+    assert np.max(np.diff(V)) <= 1e-9 * V[0]
+
+
+PERMUTED = true_run("three_mass", 6.0, rate=10.0)
+
+
+@pytest.mark.parametrize("law", ["kinematic", "geometric"])
+@examples(15)
+@given(order=st.permutations(range(len(PERMUTED.events))))
+def test_order_of_arrival_does_not_matter(law: str, order: list[int]) -> None:
+    """Any permutation within the history: the same estimates to the last bit."""
+    model, x = sample("three_mass").system, random_start(3, 1)
+    ordered, shuffled = (observer(model, law, x, history=60.0) for _ in range(2))
+    told(ordered, PERMUTED)
+    rulings = [v.ruling for i in order for v in shuffled.receive(PERMUTED.events[i])]
+    assert set(rulings) == {Ruling.APPLIED}
+    assert estimates(shuffled, PERMUTED.stamps).tolist() == (
+        estimates(ordered, PERMUTED.stamps).tolist()
+    )
+    assert shuffled.missing == 0
+    assert shuffled.start == ordered.start == EPOCH
+
+
+def test_order_of_arrival_does_not_decide_where_a_late_observer_starts() -> None:
+    """Events 4, 5 and 6 in any order: the initial state holds at the earliest stamp."""
+    events = [event(0.5 * k, "stop", sequence=k) for k in (4, 5, 6)]
+    found = set()
+    for order in permutations(events):
+        watcher = observer(TWO_MASS, "geometric", random_start(2, 2))
+        for each in order:
+            watcher.receive(each)
+        assert watcher.start == EPOCH + 2 * NS_PER_S
+        found.add(tuple(state(watcher, 3.5)))
+    assert len(found) == 1
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_estimate_does_not_depend_on_who_asked_before(law: str) -> None:
+    """A node that is asked at 1 kHz and a command that asks once get the same bits."""
+    truth = true_run("two_mass", 4.0)
+    asked, alone = (observer(TWO_MASS, law, random_start(2, 5), epoch=EPOCH) for _ in range(2))
+    pending = list(truth.events)
+    for stamp in grid(EPOCH, EPOCH + 4 * NS_PER_S, 1000.0).tolist():
+        while pending and pending[0].stamp <= stamp:
+            asked.receive(pending.pop(0))
+        asked.estimate(stamp)
+    told(alone, truth)
+    assert estimates(asked, truth.stamps).tolist() == estimates(alone, truth.stamps).tolist()
+
+
+def test_moving_everything_in_time_moves_nothing_else() -> None:
+    """Epoch and stamps later by years: the same bits."""
+    truth, moved = true_run("two_mass", 4.0), 1_600_000_000_000_000_001
+    here, there = (observer(TWO_MASS, "geometric", random_start(2, 5)) for _ in range(2))
+    for each in truth.events:
+        here.receive(each)
+        there.receive(
+            ImpactEvent(each.stamp + moved, each.switches, each.sequence, 0, each.epoch + moved)
+        )
+    late = estimates(there, truth.stamps + moved)
+    assert late.tolist() == estimates(here, truth.stamps).tolist()
+
+
+def test_initial_state_holds_at_the_epoch() -> None:
+    """When the first event is the sender's first, or the sender does not count."""
+    x = random_start(2, 1)
+    for sequence in (0, 1):
+        watcher = observer(TWO_MASS, "geometric", x)
+        starts = [watcher.start]
+        watcher.receive(event(2.0, "stop", sequence=sequence))
+        assert [*starts, watcher.start] == [None, EPOCH]
+        assert state(watcher, 0.0) == pytest.approx(x.tolist(), abs=1e-14)
+
+
+def test_initial_state_holds_at_the_first_stamp_of_a_late_observer() -> None:
+    """Just before the event of that stamp; the forcing's phase is still the epoch's."""
+    x = random_start(2, 1)
+    watcher = observer(TWO_MASS, "open-loop", x)
+    watcher.receive(event(2.0, "stop", sequence=5))
+    assert watcher.start == EPOCH + 2 * NS_PER_S
+    expected = flow_of(TWO_MASS).start(2.0, x).state(0.7)
+    np.testing.assert_allclose(state(watcher, 2.7), expected, atol=1e-14)
+
+
+def test_given_epoch_lets_one_ask_before_the_first_event() -> None:
+    """A late first event then moves the beginning, as the contract says."""
+    x = random_start(2, 1)
+    watcher = observer(TWO_MASS, "open-loop", x, epoch=EPOCH)
+    assert state(watcher, 0.0) == pytest.approx(x.tolist(), abs=1e-14)
+    assert watcher.epoch == EPOCH
+    watcher.receive(event(2.0, "stop", sequence=5))
+    assert watcher.start == EPOCH + 2 * NS_PER_S
+    assert state(watcher, 2.0) == pytest.approx(x.tolist(), abs=1e-14)
+
+
+def test_system_without_time_needs_no_epoch() -> None:
+    """It starts at the first stamp it sees."""
+    model = chain(1, contacts=[([-1], 0.5, 0.7)])
+    watcher = observer(model, "geometric", [0.3, 1.0])
+    watcher.receive(event(2.0, "c1", epoch=0))
+    assert watcher.start == EPOCH + 2 * NS_PER_S
+    np.testing.assert_allclose(state(watcher, 2.0), [0.5, -0.7], rtol=1e-14)
+
+
+def test_duplicate_is_told_and_changes_nothing() -> None:
+    """By its sequence number, or by everything where nobody counts."""
+    for sequence in (0, 7):
+        watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
+        watcher.receive(event(1.0, "stop", sequence=sequence))
+        before = state(watcher, 1.5)
+        verdict = watcher.receive(event(1.0, "stop", sequence=sequence))[0]
+        assert verdict.ruling is Ruling.DUPLICATE
+        assert (verdict.stamp, verdict.sequence) == (EPOCH + NS_PER_S, sequence)
+        assert verdict.reason
+        assert state(watcher, 1.5) == before
+
+
+def test_unknown_contact_is_told_and_the_others_applied() -> None:
+    """One verdict a switch; the reason names the contacts that exist."""
+    with_it, without = (observer(TWO_MASS, "geometric", random_start(2, 1)) for _ in range(2))
+    verdicts = with_it.receive(event(1.0, "wall", "stop", sequence=1))
+    without.receive(event(1.0, "stop", sequence=1))
+    assert [(v.contact, v.ruling) for v in verdicts] == [
+        ("wall", Ruling.UNKNOWN_CONTACT),
+        ("stop", Ruling.APPLIED),
+    ]
+    assert verdicts[0].reason == "the model's contacts are stop"
+    assert state(with_it, 2.0) == state(without, 2.0)
+
+
+def test_event_with_unknown_contacts_only_is_not_missing() -> None:
+    """It came; there was nothing to do."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
+    watcher.receive(event(1.0, "wall", sequence=1))
+    watcher.receive(event(2.0, "stop", sequence=2))
+    assert watcher.missing == 0
+    assert watcher.last_event == EPOCH + 2 * NS_PER_S
+
+
+def test_event_before_the_known_past_is_too_late() -> None:
+    """Beyond the history, or before the epoch; the reason says where the past begins."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH, history=2.0)
+    assert watcher.receive(event(-1.0, "stop"))[0].ruling is Ruling.TOO_LATE
+    for k in range(1, 9):
+        watcher.receive(event(float(k), "stop"))
+    before = state(watcher, 9.0)
+    verdict = watcher.receive(event(5.5, "stop"))[0]
+    assert verdict.ruling is Ruling.TOO_LATE
+    assert verdict.reason == "older than 11.000000000 s, where the known past begins"
+    assert state(watcher, 9.0) == before
+    assert watcher.receive(event(6.5, "stop"))[0].ruling is Ruling.APPLIED
+    assert state(watcher, 9.0) != before
+
+
+def test_event_of_an_old_episode_is_rejected() -> None:
+    """A straggler from before the sender's reset."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
+    watcher.receive(event(1.0, "stop", sequence=1, episode=3))
+    before = state(watcher, 2.0)
+    verdict = watcher.receive(event(1.5, "stop", sequence=9, episode=2))[0]
+    assert (verdict.ruling, verdict.reason) == (Ruling.REJECTED, "episode 2 is over")
+    assert state(watcher, 2.0) == before
+
+
+@pytest.mark.parametrize(
+    "change", [{"episode": 1, "epoch": EPOCH + 9}, {"episode": 0, "epoch": EPOCH + 9}]
+)
+def test_new_episode_or_epoch_begins_again(change: dict[str, int]) -> None:
+    """As an observer that has just been made, with the same sequence numbers once more."""
+    x = random_start(2, 1)
+    used, fresh = observer(TWO_MASS, "geometric", x), observer(TWO_MASS, "geometric", x)
+    used.receive(event(1.0, "stop", sequence=1))
+    used.receive(event(4.0, "stop", sequence=2))
+    again = event(2.0, "stop", sequence=1, **change)
+    assert used.receive(again)[0].ruling is Ruling.APPLIED
+    fresh.receive(again)
+    assert used.restarts == 1
+    assert used.epoch == used.start == EPOCH + 9
+    assert used.missing == 0
+    assert state(used, 3.0) == state(fresh, 3.0)
+
+
+def test_lost_events_are_counted() -> None:
+    """Between the first and the last number seen; late ones are taken off again."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
+    for sequence in (3, 4, 8):
+        watcher.receive(event(float(sequence), "stop", sequence=sequence))
+    assert watcher.missing == 3
+    watcher.receive(event(5.0, "stop", sequence=5))
+    watcher.receive(event(2.0, "stop", sequence=2))
+    assert watcher.missing == 2
+    watcher.receive(event(2.0, "stop", sequence=2))
+    assert watcher.missing == 2
+
+
+def test_memory_is_bounded() -> None:
+    """Thousands of events leave the history only, and old duplicates are still known as such."""
+    model = chain(1, contacts=[([-1], 0.5, 0.7)])
+    watcher = observer(model, "kinematic", [0.3, 1.0], history=1.0)
+    first = event(0.1, "c1", sequence=1)
+    watcher.receive(first)
+    for k in range(2, 3000):
+        watcher.receive(event(0.1 * k, "c1", sequence=k))
+    assert watcher._timeline is not None
+    assert len(watcher._timeline.entries) <= 12
+    assert len(watcher._seen) <= 100
+    assert watcher.missing == 0
+    assert watcher.receive(first)[0].ruling is Ruling.TOO_LATE
+    assert watcher.missing == 0
+
+
+@pytest.mark.parametrize("kind", [Kind.CLOSE, Kind.OPEN])
+def test_lasting_contact_is_one_line_with_contact_and_stamp(kind: Kind) -> None:
+    """Until it is supported."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
+    lasting = ImpactEvent(EPOCH + NS_PER_S, (Switch("stop", kind),), 1, 0, EPOCH)
+    with pytest.raises(
+        LastingContactError, match=rf"contact 'stop': {kind.name} at stamp 6\.000000000 s"
+    ):
+        watcher.receive(lasting)
+
+
+def test_forcing_without_an_epoch_is_one_line() -> None:
+    """The event is neither applied nor remembered; an observer that was told applies it."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
+    silent = event(1.0, "stop", sequence=1, epoch=0)
+    for _ in range(2):
+        with pytest.raises(UsageError, match="epoch: the forcing of two_mass depends on time"):
+            watcher.receive(silent)
+    knowing = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
+    assert knowing.receive(silent)[0].ruling is Ruling.APPLIED
+
+
+def test_impact_without_a_solution_is_not_applied() -> None:
+    """The error names the stamp, and the replica goes on as if nothing had come."""
+    model = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
+    watcher = observer(model, "kinematic", [0.0, -1.0], epoch=EPOCH)
+    with pytest.raises(ImpactLawError, match=r"at 5\.000000000 s: contacts 'c1', 'c2'"):
+        watcher.receive(event(0.0, "c1", "c2", sequence=1))
+    np.testing.assert_allclose(state(watcher, 0.0), [0.0, -1.0], atol=1e-15)
+    assert watcher.last_event == 0
+
+
+def test_simultaneous_impacts_are_one_event_or_two() -> None:
+    """One event is one law for both contacts; two of equal stamp follow each other."""
+    model = chain(2, contacts=[([1, 0], 0.1, 0.5), ([-1, 1], 0.1, 0.5)])
+    x = [0.0, 0.0, -2.0, -3.0]
+    together, apart = (observer(model, "kinematic", x, epoch=EPOCH) for _ in range(2))
+    together.receive(event(1.0, "c1", "c2", sequence=1))
+    apart.receive(event(1.0, "c1", sequence=1))
+    apart.receive(event(1.0, "c2", sequence=2))
+    law, before = law_named("kinematic")(model), flow_of(model).start(0.0, np.array(x)).state(1.0)
+    assert state(together, 1.0) == pytest.approx(law.impact(before, (0, 1)).tolist(), abs=1e-14)
+    successive = law.impact(law.impact(before, (0,)), (1,))
+    assert state(apart, 1.0) == pytest.approx(successive.tolist(), abs=1e-14)
+
+
+def test_estimate_tells_what_it_knows() -> None:
+    """Stamp, law, and the last event at or before the stamp, not the last that came."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
+    watcher.receive(event(1.0, "stop", sequence=1))
+    watcher.receive(event(2.0, "stop", sequence=2))
+    for seconds, sequence in ((0.5, 0), (1.0, 1), (1.5, 1), (2.0, 2)):
+        stamp = EPOCH + round(seconds * NS_PER_S)
+        found = watcher.estimate(stamp)
+        assert (found.stamp, found.law, found.last_sequence) == (stamp, "geometric", sequence)
+        assert found.last_event == (EPOCH + sequence * NS_PER_S if sequence else 0)
+        assert found.closed == ()
+    assert watcher.last_event == EPOCH + 2 * NS_PER_S
+
+
+def test_estimate_where_nothing_is_known_is_one_line() -> None:
+    """Before the first event, and before the known past."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
+    with pytest.raises(UsageError, match=r"estimate at 5\.000000000 s: no event has come"):
+        watcher.estimate(EPOCH)
+    watcher.receive(event(1.0, "stop", sequence=1))
+    with pytest.raises(UsageError, match=r"the known past begins at 5\.000000000 s"):
+        watcher.estimate(EPOCH - 1)
+
+
+def test_given_state_replaces_the_past() -> None:
+    """From its stamp on; what comes later is applied, what came before is too late."""
+    watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
+    watcher.receive(event(1.0, "stop", sequence=1))
+    watcher.set_state(EPOCH + 2 * NS_PER_S, np.array([0.1, 0.2]), np.array([0.3, 0.4]))
+    assert state(watcher, 2.0) == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-14)
+    assert watcher.receive(event(1.5, "stop", sequence=2))[0].ruling is Ruling.TOO_LATE
+    assert watcher.receive(event(2.5, "stop", sequence=3))[0].ruling is Ruling.APPLIED
+    assert watcher.start == EPOCH + 2 * NS_PER_S
+    with pytest.raises(UsageError, match="position: 1 values, expected 2"):
+        watcher.set_state(EPOCH, np.zeros(1), np.zeros(2))
+
+
+def test_state_given_before_anything_is_known_is_the_initial_state() -> None:
+    """It holds where the one it replaces would have held."""
+    watcher = observer(TWO_MASS, "open-loop", random_start(2, 1))
+    watcher.set_state(EPOCH + 99, np.array([0.1, 0.2]), np.array([0.3, 0.4]))
+    watcher.receive(event(2.0, "stop", sequence=1))
+    assert state(watcher, 0.0) == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-14)
+
+
+def test_restart_forgets_everything() -> None:
+    """A clock that jumped back: the observer is as it was made."""
+    x = random_start(2, 1)
+    used, fresh = (observer(TWO_MASS, "geometric", x, epoch=EPOCH) for _ in range(2))
+    used.receive(event(5.0, "stop", sequence=4))
+    used.restart()
+    for watcher in (used, fresh):
+        assert watcher.receive(event(1.0, "stop", sequence=1))[0].ruling is Ruling.APPLIED
+    assert state(used, 3.0) == state(fresh, 3.0)
+    assert used.missing == 0
+
+
+@pytest.mark.parametrize("history", [0.0, -1.0, float("nan")])
+def test_history_must_be_positive(history: float) -> None:
+    """It is named with what was found."""
+    with pytest.raises(UsageError, match=r"history: .* expected a positive number"):
+        observer(TWO_MASS, "geometric", np.zeros(4), history=history)
+
+
+def test_initial_state_must_fit_the_system() -> None:
+    """The same check as everywhere."""
+    with pytest.raises(UsageError, match="velocity: 1 values, expected 2"):
+        observer(TWO_MASS, "geometric", np.zeros(3))

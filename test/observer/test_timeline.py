@@ -1,0 +1,106 @@
+"""The replica's past: events in their places, and no more of it than is needed."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from impact_observer.observer.timeline import Entry, Key, Timeline
+
+Array = NDArray[np.float64]
+
+
+def step(previous: Entry, event: Key) -> Array:
+    """A state that tells the whole way to it: digits of the events' stamps."""
+    return previous.x * 10 + event.stamp
+
+
+def key(stamp: int, sequence: int = 0, *active: int) -> Key:
+    """An event's place."""
+    return Key(stamp, sequence, active or (0,))
+
+
+def filled(*keys: Key) -> Timeline:
+    """A timeline from stamp 0 on with events that come in the given order."""
+    timeline = Timeline(0, np.zeros(1))
+    for each in keys:
+        timeline.insert(each, step)
+    return timeline
+
+
+def states(timeline: Timeline) -> list[float]:
+    """The state after each entry."""
+    return [float(entry.x[0]) for entry in timeline.entries]
+
+
+def test_late_event_is_put_in_its_place_and_the_rest_done_again() -> None:
+    """The same states as if it had come in time."""
+    assert states(filled(key(1), key(3), key(2))) == [0, 1, 12, 123]
+    assert states(filled(key(3), key(2), key(1))) == states(filled(key(1), key(2), key(3)))
+
+
+def test_equal_stamps_are_successive_by_sequence() -> None:
+    """And by contact where nobody counts; never by arrival."""
+    timeline = filled(key(1, 8), key(1, 7), key(1, 9))
+    assert [entry.key.sequence for entry in timeline.entries[1:]] == [7, 8, 9]
+    unnumbered = filled(key(1, 0, 1), key(1, 0, 0))
+    assert [entry.key.active for entry in unnumbered.entries[1:]] == [(0,), (1,)]
+
+
+def test_state_at_a_stamp_is_after_all_events_of_that_stamp() -> None:
+    """At, before and after, with two events at one instant."""
+    timeline = filled(key(2, 1), key(2, 2), key(5, 3))
+    assert timeline.at(1).key.sequence == -1
+    assert timeline.at(2).key.sequence == 2
+    assert timeline.at(4).key.sequence == 2
+    assert timeline.at(5).key.sequence == timeline.at(9).key.sequence == 3
+
+
+def test_event_at_the_very_beginning_comes_after_the_initial_state() -> None:
+    """The initial state holds before any event of its stamp."""
+    timeline = filled(key(0))
+    assert [entry.key.stamp for entry in timeline.entries] == [0, 0]
+    assert timeline.at(0).key.active == (0,)
+
+
+def test_known_event_is_recognised() -> None:
+    """Only the very same one."""
+    timeline = filled(key(2, 1))
+    assert key(2, 1) in timeline
+    assert key(2, 2) not in timeline
+    assert key(2, 1, 1) not in timeline
+
+
+def test_past_is_dropped_up_to_the_state_that_is_needed() -> None:
+    """What is asked for after the cut has the same answer as before it."""
+    timeline = filled(key(1), key(2), key(4))
+    whole = [timeline.whole]
+    timeline.forget_before(3)
+    assert states(timeline) == [12, 124]
+    assert timeline.start == key(2)
+    assert [*whole, timeline.whole] == [True, False]
+    assert timeline.at(3).x[0] == 12
+    timeline.forget_before(-5)
+    assert states(timeline) == [12, 124]
+
+
+def test_beginning_elsewhere_does_everything_again() -> None:
+    """Events before the new beginning are gone, those after it follow the new state."""
+    timeline = filled(key(1), key(3), key(4))
+    timeline.begin(2, np.array([5.0]), step)
+    assert states(timeline) == [5, 53, 534]
+
+
+def test_step_that_fails_leaves_the_past_as_it_was() -> None:
+    """The event is not in it, nor is any state changed."""
+    timeline = filled(key(1), key(3))
+    kept = states(timeline)
+
+    def failing(previous: Entry, event: Key) -> Array:
+        if event.stamp == 3:
+            raise ArithmeticError
+        return step(previous, event)
+
+    with pytest.raises(ArithmeticError):
+        timeline.insert(key(2), failing)
+    assert states(timeline) == kept
+    assert key(2) not in timeline

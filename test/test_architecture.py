@@ -1,0 +1,189 @@
+"""The house: who may import whom, and what every test owes its reader."""
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGE = ROOT / "impact_observer"
+TESTS = ROOT / "test"
+
+LEVELS: dict[str, int] = {
+    "model": 1,
+    "dynamics": 2,
+    "plant": 3,
+    "observer": 3,
+    "analysis": 4,
+    "bag": 5,
+    "nodes": 6,
+    "cli": 7,
+}
+"""Rooms from left to right; the modules beside them are the vocabulary, level 0."""
+CORE = ("model", "dynamics", "plant", "observer", "analysis")
+FIGURES = {"analysis/figures.py"}
+"""Modules that draw, the only ones of the core that may import matplotlib."""
+ALLOWED = {"numpy", "scipy", *sys.stdlib_module_names} - {"argparse"}
+ENTRANCE = {"__main__.py"}
+"""Modules beside the rooms that are a door, not a word: they may import any room."""
+
+
+def modules(*rooms: str) -> list[Path]:
+    """All modules of the given rooms, or of the whole package."""
+    folders = [PACKAGE / room for room in rooms] or [PACKAGE]
+    return sorted(path for folder in folders for path in folder.rglob("*.py"))
+
+
+def named(path: Path) -> str:
+    """A module or test, as a reader would call it."""
+    return str(path.relative_to(ROOT))
+
+
+def imports(tree: ast.AST, path: Path) -> Iterator[str]:
+    """Full names of everything that a module imports, wherever in it."""
+    package = path.relative_to(ROOT).parent.parts
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = list(package[: len(package) - node.level + 1]) if node.level else []
+            module = ".".join([*base, *([node.module] if node.module else [])])
+            yield module
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def parsed(path: Path) -> ast.Module:
+    """The syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+def room(path: Path) -> str:
+    """The room that a module lies in; empty for the vocabulary."""
+    parts = path.relative_to(PACKAGE).parts
+    return parts[0] if len(parts) > 1 else ""
+
+
+def room_of_name(name: str) -> str | None:
+    """The room that an imported name lies in; None where it is not ours, or is a word."""
+    parts = name.split(".")
+    return parts[1] if parts[0] == PACKAGE.name and len(parts) > 1 and parts[1] in LEVELS else None
+
+
+def test_every_room_has_its_place() -> None:
+    """A new room must be put into the order above."""
+    rooms = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    rooms |= {path.parent.name for path in PACKAGE.glob("*/*.py")}
+    assert rooms <= set(LEVELS)
+
+
+@pytest.mark.parametrize("path", modules(), ids=named)
+def test_module_imports_only_rooms_to_its_left(path: Path) -> None:
+    """Data flows one way; plant and observer do not know each other."""
+    own = room(path)
+    if not own and path.name in ENTRANCE:
+        assert all(room_of_name(name) in {None, "cli"} for name in imports(parsed(path), path))
+        return
+    level = LEVELS.get(own, 0)
+    for name in imports(parsed(path), path):
+        other = room_of_name(name)
+        allowed = other is None or other == own or LEVELS[other] < level
+        assert allowed, f"{named(path)} imports {name}"
+
+
+@pytest.mark.parametrize("path", modules(*CORE), ids=named)
+def test_core_needs_numpy_and_scipy_only(path: Path) -> None:
+    """No ROS, no bags, no command line; YAML where model files are read, plots where drawn."""
+    extra = set()
+    if path.relative_to(PACKAGE).parts[0] == "model" and path.name == "reading.py":
+        extra = {"yaml", "ruamel"}
+    if str(path.relative_to(PACKAGE)) in FIGURES:
+        extra = {"matplotlib"}
+    for name in imports(parsed(path), path):
+        top = name.split(".")[0]
+        assert top == PACKAGE.name or top in ALLOWED | extra, f"{named(path)} imports {name}"
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in PACKAGE.glob("*.py") if path.name not in ENTRANCE], ids=named
+)
+def test_vocabulary_needs_numpy_only(path: Path) -> None:
+    """The words beside the rooms are the cheapest of all."""
+    for name in imports(parsed(path), path):
+        top = name.split(".")[0]
+        assert top in {PACKAGE.name, *ALLOWED}, f"{named(path)} imports {name}"
+
+
+@pytest.mark.parametrize("path", modules(*CORE), ids=named)
+def test_core_prints_nothing(path: Path) -> None:
+    """What there is to tell is returned or raised."""
+    called = {
+        node.func.id
+        for node in ast.walk(parsed(path))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+    }
+    assert not called & {"print", "input", "breakpoint"}
+
+
+def is_test(node: ast.AST) -> bool:
+    """Whether pytest would run it."""
+    return isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)) and node.name.startswith(
+        "test_"
+    )
+
+
+def functions_of(path: Path) -> list[ast.FunctionDef]:
+    """All test functions of a file, in classes too."""
+    return [node for node in ast.walk(parsed(path)) if is_test(node)]  # type: ignore[misc]
+
+
+def called_name(call: ast.Call) -> str:
+    """The last part of what is called."""
+    function = call.func
+    if isinstance(function, ast.Attribute):
+        return function.attr
+    return function.id if isinstance(function, ast.Name) else ""
+
+
+def asserts(test: ast.FunctionDef) -> bool:
+    """Whether something in it can fail: assert, raises, fail or a helper named assert_..."""
+    for node in ast.walk(test):
+        if isinstance(node, ast.Assert):
+            return True
+        if isinstance(node, ast.Call):
+            name = called_name(node)
+            if name in {"raises", "warns", "fail"} or name.startswith("assert_"):
+                return True
+    return False
+
+
+FILES = sorted(TESTS.rglob("test_*.py"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=named)
+def test_every_test_asserts_and_says_what(path: Path) -> None:
+    """A file has tests; a test has a docstring of its own and can fail."""
+    tests = functions_of(path)
+    assert tests, f"{named(path)} has no test"
+    for test in tests:
+        assert asserts(test), f"{named(path)}::{test.name} asserts nothing"
+        assert ast.get_docstring(test), f"{named(path)}::{test.name} has no docstring"
+
+
+@pytest.mark.parametrize("path", FILES, ids=named)
+def test_no_test_is_hidden_by_another_of_its_name(path: Path) -> None:
+    """Of two functions of one name pytest would see the second only."""
+    for scope in ast.walk(parsed(path)):
+        if isinstance(scope, (ast.Module, ast.ClassDef)):
+            names = [node.name for node in scope.body if is_test(node)]  # type: ignore[attr-defined]
+            assert len(names) == len(set(names))
+
+
+def test_collecting_tests_has_no_side_effects() -> None:
+    """No test file calls anything at its top level as a statement, but to be skipped."""
+    for path in FILES:
+        for node in parsed(path).body:
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
+                skips = called_name(node.value) == "importorskip"
+                assert skips, f"{named(path)} line {node.lineno}"
