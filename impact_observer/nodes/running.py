@@ -90,7 +90,7 @@ def _started(make: "type[Node]", args: Sequence[str] | None) -> "Node":
         )
         node = make()
     except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError) as error:
-        raise UsageError(f"--ros-args: {str(error).splitlines()[0]}") from None
+        raise UsageError(f"--ros-args: not understood: {str(error).splitlines()[0]}") from None
     _warn_of_unknown_parameters(node)
     return node
 
