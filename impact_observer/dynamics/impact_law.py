@@ -2,10 +2,10 @@
 
 ``0 <= gamma+ + eps gamma-  _|_  Lambda >= 0`` with ``u+ = u- + M^-1 W Lambda``: a linear
 complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 W``. With
-``G = B^T B``, ``B = L^-1 W``, ``M = L L^T``, it says that ``v = B Lambda`` is the least velocity
-jump that separates, ``min |v|`` subject to ``B^T v >= -b``. Lawson and Hanson (Solving Least
-Squares Problems, chapter 23) turn that into nonnegative least squares, which scipy solves; it
-has a solution unless no jump separates.
+``G = B^T B``, ``B = L^-1 W``, ``M = L L^T``, it says that ``B Lambda`` is the least velocity jump that
+separates, ``min |v|`` subject to ``B^T v >= -b``: it has a solution unless no jump separates.
+Lawson and Hanson (Solving Least Squares Problems, chapter 23) turn that into nonnegative least
+squares, which scipy solves.
 """
 
 from collections.abc import Iterator, Sequence
@@ -85,20 +85,31 @@ class ImpactLaw:
 def _candidates(B: Matrix, b: Vector) -> Iterator[Vector]:
     """Impulses that solve the law if anything does, the most accurate first.
 
-    With ``y >= 0`` the least squares solution of ``[B; -b^T] y = (0, ..., 0, 1)`` the impulses are
-    ``y / (1 + b^T y)``. The equations of the contacts that take one give them more digits, unless
-    those contacts depend on each other.
+    Where ``b = -B^T v`` for some ``v`` (contacts independent, or with a common restitution) the law
+    is the optimality condition of ``min |B Lambda - v|``. Otherwise, with ``y`` the solution of
+    ``[B; -b^T] y = (0, ..., 0, 1)`` by least squares, it is solved by ``y / (1 + b^T y)``.
     """
-    target = np.zeros(B.shape[0] + 1)
-    target[-1] = 1.0
+    towards = np.asarray(linalg.lstsq(B.T, -b)[0])
+    for y in _nonnegative(B, towards):
+        yield _refined(B, b, y)
+        yield y
+    for y in _nonnegative(np.vstack([B, -b]), np.append(np.zeros(B.shape[0]), 1.0)):
+        yield _refined(B, b, y)
+        if (residual := 1.0 + b @ y) > 0:
+            yield y / residual
+
+
+def _nonnegative(A: Matrix, target: Vector) -> list[Vector]:
+    """The least squares solution ``y >= 0`` of ``A y = target``; none where the method cycles."""
     try:
-        y = np.asarray(optimize.nnls(np.vstack([B, -b]), target)[0])
-    except RuntimeError:  # it cycles, on contacts that all but depend on each other
-        return
+        return [np.asarray(optimize.nnls(A, target)[0])]
+    except RuntimeError:
+        return []
+
+
+def _refined(B: Matrix, b: Vector, y: Vector) -> Vector:
+    """Impulses from the equations of those contacts that take one in ``y``."""
     pressed = y > 0
     impulses = np.zeros(b.size)
     impulses[pressed] = linalg.lstsq(B[:, pressed].T @ B[:, pressed], -b[pressed])[0]
-    yield impulses
-    residual = 1.0 + b @ y
-    if residual > 0:
-        yield y / residual
+    return impulses

@@ -125,8 +125,8 @@ class PlantNode(Node):
         self._sequence = 0
         self._next_sample = 0
         self._next_clock = epoch
-        name, impacts = self._model.system.name, f"episode {self._episode}"
-        self.get_logger().info(f"{name}, {impacts}, epoch {epoch} ns")
+        name = self._model.system.name
+        self.get_logger().info(f"{name}: episode {self._episode}, epoch {epoch} ns")
 
     def _now(self) -> int:
         """The present stamp, ns."""
