@@ -2,8 +2,8 @@
 
 ``0 <= gamma+ + eps gamma-  _|_  Lambda >= 0`` with ``u+ = u- + M^-1 W Lambda``: a linear
 complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 W``. With
-``G = B^T B``, ``B = L^-1 W``, ``M = L L^T``, it says that ``B Lambda`` is the least velocity jump that
-separates, ``min |v|`` subject to ``B^T v >= -b``: it has a solution unless no jump separates.
+``G = B^T B``, ``B = L^-1 W``, ``M = L L^T``, it says that ``B Lambda`` is the least velocity jump
+that separates, ``min |v|`` subject to ``B^T v >= -b``: it has a solution unless no jump separates.
 Lawson and Hanson (Solving Least Squares Problems, chapter 23) turn that into nonnegative least
 squares, which scipy solves.
 """
@@ -68,7 +68,8 @@ class ImpactLaw:
         B, b = B / length, b / (length * scale)
         for impulses in _candidates(B, b):
             separation = B.T @ (B @ impulses) + b
-            if np.all(impulses >= -_RESIDUAL) and np.all(separation >= -_RESIDUAL):
+            # Both are nonnegative, and one of the two is zero.
+            if np.all(np.abs(np.minimum(impulses, separation)) <= _RESIDUAL):
                 return np.asarray(np.maximum(impulses, 0.0) * (scale / length))
         raise self._no_solution(active, gamma)
 
@@ -85,9 +86,9 @@ class ImpactLaw:
 def _candidates(B: Matrix, b: Vector) -> Iterator[Vector]:
     """Impulses that solve the law if anything does, the most accurate first.
 
-    Where ``b = -B^T v`` for some ``v`` (contacts independent, or with a common restitution) the law
-    is the optimality condition of ``min |B Lambda - v|``. Otherwise, with ``y`` the solution of
-    ``[B; -b^T] y = (0, ..., 0, 1)`` by least squares, it is solved by ``y / (1 + b^T y)``.
+    Where ``b = -B^T v`` for some ``v`` (contacts independent, or with a common restitution) the
+    law is the optimality condition of ``min |B Lambda - v|``. Otherwise, with ``y >= 0`` the least
+    squares solution of ``[B; -b^T] y = (0, ..., 0, 1)``, it is solved by ``y / (1 + b^T y)``.
     """
     towards = np.asarray(linalg.lstsq(B.T, -b)[0])
     for y in _nonnegative(B, towards):

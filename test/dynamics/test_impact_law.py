@@ -213,6 +213,16 @@ def test_masses_of_very_different_size_are_no_trouble() -> None:
     assert_law_holds(model, np.array([-1.0, -2.0]), (0, 1, 2))
 
 
+def test_contacts_that_depend_on_each_other_take_no_more_than_they_need() -> None:
+    """Three in a plane with unequal restitution: the jump is the least one that separates."""
+    contacts = [([0, 1], 0, 0.0), ([1, 1], 0, 0.25), ([-1, -2], 0, 0.0)]
+    model = system(np.eye(2), np.eye(2), np.eye(2), contacts=contacts)
+    u = np.array([0.0, 1.0])
+    assert_law_holds(model, u, (0, 1, 2))
+    after = ImpactLaw(model).velocity_after(u, (0, 1, 2))
+    np.testing.assert_allclose(after, [-0.4, 0.2], atol=1e-12)  # onto u1 + 2 u2 = 0
+
+
 def test_three_contacts_that_are_tight_in_a_plane_are_solved() -> None:
     """More tight contacts than coordinates, two of them nearly opposite: the body stops."""
     model = system(
