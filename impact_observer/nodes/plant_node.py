@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
@@ -23,6 +24,8 @@ _LOOK_AHEAD = NS_PER_S
 """How far beyond the present an impact is looked for, ns."""
 _LONGEST_SLEEP = 0.05
 """Between two looks at a clock that is not the node's own, s."""
+_LAST_WORDS = Duration(seconds=1.0)
+"""How long the last messages may take to be heard before the node ends."""
 _SETTLE = 0.2
 """Between the last subscriber's appearance and the beginning, s of wall time."""
 
@@ -90,6 +93,8 @@ class PlantNode(Node):
         self._publish_until(now if end is None else min(now, end))
         if end is not None and now >= end:
             self.get_logger().info(f"{self._duration / NS_PER_S:g} s are over")
+            for publisher in (self._impacts, self._states):
+                publisher.wait_for_all_acked(_LAST_WORDS)
             self.done = True
             return
         self._sleep_from(now)
