@@ -9,9 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.errors import UsageError
+
 NS_PER_S = 1_000_000_000
 MAX_STAMP = (2**31 - 1) * NS_PER_S + (NS_PER_S - 1)
 """The last stamp that ``builtin_interfaces/Time`` can carry (int32 seconds)."""
+MOST_SAMPLES = 100_000_000
+"""The longest grid that is made."""
 
 
 class Instant(NamedTuple):
@@ -54,9 +58,19 @@ def grid(start: int, stop: int, rate: float) -> NDArray[np.int64]:
 
     Returns:
         Stamps, shape (samples,), ns; empty when ``stop < start``.
+
+    Raises:
+        UsageError: more samples than memory holds, or stamps that no message can carry.
     """
     if stop < start:
         return np.empty(0, dtype=np.int64)
+    if stop > MAX_STAMP:
+        raise UsageError(f"stamp {text(stop)} s: too late; the last one is {text(MAX_STAMP)} s")
+    if seconds_between(start, stop) * rate > MOST_SAMPLES:
+        raise UsageError(
+            f"{seconds_between(start, stop) * rate:.3g} samples: too many; lower rate or duration"
+            f" to {MOST_SAMPLES:g}"
+        )
     last = int(seconds_between(start, stop) * rate) + 1
     stamps = start + np.rint(np.arange(last + 1) * (NS_PER_S / rate)).astype(np.int64)
     return np.asarray(stamps[stamps <= stop])

@@ -18,7 +18,7 @@ from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.model import Model, parse_model
 from impact_observer.observer import Observer, replay
 from impact_observer.plant import Run
-from impact_observer.stamps import grid
+from impact_observer.stamps import grid, text
 from impact_observer.states import Estimate, Stamps
 
 _CARRIED = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
@@ -65,10 +65,10 @@ def carried_model(reader: BagReader) -> Model:
         BagError: it carries none.
         ModelError: the model it carries is not valid.
     """
-    text = reader.model_text()
-    if text is None:
+    carried = reader.model_text()
+    if carried is None:
         raise BagError(f"{reader.path}: carries no model; name one with --model")
-    return parse_model(text, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
+    return parse_model(carried, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
 
 
 def events_in(reader: BagReader) -> list[ImpactEvent]:
@@ -134,6 +134,12 @@ def observe_bag(
         LastingContactError, ImpactLawError: the replica cannot follow an event.
     """
     events = events_in(reader)
+    said = {event.epoch for event in events if event.epoch}
+    if epoch and said and epoch not in said:
+        raise UsageError(
+            f"{reader.path}: epoch {text(epoch)} s asked for, but its events say"
+            f" {text(min(said))} s; leave --epoch out"
+        )
     stamps = sample_stamps(reader, events, rate, epoch)
     carried = [topic for each in _CARRIED if (topic := reader.find(each)) is not None]
     count, rulings = 0, Counter[Ruling]()

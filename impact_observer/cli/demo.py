@@ -98,33 +98,17 @@ def demo(
     from impact_observer.nodes.wiring import Setting
 
     folder = output or Path(time.strftime("demo_%Y%m%d_%H%M%S"))
-    bag, picture, logs = folder / "bag", folder / "lyapunov.png", folder / "logs"
-    _make(folder)
-    logs.mkdir()
     setting = Setting(model, LAWS, initial, duration, realtime_factor, rate, epoch=time.time_ns())
     with Progress() as progress:
         progress.line(f"{read.system.name}: plant, {len(LAWS)} observers, {len(LAWS)} monitors")
         progress.show("starting the processes")
 
         def show(live: demonstration.Live) -> None:
-            v = "  ".join(f"{law} V = {value:.2e} J" for law, value in sorted(live.v.items()))
-            progress.show(
-                f"t = {live.time:5.1f} of {duration:g} s  impacts {live.impacts:3d}  {v}"
-            )
+            v = "  ".join(f"{law} {value:.2e}" for law, value in sorted(live.v.items()))
+            progress.show(f"{live.time:5.1f}/{duration:g} s {live.impacts:4d} impacts  V [J]: {v}")
 
-        demonstration.run(setting, bag, logs, show)
-    return _judge(bag, picture)
-
-
-def _make(folder: Path) -> None:
-    from impact_observer.errors import UsageError
-
-    try:
-        folder.mkdir()
-    except FileExistsError:
-        raise UsageError(f"{folder}: exists already; remove it or choose another name") from None
-    except OSError as error:
-        raise UsageError(f"{folder}: cannot be made: {error.strerror}") from None
+        bag = demonstration.run(setting, folder, show)
+    return _judge(bag, folder / "lyapunov.png")
 
 
 def _judge(bag: Path, picture: Path) -> int:

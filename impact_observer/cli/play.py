@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from impact_observer.nodes.player import Player
 
+_DELAY = 5.0
 _CLOCK_RATE = 100.0
 """Nodes that hear the bag want its time too, so /clock is published unless told otherwise."""
 
@@ -52,9 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--delay",
         metavar="S",
         type=float,
-        default=1.0,
-        help="wait up to S seconds for a subscriber on every topic before the first message "
-        "(default: 1)",
+        default=_DELAY,
+        help="wait up to S seconds for a subscriber to the events (to every topic, if there are "
+        f"none) before the first message (default: {_DELAY:g})",
     )
 
 
@@ -79,7 +80,7 @@ def play(
     loop: bool = False,
     start: float = 0.0,
     clock_rate: float | None = None,
-    delay: float = 1.0,
+    delay: float = _DELAY,
 ) -> int:
     """Play a bag and show how far it is.
 

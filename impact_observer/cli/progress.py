@@ -1,5 +1,6 @@
 """A line at the bottom of the terminal that is written over, and lines that stay."""
 
+import shutil
 import sys
 from types import TracebackType
 from typing import TextIO, final
@@ -33,7 +34,8 @@ class Progress:
     def show(self, text: str) -> None:
         """Write ``text`` over the line at the bottom."""
         if self._lively:
-            print(f"{_CLEAR}{text}", end="", file=self._stream, flush=True)
+            width = shutil.get_terminal_size().columns - 1  # a longer line would not be one
+            print(f"{_CLEAR}{text[:width]}", end="", file=self._stream, flush=True)
 
     def line(self, text: str) -> None:
         """Write a line that stays."""

@@ -1,5 +1,6 @@
 """Reading values out of a model file, each mistake named by its key."""
 
+import math
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,12 +11,11 @@ from numpy.typing import NDArray
 from scipy import io, sparse
 
 from impact_observer.errors import ModelError
+from impact_observer.model.system import LARGEST
 from impact_observer.states import Matrix, Vector
 
 Value: TypeAlias = object
 """Anything that YAML can say."""
-
-_LARGEST = float(np.finfo(np.float64).max)
 
 
 class Section:
@@ -110,8 +110,10 @@ def number(key: str, value: Value) -> float:
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ModelError(key, f"{_shown(value)} found; expected a number")
-    if not -_LARGEST <= value <= _LARGEST:  # so is NaN
+    if isinstance(value, float) and not math.isfinite(value):
         raise ModelError(key, "is not finite; expected a number")
+    if abs(value) > LARGEST:
+        raise ModelError(key, f"is too large; expected at most {LARGEST:g}")
     return float(value)
 
 

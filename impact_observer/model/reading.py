@@ -2,7 +2,7 @@
 
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,7 @@ from ruamel.yaml.error import YAMLError
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model import elements
 from impact_observer.model.document import Section, Value
-from impact_observer.model.system import Contact, Forcing, System
+from impact_observer.model.system import LARGEST_STATE, Contact, Forcing, System
 from impact_observer.shares import shared
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -31,12 +31,14 @@ class Model:
         position: the plant's coordinates at the epoch, shape (n,); None when not given.
         velocity: the plant's velocities at the epoch, shape (n,); None when not given.
         provenance: who wrote the file, free of meaning for the dynamics.
+        source: what errors call the file.
     """
 
     system: System
     position: Vector | None = None
     velocity: Vector | None = None
     provenance: Mapping[str, Value] = field(default_factory=dict)
+    source: str = ""
 
     def initial_state(self) -> tuple[Vector, Vector]:
         """The plant's state at the epoch.
@@ -45,7 +47,8 @@ class Model:
             ModelError: the file gives none.
         """
         if self.position is None or self.velocity is None:
-            raise ModelError("initial_state", "is missing; a plant needs one")
+            key = f"{self.source}: initial_state" if self.source else "initial_state"
+            raise ModelError(key, "is missing; a plant needs one")
         return self.position, self.velocity
 
     def text(self, provenance: Mapping[str, Value] | None = None) -> str:
@@ -138,7 +141,7 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
         ModelError: one line that names ``source``, the key and what is wanted.
     """
     try:
-        return _model(_load(text), folder)
+        return replace(_model(_load(text), folder), source=source)
     except ModelError as error:
         key = f"{source}: {error.key}" if error.key else source
         raise ModelError(key, error.problem) from None
@@ -245,12 +248,14 @@ def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vec
     for name, values in (("position", position), ("velocity", velocity)):
         for i in np.flatnonzero(~np.isfinite(values)):
             raise ModelError(f"initial_state.{name}[{i}]", "is not finite; expected a number")
-    for contact, gap in zip(system.contacts, system.gap(position), strict=True):
-        if gap < 0:
+        for i in np.flatnonzero(np.abs(values) > LARGEST_STATE):
             raise ModelError(
-                "initial_state.position",
-                f"is inside the stop {contact.name!r} (gap {gap:g}); expected gap >= 0",
+                f"initial_state.{name}[{i}]", f"is too large; expected at most {LARGEST_STATE:g}"
             )
+    for contact in system.penetrated(position):
+        name, gap = system.contact_names[contact], system.gap(position)[contact]
+        problem = f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0"
+        raise ModelError("initial_state.position", problem)
     return position, velocity
 
 

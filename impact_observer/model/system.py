@@ -15,6 +15,12 @@ from scipy import linalg
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.states import Matrix, Vector, frozen
 
+LARGEST = 1e15
+"""Largest magnitude of any number of a model, SI units; beyond it products overflow."""
+LARGEST_STATE = 1e9
+"""Largest magnitude of a coordinate or velocity that somebody can mean."""
+_INSIDE = 1e-12
+"""Depth inside a stop that is rounding, relative to what the gap is the sum of."""
 _SYMMETRY = 1e-9
 """Largest asymmetry accepted, relative to the largest entry: what printing digits costs."""
 _SEMIDEFINITE = 1e-10
@@ -153,6 +159,11 @@ class System:
         """Contact speeds ``gamma = W^T u``, shape (m,), paper's equation (3)."""
         return np.asarray(self.W.T @ u)
 
+    def penetrated(self, q: Vector) -> tuple[int, ...]:
+        """Indices of the contacts whose stop ``q``, shape (n,), is inside of."""
+        scale = np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)
+        return tuple(np.flatnonzero(self.gap(q) < -_INSIDE * scale).tolist())
+
     def checked_state(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
         """``position`` and ``velocity`` as read-only arrays of shape (n,).
 
@@ -174,6 +185,9 @@ def _state_part(name: str, values: ArrayLike, n: int) -> Vector:
         raise UsageError(f"{name}: {array.size} values, expected {n}, one a coordinate")
     if not np.all(np.isfinite(array)):
         raise UsageError(f"{name}: {array.tolist()} is not finite; every value must be a number")
+    if np.any(np.abs(array) > LARGEST_STATE):
+        found = np.max(np.abs(array))
+        raise UsageError(f"{name}: {found:g} is too large; expected at most {LARGEST_STATE:g}")
     return array
 
 
@@ -199,6 +213,9 @@ def _finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> V
     if not np.all(np.isfinite(array)):
         at = "".join(f"[{i}]" for i in np.argwhere(~np.isfinite(array))[0])
         raise ModelError(f"{key}{at}", "is not finite; expected a number")
+    if np.any(np.abs(array) > LARGEST):
+        at = "".join(f"[{i}]" for i in np.argwhere(np.abs(array) > LARGEST)[0])
+        raise ModelError(f"{key}{at}", f"is too large; expected at most {LARGEST:g}")
     return array
 
 
@@ -223,6 +240,11 @@ def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
     smallest, largest = eigenvalues[0], np.max(np.abs(eigenvalues))
     if strictly and smallest <= _SINGULAR * largest:
         raise ModelError(key, f"is not positive definite: smallest eigenvalue {smallest:g}")
+    if strictly and smallest < 1 / LARGEST:
+        least = 1 / LARGEST
+        raise ModelError(
+            key, f"is too small: smallest eigenvalue {smallest:g}; expected at least {least:g}"
+        )
     if not strictly and smallest < -_SEMIDEFINITE * largest:
         part = "the symmetric part of " if key == "damping" else ""
         raise ModelError(

@@ -20,6 +20,7 @@ from impact_observer.bag.messages import ErrorMessage
 from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.nodes.messages import message_class
+from impact_observer.nodes.parameters import TABLES, check
 from impact_observer.nodes.quality import qos_profile
 from impact_observer.nodes.recorder import Recorder, drain
 from impact_observer.nodes.running import FOLLOW
@@ -40,6 +41,8 @@ _SHUT_DOWN = 10.0
 """How long a process may take to end after SIGINT, s."""
 _SILENCE = 20.0
 """How long the plant may say nothing before it counts as dead, s."""
+_DISCOVERY = 1.5
+"""How long to look for others on the same ROS domain, s."""
 _SPIN = 0.05
 """Between two looks at the processes, s."""
 
@@ -63,25 +66,34 @@ class Live:
     v: dict[str, float] = field(default_factory=dict)
 
 
-def run(setting: Setting, bag: Path, logs: Path, show: Callable[[Live], None]) -> None:
-    """Run the demonstration into ``bag``.
+def run(setting: Setting, folder: Path, show: Callable[[Live], None]) -> Path:
+    """Run the demonstration.
 
     Args:
         setting: what to run.
-        bag: the bag to make.
-        logs: a folder for what the processes print.
+        folder: to make, for the bag and the ``logs`` of what the processes print.
         show: told what is known, about twenty times a second.
 
+    Returns:
+        The bag.
+
     Raises:
-        UsageError: a plant runs on this ROS domain already.
+        UsageError: another plant runs on this ROS domain, a parameter cannot be used, or the
+            folder cannot be made.
         DemonstrationError: a process failed, or the run was interrupted.
     """
+    for each in (plant(setting), *observers(setting), *monitors(setting)):
+        check(TABLES[each.executable], each.parameters)
+    bag, logs = folder / "bag", folder / "logs"
     with (
         Stop() as stop,
         ros_node("demo", use_sim_time=True) as (node, executor),
-        BagWriter(bag) as writer,
+        contextlib.ExitStack() as later,
     ):
         _refuse_company(node, executor)
+        _make(folder)
+        logs.mkdir()
+        writer = later.enter_context(BagWriter(bag))
         recorder, live = Recorder(node, writer), Live()
         _subscribe(node, setting, live)
         with _processes(setting, logs) as processes:
@@ -101,6 +113,16 @@ def run(setting: Setting, bag: Path, logs: Path, show: Callable[[Live], None]) -
                 _check("plant", master, logs)
             drain(executor, writer)
             recorder.close()
+    return bag
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        raise UsageError(f"{folder}: exists already; remove it or choose another name") from None
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be made: {error.strerror}") from None
 
 
 def _subscribe(node: Node, setting: Setting, live: Live) -> None:
@@ -127,14 +149,15 @@ def _subscribe(node: Node, setting: Setting, live: Live) -> None:
 
 
 def _refuse_company(node: Node, executor: SingleThreadedExecutor) -> None:
-    """Another plant on the same domain would be taken for ours."""
-    until = time.monotonic() + 1.0
+    """Another plant or demonstration on the same domain would be taken for ours."""
+    until = time.monotonic() + _DISCOVERY
     while time.monotonic() < until:
         executor.spin_once(timeout_sec=_SPIN)
-        if "plant" in node.get_node_names() or node.count_publishers("/clock"):
+        names = node.get_node_names()
+        if "plant" in names or names.count("demo") > 1 or node.count_publishers("/clock"):
             domain = os.environ.get("ROS_DOMAIN_ID", "0")
             raise UsageError(
-                f"ROS domain {domain}: a plant or a clock runs there already;"
+                f"ROS domain {domain}: another demo, plant or clock runs there already;"
                 " end it or choose another domain with ROS_DOMAIN_ID"
             )
 

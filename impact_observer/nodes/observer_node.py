@@ -16,7 +16,7 @@ from impact_observer.bag import interfaces
 from impact_observer.bag.interfaces import Quality
 from impact_observer.bag.messages import EventMessage, JointState, MessageError, read_event
 from impact_observer.errors import UsageError
-from impact_observer.events import Ruling
+from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.model import read_model
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
@@ -30,6 +30,8 @@ _BURST = 8
 """Estimates that fit into the history of their topics, of 10, before somebody must hear them."""
 _PATIENCE = Duration(seconds=0.01)
 """How long a burst waits to be heard."""
+_FUTURE = NS_PER_S
+"""How far ahead of the clock an event's stamp may be, ns."""
 _STALE = 60 * NS_PER_S
 """Silence after which the diagnostics suspect that stamps and clock disagree, ns."""
 
@@ -64,6 +66,7 @@ class ObserverNode(Node):
             DiagnosticArray, "/diagnostics", qos_profile(interfaces.DIAGNOSTIC_ARRAYS.quality)
         )
         self._counts: Counter[str] = Counter()
+        self._told: Counter[str] = Counter()
         self._latency = 0.0
         self._mismatch = ""
         self._forget()
@@ -111,7 +114,7 @@ class ObserverNode(Node):
             self.get_logger().error(f"impacts: {error}")
             return
         restarts = self._observer.restarts
-        verdicts = self._observer.receive(event)
+        verdicts = self._judge(event)
         if self._observer.restarts > restarts:
             self._forget()
             self.get_logger().warning(
@@ -131,6 +134,19 @@ class ObserverNode(Node):
             self._latency = max(self._latency, latency)
             if event.stamp <= self._last_stamp:
                 self._publish(self._last_stamp)
+
+    def _judge(self, event: ImpactEvent) -> tuple[Verdict, ...]:
+        """What the observer makes of an event, unless its stamp or epoch cannot be used."""
+        now = self._now()
+        if now and event.stamp > now + _FUTURE:
+            ahead = seconds_between(now, event.stamp)
+            reason = f"stamped {ahead:.3f} s after the clock"
+        else:
+            try:
+                return self._observer.receive(event)
+            except UsageError as error:
+                reason = str(error)
+        return (Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason),)
 
     def _on_timer(self) -> None:
         """Publish the estimates whose stamps have come."""
@@ -233,15 +249,20 @@ class ObserverNode(Node):
         observer = self._observer
         if self._mismatch:
             return DiagnosticStatus.ERROR, self._mismatch
+        if not self._now():
+            return DiagnosticStatus.WARN, "use_sim_time is set, but no /clock has come"
         if observer.start is None:
             return DiagnosticStatus.WARN, "no impact has come yet"
         silence = self._now() - max(observer.last_event, observer.start)
         if silence > _STALE:
             ago = f"the last impact was {silence / NS_PER_S:.0f} s ago by this clock"
             return DiagnosticStatus.WARN, f"{ago}; is use_sim_time missing?"
-        if observer.missing:
-            return DiagnosticStatus.WARN, f"{observer.missing} events are missing"
-        refused = sum(self._counts[r.name.lower()] for r in Ruling) - self._counts["applied"]
-        if refused or self._counts["invalid"]:
-            return DiagnosticStatus.WARN, f"{refused + self._counts['invalid']} events not applied"
+        judged = sum(self._counts[ruling.name.lower()] for ruling in Ruling)
+        refused = judged - self._counts["applied"] + self._counts["invalid"]
+        trouble = {"are missing": observer.missing, "were not applied": refused}
+        # What is old news stands among the values only.
+        fresh = [f"{n} events {what}" for what, n in trouble.items() if n > self._told[what]]
+        self._told = Counter(trouble)
+        if fresh:
+            return DiagnosticStatus.WARN, ", ".join(fresh)
         return DiagnosticStatus.OK, f"{self._counts['applied']} impacts applied"

@@ -78,7 +78,9 @@ PLANT = (
     _MODEL,
     Parameter("rate", 100.0, "true states published", "Hz", low=0.001, high=1e5),
     Parameter("epoch", 0, "stamp of t = 0; 0 for the clock at the start", "ns", low=0),
-    Parameter("duration", 0.0, "end after so much simulated time; 0 for never", "s", low=0.0),
+    Parameter(
+        "duration", 0.0, "end after so much simulated time; 0 for never", "s", low=0.0, high=1e9
+    ),
     Parameter("publish_clock", False, "own the time and publish /clock"),
     Parameter("clock_rate", 100.0, "of /clock, per simulated second", "Hz", low=0.1, high=1e4),
     Parameter(
@@ -172,6 +174,17 @@ def declare(node: "Node", table: tuple[Parameter, ...]) -> Values:
         each.check(value)
         values[each.name] = value
     return Values(values)
+
+
+def check(table: tuple[Parameter, ...], values: Mapping[str, Value]) -> None:
+    """Raise unless all ``values`` that the table knows are allowed.
+
+    Raises:
+        UsageError: naming the parameter, the value and what is expected.
+    """
+    for each in table:
+        if each.name in values:
+            each.check(values[each.name])
 
 
 def markdown(table: tuple[Parameter, ...]) -> str:

@@ -12,7 +12,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from impact_observer.bag.interfaces import LATCHED, SIMULATED_CLOCK, Quality, usual_quality
+from impact_observer.bag.interfaces import EVENTS, LATCHED, SIMULATED_CLOCK, Quality, usual_quality
 from impact_observer.bag.reader import BagReader, RawMessage
 from impact_observer.bag.schedule import Schedule, read_ahead, steps
 from impact_observer.errors import UsageError
@@ -21,8 +21,10 @@ from impact_observer.nodes.quality import qos_profile
 from impact_observer.nodes.session import Stop, ros_node
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 
-DELAY = 1.0
+DELAY = 5.0
 """Longest wait for subscribers before the first message, s, unless told otherwise."""
+_SETTLE = 0.5
+"""Between the last subscriber's appearance and the first message, s."""
 CLOCK_RATE = 100.0
 """Rate of ``/clock`` unless told otherwise, Hz of wall time."""
 LINGER = 0.5
@@ -155,20 +157,26 @@ class Player:
         ]
 
     def wait_for_subscribers(self, delay: float, keep_on: KeepOn = _always) -> bool:
-        """Wait until every topic has a subscriber, so that the first messages reach it.
+        """Wait until events have a subscriber, so that it misses none of them.
+
+        A bag without events waits for a subscriber on every topic.
 
         Args:
             delay: the longest wait, s.
             keep_on: asked meanwhile; the wait ends when it says no.
 
         Returns:
-            Whether every topic has one.
+            Whether all that are waited for have one.
         """
+        events = [p for topic, p in self._publishers.items() if self._quality(topic) == EVENTS]
+        wanted = events or self._all()
         latest = time.monotonic_ns() + from_seconds(delay)
-        while not (matched := all(p.get_subscription_count() for p in self._all())):
+        while not (matched := all(p.get_subscription_count() for p in wanted)):
             now = time.monotonic_ns()
             if now >= latest or not _sleep_until(min(latest, now + 10_000_000), keep_on):
                 break
+        if matched:  # on this side; give the other one, and other subscribers, a moment
+            _sleep_until(time.monotonic_ns() + from_seconds(min(delay, _SETTLE)), keep_on)
         return matched
 
     def play(self, *, loop: bool = False, keep_on: KeepOn = _always) -> None:

@@ -80,6 +80,7 @@ def _started(make: "type[Node]", args: Sequence[str] | None) -> "Node":
         UsageError: after ``--ros-args`` stands something that is no argument of ROS.
     """
     import rclpy
+    from rclpy.exceptions import ParameterException
     from rclpy.impl.implementation_singleton import rclpy_implementation
     from rclpy.signals import SignalHandlerOptions
 
@@ -91,6 +92,8 @@ def _started(make: "type[Node]", args: Sequence[str] | None) -> "Node":
         node = make()
     except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError) as error:
         raise UsageError(f"--ros-args: not understood: {str(error).splitlines()[0]}") from None
+    except ParameterException as error:
+        raise UsageError(f"parameters: {' '.join(str(error).split())}") from None
     _warn_of_unknown_parameters(node)
     return node
 

@@ -122,8 +122,8 @@ class Observer:
             ImpactLawError: the impact law has no solution; the event is not applied.
             UsageError: the forcing depends on time and nobody has said when it began.
         """
-        if self._episode is not None and event.episode < self._episode:
-            return (self._refuse(event, Ruling.REJECTED, f"episode {event.episode} is over"),)
+        if (reason := self._outdated(event)) is not None:
+            return (self._refuse(event, Ruling.REJECTED, reason),)
         self._meet(event)
         self._require_epoch()
         if event.sequence and event.sequence in self._seen:
@@ -169,6 +169,21 @@ class Observer:
             last_sequence=entry.key.sequence if applied else 0,
             last_event=entry.key.stamp if applied else 0,
         )
+
+    def _outdated(self, event: ImpactEvent) -> str | None:
+        """Why ``event`` is of a past that is over; None if it is not.
+
+        The epoch decides; a plant that is started anew counts its episodes from 0 again.
+        """
+        if event.epoch and self._epoch and event.epoch != self._epoch:
+            return (
+                f"its epoch {text(event.epoch)} s is before the one in use, {text(self._epoch)} s"
+                if event.epoch < self._epoch
+                else None
+            )
+        if self._episode is not None and event.episode < self._episode:
+            return f"episode {event.episode} is over"
+        return None
 
     def _meet(self, event: ImpactEvent) -> None:
         """Notice a new episode or epoch: the plant began again, and so does the replica."""

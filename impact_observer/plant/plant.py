@@ -11,8 +11,6 @@ from impact_observer.model import System
 from impact_observer.stamps import Instant, seconds_between, text
 from impact_observer.states import Stamps, Vector
 
-_INSIDE = 1e-12
-"""Penetration at the start that is rounding, relative to the scale of the gap."""
 _SHORTEST_FLIGHT = 1e-8
 """Time between two impacts of a contact below which they accumulate, s."""
 
@@ -60,8 +58,7 @@ class Plant:
         self._search = ContactSearch(system)
         self._flow = flow_of(system)
         gap = system.gap(q)
-        scale = np.abs(system.q_r) + np.abs(system.W).T @ np.abs(q)
-        for i in np.flatnonzero(gap < -_INSIDE * scale):
+        for i in system.penetrated(q):
             raise UsageError(
                 f"position: is inside the stop {system.contact_names[i]!r} (gap {gap[i]:g});"
                 " expected gap >= 0"

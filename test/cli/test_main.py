@@ -48,6 +48,10 @@ def test_version_is_that_of_the_manifest(capsys: pytest.CaptureFixture[str]) -> 
         ("gap: 0.5, ", "", "contacts[0].gap: is missing"),
         ("[[20, -10], [-10, 10]]", "[[20, -10]]", "stiffness: 1 rows found; expected 2 rows"),
         ("stiffness:", "stifness:", "stifness: is not known here"),
+        ("[[1, 0], [0, 1]]", "[[1.0e+308, 0], [0, 1]]", "mass[0][0]: is too large"),
+        ("[[1, 0], [0, 1]]", "[[1.0e-300, 0], [0, 1.0e-300]]", "mass: is too small"),
+        ("[0.1, -0.2]", "[1.0e+20, -0.2]", "initial_state.position[0]: is too large"),
+        ("initial_state:", "provenance:", "initial_state: is missing"),
     ],
 )
 def test_a_mistake_in_a_model_is_one_line_and_exit_code_2(
@@ -93,6 +97,8 @@ def test_a_wrong_argument_is_one_line_and_exit_code_2(
     ("arguments", "expected"),
     [
         (["simulate", "no_model", "-o", "x"], "no_model: no such file; expected a model file"),
+        (["simulate", "two_mass", "-o", "x", "--rate", "1e12"], "samples: too many"),
+        (["simulate", "two_mass", "-o", "x", "--duration", "1e10"], "too late; the last one is"),
         (["observe", "nowhere", "-o", "x"], "nowhere: does not exist"),
         (["compare", "nowhere"], "nowhere: does not exist"),
         (["compare", "nowhere", "--plot", "v.gif"], "v.gif: expected a picture's name"),
@@ -112,6 +118,19 @@ def test_what_does_not_exist_is_one_line_and_exit_code_2(
     errors = capsys.readouterr().err
     assert len(errors.strip().splitlines()) == 1
     assert expected in errors
+
+
+def test_a_demo_checks_its_parameters_before_it_makes_anything(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The nodes' own table decides: one line, exit code 2, no folder."""
+    pytest.importorskip("rclpy")
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo", "--realtime-factor", "1e9", "-o", "x"]) == 2
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert "parameter realtime_factor: 1000000000.0 found; expected 0.001 to 1000" in errors[0]
+    assert not (tmp_path / "x").exists()
 
 
 def test_lasting_contact_is_one_line_and_exit_code_1(

@@ -149,6 +149,18 @@ def test_observe_takes_another_rate_and_model(
     assert rulings == {5}, "three_mass has no contact called stop"
 
 
+def test_an_epoch_that_contradicts_the_events_is_refused(
+    run_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The events say 1 s; nothing is quietly replaced, and no bag is left."""
+    output = run_bag.parent / "contradiction"
+    assert main(["observe", str(run_bag), "--epoch", "5", "-o", str(output)]) == 2
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert "its events say 1.000000000 s" in errors[0]
+    assert not output.exists()
+
+
 def test_compare_without_estimates_says_what_to_do(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -122,7 +122,11 @@ IN_MATRIX_FORM = {
     "restitution missing": (", restitution: 0.7", "", "contacts[0].restitution: is missing"),
     "gap infinite": ("gap: 0.5", "gap: -.inf", "contacts[0].gap: is not finite"),
     "gap a boolean": ("gap: 0.5", "gap: true", "contacts[0].gap: True found; expected a number"),
-    "gap too large an integer": ("gap: 0.5", "gap: 1" + "0" * 400, "contacts[0].gap: is not fin"),
+    "gap too large an integer": (
+        "gap: 0.5",
+        "gap: 1" + "0" * 400,
+        "contacts[0].gap: is too large",
+    ),
     "gap a date": ("gap: 0.5", "gap: 2020-01-01", "contacts[0].gap: datetime.date"),
     "gap misspelt": (
         "gap: 0.5",

@@ -185,6 +185,33 @@ def test_a_new_episode_begins_again_at_its_epoch(rig: Rig) -> None:
     assert_same(last, replica(again).estimate(last.stamp))
 
 
+def test_a_plant_started_anew_is_followed_and_its_past_is_not(rig: Rig) -> None:
+    """The later epoch wins, though episodes count from 0 again; what is older is refused."""
+    rig.tick(EPOCH + 10_000_000)
+    rig.send(event(EPOCH + 5_000_000, 1, episode=3))
+    moved = EPOCH + 100_000_000
+    rig.tick(moved + 1_000_000)
+    anew = event(moved + 500_000, 1, episode=0, epoch=moved)
+    rig.send(anew)
+    rig.send(event(EPOCH + 6_000_000, 2, episode=3))
+    rulings = [Ruling(verdict.verdict) for verdict in rig.verdicts]
+    assert rulings == [Ruling.APPLIED, Ruling.APPLIED, Ruling.REJECTED]
+    rig.tick(moved + 10_000_000)
+    last = rig.estimates()[-1]
+    assert_same(last, replica(anew).estimate(last.stamp))
+
+
+def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
+    """It would make every true event too late."""
+    rig.tick(EPOCH + 50_000_000)
+    rig.send(event(EPOCH + 3_600_000_000_000, 1))
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.REJECTED
+    assert "after the clock" in rig.verdicts[-1].reason
+    good = event(EPOCH + 20_000_000, 2)
+    rig.send(good)
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+
+
 def test_services_set_and_reset_the_state(rig: Rig) -> None:
     """set_state holds from the last estimate on; reset brings the initial state back."""
     probe, spinner = rig.spinner.probe, rig.spinner

@@ -104,6 +104,12 @@ def test_a_signal_ends_a_node_with_exit_code_0(
         ("observer", {"model": "two_mass", "rate": 100}, "parameter rate: expected a double"),
         ("observer", {"model": "two_mass", "initial_state": "one"}, "initial state 'one'"),
         ("plant", {"model": "two_mass", "realtime_factor": 2.0}, "needs publish_clock"),
+        (
+            "plant",
+            {"model": "two_mass", "duration": 1e300},
+            "parameter duration: expected a double",
+        ),
+        ("observer", {"model": "two_mass", "use_sim_time": "banana"}, "use_sim_time"),
         ("monitor", {"model": "two_mass", "law": 3}, "parameter law: expected a string"),
     ],
 )
