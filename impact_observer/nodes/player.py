@@ -23,7 +23,7 @@ from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 
 DELAY = 5.0
 """Longest wait for subscribers before the first message, s, unless told otherwise."""
-_SETTLE = 0.5
+_SETTLE = 1.0
 """Between the last subscriber's appearance and the first message, s."""
 CLOCK_RATE = 100.0
 """Rate of ``/clock`` unless told otherwise, Hz of wall time."""
@@ -170,13 +170,19 @@ class Player:
         """
         events = [p for topic, p in self._publishers.items() if self._quality(topic) == EVENTS]
         wanted = events or self._all()
-        latest = time.monotonic_ns() + from_seconds(delay)
-        while not (matched := all(p.get_subscription_count() for p in wanted)):
-            now = time.monotonic_ns()
-            if now >= latest or not _sleep_until(min(latest, now + 10_000_000), keep_on):
+        now = begin = since = time.monotonic_ns()
+        before: list[int] = []
+        matched = False
+        while now < begin + from_seconds(delay):
+            counts = [publisher.get_subscription_count() for publisher in wanted]
+            if counts != before:  # others may be on their way
+                before, since = counts, now
+            matched = all(counts)
+            if matched and now > since + from_seconds(_SETTLE):
                 break
-        if matched:  # on this side; give the other one, and other subscribers, a moment
-            _sleep_until(time.monotonic_ns() + from_seconds(min(delay, _SETTLE)), keep_on)
+            if not _sleep_until(now + 10_000_000, keep_on):
+                break
+            now = time.monotonic_ns()
         return matched
 
     def play(self, *, loop: bool = False, keep_on: KeepOn = _always) -> None:
