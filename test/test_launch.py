@@ -343,7 +343,7 @@ def test_demo_launch_runs_and_estimates(
                 spinner.probe.create_subscription(
                     message_class(type_name), topic, count(law, kind), quality
                 )
-        process = ros2_launch("demo", "duration:=3")
+        process = ros2_launch("demo", "duration:=6")
         try:
             spinner.until(lambda: process.poll() is not None, patience=90)
         finally:

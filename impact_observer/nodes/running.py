@@ -1,6 +1,7 @@
 """Running one node as a process: arguments in, an orderly end, an exit code out."""
 
 import ctypes
+import faulthandler
 import os
 import signal
 import sys
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 FOLLOW = "IMPACT_OBSERVER_FOLLOW"
 """Environment variable with the process whose end, however it comes, is to be this one's too."""
 _PR_SET_PDEATHSIG = 1
+_LAST_RESORT = 5.0
+"""How long the middleware may take to shut down before the process ends without it, s."""
 _PATIENCE = 0.1
 """How long a signal may wait to be noticed, s."""
 
@@ -58,7 +61,7 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str] | None) 
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     make = getattr(import_module(module), node_class)
-    node = None
+    node = executor = None
     try:
         node = _started(make, args)
         executor = SingleThreadedExecutor()
@@ -68,9 +71,14 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str] | None) 
     except ExternalShutdownException:
         return
     finally:
+        # Seen once in some fifty ends, when many nodes left at once: Fast DDS never came back.
+        faulthandler.dump_traceback_later(_LAST_RESORT, exit=True)
+        if executor is not None:
+            executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+        faulthandler.cancel_dump_traceback_later()
 
 
 def _started(make: "type[Node]", args: Sequence[str] | None) -> "Node":
