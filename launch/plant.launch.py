@@ -36,13 +36,8 @@ def generate_launch_description() -> LaunchDescription:
 
 def _argument(parameter: Parameter) -> DeclareLaunchArgument:
     """A parameter as an argument; empty means: as params_file or the node has it."""
-    unit = f" [{parameter.unit}]" if parameter.unit else ""
-    allowed = f"; {parameter.limits}" if parameter.limits else ""
-    default = f"; the node's default: {parameter.default}" if parameter.default != "" else ""
     return DeclareLaunchArgument(
-        parameter.name,
-        default_value="",
-        description=f"{parameter.meaning}{unit}{allowed}{default}",
+        parameter.name, default_value="", description=parameter.description
     )
 
 

@@ -53,6 +53,18 @@ class Parameter:
             return f">= {self.low:g}"
         return f"{self.low:g} to {self.high:g}"
 
+    @property
+    def summary(self) -> str:
+        """The meaning with its unit."""
+        return f"{self.meaning} [{self.unit}]" if self.unit else self.meaning
+
+    @property
+    def description(self) -> str:
+        """The summary, what is allowed and the default."""
+        allowed = f"; {self.limits}" if self.limits else ""
+        default = f"; the node's default: {self.default}" if self.default != "" else ""
+        return f"{self.summary}{allowed}{default}"
+
     def check(self, value: Value) -> None:
         """Raise unless ``value``, of the right type, is one of those allowed.
 
@@ -153,7 +165,7 @@ def declare(node: "Node", table: tuple[Parameter, ...]) -> Values:
     values: dict[str, Value] = {}
     for each in table:
         descriptor = ParameterDescriptor(
-            description=f"{each.meaning} [{each.unit}]" if each.unit else each.meaning,
+            description=each.summary,
             additional_constraints=each.limits,
             read_only=True,
         )

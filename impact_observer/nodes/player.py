@@ -25,8 +25,6 @@ DELAY = 5.0
 """Longest wait for subscribers before the first message, s, unless told otherwise."""
 _SETTLE = 1.0
 """Between the last subscriber's appearance and the first message, s."""
-CLOCK_RATE = 100.0
-"""Rate of ``/clock`` unless told otherwise, Hz of wall time."""
 LINGER = 0.5
 """How long latched messages stay available to late subscribers after the last message, s."""
 _ACKNOWLEDGE = 2.0

@@ -1,5 +1,7 @@
 """The plant against published numbers, closed forms and its own conservation laws."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -222,7 +224,8 @@ def test_gaps_never_close_beyond_rounding(data: st.DataObject) -> None:
     plant, stamps = started(model, *np.split(x, 2)), grid(EPOCH, EPOCH + 4 * NS_PER_S, 200.0)
     impacts: list[Impact] = []
     states, last = [], EPOCH - 1
-    try:
+    # As far as it goes: random systems may end in lasting contact.
+    with contextlib.suppress(LastingContactError, ImpactLawError):
         while len(impacts) < 20:
             impact = plant.next_impact(int(stamps[-1]))
             until = int(stamps[-1]) if impact is None else impact.instant.stamp
@@ -233,8 +236,6 @@ def test_gaps_never_close_beyond_rounding(data: st.DataObject) -> None:
             plant.cross(impact)
             impacts.append(impact)
             last = until - 1
-    except (LastingContactError, ImpactLawError):
-        pass  # as far as it goes
     for part in states:
         gaps = part[:, : model.n] @ model.W + model.q_r
         assert np.min(gaps, initial=0.0) >= -1e-10
