@@ -34,7 +34,7 @@ def prepare(folder: Path) -> Contest:
     model, bag = read_model("three_mass"), folder / "bag"
     stamps = grid(EPOCH, EPOCH + from_seconds(DURATION), RATE)
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
-    write_run(bag, model, 0, simulate(plant, stamps))
+    write_run(bag, model, simulate(plant, stamps), seed=0)
     _observed(model, bag, folder / "ours")
     _copied(bag, folder / "theirs")
     ours, theirs = _contents(folder / "ours"), _contents(folder / "theirs")

@@ -46,9 +46,5 @@ class DynamicsError(ImpactObserverError, ArithmeticError):
     """A motion that cannot be computed."""
 
 
-class LastingContactError(DynamicsError):
-    """A contact that stays closed, or impacts that accumulate: not supported yet."""
-
-
 class ImpactLawError(DynamicsError):
     """An impact whose law has no solution on the contacts that are closed."""

@@ -169,12 +169,25 @@ def systems(
     )
 
 
-def switchings(
-    m: int, most: int = 8, seconds: float = 5.0
-) -> st.SearchStrategy[list[tuple[float, tuple[int, ...]]]]:
-    """Any sequence of (seconds since the last, active contacts), as no plant would make it."""
-    active = st.sets(st.integers(0, m - 1), min_size=1).map(lambda found: tuple(sorted(found)))
-    return st.lists(st.tuples(numbers(0.0, seconds / most), active), max_size=most)
+class Step(NamedTuple):
+    """One step of a switching sequence, as no plant would make it.
+
+    Attributes:
+        wait: since the last step, s.
+        hit: contacts that impact; none where contacts only open.
+        stay: contacts that stay closed if they are closed at the instant.
+    """
+
+    wait: float
+    hit: tuple[int, ...]
+    stay: tuple[int, ...]
+
+
+def switchings(m: int, most: int = 8, seconds: float = 5.0) -> st.SearchStrategy[list[Step]]:
+    """Any sequence of pulses and intervals of ``m`` contacts, none longer than ``seconds``."""
+    some = st.sets(st.integers(0, m - 1)).map(lambda found: tuple(sorted(found)))
+    step = st.builds(Step, numbers(0.0, seconds / most), some, some)
+    return st.lists(step, max_size=most)
 
 
 def run(

@@ -74,7 +74,7 @@ def test_the_law_of_the_docs_is_a_law() -> None:
     system = read_model("two_mass").system
     import numpy as np
 
-    x = law(system).impact(np.array([0.1, 0.2, 0.3, 0.4]), (0,))
+    x = law(system).impact(np.array([0.1, 0.2, 0.3, 0.4]), (0,), ())
     np.testing.assert_allclose(system.gap(x[:2]), 0.0, atol=1e-15)
     np.testing.assert_array_equal(x[2:], [0.3, 0.4])
 

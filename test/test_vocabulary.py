@@ -117,7 +117,6 @@ def test_frozen_is_a_read_only_copy_without_minus_zero() -> None:
         (errors.ModelError("mass", "x"), ValueError, 2),
         (errors.BagError("x"), Exception, 1),
         (errors.DynamicsError("x"), ArithmeticError, 1),
-        (errors.LastingContactError("x"), ArithmeticError, 1),
         (errors.ImpactLawError("x"), ArithmeticError, 1),
     ],
     ids=lambda value: type(value).__name__,

@@ -15,6 +15,7 @@ from impact_observer.bag.reader import BagReader, RawMessage
 from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Ruling, Verdict
+from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.model import Model, parse_model
 from impact_observer.observer import Observer, replay
 from impact_observer.plant import Run
@@ -24,13 +25,29 @@ from impact_observer.states import Estimate, Stamps
 _CARRIED = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
 
 
-def carried_text(model: Model, seed: int) -> str:
-    """The model file that a plant publishes and a bag carries: it says who made it."""
-    return model.text({"package": "impact_observer", "version": __version__, "seed": seed})
+def carried_text(model: Model, seed: int, integrator: str = EVENT_DRIVEN) -> str:
+    """The model file that a plant publishes and a bag carries: it says who made it, and how."""
+    return model.text(
+        {
+            "package": "impact_observer",
+            "version": __version__,
+            "seed": seed,
+            "integrator": integrator,
+        }
+    )
 
 
-def write_run(path: Path, model: Model, seed: int, run: Run) -> None:
+def write_run(
+    path: Path, model: Model, run: Run, *, seed: int, integrator: str = EVENT_DRIVEN
+) -> None:
     """Write a plant's run to a bag: model, impacts, true states; log times are the stamps.
+
+    Args:
+        path: the bag to make.
+        model: of the plant.
+        run: what it did.
+        seed: of everything random in it.
+        integrator: what it was integrated by, in words.
 
     Raises:
         UsageError: something is at ``path`` already, or its parent is no folder.
@@ -42,7 +59,8 @@ def write_run(path: Path, model: Model, seed: int, run: Run) -> None:
         for each in _CARRIED:
             writer.declare(each.topic)
         start = int(run.stamps[0])
-        writer.write(interfaces.PLANT_MODEL.topic, start, make.model(carried_text(model, seed)))
+        model_message = make.model(carried_text(model, seed, integrator))
+        writer.write(interfaces.PLANT_MODEL.topic, start, model_message)
         # At equal stamps the event comes first: the state there is the one after it.
         events = ((e.stamp, 0, interfaces.IMPACTS.topic, make.event(e)) for e in run.events)
         states = (
@@ -131,7 +149,7 @@ def observe_bag(
 
     Raises:
         UsageError, BagError: the bags cannot be used as asked.
-        LastingContactError, ImpactLawError: the replica cannot follow an event.
+        ImpactLawError: the replica cannot follow an event.
     """
     events = events_in(reader)
     said = {event.epoch for event in events if event.epoch}

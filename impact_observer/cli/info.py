@@ -52,7 +52,7 @@ class BagSummary:
         topics: the topics, by name.
         impacts: impacts of each contact, by its name.
         episodes: runs of the sender between resets.
-        model: name, version of the package and seed that made the bag; None when not carried.
+        model: name, and version, seed and integrator that made the bag; None when not carried.
         observers: the law of each observer, by its prefix; empty when it published no state.
     """
 
@@ -184,11 +184,12 @@ def _model(reader: "BagReader") -> dict[str, str | int | None] | None:
         model = parse_model(text, "model")
     except ModelError as error:
         return {"error": str(error)}
-    version, seed = (model.provenance.get(key) for key in ("version", "seed"))
+    version, seed, how = (model.provenance.get(k) for k in ("version", "seed", "integrator"))
     return {
         "name": model.system.name,
         "version": None if version is None else str(version),
         "seed": seed if isinstance(seed, int) else None,
+        "integrator": None if how is None else str(how),
     }
 
 
@@ -243,7 +244,8 @@ def _said(model: dict[str, str | int | None]) -> str:
     if "error" in model:
         return f"cannot be read: {model['error']}"
     origin = [f"{key} {model[key]}" for key in ("version", "seed") if model[key] is not None]
-    return ", ".join([str(model["name"]), *origin])
+    how = [str(model["integrator"])] if model["integrator"] is not None else []
+    return ", ".join([str(model["name"]), *origin, *how])
 
 
 def _quality(topic: TopicSummary) -> str:

@@ -13,6 +13,7 @@ from impact_observer.errors import ImpactObserverError
 PROGRAM = "impact-observer"
 COMMANDS = {
     "demo": "plant, observers and monitors as processes, a bag, a comparison, a picture",
+    "check-model": "what a model means for an observer: modes, contacts, impact law",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
     "observe": "run an observer on the impacts in a bag",
     "compare": "estimates against the truth: V(t), errors, a picture",

@@ -76,7 +76,7 @@ def observe(
     Raises:
         UsageError, ModelError: the arguments cannot be used.
         BagError: a bag cannot be read or written.
-        LastingContactError, ImpactLawError: the replica cannot follow an event.
+        ImpactLawError: the replica cannot follow an event.
     """
     from impact_observer.bag.reader import BagReader
     from impact_observer.bag.recordings import carried_model, observe_bag

@@ -4,6 +4,14 @@ import argparse
 from pathlib import Path
 
 from impact_observer.cli.arguments import positive, seed, stamp
+from impact_observer.errors import UsageError
+from impact_observer.integrators import (
+    DEFAULT_STEP,
+    EVENT_DRIVEN,
+    INTEGRATORS,
+    MOREAU,
+    described,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,6 +34,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="stamp of t = 0 (default 1)",
     )
     parser.add_argument(
+        "--integrator",
+        choices=INTEGRATORS,
+        default=EVENT_DRIVEN,
+        help="exact from event to event, or Moreau's time stepping (default event-driven)",
+    )
+    parser.add_argument(
+        "--step",
+        metavar="S",
+        type=positive,
+        help=f"length of the steps of moreau, s (default {DEFAULT_STEP:g})",
+    )
+    parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
     )
 
@@ -33,7 +53,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
     return simulate(
-        args.model, args.output, args.duration, args.rate, seed=args.seed, epoch=args.epoch
+        args.model,
+        args.output,
+        args.duration,
+        args.rate,
+        seed=args.seed,
+        epoch=args.epoch,
+        integrator=args.integrator,
+        step=args.step,
     )
 
 
@@ -45,6 +72,8 @@ def simulate(
     *,
     seed: int = 0,
     epoch: int = 1_000_000_000,
+    integrator: str = EVENT_DRIVEN,
+    step: float | None = None,
 ) -> int:
     """Simulate a plant and write its bag.
 
@@ -55,13 +84,16 @@ def simulate(
         rate: of the true states, Hz.
         seed: recorded in the bag; an ideal plant draws nothing at random.
         epoch: stamp of ``t = 0``, ns.
+        integrator: ``event-driven`` or ``moreau``.
+        step: length of the steps of ``moreau``, s; None for the default.
 
     Returns:
         0.
 
     Raises:
         UsageError, ModelError: the arguments cannot be used.
-        LastingContactError: a contact stays closed, or impacts accumulate.
+        ImpactLawError: the impact law has no solution.
+        DynamicsError: the forcing ends before the duration.
         BagError: the bag cannot be written.
     """
     from impact_observer import plant
@@ -72,6 +104,9 @@ def simulate(
     from impact_observer.stamps import from_seconds, grid, seconds_between
 
     check_free(output)
+    if step is not None and integrator != MOREAU:
+        raise UsageError(f"step: {step:g} s given; only the integrator {MOREAU} takes steps")
+    step = DEFAULT_STEP if step is None else step
     read = read_model(model)
     stamps = grid(epoch, epoch + from_seconds(duration), rate)
     with Progress() as progress:
@@ -79,10 +114,12 @@ def simulate(
         def show(impact: int) -> None:
             progress.show(f"simulated {seconds_between(epoch, impact):.1f} of {duration:g} s")
 
-        master = plant.Plant(read.system, *read.initial_state(), epoch=epoch)
+        master = plant.make_plant(
+            read.system, *read.initial_state(), epoch=epoch, integrator=integrator, step=step
+        )
         done = plant.simulate(master, stamps, progress=show)
         progress.show(f"writing {output}")
-        write_run(output, read, seed, done)
+        write_run(output, read, done, seed=seed, integrator=described(integrator, step))
         progress.line(
             f"{output}: {read.system.name}, {duration:g} s, {len(done.impacts)} impacts,"
             f" {stamps.size} true states"

@@ -1,122 +1,185 @@
-"""How low a gap can get between two samples, with certainty.
+"""How low a watched function can get between two samples, with certainty.
 
-Two lower bounds on ``g`` over an interval; the larger one counts.
+Two lower bounds on ``h = a p + b u + c f(t) + d`` over an interval; the larger one counts.
 
-- Two parabolas, one from each end, whose curvature is a bound on ``|g''|``.
+- A parabola from the left end whose curvature is a bound on ``|h''|``, and, where ``h`` is a gap,
+  another one from the right end.
 - The Taylor polynomial of order ``_ORDER`` from the left end, less a bound on its remainder; the
-  least of its Bernstein coefficients. It decides where a gap stays near zero for long, such as
-  that of a body at rest against its stop while others move.
+  least of its Bernstein coefficients. It decides where a function stays near zero for long, such
+  as the gap of a body at rest against its stop while others move.
 
-Both need bounds on derivatives of ``g``. Those of the motion obey the equation of motion as well:
-``M y'' = -C y' - K y + f^(k)(t)`` for ``y = q^(k)``. So ``y'^T M y' + y^T K y`` grows only as fast
-as ``f^(k)`` does work, and bounds ``g^(k+1) = W^T y'`` by Cauchy and Schwarz.
+Both need bounds on derivatives. Those of the motion obey the equation of motion as well,
+``M y'' = -C y' - K y + f^(k)(t) + W lambda^(k)`` for ``y = p^(k)``, ``k > 0``, and the loads do no
+work on ``y'``. So ``y'^T M y' + y^T K y`` grows only as fast as ``f^(k)`` does work, and bounds
+``a y'`` by Cauchy and Schwarz.
 """
 
 from math import comb, factorial
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.model import System
+from impact_observer.dynamics.phase import Phase, timescale
+from impact_observer.dynamics.watched import Watched
 from impact_observer.states import Matrix, Vector
 
 _ORDER = 8
 """Order of the Taylor polynomial."""
+_POWERS = np.arange(_ORDER)[:, None, None]
+FACTORIALS = np.array([factorial(k) for k in range(_ORDER)], dtype=float)
+"""What derivatives are divided by in the Taylor polynomial."""
+_BERNSTEIN = np.array(
+    [[comb(i, j) / comb(_ORDER, j) for j in range(_ORDER + 1)] for i in range(_ORDER + 1)]
+)
+"""Bernstein coefficients from those of powers on [0, 1]."""
 
 
-class GapBounds:
-    """Bounds on the gaps of one system between samples of a motion without contact."""
+class Taylor(NamedTuple):
+    """What is known of watched functions on intervals from their left ends.
 
-    def __init__(self, system: System) -> None:
-        """Prepare norms of contacts and forcing."""
-        self._system = system
-        forcing = system.forcing
-        self._Minv = linalg.inv(system.M)
-        self._reach = np.sqrt(np.einsum("ij,ij->j", system.W, self._Minv @ system.W))
-        amplitudes = np.stack([forcing.cosine, forcing.sine])
-        self._work = np.sqrt(np.einsum("...i,...i->...", amplitudes @ self._Minv, amplitudes)).sum(
-            axis=0
+    Attributes:
+        derivatives: the functions and their derivatives there, shape (8, intervals, w).
+        curvature: bound on the second derivative along each interval, shape (intervals, w).
+        remainder: the same of the eighth.
+    """
+
+    derivatives: NDArray[np.float64]
+    curvature: Matrix
+    remainder: Matrix
+
+
+class Bounds:
+    """Bounds on watched functions of one phase between samples of a motion."""
+
+    def __init__(self, phase: Phase, watched: Watched) -> None:
+        """Prepare norms of the functions and the forcing."""
+        self._equations, self._inverse = phase.equations, phase.inverse
+        self._watched = watched
+        forcing, c = phase.equations.forcing, watched.force
+        self._of_velocity = bool(np.any(watched.velocity))
+        self._of_force = bool(np.any(c))
+        self._gaps = ~np.any(watched.velocity, axis=1) & ~np.any(c, axis=1)
+        self._reach_a, self._reach_b = (
+            _lengths(rows, phase.inverse) for rows in (watched.position, watched.velocity)
         )
-        stiffest = float(linalg.eigh(system.K, system.M, eigvals_only=True)[-1])
+        self._work = forcing.bound(phase.inverse)
+        self._force = [forcing.bound(np.outer(row, row)) for row in c] if self._of_force else []
+        self._whole = linalg.inv(phase.equations.M)
+        self._load = forcing.bound(self._whole)
+        self._whole_a, self._whole_b = (
+            _lengths(rows, self._whole) for rows in (watched.position, watched.velocity)
+        )
         # A mode's amplitude is u / omega; a slower one has not got there within a second.
-        self._slowness = 1.0 / max(stiffest, 1.0)
-        self._bernstein = _bernstein(_ORDER)
+        self._timescale = timescale(phase.equations)
 
-    def scale(self, q: Matrix, u: Matrix) -> Matrix:
-        """What gaps are rounded against: all of the motion, whose modes superpose to ``q``.
+    def scale(self, t: Vector, p: Matrix, u: Matrix, s: Vector) -> Matrix:
+        """What the functions are rounded against: all of the motion, whose modes superpose.
 
-        Args:
-            q: coordinates, shape (samples, n).
-            u: velocities, shape (samples, n).
-
-        Returns:
-            Shape (samples - 1, m), m.
-        """
-        M = self._system.M
-        size = np.einsum("si,si->s", q @ M, q) + np.einsum("si,si->s", u @ M, u) * self._slowness
-        largest = np.sqrt(np.maximum(size[:-1], size[1:]))
-        return np.asarray(np.abs(self._system.q_r) + np.outer(largest, self._reach))
-
-    def acceleration(self, derivatives: list[Matrix], h: float) -> Matrix:
-        """Bound on ``|g''|`` over intervals of length ``h``, shape (intervals, m)."""
-        return self._derivative(derivatives, 2, h)
-
-    def derivatives(self, t: Vector, q: Matrix, u: Matrix) -> list[Matrix]:
-        """``q`` and its derivatives up to ``_ORDER`` along the motion, shape (samples, n) each.
+        After a start from rest that is little, and what the forces have made of it counts too.
 
         Args:
             t: s since the epoch, shape (samples,).
-            q: coordinates, shape (samples, n).
+            p: shape (samples, n).
             u: velocities, shape (samples, n).
-        """
-        system, forcing = self._system, self._system.forcing
-        angle = np.outer(t, forcing.frequency)
-        wave = np.exp(1j * angle)
-        amplitude = forcing.cosine - 1j * forcing.sine
-        found, force = [q, u], forcing.constant
-        for _ in range(_ORDER - 1):
-            load = force + (wave @ amplitude).real - found[-1] @ system.C.T - found[-2] @ system.K
-            found.append(load @ self._Minv)
-            force, amplitude = np.zeros(system.n), amplitude * 1j * forcing.frequency[:, None]
-        return found
-
-    def lower(self, g: Matrix, derivatives: list[Matrix], ends: Matrix, h: float) -> Matrix:
-        """Least value that each gap can take on each interval.
-
-        Args:
-            g: gaps at the samples, shape (intervals + 1, m).
-            derivatives: of the coordinates at the left ends, from ``derivatives``.
-            ends: contact speeds at the samples, shape (intervals + 1, m).
-            h: length of the intervals, s.
+            s: seconds since the start of the motion, shape (samples,).
 
         Returns:
-            Shape (intervals, m).
+            Shape (samples - 1, w), of intervals.
         """
-        parabolas = _parabolas(g, ends, self.acceleration(derivatives, h), h)
-        scaled = [g[:-1]] + [
-            derivatives[k] @ self._system.W * (h**k / factorial(k)) for k in range(1, _ORDER)
-        ]
-        remainder = self._derivative(derivatives, _ORDER, h) * (h**_ORDER / factorial(_ORDER))
-        polynomial = np.tensordot(self._bernstein, np.stack([*scaled, -remainder]), axes=1)
-        return np.asarray(np.maximum(parabolas, polynomial.min(axis=0)))
+        equations, s = self._equations, np.minimum(s[1:], self._timescale)
+        forces = self._load(0, t[:-1]) + _widest(
+            _lengths(p @ equations.K, self._whole) + _lengths(u @ equations.C.T, self._whole)
+        )
+        kinetic = np.einsum("si,si->s", u @ equations.M, u)
+        size = np.einsum("si,si->s", p @ equations.M, p) + kinetic * self._timescale**2
+        reached = _widest(np.sqrt(size)) + forces * s**2 / 2
+        scale = np.abs(self._watched.constant) + np.outer(reached, self._whole_a)
+        if self._of_velocity:
+            scale += np.outer(_widest(np.sqrt(kinetic)) + forces * s, self._whole_b)
+        if self._of_force:
+            scale += self._forces(0, t[:-1])
+        return np.asarray(scale)
 
-    def _derivative(self, derivatives: list[Matrix], k: int, h: float) -> Matrix:
-        """Bound on the ``k``-th derivative of each gap, shape (intervals, m)."""
-        y, rate = derivatives[k - 1], derivatives[k]
-        energy = np.einsum("si,si->s", rate @ self._system.M, rate)
-        energy += np.einsum("si,si->s", y @ self._system.K, y)
-        growth = float(self._work @ self._system.forcing.frequency ** (k - 1))
-        return np.outer(np.sqrt(np.maximum(energy, 0.0)) + growth * h, self._reach)
+    def taylor(self, t: Vector, p: Matrix, u: Matrix, h: Vector) -> Taylor:
+        """Derivatives of the functions at the left ends of intervals, with bounds along them.
+
+        Args:
+            t: s since the epoch, shape (intervals,).
+            p: shape (intervals, n).
+            u: velocities, shape (intervals, n).
+            h: lengths of the intervals, s, shape (intervals,).
+        """
+        equations, a, b = self._equations, self._watched.position, self._watched.velocity
+        orders = _ORDER + self._of_velocity
+        f = equations.forcing.derivatives(t, orders - 1)
+        motion = [p, u]
+        for k in range(orders - 1):
+            load = f[k] - motion[-1] @ equations.C.T - motion[-2] @ equations.K
+            motion.append(load @ self._inverse)
+        derivatives = np.stack(motion[:_ORDER]) @ a.T
+        if self._of_velocity:
+            derivatives += np.stack(motion[1 : _ORDER + 1]) @ b.T
+        if self._of_force:
+            derivatives += f[:_ORDER] @ self._watched.force.T
+        curvature, remainder = (self._largest(k, t, motion, h) for k in (2, _ORDER))
+        return Taylor(derivatives, curvature, remainder)
+
+    def lower(self, values: Matrix, ends: Matrix, taylor: Taylor, h: Vector) -> Matrix:
+        """Least value that each function can take on each interval.
+
+        Args:
+            values: of the functions at the ends of the intervals, shape (intervals + 1, w).
+            ends: ``a u`` there: slopes of gaps, shape (intervals + 1, w).
+            taylor: at the left ends.
+            h: lengths of the intervals, s, shape (intervals,).
+
+        Returns:
+            Shape (intervals, w).
+        """
+        h, left, slope = h[:, None], values[:-1], taylor.derivatives[1]
+        once = np.minimum(left, left + slope * h - taylor.curvature * h**2 / 2)
+        twice = _parabolas(values, ends, taylor.curvature, h)
+        scaled = taylor.derivatives * (h**_POWERS / FACTORIALS[:, None, None])
+        scaled[0] = left
+        remainder = taylor.remainder * (h**_ORDER / factorial(_ORDER))
+        polynomial = np.tensordot(_BERNSTEIN, np.concatenate([scaled, -remainder[None]]), axes=1)
+        return np.asarray(np.maximum(np.where(self._gaps, twice, once), polynomial.min(axis=0)))
+
+    def _largest(self, k: int, t: Vector, motion: list[Matrix], h: Vector) -> Matrix:
+        """Bound on the ``k``-th derivative of each function along intervals, (intervals, w)."""
+        found = np.outer(self._speed(k - 1, t, motion, h), self._reach_a)
+        if self._of_velocity:
+            found += np.outer(self._speed(k, t, motion, h), self._reach_b)
+        if self._of_force:
+            found += self._forces(k, t)
+        return found
+
+    def _speed(self, k: int, t: Vector, motion: list[Matrix], h: Vector) -> Vector:
+        """Bound on ``sqrt(y'^T M y')``, ``y = p^(k)``, along intervals, shape (intervals,)."""
+        y, rate = motion[k], motion[k + 1]
+        energy = np.einsum("si,si->s", rate @ self._equations.M, rate)
+        energy += np.einsum("si,si->s", y @ self._equations.K, y)
+        return np.asarray(np.sqrt(np.maximum(energy, 0.0)) + self._work(k, t) * h)
+
+    def _forces(self, k: int, t: Vector) -> Matrix:
+        """Bound on ``|c f^(k)|``, shape (intervals, w)."""
+        return np.stack([bound(k, t) for bound in self._force], axis=1)
 
 
-def _bernstein(degree: int) -> Matrix:
-    """Bernstein coefficients from those of powers on [0, 1], shape (degree + 1, degree + 1)."""
-    rows = range(degree + 1)
-    return np.array([[comb(i, j) / comb(degree, j) for j in rows] for i in rows])
+def _lengths(rows: Matrix, metric: Matrix) -> Vector:
+    """``sqrt(r metric r^T)`` of each row, shape (w,)."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("wi,wi->w", rows @ metric, rows), 0.0)))
 
 
-def _parabolas(g: Matrix, gamma: Matrix, bound: Matrix, h: float) -> Matrix:
-    """Least value above the parabolas from both ends, shape (intervals, m).
+def _widest(samples: Vector) -> Vector:
+    """The larger of both ends of each interval, shape (samples - 1,)."""
+    return np.asarray(np.maximum(samples[:-1], samples[1:]))
+
+
+def _parabolas(g: Matrix, gamma: Matrix, bound: Matrix, h: Vector) -> Matrix:
+    """Least value above the parabolas from both ends, shape (intervals, w).
 
     ``g_j + gamma_j s - B s^2 / 2`` and its mirror from the other end are lower bounds; both are
     concave and differ by a linear function, so the larger of them is least at an end or where

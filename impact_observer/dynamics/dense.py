@@ -4,52 +4,72 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics.flow import Flow, Motion
-from impact_observer.model import System
+from impact_observer.dynamics.flow import Equations, Flow, Motion, balanced_state_matrix
 from impact_observer.states import Matrix, Vector
 
-
-def state_matrix(system: System) -> Matrix:
-    """``A`` of ``dx/dt = A x + b(t)``, ``x = (q, u)``, shape (2n, 2n)."""
-    n = system.n
-    A = np.zeros((2 * n, 2 * n))
-    A[:n, n:] = np.eye(n)
-    A[n:, :n] = -linalg.solve(system.M, system.K, assume_a="pos")
-    A[n:, n:] = -linalg.solve(system.M, system.C, assume_a="pos")
-    return A
+_STRIDE = 2.0
+"""Length of a stride, over the fastest rate's inverse."""
+_TERMS = 20
+"""Terms of the power series over half a stride: the first one left out is below 1e-18."""
 
 
 class DenseFlow(Flow):
     """The forcing is made a part of the state, ``w = (1, cos, sin)``, and all is one ``expm``."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: Equations) -> None:
         """Assemble ``d(x, w)/dt = [[A, B], [0, S]] (x, w)``."""
         forcing, n = system.forcing, system.n
         h = forcing.frequency.size
+        A, unit = balanced_state_matrix(system)
         augmented = np.zeros((2 * n + 1 + 2 * h,) * 2)
-        augmented[: 2 * n, : 2 * n] = state_matrix(system)
+        augmented[: 2 * n, : 2 * n] = A
         forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine]).T
-        augmented[n : 2 * n, 2 * n :] = linalg.solve(system.M, forces, assume_a="pos")
+        acceleration = linalg.solve(system.M, forces, assume_a="pos")
+        # A large force alone shall cost no squarings: the units of w are free.
+        size = float(np.max(np.abs(acceleration))) / unit[0] or 1.0
+        augmented[n : 2 * n, 2 * n :] = acceleration / size
         cosine, sine = 2 * n + 1 + np.arange(h), 2 * n + 1 + h + np.arange(h)
         augmented[cosine, sine] = -forcing.frequency
         augmented[sine, cosine] = forcing.frequency
         self._augmented = augmented
         self._frequency = forcing.frequency
+        self._unit, self._size = unit, size
+        self._stride = _STRIDE / float(linalg.norm(augmented, 1))
 
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
         angle = self._frequency * t
-        start = np.concatenate([x, [1.0], np.cos(angle), np.sin(angle)])
-        return _DenseMotion(t, self._augmented, start, x.size)
+        w = self._size * np.concatenate([[1.0], np.cos(angle), np.sin(angle)])
+        start = np.concatenate([x * self._unit, w])
+        return _DenseMotion(t, self._augmented, start, self._unit, self._stride)
 
 
 class _DenseMotion(Motion):
-    def __init__(self, t: float, augmented: Matrix, start: Vector, size: int) -> None:
+    """A matrix exponential leads to the nearest whole stride, a power series on from there."""
+
+    def __init__(
+        self, t: float, augmented: Matrix, start: Vector, unit: Vector, stride: float
+    ) -> None:
         self.t = t
         self._augmented = augmented
-        self._start = start
-        self._size = size
+        self._unit = unit
+        self._stride = stride
+        self._strides = {0.0: start}
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        propagators = linalg.expm(s[:, None, None] * self._augmented)
-        return np.asarray((propagators @ self._start)[:, : self._size])
+        strides, which = np.unique(np.round(s / self._stride), return_inverse=True)
+        starts = [self._after(k) for k in strides.tolist()]
+        term = np.reshape(starts, (-1, self._augmented.shape[0]))[which]
+        rest = (s - strides[which] * self._stride)[:, None]
+        found = term
+        for k in range(1, _TERMS):
+            term = rest / k * (term @ self._augmented.T)
+            found = found + term
+        return np.asarray(found[:, : self._unit.size] / self._unit)
+
+    def _after(self, strides: float) -> Vector:
+        """The state and ``w`` after a whole number of strides."""
+        if strides not in self._strides:
+            propagator = linalg.expm((strides * self._stride) * self._augmented)
+            self._strides[strides] = propagator @ self._strides[0.0]
+        return self._strides[strides]

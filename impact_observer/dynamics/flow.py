@@ -3,15 +3,69 @@
 Two ways lead to it. ``SpectralFlow`` splits the motion into ``n`` pairs of modes, each in closed
 form; it costs a few microseconds. Where that splitting is ill-conditioned (eigenvectors of
 a non-proportionally damped system that almost coincide), ``DenseFlow`` takes a matrix
-exponential, a hundred times slower and indifferent to the spectrum.
+exponential, a hundred times slower and indifferent to the spectrum. A sampled forcing comes on
+top of either: ``sampled.py``.
 """
 
 from abc import ABC, abstractmethod
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
-from impact_observer.states import Vector
+from impact_observer.model import Forcing
+from impact_observer.states import Matrix, Vector
+
+
+class Equations(Protocol):
+    """What a flow needs to know: a ``System``, or one reduced to fewer coordinates.
+
+    ``M`` symmetric positive definite, ``K`` symmetric positive semidefinite, the symmetric part
+    of ``C`` positive semidefinite, shape (n, n) each; SI units.
+    """
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates, at least one."""
+
+    @property
+    def M(self) -> Matrix:  # noqa: N802
+        """Mass matrix."""
+
+    @property
+    def C(self) -> Matrix:  # noqa: N802
+        """Damping matrix."""
+
+    @property
+    def K(self) -> Matrix:  # noqa: N802
+        """Stiffness matrix."""
+
+    @property
+    def forcing(self) -> Forcing:
+        """``f(t)`` on ``n`` coordinates."""
+
+
+def state_matrix(system: Equations) -> Matrix:
+    """``A`` of ``dx/dt = A x + b(t)``, ``x = (q, u)``, shape (2n, 2n)."""
+    n = system.n
+    A = np.zeros((2 * n, 2 * n))
+    A[:n, n:] = np.eye(n)
+    A[n:, :n] = -linalg.solve(system.M, system.K, assume_a="pos")
+    A[n:, n:] = -linalg.solve(system.M, system.C, assume_a="pos")
+    return A
+
+
+def balanced_state_matrix(system: Equations) -> tuple[Matrix, Vector]:
+    """The state matrix of ``x unit``, positions counted in units of velocity, and ``unit``.
+
+    Then its entries are rates, and its norm is about the fastest: a matrix exponential needs no
+    more squarings than the motion has oscillations. Shapes (2n, 2n) and (2n,).
+    """
+    n, A = system.n, state_matrix(system)
+    rate = max(np.sqrt(linalg.norm(A[n:, :n], 1)), linalg.norm(A[n:, n:], 1)) or 1.0
+    unit = np.concatenate([np.full(n, rate), np.ones(n)])
+    return np.asarray(unit[:, None] * A / unit), unit
 
 
 class Motion(ABC):

@@ -1,121 +1,243 @@
-"""The first instant at which a gap closes, found with a guarantee.
+"""The first instant at which a watched function falls below zero, found with a guarantee.
 
-A motion is sampled, and each gap is bounded from below between the samples (``bounds.py``). Where
-the bound stays above zero no crossing can hide; elsewhere the interval is divided until the bound
-decides.
+A motion is sampled, and each function is bounded from below between the samples (``bounds.py``).
+Where the bound stays above zero no crossing can hide; elsewhere the interval is divided until the
+bound decides.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg, optimize
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+from scipy import optimize
 
-from impact_observer.dynamics.bounds import GapBounds
-from impact_observer.dynamics.flow import Motion
-from impact_observer.model import System
-from impact_observer.states import Vector
+from impact_observer.dynamics.bounds import FACTORIALS, Bounds
+from impact_observer.dynamics.flow import Equations, Motion
+from impact_observer.dynamics.phase import Phase, fastest
+from impact_observer.dynamics.watched import Watched
+from impact_observer.states import Matrix, Vector
 
 DEPTH = 1e-13
-"""Penetration that counts as none, relative to the scale of the gap."""
+"""How far below zero counts as not at all, relative to what a function is rounded against."""
 _TOUCH = 1e-12
-"""Gap that counts as closed at the instant of an impact, relative to its scale."""
+"""Value that counts as zero at the instant of a crossing, relative to the same."""
 _SAMPLES = 16
 """Intervals that are looked at together."""
+_KNOTS = 64
+"""Knots of a sampled forcing that are looked at together."""
+_FINER = 8.0 ** np.arange(-8, 0)
+"""Where the first interval after a start is divided: flights may be short."""
 _ROOT = 4 * np.finfo(np.float64).eps
 """Relative accuracy of a root: brentq's finest."""
+_ROUNDED = 4 * np.finfo(np.float64).eps
+"""Value that one more step of Newton's method ends at, relative to the same scale."""
+_NEWTON = 8
+"""Steps of Newton's method before brentq's."""
+_LEAST = 1e-30
+"""Absolute accuracy of a root, s: none, but brentq wants one."""
+_FIRST = 1e-9
+"""Fraction of a window at its start below which intervals are not divided further."""
 
 
-class Closing(NamedTuple):
-    """The instant at which gaps close.
+class Crossing(NamedTuple):
+    """The instant at which watched functions reach zero.
 
     Attributes:
         s: seconds since the start of the motion.
-        contacts: indices of the contacts that are closed then.
+        which: indices of all functions that are zero then.
     """
 
     s: float
-    contacts: tuple[int, ...]
+    which: tuple[int, ...]
 
 
-class ContactSearch:
-    """Looks for the first closing gap along motions of one system without contact.
+class _Suspect(NamedTuple):
+    """An interval that may hold a crossing.
 
     Attributes:
-        window: length of the stretch that is looked at together, s.
+        start: its left end, s.
+        stop: its right end, s.
+        which: indices of the functions that may cross.
+        values: of all functions at both ends, shape (2, w).
+        falling: whether each falls all the way, shape (w,).
+        derivatives: of each at the left end, shape (8, w).
+        scale: what each is rounded against, shape (w,).
     """
 
-    def __init__(self, system: System) -> None:
-        """Prepare the bounds; ``window`` is two periods of the fastest mode or harmonic."""
-        self._system = system
-        self._bounds = GapBounds(system)
-        stiffest = float(linalg.eigh(system.K, system.M, eigvals_only=True)[-1])
-        fastest = max([np.sqrt(max(stiffest, 0.0)), *system.forcing.frequency])
-        self.window = _SAMPLES * (2 * np.pi / fastest / 8 if fastest > 0 else 1.0)
+    start: float
+    stop: float
+    which: NDArray[np.intp]
+    values: Matrix
+    falling: NDArray[np.bool_]
+    derivatives: Matrix
+    scale: Vector
 
-    def first_closing(self, motion: Motion, horizon: float, start: float = 0.0) -> Closing | None:
-        """Seconds until the first gap closes along ``motion``; None if none does.
+
+def window(equations: Equations) -> float:
+    """Two periods of the fastest mode or harmonic, s; 16 s where nothing oscillates.
+
+    Held contacts only make modes slower, so one window does for all phases of a system.
+    """
+    rate = fastest(equations)
+    return float(_SAMPLES * (2 * np.pi / rate / 8 if rate > 0 else 1.0))
+
+
+class Search:
+    """Looks for the first crossing of watched functions along motions of one phase."""
+
+    def __init__(self, phase: Phase, watched: Watched, window: float) -> None:
+        """Prepare the bounds.
 
         Args:
-            motion: a motion without contact that starts with no gap below zero.
-            horizon: where to stop looking, s.
-            start: where to begin, s; nothing closes before.
+            phase: whose motions are searched.
+            watched: what must not fall below zero.
+            window: length of the stretch that is looked at together, s.
+        """
+        self._forcing = phase.equations.forcing
+        self._watched = watched
+        self._window = window
+        self._bounds = Bounds(phase, watched)
+
+    def first(self, motion: Motion, horizon: float, start: float = 0.0) -> Crossing | None:
+        """Seconds until the first function falls below zero; None if none does.
+
+        Args:
+            motion: of (p, u), with no function below zero at its start but for rounding.
+            horizon: where to stop looking, s; the end of the forcing, if that is earlier.
+            start: where to begin, s; nothing crosses before.
 
         Returns:
-            Where in [start, horizon] the first gap reaches zero from above, with all others that
-            do. Crossings no deeper than ``DEPTH`` of the gap's scale may be passed over.
+            Where in [start, horizon] the first function reaches zero from above, with all others
+            that are zero there. Crossings no deeper than ``DEPTH`` of a function's scale may be
+            passed over.
         """
+        if not self._watched.constant.size:
+            return None
+        horizon = min(horizon, self._forcing.end - motion.t)
         while start < horizon:
-            stop = min(start + self.window, horizon)
-            found = self._first_in(motion, start, stop)
+            s = self._grid(motion.t, start, min(start + self._window, horizon))
+            found = self._first_in(motion, s)
             if found is not None:
                 return found
-            start = stop
+            start = float(s[-1])
         return None
 
-    def _first_in(self, motion: Motion, start: float, stop: float) -> Closing | None:
-        """The first closing in one interval, looked at in ``_SAMPLES`` parts."""
+    def _grid(self, t: float, start: float, stop: float) -> Vector:
+        """Ends of intervals from ``start`` on, up to ``stop`` or so many knots of the forcing.
+
+        Finer just after the start of a motion, and divided wherever the forcing is not smooth.
+        """
+        knots = self._forcing.knots(t + start, t + stop)[:_KNOTS] - t
+        if knots.size == _KNOTS:
+            stop = float(knots[-1])
         s = np.linspace(start, stop, _SAMPLES + 1)
-        h = s[1] - s[0]
-        x = motion.states(s)
-        q, u = x[:, : self._system.n], x[:, self._system.n :]
-        g, gamma = q @ self._system.W + self._system.q_r, u @ self._system.W
         if start == 0.0:
-            g[0] = np.maximum(g[0], 0.0)  # below zero by rounding only: the last impact was there
-        derivatives = self._bounds.derivatives(motion.t + s[:-1], q[:-1], u[:-1])
-        low = self._bounds.lower(g, derivatives, gamma, h)
-        scale = self._bounds.scale(q, u)
+            s = np.concatenate([s[:1], s[1] * _FINER, s[1:]])
+        if knots.size:
+            s = np.unique(np.concatenate([s, knots[(knots > start) & (knots < stop)]]))
+        return s
+
+    def _first_in(self, motion: Motion, s: Vector) -> Crossing | None:
+        """The first crossing in adjacent intervals with ends ``s``."""
+        h, t = np.diff(s), motion.t + s
+        x = motion.states(s)
+        n = x.shape[1] // 2
+        p, u = x[:, :n], x[:, n:]
+        values = self._watched.values(self._forcing, t, x)
+        if s[0] == 0.0:
+            values[0] = np.maximum(values[0], 0.0)  # below zero by rounding only
+        taylor = self._bounds.taylor(t[:-1], p[:-1], u[:-1], h)
+        low = self._bounds.lower(values, u @ self._watched.position.T, taylor, h)
+        scale = self._bounds.scale(t, p, u, s)
         suspects = low < -DEPTH * scale
-        falling = gamma[:-1] + self._bounds.acceleration(derivatives, h) * h < 0
+        falling = taylor.derivatives[1] + taylor.curvature * h[:, None] < 0
         for j in np.flatnonzero(suspects.any(axis=1)):
-            contacts = np.flatnonzero(suspects[j]).tolist()
-            clear = (g[j, contacts] >= 0) & (g[j + 1, contacts] < 0) & falling[j, contacts]
-            if clear.all():
-                roots = [self._root(motion, i, s[j], s[j + 1]) for i in contacts]
-                return self._closing(motion, min(roots), contacts[np.argmin(roots)], scale[j])
-            if h <= _ROOT * max(s[j + 1], 1e-9):
-                return self._closing(motion, float(s[j]), contacts[0], scale[j])
-            found = self._first_in(motion, s[j], s[j + 1])
+            suspect = _Suspect(
+                float(s[j]),
+                float(s[j + 1]),
+                np.flatnonzero(suspects[j]),
+                values[j : j + 2],
+                falling[j],
+                taylor.derivatives[:, j],
+                scale[j],
+            )
+            found = self._decide(motion, suspect)
             if found is not None:
                 return found
         return None
 
-    def _root(self, motion: Motion, contact: int, start: float, stop: float) -> float:
-        """The single root of one gap that falls all the way from ``start`` to ``stop``."""
-        w, q_r, n = self._system.W[:, contact], self._system.q_r[contact], self._system.n
+    def _decide(self, motion: Motion, suspect: _Suspect) -> Crossing | None:
+        """The first crossing in one interval that may hold one."""
+        start, stop, which, values = suspect[:4]
+        scale = suspect.scale
+        below = which[values[0, which] < -DEPTH * scale[which]]
+        if below.size:  # it jumped there, with the forcing
+            at = self._traced(motion, start, int(below[0]))
+            return self._crossing(motion, at, int(below[0]), scale)
+        if np.all((values[1, which] < 0) & suspect.falling[which]):
+            roots = [self._root(motion, suspect, int(i)) for i in which]
+            first = int(np.argmin(roots))
+            return self._crossing(motion, roots[first], int(which[first]), scale)
+        if stop - start <= _ROOT * max(stop, _FIRST * self._window):
+            at = self._traced(motion, start, int(which[0]))
+            return self._crossing(motion, at, int(which[0]), scale)
+        return self._first_in(motion, np.linspace(start, stop, _SAMPLES + 1))
 
-        def gap(s: float) -> float:
-            return float(w @ motion.state(s)[:n] + q_r)
+    def _values(self, motion: Motion, s: float) -> Vector:
+        """All functions at ``s``, shape (w,)."""
+        at = np.array([s])
+        values = self._watched.values(self._forcing, motion.t + at, motion.states(at))
+        return np.asarray(values[0])
 
+    def _root(self, motion: Motion, suspect: _Suspect, which: int) -> float:
+        """The single root of one function that falls all the way along an interval."""
+        start, stop = suspect.start, suspect.stop
+
+        def value(s: float) -> float:
+            return float(self._values(motion, s)[which])
+
+        # Newton's method from the root of the Taylor polynomial: two or three values, not twenty.
+        taylor = Polynomial(suspect.derivatives[:, which] / FACTORIALS)
+        slope, s, last = taylor.deriv(), start, stop - start
+        if taylor(0.0) > 0 > taylor(stop - start):
+            s += float(optimize.brentq(taylor, 0.0, stop - start, xtol=_LEAST, rtol=_ROOT))
+        for _ in range(_NEWTON):
+            left = value(s)
+            step = -left / float(slope(s - start))
+            rounded = abs(left) <= _ROUNDED * suspect.scale[which]
+            if not (start <= s + step <= stop and (rounded or abs(step) <= last / 4)):
+                break
+            s += step
+            if abs(step) <= _ROOT * s or rounded:
+                return s
+            last = abs(step)
         # The ends are evaluated alone here; rounding may tell them differently than before.
-        if gap(start) <= 0:
-            return start
-        if gap(stop) >= 0:
-            return stop
-        return float(optimize.brentq(gap, start, stop, xtol=1e-16, rtol=_ROOT))
+        if value(start) > 0 > value(stop):
+            return float(optimize.brentq(value, start, stop, xtol=_LEAST, rtol=_ROOT))
+        return self._traced(motion, stop, which)
 
-    def _closing(self, motion: Motion, s: float, contact: int, scale: Vector) -> Closing:
-        """The closing of ``contact`` at ``s`` and of all whose gap is zero but for rounding."""
-        gap = self._system.gap(motion.state(s)[: self._system.n])
-        closed = gap <= _TOUCH * scale
-        closed[contact] = True
-        return Closing(float(s), tuple(np.flatnonzero(closed).tolist()))
+    def _traced(self, motion: Motion, s: float, which: int) -> float:
+        """The last root of one function before ``s``; ``s`` itself where it is not below zero.
+
+        Samples that are below zero by less than ``DEPTH`` raise no suspicion: the root of what
+        falls on afterwards lies before them.
+        """
+
+        def value(s: float) -> float:
+            return float(self._values(motion, s)[which])
+
+        step, below = _ROOT * s, s
+        while value(s) < 0:
+            if s == 0.0:
+                return s
+            below, s, step = s, max(s - step, 0.0), 4 * step
+        if s == below:
+            return s
+        return float(optimize.brentq(value, s, below, xtol=_LEAST, rtol=_ROOT))
+
+    def _crossing(self, motion: Motion, s: float, which: int, scale: Vector) -> Crossing:
+        """The crossing of ``which`` at ``s`` and of all that are zero but for rounding."""
+        zero = self._values(motion, s) <= _TOUCH * scale
+        zero[which] = True
+        return Crossing(float(s), tuple(np.flatnonzero(zero).tolist()))

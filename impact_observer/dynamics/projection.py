@@ -15,7 +15,7 @@ from impact_observer.states import Matrix, Vector, frozen
 _RIGID = 1e-12
 """``omega^2`` that counts as zero, relative to the stiffest mode's."""
 _RANK = 1e-10
-"""Singular value that counts as zero, relative to what cancelled: redundant contacts."""
+"""Singular value that counts as zero, relative to the most that contacts could see of modes."""
 
 
 class PositionProjection:
@@ -28,6 +28,8 @@ class PositionProjection:
         elastic = stiffness > _RIGID * max(float(stiffness[-1]), 0.0)
         self._rigid = shapes[:, ~elastic]
         self._elastic = shapes[:, elastic] / np.sqrt(stiffness[elastic])
+        self._softest = float(np.min(stiffness[elastic], initial=np.inf))
+        self._M = linalg.cho_factor(system.M)
         self._Z: dict[tuple[int, ...], Matrix] = {}
 
     def jump(self, active: tuple[int, ...]) -> Matrix:
@@ -44,17 +46,16 @@ class PositionProjection:
     def _solve(self, W: Matrix) -> Matrix:
         """Elastic deflection only as far as rigid motion cannot close the gaps."""
         rigid, elastic = W.T @ self._rigid, W.T @ self._elastic
-        # Contacts between bodies do not see rigid motion: what rounding leaves of it is no rank.
-        rigid_inverse = _inverse(rigid, W, self._rigid)
+        # The shapes are M-orthonormal: no mode is seen by more than sqrt(w^T M^-1 w). Contacts
+        # between bodies do not see rigid motion; what rounding leaves of it is no rank.
+        least = _RANK * np.sqrt(np.trace(W.T @ linalg.cho_solve(self._M, W)))
+        rigid_inverse = _inverse(rigid, least)
         beyond = np.eye(W.shape[1]) - rigid @ rigid_inverse
-        elastic_part = _inverse(beyond @ elastic, W, self._elastic) @ beyond
+        elastic_part = _inverse(beyond @ elastic, least / np.sqrt(self._softest)) @ beyond
         rigid_part = rigid_inverse @ (np.eye(W.shape[1]) - elastic @ elastic_part)
         return np.asarray(self._elastic @ elastic_part + self._rigid @ rigid_part)
 
 
-def _inverse(seen: Matrix, W: Matrix, modes: Matrix) -> Matrix:
-    """Pseudo-inverse of what contacts see of modes; its rank is judged by ``|W|^T |modes|``."""
-    if not seen.size:
-        return np.asarray(seen.T)
-    scale = float(np.linalg.norm(np.abs(W).T @ np.abs(modes)))
-    return np.asarray(linalg.pinv(seen, atol=_RANK * scale, rtol=0.0))
+def _inverse(seen: Matrix, least: float) -> Matrix:
+    """Pseudo-inverse of what contacts see of modes; singular values below ``least`` are none."""
+    return np.asarray(linalg.pinv(seen, atol=least, rtol=0.0) if seen.size else seen.T)

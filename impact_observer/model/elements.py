@@ -4,16 +4,19 @@ It assembles to the same matrices as the matrix form.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from impact_observer.errors import ModelError
+from impact_observer.model import tables
 from impact_observer.model.document import Section, Value
-from impact_observer.model.system import Contact, Forcing
+from impact_observer.model.forcing import Forcing
+from impact_observer.model.system import Contact
 from impact_observer.states import Matrix, Vector
 
 GROUND = "ground"
-KEYS = ("bodies", "springs", "forces", "stops")
+KEYS = ("bodies", "springs", "forces", "forcing", "stops")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,8 +64,12 @@ class _Line:
         return self.unit(f"{key}[1]", pair[1]) - self.unit(f"{key}[0]", pair[0])
 
 
-def assemble(document: Section) -> Assembly:
+def assemble(document: Section, folder: Path | None = None) -> Assembly:
     """Assemble the elements of a model file.
+
+    Args:
+        document: the whole of it.
+        folder: where the CSV file of a sampled forcing lies.
 
     Raises:
         ModelError: naming the element's key.
@@ -90,12 +97,23 @@ def assemble(document: Section) -> Assembly:
         M=M,
         C=C,
         K=K,
-        forcing=_forcing(line, document.items("forces")),
+        forcing=_forcing(line, document, folder),
         contacts=tuple(_stop(line, key, value) for key, value in document.items("stops")),
     )
 
 
-def _forcing(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
+def _forcing(line: _Line, document: Section, folder: Path | None) -> Forcing:
+    """Forces on bodies, or a sampled forcing of all."""
+    if "forcing" not in document:
+        return _sum(line, document.items("forces"))
+    if "forces" in document:
+        raise ModelError("forcing", "stands beside forces; write one of them")
+    section = Section("forcing", document.value("forcing"), tables.KEYS)
+    section.value("sampled")
+    return tables.sampled_forcing(section, line.names, folder) or Forcing.none(line.n)
+
+
+def _sum(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
     constant = np.zeros(line.n)
     frequency, cosine, sine = [], [], []
     for key, value in forces:

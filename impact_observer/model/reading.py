@@ -1,18 +1,20 @@
 """A model file: a system, and where the plant starts."""
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
+from ruamel.yaml.representer import SafeRepresenter
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model import elements
+from impact_observer.model import elements, tables
 from impact_observer.model.document import Section, Value
-from impact_observer.model.system import LARGEST_STATE, Contact, Forcing, System
+from impact_observer.model.forcing import Forcing
+from impact_observer.model.system import LARGEST_STATE, Contact, System
 from impact_observer.shares import shared
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -64,18 +66,7 @@ class Model:
             "mass": s.M.tolist(),
             "damping": s.C.tolist(),
             "stiffness": s.K.tolist(),
-            "forcing": {
-                "constant": s.forcing.constant.tolist(),
-                "harmonics": [
-                    {"frequency": w, "cosine": c, "sine": b}
-                    for w, c, b in zip(
-                        s.forcing.frequency.tolist(),
-                        s.forcing.cosine.tolist(),
-                        s.forcing.sine.tolist(),
-                        strict=True,
-                    )
-                ],
-            },
+            "forcing": _forcing_of(s),
             "contacts": [
                 {
                     "name": c.name,
@@ -95,11 +86,44 @@ class Model:
             document["provenance"] = dict(provenance or self.provenance)
         stream = io.StringIO()
         yaml = YAML(typ="safe", pure=True)
+        yaml.Representer = _Representer
         yaml.default_flow_style = None
         yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
         yaml.width = 99
         yaml.dump(document, stream)
         return stream.getvalue()
+
+
+class _Representer(SafeRepresenter):
+    """Writes text of several lines as such."""
+
+    def represent_str(self, data: str) -> Value:
+        """A block where there is a line end, otherwise as ever."""
+        style = "|" if "\n" in data else None
+        return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
+
+
+_Representer.add_representer(str, _Representer.represent_str)
+
+
+def _forcing_of(system: System) -> Value:
+    """The ``forcing`` of a model file."""
+    forcing, samples = system.forcing, system.forcing.sampled
+    if samples is not None:
+        table = tables.table_of(samples, system.coordinates)
+        return {"sampled": table, "hold": samples.hold}
+    return {
+        "constant": forcing.constant.tolist(),
+        "harmonics": [
+            {"frequency": w, "cosine": c, "sine": b}
+            for w, c, b in zip(
+                forcing.frequency.tolist(),
+                forcing.cosine.tolist(),
+                forcing.sine.tolist(),
+                strict=True,
+            )
+        ],
+    }
 
 
 def read_model(source: str | Path) -> Model:
@@ -169,15 +193,15 @@ def _model(document: Value, folder: Path | None) -> Model:
     section = Section("", document, (*_COMMON_KEYS, *form))
     name = section.text("name")
     if form is elements.KEYS:
-        system = _system_of_elements(name, section)
+        system = _system_of_elements(name, section, folder)
     else:
         system = _system_of_matrices(name, section, folder)
     position, velocity = _initial_state(section, system)
     return Model(system, position, velocity, _provenance(section))
 
 
-def _system_of_elements(name: str, section: Section) -> System:
-    a = elements.assemble(section)
+def _system_of_elements(name: str, section: Section, folder: Path | None) -> System:
+    a = elements.assemble(section, folder)
     try:
         return System(name, a.coordinates, a.M, a.C, a.K, a.forcing, a.contacts)
     except ModelError as error:
@@ -196,7 +220,7 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
         M=section.matrix("mass", n, folder),
         C=section.matrix("damping", n, folder),
         K=section.matrix("stiffness", n, folder),
-        forcing=_forcing(section, n),
+        forcing=_forcing(section, coordinates, folder),
         contacts=tuple(_contact(key, value, n) for key, value in section.items("contacts")),
     )
 
@@ -207,10 +231,15 @@ def _name(key: str, value: Value) -> str:
     return value
 
 
-def _forcing(section: Section, n: int) -> Forcing:
+def _forcing(section: Section, coordinates: Sequence[str], folder: Path | None) -> Forcing:
+    n = len(coordinates)
     if "forcing" not in section:
         return Forcing.none(n)
-    forcing = Section("forcing", section.value("forcing"), ("constant", "harmonics"))
+    keys = ("constant", "harmonics", *tables.KEYS)
+    forcing = Section("forcing", section.value("forcing"), keys)
+    sampled = tables.sampled_forcing(forcing, coordinates, folder)
+    if sampled is not None:
+        return sampled
     harmonics = [
         Section(key, value, ("frequency", "cosine", "sine"))
         for key, value in forcing.items("harmonics")

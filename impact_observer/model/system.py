@@ -5,7 +5,7 @@ Equation (1) of Baumann and Leine (ENOC 2014), for ``n`` coordinates and ``m`` c
     M du = (-C u - K q + f(t)) dt + W dP,    g = W^T q + q_r,    gamma = W^T u
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
+from impact_observer.model.checks import LARGEST, finite
+from impact_observer.model.forcing import Forcing
 from impact_observer.states import Matrix, Vector, frozen
 
-LARGEST = 1e15
-"""Largest magnitude of any number of a model, SI units; beyond it products overflow."""
 LARGEST_STATE = 1e9
 """Largest magnitude of a coordinate or velocity that somebody can mean."""
 _INSIDE = 1e-12
@@ -44,38 +44,6 @@ class Contact:
     direction: Vector
     gap: float
     restitution: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Forcing:
-    """``f(t) = constant + sum_k cosine_k cos(omega_k t) + sine_k sin(omega_k t)``.
-
-    Attributes:
-        constant: shape (n,), N or Nm.
-        frequency: angular frequencies ``omega``, shape (h,), rad/s, each positive.
-        cosine: shape (h, n), N or Nm.
-        sine: shape (h, n), N or Nm.
-    """
-
-    constant: Vector
-    frequency: Vector
-    cosine: Matrix
-    sine: Matrix
-
-    @classmethod
-    def none(cls, n: int) -> "Forcing":
-        """No forcing of ``n`` coordinates."""
-        return cls(np.zeros(n), np.zeros(0), np.zeros((0, n)), np.zeros((0, n)))
-
-    @property
-    def depends_on_time(self) -> bool:
-        """Whether the epoch matters: some harmonic has an amplitude."""
-        return bool(np.any(self.cosine) or np.any(self.sine))
-
-    def __call__(self, t: float) -> Vector:
-        """``f(t)``, shape (n,), at ``t`` seconds since the epoch."""
-        angle = self.frequency * t
-        return self.constant + np.cos(angle) @ self.cosine + np.sin(angle) @ self.sine
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,7 +95,7 @@ class System:
             "M": frozen((M + M.T) / 2),
             "C": C,
             "K": frozen((K + K.T) / 2),
-            "forcing": _checked_forcing(self.forcing, n),
+            "forcing": self.forcing.checked(n),
             "contacts": contacts,
             "W": frozen(np.reshape([c.direction for c in contacts], (-1, n)).T),
             "q_r": frozen([c.gap for c in contacts]),
@@ -201,26 +169,8 @@ def _check_names(key: str, names: Sequence[object]) -> None:
         raise ModelError(key, "is empty; a system needs at least one coordinate")
 
 
-def _finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Vector:
-    """``values`` as a frozen array of ``shape``; ``what`` says it in words."""
-    try:
-        array = frozen(values)
-    except (TypeError, ValueError):
-        raise ModelError(key, f"is not made of numbers only; expected {what}") from None
-    if array.shape != shape:
-        found = " x ".join(map(str, array.shape)) or "a single number"
-        raise ModelError(key, f"has shape {found}; expected {what}")
-    if not np.all(np.isfinite(array)):
-        at = "".join(f"[{i}]" for i in np.argwhere(~np.isfinite(array))[0])
-        raise ModelError(f"{key}{at}", "is not finite; expected a number")
-    if np.any(np.abs(array) > LARGEST):
-        at = "".join(f"[{i}]" for i in np.argwhere(np.abs(array) > LARGEST)[0])
-        raise ModelError(f"{key}{at}", f"is too large; expected at most {LARGEST:g}")
-    return array
-
-
 def _square(key: str, values: ArrayLike, n: int) -> Matrix:
-    return _finite(key, values, (n, n), f"{n} x {n}, one row and one column a coordinate")
+    return finite(key, values, (n, n), f"{n} x {n}, one row and one column a coordinate")
 
 
 def _check_symmetric(key: str, matrix: Matrix) -> None:
@@ -254,37 +204,11 @@ def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
 
 def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
     key = f"contacts[{i}]"
-    direction = _finite(f"{key}.direction", contact.direction, (n,), f"{n} numbers")
+    direction = finite(f"{key}.direction", contact.direction, (n,), f"{n} numbers")
     if not np.any(direction):
         raise ModelError(f"{key}.direction", "is zero; a contact must touch some coordinate")
-    gap = float(_finite(f"{key}.gap", contact.gap, (), "a number, m"))
-    eps = float(_finite(f"{key}.restitution", contact.restitution, (), "a number in [0, 1]"))
+    gap = float(finite(f"{key}.gap", contact.gap, (), "a number, m"))
+    eps = float(finite(f"{key}.restitution", contact.restitution, (), "a number in [0, 1]"))
     if not 0.0 <= eps <= 1.0:
         raise ModelError(f"{key}.restitution", f"is {eps:g}; expected a number in [0, 1]")
     return Contact(contact.name, direction, gap, eps)
-
-
-def _checked_forcing(forcing: Forcing, n: int) -> Forcing:
-    h = np.size(forcing.frequency)
-    frequency = _finite("forcing.harmonics.frequency", forcing.frequency, (h,), "a list")
-    for k in np.flatnonzero(frequency <= 0):
-        raise ModelError(
-            f"forcing.harmonics[{k}].frequency",
-            f"is {frequency[k]:g}; expected a positive number, rad/s",
-        )
-    return Forcing(
-        _finite("forcing.constant", forcing.constant, (n,), f"{n} numbers, one a coordinate"),
-        frequency,
-        _amplitudes("cosine", forcing.cosine, h, n),
-        _amplitudes("sine", forcing.sine, h, n),
-    )
-
-
-def _amplitudes(part: str, rows: Iterable[ArrayLike], h: int, n: int) -> Matrix:
-    checked = [
-        _finite(f"forcing.harmonics[{k}].{part}", row, (n,), f"{n} numbers, one a coordinate")
-        for k, row in enumerate(rows)
-    ]
-    if len(checked) != h:
-        raise ModelError("forcing.harmonics", f"{len(checked)} rows of {part} for {h} frequencies")
-    return frozen(np.reshape(checked, (h, n)))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from impact_observer.errors import UsageError
+from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -93,6 +94,8 @@ PLANT = (
     Parameter(
         "duration", 0.0, "end after so much simulated time; 0 for never", "s", low=0.0, high=1e9
     ),
+    Parameter("integrator", EVENT_DRIVEN, "exact, or time stepping", choices=INTEGRATORS),
+    Parameter("step", DEFAULT_STEP, "of the integrator moreau", "s", low=1e-9, high=1.0),
     Parameter("publish_clock", False, "own the time and publish /clock"),
     Parameter("clock_rate", 100.0, "of /clock, per simulated second", "Hz", low=0.1, high=1e4),
     Parameter(

@@ -13,15 +13,16 @@ from impact_observer.bag import interfaces
 from impact_observer.bag.messages import JointState
 from impact_observer.bag.recordings import carried_text
 from impact_observer.errors import UsageError
+from impact_observer.integrators import described
 from impact_observer.model import read_model
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
-from impact_observer.plant import Impact, Plant, event_of
+from impact_observer.plant import Master, Switching, event_of, make_plant
 from impact_observer.stamps import NS_PER_S, from_seconds
 
 _LOOK_AHEAD = NS_PER_S
-"""How far beyond the present an impact is looked for, ns."""
+"""How far beyond the present a switching is looked for, ns."""
 _LONGEST_SLEEP = 0.05
 """Between two looks at a clock that is not the node's own, s."""
 _LAST_WORDS = Duration(seconds=1.0)
@@ -44,6 +45,8 @@ class PlantNode(Node):
         self._model = read_model(values.text("model"))
         self._rate = values.number("rate")
         self._duration = from_seconds(values.number("duration"))
+        self._integrator = values.text("integrator")
+        self._step = values.number("step")
         self._factor = values.number("realtime_factor")
         self._owns_clock = values.flag("publish_clock")
         self._clock_period = from_seconds(1.0 / values.number("clock_rate"))
@@ -51,7 +54,9 @@ class PlantNode(Node):
         self._wanted_epoch = values.integer("epoch")
         self._check_time_source()
         self._make = ros_messages()
-        model_text = carried_text(self._model, values.integer("seed"))
+        model_text = carried_text(
+            self._model, values.integer("seed"), described(self._integrator, self._step)
+        )
         self._impacts = self._publisher(interfaces.IMPACTS, "impacts")
         self._states = self._publisher(interfaces.PLANT_JOINT_STATES, "~/joint_states")
         self._model_topic = self._publisher(interfaces.PLANT_MODEL, "~/model")
@@ -61,7 +66,7 @@ class PlantNode(Node):
         self._model_topic.publish(self._make.model(model_text))
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._episode = 0
-        self._plant: Plant | None = None
+        self._plant: Master | None = None
         # The plant paces itself by wall time: the timer sleeps just to what is due next.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_LONGEST_SLEEP, self._tick, clock=steady)
@@ -123,8 +128,14 @@ class PlantNode(Node):
 
     def _start(self, epoch: int) -> None:
         """Begin an episode at ``epoch``."""
-        self._plant = Plant(self._model.system, *self._model.initial_state(), epoch=epoch)
-        self._plant.next_impact(epoch + _LOOK_AHEAD)
+        self._plant = make_plant(
+            self._model.system,
+            *self._model.initial_state(),
+            epoch=epoch,
+            integrator=self._integrator,
+            step=self._step,
+        )
+        self._plant.next_switching(epoch + _LOOK_AHEAD)
         self._epoch = epoch
         self._started = time.monotonic_ns()  # last: the first use of everything takes its time
         self._sequence = 0
@@ -147,12 +158,10 @@ class PlantNode(Node):
     def _publish_until(self, now: int) -> None:
         """Events and states up to ``now``: at equal stamps the event first, the clock last."""
         assert self._plant is not None
-        while (impact := self._plant.next_impact(now + _LOOK_AHEAD)) is not None:
-            if impact.instant.stamp > now:
-                break
-            self._publish_states(impact.instant.stamp - 1)
-            self._publish_event(impact)
-            self._plant.cross(impact)
+        while (switching := self._plant.next_switching(now)) is not None:
+            self._publish_states(switching.instant.stamp - 1)
+            self._publish_event(switching)
+            self._plant.cross(switching)
         self._publish_states(now)
         if self._clock_topic is not None and now >= self._next_clock:
             self._clock_topic.publish(self._make.clock(now))
@@ -169,14 +178,12 @@ class PlantNode(Node):
             self._states.publish(self._make.joint_state(state))
             self._next_sample += 1
 
-    def _publish_event(self, impact: Impact) -> None:
+    def _publish_event(self, switching: Switching) -> None:
+        if not switching.switches:
+            return
         self._sequence += 1
         event = event_of(
-            impact,
-            self._model.system,
-            sequence=self._sequence,
-            episode=self._episode,
-            epoch=self._epoch,
+            switching, sequence=self._sequence, episode=self._episode, epoch=self._epoch
         )
         self._impacts.publish(self._make.event(event))
 
@@ -186,9 +193,9 @@ class PlantNode(Node):
         due = self._sample_stamp(self._next_sample)
         if self._owns_clock:
             due = min(due, self._next_clock)
-        impact = self._plant.next_impact(now + _LOOK_AHEAD)
-        if impact is not None:
-            due = min(due, impact.instant.stamp)
+        switching = self._plant.next_switching(now + _LOOK_AHEAD)
+        if switching is not None:
+            due = min(due, switching.instant.stamp)
         wait = max(due - now, 0) / self._factor
         if not self._owns_clock:
             wait = min(wait, _LONGEST_SLEEP * NS_PER_S)

@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from impact_observer.dynamics import flow_of
-from impact_observer.errors import ImpactLawError, LastingContactError, UsageError
+from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer.laws import Law
@@ -56,7 +55,6 @@ class Observer:
         q, u = system.checked_state(position, velocity)
         self.system = system
         self.law = law
-        self._flow = flow_of(system)
         self._initial = np.concatenate([q, u])
         self._history = from_seconds(history)
         self._index = {name: i for i, name in enumerate(system.contact_names)}
@@ -87,7 +85,8 @@ class Observer:
         if self._timeline is None:
             self._initial = x
         else:
-            self._timeline = Timeline(max(stamp, self._timeline.start.stamp), x)
+            stamp = max(stamp, self._timeline.start.stamp)
+            self._timeline = Timeline(stamp, x, self._timeline.at(stamp).closed)
             self._placed = True
 
     @property
@@ -104,7 +103,7 @@ class Observer:
     def last_event(self) -> int:
         """Stamp of the latest event applied, ns; 0 before the first."""
         newest = self._timeline.newest if self._timeline else None
-        return newest.stamp if newest and newest.active else 0
+        return newest.stamp if newest and newest.switches else 0
 
     @property
     def missing(self) -> int:
@@ -118,7 +117,6 @@ class Observer:
             One verdict a switch, or one on the whole event.
 
         Raises:
-            LastingContactError: the event opens or closes a contact for good.
             ImpactLawError: the impact law has no solution; the event is not applied.
             UsageError: the forcing depends on time and nobody has said when it began.
         """
@@ -128,12 +126,12 @@ class Observer:
         self._require_epoch()
         if event.sequence and event.sequence in self._seen:
             return (self._refuse(event, Ruling.DUPLICATE, "this sequence number was seen"),)
-        verdicts, active = self._sorted_out(event)
+        verdicts, switches = self._sorted_out(event)
         self._remember(event)
         timeline = self._begun()
-        if not active:
+        if not switches:
             return verdicts
-        key = Key(event.stamp, event.sequence, active)
+        key = Key(event.stamp, event.sequence, switches)
         if key < timeline.start:
             reason = f"older than {text(timeline.start.stamp)} s, where the known past begins"
             return (self._refuse(event, Ruling.TOO_LATE, reason),)
@@ -160,12 +158,13 @@ class Observer:
         self._require_epoch()
         entry, n = self._timeline.at(stamp), self.system.n
         x = self._flowed(entry, stamp)
-        applied = bool(entry.key.active)
+        applied = bool(entry.key.switches)
         return Estimate(
             stamp=stamp,
             law=self.law.name,
             q=x[:n],
             u=x[n:],
+            closed=tuple(self.system.contact_names[i] for i in entry.closed),
             last_sequence=entry.key.sequence if applied else 0,
             last_event=entry.key.stamp if applied else 0,
         )
@@ -196,31 +195,21 @@ class Observer:
         self._episode = event.episode
         self._epoch = event.epoch or self._epoch
 
-    def _sorted_out(self, event: ImpactEvent) -> tuple[tuple[Verdict, ...], tuple[int, ...]]:
-        """A verdict for each switch, and the contacts to apply."""
+    def _sorted_out(
+        self, event: ImpactEvent
+    ) -> tuple[tuple[Verdict, ...], tuple[tuple[int, Kind], ...]]:
+        """A verdict for each switch, and the switches to apply: of one contact, OPEN last."""
         verdicts: list[Verdict] = []
-        active: set[int] = set()
+        switches: set[tuple[int, Kind]] = set()
         for switch in event.switches:
-            if switch.contact not in self._index:
+            ruling, reason = Ruling.APPLIED, ""
+            if switch.contact in self._index:
+                switches.add((self._index[switch.contact], switch.kind))
+            else:
                 known = ", ".join(self._index) or "none"
-                verdicts.append(
-                    Verdict(
-                        event.stamp,
-                        Ruling.UNKNOWN_CONTACT,
-                        event.sequence,
-                        switch.contact,
-                        f"the model's contacts are {known}",
-                    )
-                )
-                continue
-            if switch.kind is not Kind.IMPACT:
-                raise LastingContactError(
-                    f"contact {switch.contact!r}: {switch.kind.name} at stamp"
-                    f" {text(event.stamp)} s; lasting contact is not supported yet"
-                )
-            active.add(self._index[switch.contact])
-            verdicts.append(Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact))
-        return tuple(verdicts), tuple(sorted(active))
+                ruling, reason = Ruling.UNKNOWN_CONTACT, f"the model's contacts are {known}"
+            verdicts.append(Verdict(event.stamp, ruling, event.sequence, switch.contact, reason))
+        return tuple(verdicts), tuple(sorted(switches))
 
     def _require_epoch(self) -> None:
         if self.system.forcing.depends_on_time and not self._epoch:
@@ -258,15 +247,27 @@ class Observer:
     def _refuse(self, event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
         return Verdict(event.stamp, ruling, event.sequence, reason=reason)
 
-    def _step(self, previous: Entry, event: Key) -> Vector:
-        """The state after ``event``, from the state after the one before it."""
-        try:
-            return self.law.impact(self._flowed(previous, event.stamp), event.active)
-        except ImpactLawError as error:
-            raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
+    def _step(self, previous: Entry, event: Key) -> Entry:
+        """The entry of ``event``, from the one before it."""
+        kinds = {kind: {i for i, k in event.switches if k is kind} for kind in Kind}
+        hit = kinds[Kind.IMPACT] | kinds[Kind.CLOSE]
+        closed = tuple(sorted({*previous.closed, *kinds[Kind.CLOSE]} - kinds[Kind.OPEN]))
+        x = self._flowed(previous, event.stamp)
+        if hit:
+            # A contact that is closed already takes part, also when it opens by the impact.
+            active = tuple(sorted({*previous.closed, *hit}))
+            try:
+                x = self.law.impact(x, active, closed)
+            except ImpactLawError as error:
+                raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
+        return Entry(event, x, closed)
 
     def _flowed(self, entry: Entry, stamp: int) -> Vector:
-        """One exact flow from just after ``entry`` to ``stamp``."""
-        origin = self._epoch or entry.key.stamp
-        t = seconds_between(origin, entry.key.stamp)
-        return self._flow.start(t, entry.x).state(seconds_between(entry.key.stamp, stamp))
+        """One exact motion from just after ``entry`` to ``stamp``."""
+        if stamp == entry.key.stamp:
+            return np.array(entry.x)
+        if entry.motion is None:
+            origin = self._epoch or entry.key.stamp
+            t = seconds_between(origin, entry.key.stamp)
+            entry.motion = self.law.motion(t, entry.x, entry.closed)
+        return entry.motion.state(seconds_between(entry.key.stamp, stamp))

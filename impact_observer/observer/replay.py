@@ -22,7 +22,7 @@ def replay(
         Verdicts and estimates, in the order in which they come about.
 
     Raises:
-        LastingContactError, ImpactLawError, UsageError: as ``Observer.receive``.
+        ImpactLawError, UsageError: as ``Observer.receive``.
     """
     pending = list(reversed(events))
     for stamp in stamps.tolist():

@@ -10,21 +10,29 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
+from impact_observer.dynamics import Motion
+from impact_observer.events import Kind
 from impact_observer.states import Vector
 
 _BEGINNING = -1
 """Sequence of the entry before any event, so that it comes first at its stamp."""
 
-Step: TypeAlias = "Callable[[Entry, Key], Vector]"
-"""The state after an event, from the entry before it and the event."""
+Step: TypeAlias = "Callable[[Entry, Key], Entry]"
+"""The entry of an event, from the entry before it and the event."""
 
 
 class Key(NamedTuple):
-    """The order of events: by stamp, then by sequence, then by contact for unnumbered ones."""
+    """The order of events: by stamp, then by sequence, then by contact for unnumbered ones.
+
+    Attributes:
+        stamp: ns.
+        sequence: of the event.
+        switches: index of a contact and how it switches, in the event's order.
+    """
 
     stamp: int
     sequence: int
-    active: tuple[int, ...]
+    switches: tuple[tuple[int, Kind], ...]
 
 
 @dataclass(slots=True, eq=False)
@@ -34,10 +42,14 @@ class Entry:
     Attributes:
         key: its place.
         x: the replica's state (q, u) after it, shape (2n,).
+        closed: indices of the contacts with ``chi = 1`` after it, ascending.
+        motion: the replica's motion after it, once somebody has asked for it.
     """
 
     key: Key
     x: Vector = field(repr=False)
+    closed: tuple[int, ...] = ()
+    motion: Motion | None = field(default=None, repr=False)
 
 
 class Timeline:
@@ -47,9 +59,15 @@ class Timeline:
         entries: the entry at the start of the known past, then one entry an event.
     """
 
-    def __init__(self, start: int, x: Vector) -> None:
-        """Begin with state ``x`` at stamp ``start`` (ns), before any event of that stamp."""
-        self.entries = [Entry(Key(start, _BEGINNING, ()), x)]
+    def __init__(self, start: int, x: Vector, closed: tuple[int, ...] = ()) -> None:
+        """Begin with state ``x`` at stamp ``start`` (ns), before any event of that stamp.
+
+        Args:
+            start: ns.
+            x: (q, u), shape (2n,).
+            closed: indices of the contacts with ``chi = 1``.
+        """
+        self.entries = [Entry(Key(start, _BEGINNING, ()), x, closed)]
 
     @property
     def start(self) -> Key:
@@ -102,7 +120,7 @@ def _redone(previous: Entry, events: list[Key], step: Step) -> list[Entry]:
     """An entry for each of ``events``, one after the other."""
     entries = []
     for event in events:
-        previous = Entry(event, step(previous, event))
+        previous = step(previous, event)
         entries.append(previous)
     return entries
 

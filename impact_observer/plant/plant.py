@@ -1,35 +1,27 @@
-"""The event-driven plant: exact flow from impact to impact."""
-
-from dataclasses import dataclass
+"""The event-driven plant: exact flow from one change of its contacts to the next."""
 
 import numpy as np
 
-from impact_observer.dynamics import Closing, ContactSearch, ImpactLaw, flow_of
-from impact_observer.errors import ImpactLawError, LastingContactError, UsageError
-from impact_observer.events import ImpactEvent, Switch
+from impact_observer.dynamics import (
+    Crossing,
+    ImpactLaw,
+    Phases,
+    Search,
+    Watched,
+    resting,
+    window,
+)
+from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
 from impact_observer.model import System
+from impact_observer.plant.rest import Accumulation, Rest
+from impact_observer.plant.switching import Switching, switches
 from impact_observer.stamps import Instant, seconds_between, text
 from impact_observer.states import Stamps, Vector
 
-_SHORTEST_FLIGHT = 1e-8
-"""Time between two impacts of a contact below which they accumulate, s."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Impact:
-    """Contacts that hit at one instant.
-
-    Attributes:
-        instant: when.
-        contacts: indices of all contacts that are closed at the instant.
-        before: state (q, u-), shape (2n,).
-        after: state (q, u+), shape (2n,).
-    """
-
-    instant: Instant
-    contacts: tuple[int, ...]
-    before: Vector
-    after: Vector
+_TOUCH = 1e-12
+"""Gap that counts as closed at the start, relative to what it is the sum of."""
+_MOST = 1_000
+"""Changes of contacts at one instant beyond which they would never end."""
 
 
 class Plant:
@@ -38,117 +30,170 @@ class Plant:
     Attributes:
         system: what moves.
         epoch: stamp of ``t = 0`` of the forcing and of the initial state, ns.
+        closed: indices of the contacts that are closed in the present phase.
     """
 
-    _closing: Closing | None
-    _next: Impact | None
-    _windows: int
+    _crossing: Crossing | None
+    _next: Switching | None
 
     def __init__(self, system: System, position: Vector, velocity: Vector, *, epoch: int) -> None:
         """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
 
         Raises:
             UsageError: a state of the wrong size, not finite, or inside a stop.
-            LastingContactError: a contact is closed at the start and stays so.
+            ImpactLawError: contacts are closed at the start and their impact has no solution.
         """
         q, u = system.checked_state(position, velocity)
         self.system = system
         self.epoch = epoch
-        self._law = ImpactLaw(system)
-        self._search = ContactSearch(system)
-        self._flow = flow_of(system)
         gap = system.gap(q)
         for i in system.penetrated(q):
             raise UsageError(
                 f"position: is inside the stop {system.contact_names[i]!r} (gap {gap[i]:g});"
                 " expected gap >= 0"
             )
-        touching = tuple(np.flatnonzero(gap <= 0).tolist())
-        self._begin(Instant(epoch), np.concatenate([q, u]), touching, u)
+        self._law = ImpactLaw(system)
+        self._plastic = ImpactLaw(system, np.zeros(system.m))
+        self._phases = Phases(system)
+        self._rest = Rest(self._phases)
+        self._accumulation = Accumulation(self._rest.shortest)
+        self._hasty = 0
+        self._window = window(system)
+        self._searches: dict[tuple[tuple[int, ...], ...], Search] = {}
+        start, x = Instant(epoch), np.concatenate([q, u])
+        self._begin(start, x, closed=(), held=())
+        scale = np.abs(system.q_r) + np.abs(system.W).T @ np.abs(q)
+        touching = tuple(np.flatnonzero(gap <= _TOUCH * scale).tolist())
+        if touching:
+            switching = self._impact(start, x, touching)
+            closing = np.any(system.contact_speed(u)[list(touching)] < 0)
+            self._next = switching if closing or switching.closed else None
 
-    def next_impact(self, limit: int) -> Impact | None:
-        """The next impact if its stamp is not after ``limit`` (ns).
+    def next_switching(self, limit: int) -> Switching | None:
+        """What the contacts do next, if its stamp is not after ``limit`` (ns).
 
         Asking again, with any limit, costs nothing where it has been looked already.
 
         Raises:
-            LastingContactError: a contact stays closed, or impacts accumulate.
             ImpactLawError: the impact law has no solution.
+            DynamicsError: changes of contacts at one instant never end.
         """
-        horizon, window = self._start.until(limit) + 0.5e-9, self._search.window
-        # Whole windows from the phase's start: what is found does not depend on who asks when.
-        while self._closing is None and self._windows * window <= horizon:
-            start, self._windows = self._windows * window, self._windows + 1
-            stop = self._windows * window
-            self._closing = self._search.first_closing(self._motion, stop, start)
-        if self._closing is None or self._start.after(self._closing.s).stamp > limit:
-            return None
         if self._next is None:
-            self._next = self._impact(self._closing)
-        return self._next
+            self._search(self._start.until(limit) + 0.5e-9)
+            crossing = self._crossing
+            if crossing is None or self._start.after(crossing.s).stamp > limit:
+                return None
+            self._next = self._ended(crossing)
+        return self._next if self._next.instant.stamp <= limit else None
 
-    def cross(self, impact: Impact) -> None:
-        """Go on after ``impact``, which must be the one that ``next_impact`` told."""
-        assert impact is self._next, "only the next impact can be crossed"
-        before = impact.before[self.system.n :]
-        self._begin(impact.instant, impact.after, impact.contacts, before)
+    def cross(self, switching: Switching) -> None:
+        """Go on after ``switching``, which must be the one that ``next_switching`` told."""
+        assert switching is self._next, "only the next switching can be crossed"
+        self._begin(switching.instant, switching.after, switching.closed, switching.held)
 
     def states(self, stamps: Stamps) -> Vector:
         """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n).
 
-        A stamp equal to the last impact's is after it, however the impact was rounded.
+        A stamp equal to the last switching's is after it, however its instant was rounded.
         """
         s = (stamps - self._start.stamp) * 1e-9 - self._start.remainder
-        return self._motion.states(np.maximum(s, 0.0))
+        states = self._motion.states(np.maximum(s, 0.0))
+        states[s <= 0] = self._state
+        return states
 
     def _begin(
-        self, instant: Instant, x: Vector, touching: tuple[int, ...], before: Vector
+        self, instant: Instant, x: Vector, closed: tuple[int, ...], held: tuple[int, ...]
     ) -> None:
-        """Begin a phase at ``instant`` from state ``x``; velocities were ``before``."""
+        """Begin a phase at ``instant`` from state ``x``."""
         self._start = instant
-        self._motion = self._flow.start(self._time(instant), x)
+        self.closed = closed
+        self._open = [i for i in range(self.system.m) if i not in closed]
+        self._phase = self._phases.phase(held)
+        self._state = x
+        self._motion = self._phase.start(self._time(instant), x)
         self._windows = 0
-        self._closing = None
+        self._crossing = None
         self._next = None
-        rounding = 1e-12 * (np.abs(self.system.W).T @ np.abs(before))
-        self._refuse_lasting_contact(instant, x, touching, rounding)
 
     def _time(self, instant: Instant) -> float:
         """Seconds since the epoch."""
         return seconds_between(self.epoch, instant.stamp) + instant.remainder
 
-    def _impact(self, closing: Closing) -> Impact:
-        n, contacts = self.system.n, closing.contacts
-        instant = self._start.after(closing.s)
-        before = self._motion.state(closing.s)
+    def _search(self, horizon: float) -> None:
+        """Look for the end of the phase until ``horizon`` seconds after its start.
+
+        In whole windows from its start: what is found does not depend on who asks when.
+        """
+        while self._crossing is None and self._windows * self._window <= horizon:
+            start, self._windows = self._windows * self._window, self._windows + 1
+            stop = self._windows * self._window
+            self._crossing = self._searcher().first(self._motion, stop, start)
+
+    def _searcher(self) -> Search:
+        """The search for the end of the present phase: gaps of open contacts, then loads."""
+        key = (self.closed, self._phase.held)
+        if key not in self._searches:
+            gaps = Watched.gaps(self.system, self._open)
+            watched = gaps.and_also(Watched.loads(self._phase))
+            self._searches[key] = Search(self._phase, watched, self._window)
+        return self._searches[key]
+
+    def _ended(self, crossing: Crossing) -> Switching:
+        """What ends the present phase."""
+        instant = self._start.after(crossing.s)
+        x = self._motion.state(crossing.s)
+        hit = [self._open[i] for i in crossing.which if i < len(self._open)]
+        self._check_progress(crossing.s, instant)
+        if hit:
+            return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
+        switching = self._switched(instant, x, x, (), self.closed)
+        if switching.held == self._phase.held:
+            # The load falls too slowly for its sign to be told, but below zero it may not be.
+            unloaded = {self._phase.held[i - len(self._open)] for i in crossing.which}
+            loaded = tuple(i for i in self.closed if i not in unloaded)
+            switching = self._switched(instant, x, x, (), loaded)
+        return switching
+
+    def _check_progress(self, s: float, instant: Instant) -> None:
+        """Raise where contacts change again and again and time does not go on."""
+        self._hasty = self._hasty + 1 if s <= self._rest.shortest else 0
+        if self._hasty > _MOST:
+            raise DynamicsError(
+                f"contacts {', '.join(self.system.contact_names)}: {_MOST} changes at stamp"
+                f" {text(instant.stamp)} s and no end; are some of them the same stop?"
+            )
+
+    def _impact(self, instant: Instant, x: Vector, contacts: tuple[int, ...]) -> Switching:
+        """The impact of ``contacts``; without restitution where their impacts accumulate."""
+        n, law = self.system.n, self._law
+        if accumulating := self._accumulation.hit(instant, contacts):
+            contacts, law = tuple(sorted({*contacts, *accumulating})), self._plastic
         try:
-            velocity = self._law.velocity_after(before[n:], contacts)
+            velocity = law.velocity_after(x[n:], contacts)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None
-        return Impact(instant, contacts, before, np.concatenate([before[:n], velocity]))
+        after = np.concatenate([x[:n], velocity])
+        rest = self._rest.after(self._time(instant), after, contacts, x[n:])
+        return self._switched(instant, x, after, contacts, rest)
 
-    def _refuse_lasting_contact(
-        self, instant: Instant, x: Vector, touching: tuple[int, ...], rounding: Vector
-    ) -> None:
-        """Raise where a contact does not get away from its stop; ``rounding`` is of its speed."""
-        system = self.system
-        q, u = x[: system.n], x[system.n :]
-        gamma = system.contact_speed(u)
-        load = system.forcing(self._time(instant)) - system.C @ u - system.K @ q
-        acceleration = system.W.T @ np.linalg.solve(system.M, load)
-        for i in touching:
-            falls_back = 2 * max(gamma[i], 0.0) <= -acceleration[i] * _SHORTEST_FLIGHT
-            if gamma[i] >= -rounding[i] and acceleration[i] < 0 and falls_back:
-                raise LastingContactError(
-                    f"contact {system.contact_names[i]!r}: closes for good, or its impacts"
-                    f" accumulate, at stamp {text(instant.stamp)} s"
-                    f" (t = {self._time(instant):.9f} s); lasting contact is not supported yet"
-                )
-
-
-def event_of(
-    impact: Impact, system: System, *, sequence: int, episode: int, epoch: int
-) -> ImpactEvent:
-    """What an ideal sensor tells of ``impact``: contacts and the stamp, rounded to 1 ns."""
-    switches = tuple(Switch(system.contact_names[i]) for i in impact.contacts)
-    return ImpactEvent(impact.instant.stamp, switches, sequence, episode, epoch)
+    def _switched(
+        self,
+        instant: Instant,
+        before: Vector,
+        after: Vector,
+        contacts: tuple[int, ...],
+        rest: tuple[int, ...],
+    ) -> Switching:
+        """What becomes of the contacts at ``rest`` after an impact of ``contacts``, or none."""
+        if rest:
+            after = self._phases.stopped(after, rest)
+        still = resting(self._phases, (), self._time(instant), after, rest)
+        return Switching(
+            instant=instant,
+            contacts=contacts,
+            closed=still.closed,
+            held=still.held,
+            before=before,
+            after=after,
+            switches=switches(self.system, self.closed, contacts, still.closed),
+        )

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_observer.events import ImpactEvent
-from impact_observer.plant.plant import Impact, Plant, event_of
+from impact_observer.plant.master import Master
+from impact_observer.plant.switching import Switching, event_of
 from impact_observer.states import Stamps, Vector
 
 
@@ -16,44 +17,50 @@ class Run:
 
     Attributes:
         stamps: ns, shape (samples,).
-        states: true states (q, u), shape (samples, 2n); at an impact's stamp after it.
-        impacts: all impacts up to the last stamp.
-        events: what an ideal sensor tells of them.
+        states: true states (q, u), shape (samples, 2n); at a switching's stamp after it.
+        switchings: everything that its contacts did up to the last stamp.
+        events: what an ideal sensor tells of it.
     """
 
     stamps: Stamps
     states: Vector
-    impacts: tuple[Impact, ...]
+    switchings: tuple[Switching, ...]
     events: tuple[ImpactEvent, ...]
+
+    @property
+    def impacts(self) -> tuple[Switching, ...]:
+        """Those switchings that are impacts."""
+        return tuple(each for each in self.switchings if each.contacts)
 
 
 def simulate(
-    plant: Plant, stamps: Stamps, *, progress: Callable[[int], None] = lambda _: None
+    plant: Master, stamps: Stamps, *, progress: Callable[[int], None] = lambda _: None
 ) -> Run:
     """Run ``plant`` from its present phase through all ``stamps``.
 
     Args:
         plant: is advanced.
         stamps: where to sample, ns, ascending, shape (samples,).
-        progress: told the stamp of every impact.
+        progress: told the stamp of every switching.
 
     Raises:
-        LastingContactError: a contact stays closed, or impacts accumulate.
+        ImpactLawError: the impact law has no solution.
+        DynamicsError: the forcing ends before the last stamp.
     """
     states = np.empty((stamps.size, 2 * plant.system.n))
-    impacts: list[Impact] = []
+    switchings: list[Switching] = []
     events: list[ImpactEvent] = []
     done = 0
     last = int(stamps[-1]) if stamps.size else plant.epoch
-    while (impact := plant.next_impact(last)) is not None:
-        upto = int(np.searchsorted(stamps, impact.instant.stamp))
+    while (switching := plant.next_switching(last)) is not None:
+        upto = int(np.searchsorted(stamps, switching.instant.stamp))
         states[done:upto] = plant.states(stamps[done:upto])
         done = upto
-        plant.cross(impact)
-        impacts.append(impact)
-        events.append(
-            event_of(impact, plant.system, sequence=len(impacts), episode=0, epoch=plant.epoch)
-        )
-        progress(impact.instant.stamp)
+        plant.cross(switching)
+        switchings.append(switching)
+        if switching.switches:
+            sequence = len(events) + 1
+            events.append(event_of(switching, sequence=sequence, episode=0, epoch=plant.epoch))
+        progress(switching.instant.stamp)
     states[done:] = plant.states(stamps[done:])
-    return Run(stamps, states, tuple(impacts), tuple(events))
+    return Run(stamps, states, tuple(switchings), tuple(events))

@@ -35,7 +35,7 @@ def test_json_has_all_figures(sample_bag: Path, capsys: pytest.CaptureFixture[st
         "messages": 114,
         "impacts": {"stop": 11},
         "episodes": 1,
-        "model": {"name": "two_mass", "version": "1.2.3", "seed": 7},
+        "model": {"name": "two_mass", "version": "1.2.3", "seed": 7, "integrator": None},
         "observers": {"/observer_geometric": "geometric"},
     }
     assert size == sum(file.stat().st_size for file in sample_bag.iterdir())

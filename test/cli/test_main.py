@@ -133,15 +133,47 @@ def test_a_demo_checks_its_parameters_before_it_makes_anything(
     assert not (tmp_path / "x").exists()
 
 
-def test_lasting_contact_is_one_line_and_exit_code_1(
+def test_ball_comes_to_rest_by_either_integrator(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The ball's impacts accumulate at 8.578949 s; the line names contact and time."""
-    assert main(["simulate", "bouncing_ball", "-o", str(tmp_path / "bag")]) == 1
+    """Accumulation and lasting contact end no run; the bag says how it was made."""
+    for integrator in ("event-driven", "moreau"):
+        bag = str(tmp_path / integrator)
+        arguments = ["simulate", "bouncing_ball", "--duration", "10", "-o", bag]
+        assert main([*arguments, "--integrator", integrator]) == 0
+        assert main(["info", bag]) == 0
+        assert f"seed 0, {integrator}" in capsys.readouterr().out
+
+
+def test_step_without_time_stepping_is_one_line_and_exit_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A step that nothing would take is refused, not ignored."""
+    bag = tmp_path / "bag"
+    assert main(["simulate", "two_mass", "--step", "0.001", "-o", str(bag)]) == 2
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert errors == [
+        "impact-observer: step: 0.001 s given; only the integrator moreau takes steps"
+    ]
+    assert not bag.exists()
+
+
+def test_impact_without_a_solution_is_one_line_and_exit_code_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two stops without play between them: the line names both and the time."""
+    model = tmp_path / "jammed.yaml"
+    stops = [
+        f"  - {{name: {name}, body: x, limit: 0, side: {side}, restitution: {eps}}}"
+        for name, side, eps in (("floor", "below", 0.8), ("ceiling", "above", 0.5))
+    ]
+    lines = ["name: jammed", "bodies: [{name: x, mass: 1}]", "stops:", *stops]
+    start = "initial_state: {position: [0], velocity: [1]}"
+    model.write_text("\n".join([*lines, start]), encoding="utf-8")
+    assert main(["simulate", str(model), "-o", str(tmp_path / "bag")]) == 1
     errors = capsys.readouterr().err.strip().splitlines()
     assert len(errors) == 1
-    assert "contact 'floor'" in errors[0]
-    assert "t = 8.57894" in errors[0]
+    assert "at 1.000000000 s: contacts 'floor', 'ceiling': Newton's impact law" in errors[0]
 
 
 def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

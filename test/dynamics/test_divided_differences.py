@@ -1,5 +1,7 @@
 """Divided differences of the exponential, where points lie apart, close together and in one."""
 
+import math
+
 import numpy as np
 import precise
 import pytest
@@ -7,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples, numbers
 
-from impact_observer.dynamics.divided_differences import first, second
+from impact_observer.dynamics.divided_differences import divided, first, second
 
 S = np.array([1e-9, 1e-3, 0.3, 1.0, 4.0])
 POINTS = {
@@ -52,6 +54,33 @@ def test_divided_differences_agree_with_ninety_digits_anywhere(
     assert abs(second(a, b, c, np.array([s]))[0] - expected) <= 1e-14 * s**2
     expected = precise.divided_difference(points[:2], s)
     assert abs(first(a, b, np.array([s]))[0] - expected) <= 4e-15 * s
+
+
+RAMPS = {
+    "oscillating": (-0.1 + 3j, -0.1 - 3j, 0j, 0j),
+    "slow": (-1e-6 + 1e-3j, -1e-6 - 1e-3j, 0j, 0j),
+    "critical": (-0.5 + 0j, -0.5 + 0j, 0j, 0j),
+    "nearly critical": (-0.5 + 1e-9j, -0.5 - 1e-9j, 0j, 0j),
+    "overdamped and stiff": (-1e-3 + 0j, -30 + 0j, 0j, 0j),
+    "free body": (0j, 0j, 0j, 0j),
+    "free body with drag": (0j, -0.7 + 0j, 0j, 0j),
+    "at the border of the series": (-0.1 + 1j, -0.1 - 1.01j, 0j, 0j),
+    "five points": (-0.1 + 1j, -0.1 - 1j, 0j, 2j, -2j),
+    "five points, three in one": (-0.1 + 1j, -0.1 - 1j, 0j, 0j, 0j),
+}
+
+
+@pytest.mark.parametrize("points", RAMPS.values(), ids=list(RAMPS))
+def test_divided_differences_of_more_points_agree_with_ninety_digits(
+    points: tuple[complex, ...],
+) -> None:
+    """A ramp on a mode has four points, two of them zero; any order gives the same number."""
+    k = len(points) - 1
+    for s in S:
+        expected = precise.divided_difference(points, s)
+        for order in (points, points[::-1], points[1:] + points[:1]):
+            found = divided([np.array([z]) for z in order], np.array([s]))[0]
+            assert abs(found - expected) < 1e-14 * s**k / math.factorial(k)
 
 
 def test_divided_differences_of_many_points_are_those_of_each() -> None:

@@ -11,7 +11,8 @@ from systems import Harmonic, chain, examples, forcing, numbers, sample, system,
 
 from impact_observer.dynamics import Flow, flow_of
 from impact_observer.dynamics.dense import DenseFlow
-from impact_observer.dynamics.spectral import SpectralFlow, split
+from impact_observer.dynamics.modes import split
+from impact_observer.dynamics.spectral import SpectralFlow
 from impact_observer.model import System
 
 Array = NDArray[np.float64]

@@ -274,24 +274,26 @@ def test_the_epoch_is_learnt_from_the_first_event(ros_environment: dict[str, str
         assert_same(rig.estimates()[-1], replica(first).estimate(EPOCH + 60_000_000))
 
 
-def test_no_event_of_lasting_contact_is_taken_for_an_impact(
+def test_contact_that_stays_closed_is_told_until_it_opens(
     ros_environment: dict[str, str],
 ) -> None:
-    """Until lasting contact is supported the process ends with one line and exit code 1."""
-    arguments = ros_arguments({"model": "two_mass", "epoch": EPOCH})
-    with (
-        running("impact_observer.nodes.observer", arguments, ros_environment) as process,
-        spinning() as spinner,
-    ):
-        impacts = spinner.probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
-        spinner.until(lambda: impacts.get_subscription_count() == 1)
-        closing = Event(EPOCH + 1, (Switch("stop", Kind.CLOSE),), 1, epoch=EPOCH)
-        impacts.publish(ros_messages().event(closing))
-        spinner.until(lambda: process.poll() is not None)
-        _, errors = process.communicate()
-        assert process.returncode == 1
-        assert "contact 'stop'" in errors.splitlines()[-1]
-        assert "5.000000001 s" in errors.splitlines()[-1]
+    """CLOSE and OPEN travel as events; the estimates are the replica's to the last bit."""
+    assert ros_environment
+    with spinning(ros_arguments(PARAMETERS)) as spinner:
+        rig = make_rig(spinner)
+        spinner.until(lambda: rig.impacts.get_subscription_count() == 1)
+        closing = Event(EPOCH + 15_000_000, (Switch("stop", Kind.CLOSE),), 1, epoch=EPOCH)
+        opening = Event(EPOCH + 45_000_000, (Switch("stop", Kind.OPEN),), 2, epoch=EPOCH)
+        rig.tick(EPOCH + 20_000_000)
+        rig.send(closing)
+        rig.tick(EPOCH + 30_000_000)
+        assert rig.states[-1].closed == ["stop"]
+        rig.tick(EPOCH + 50_000_000)
+        rig.send(opening)
+        rig.tick(EPOCH + 60_000_000)
+        assert rig.states[-1].closed == []
+        told = replica(closing, opening).estimate(EPOCH + 60_000_000)
+        assert_same(rig.estimates()[-1], told)
 
 
 def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str, str]) -> None:

@@ -21,8 +21,8 @@ from systems import (
 
 from impact_observer.analysis import lyapunov
 from impact_observer.dynamics import flow_of
-from impact_observer.errors import ImpactLawError, LastingContactError, UsageError
-from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
+from impact_observer.errors import ImpactLawError, UsageError
+from impact_observer.events import ImpactEvent, Ruling
 from impact_observer.model import System
 from impact_observer.observer import Observer, law_named
 from impact_observer.plant import Run
@@ -332,17 +332,6 @@ def test_memory_is_bounded() -> None:
     assert watcher.missing == 0
 
 
-@pytest.mark.parametrize("kind", [Kind.CLOSE, Kind.OPEN])
-def test_lasting_contact_is_one_line_with_contact_and_stamp(kind: Kind) -> None:
-    """Until it is supported."""
-    watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
-    lasting = ImpactEvent(EPOCH + NS_PER_S, (Switch("stop", kind),), 1, 0, EPOCH)
-    with pytest.raises(
-        LastingContactError, match=rf"contact 'stop': {kind.name} at stamp 6\.000000000 s"
-    ):
-        watcher.receive(lasting)
-
-
 def test_forcing_without_an_epoch_is_one_line() -> None:
     """The event is neither applied nor remembered; an observer that was told applies it."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
@@ -373,8 +362,10 @@ def test_simultaneous_impacts_are_one_event_or_two() -> None:
     apart.receive(event(1.0, "c1", sequence=1))
     apart.receive(event(1.0, "c2", sequence=2))
     law, before = law_named("kinematic")(model), flow_of(model).start(0.0, np.array(x)).state(1.0)
-    assert state(together, 1.0) == pytest.approx(law.impact(before, (0, 1)).tolist(), abs=1e-14)
-    successive = law.impact(law.impact(before, (0,)), (1,))
+    assert state(together, 1.0) == pytest.approx(
+        law.impact(before, (0, 1), ()).tolist(), abs=1e-14
+    )
+    successive = law.impact(law.impact(before, (0,), ()), (1,), ())
     assert state(apart, 1.0) == pytest.approx(successive.tolist(), abs=1e-14)
 
 

@@ -4,19 +4,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from impact_observer.events import Kind
 from impact_observer.observer.timeline import Entry, Key, Timeline
 
 Array = NDArray[np.float64]
 
 
-def step(previous: Entry, event: Key) -> Array:
+def step(previous: Entry, event: Key) -> Entry:
     """A state that tells the whole way to it: digits of the events' stamps."""
-    return previous.x * 10 + event.stamp
+    return Entry(event, previous.x * 10 + event.stamp)
 
 
-def key(stamp: int, sequence: int = 0, *active: int) -> Key:
+def key(stamp: int, sequence: int = 0, contact: int = 0) -> Key:
     """An event's place."""
-    return Key(stamp, sequence, active or (0,))
+    return Key(stamp, sequence, ((contact, Kind.IMPACT),))
 
 
 def filled(*keys: Key) -> Timeline:
@@ -43,7 +44,7 @@ def test_equal_stamps_are_successive_by_sequence() -> None:
     timeline = filled(key(1, 8), key(1, 7), key(1, 9))
     assert [entry.key.sequence for entry in timeline.entries[1:]] == [7, 8, 9]
     unnumbered = filled(key(1, 0, 1), key(1, 0, 0))
-    assert [entry.key.active for entry in unnumbered.entries[1:]] == [(0,), (1,)]
+    assert [entry.key.switches[0][0] for entry in unnumbered.entries[1:]] == [0, 1]
 
 
 def test_state_at_a_stamp_is_after_all_events_of_that_stamp() -> None:
@@ -59,7 +60,7 @@ def test_event_at_the_very_beginning_comes_after_the_initial_state() -> None:
     """The initial state holds before any event of its stamp."""
     timeline = filled(key(0))
     assert [entry.key.stamp for entry in timeline.entries] == [0, 0]
-    assert timeline.at(0).key.active == (0,)
+    assert timeline.at(0).key.switches == ((0, Kind.IMPACT),)
 
 
 def test_known_event_is_recognised() -> None:
@@ -95,7 +96,7 @@ def test_step_that_fails_leaves_the_past_as_it_was() -> None:
     timeline = filled(key(1), key(3))
     kept = states(timeline)
 
-    def failing(previous: Entry, event: Key) -> Array:
+    def failing(previous: Entry, event: Key) -> Entry:
         if event.stamp == 3:
             raise ArithmeticError
         return step(previous, event)

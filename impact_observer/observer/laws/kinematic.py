@@ -14,7 +14,8 @@ class Kinematic(Law):
     """A closed contact acts as a sprag clutch: velocities jump, positions never do.
 
     Reference [1] of the paper: Newton's impact law on the contacts with ``chi = 1``, with the
-    replica's own contact speeds, so without impulse where those separate.
+    replica's own contact speeds, so without impulse where those separate. While ``chi`` stays 1,
+    ``0 <= gamma _|_ lambda >= 0``.
     """
 
     name: ClassVar[str] = "kinematic"
@@ -24,7 +25,7 @@ class Kinematic(Law):
         super().__init__(system)
         self._newton = ImpactLaw(system)
 
-    def impact(self, x: Vector, active: tuple[int, ...]) -> Vector:
+    def impact(self, x: Vector, active: tuple[int, ...], closed: tuple[int, ...]) -> Vector:
         """``u+`` by Newton's law, ``q+ = q-``."""
         n = self.system.n
-        return np.concatenate([x[:n], self._newton.velocity_after(x[n:], active)])
+        return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])

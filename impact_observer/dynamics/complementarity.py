@@ -1,0 +1,74 @@
+"""Linear complementarity in a Delassus matrix ``G = B^T B``: the mathematics of all contacts.
+
+``0 <= G Lambda + b  _|_  Lambda >= 0`` says that ``B Lambda`` is the least vector ``v`` with
+``B^T v >= -b``: it has a solution unless there is no such vector. Lawson and Hanson (Solving Least
+Squares Problems, chapter 23) turn that into nonnegative least squares, which scipy solves.
+Columns of ``B`` that depend on each other are no special case.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import linalg, optimize
+
+from impact_observer.states import Matrix, Vector
+
+_RESIDUAL = 1e-9
+"""Violation of complementarity that is rounding, relative to the most negative ``b``."""
+
+
+def complementary(B: Matrix, b: Vector) -> Vector | None:
+    """``Lambda >= 0`` with ``B^T B Lambda + b >= 0``, one of the two zero in each row.
+
+    Args:
+        B: a column a contact, none zero, shape (n, m).
+        b: shape (m,).
+
+    Returns:
+        Shape (m,); None where there is no solution. Its residual has been checked.
+    """
+    length = np.linalg.norm(B, axis=0)
+    scale = float(np.max(-b / length, initial=0.0))
+    if scale <= np.finfo(np.float64).tiny / _RESIDUAL:
+        return np.zeros(b.size)
+    B, b = B / length, b / (length * scale)
+    for found in _candidates(B, b):
+        separation = B.T @ (B @ found) + b
+        # Both are nonnegative, and one of the two is zero.
+        if np.all(np.abs(np.minimum(found, separation)) <= _RESIDUAL):
+            return np.asarray(np.maximum(found, 0.0) * (scale / length))
+    return None
+
+
+def _candidates(B: Matrix, b: Vector) -> Iterator[Vector]:
+    """Vectors that solve the problem if anything does, the most accurate first.
+
+    Where ``b = -B^T v`` for some ``v`` (contacts independent, or with a common restitution) the
+    problem is the optimality condition of ``min |B Lambda - v|``. Otherwise, with ``y >= 0`` the
+    least squares solution of ``[B; -b^T] y = (0, ..., 0, 1)``, it is solved by
+    ``y / (1 + b^T y)``.
+    """
+    towards = np.asarray(linalg.lstsq(B.T, -b)[0])
+    for y in _nonnegative(B, towards):
+        yield _refined(B, b, y)
+        yield y
+    for y in _nonnegative(np.vstack([B, -b]), np.append(np.zeros(B.shape[0]), 1.0)):
+        yield _refined(B, b, y)
+        if (residual := 1.0 + b @ y) > 0:
+            yield y / residual
+
+
+def _nonnegative(A: Matrix, target: Vector) -> list[Vector]:
+    """The least squares solution ``y >= 0`` of ``A y = target``; none where the method cycles."""
+    try:
+        return [np.asarray(optimize.nnls(A, target)[0])]
+    except RuntimeError:
+        return []
+
+
+def _refined(B: Matrix, b: Vector, y: Vector) -> Vector:
+    """The solution from the equations of those rows that are pressed in ``y``."""
+    pressed = y > 0
+    found = np.zeros(b.size)
+    found[pressed] = linalg.lstsq(B[:, pressed].T @ B[:, pressed], -b[pressed])[0]
+    return found

@@ -1,0 +1,135 @@
+"""Splitting of the state into ``n`` real 2 x 2 blocks, where that is safe."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from impact_observer.dynamics.divided_differences import Complex
+from impact_observer.dynamics.eigenmodes import congruence, modes_of
+from impact_observer.dynamics.flow import Equations
+from impact_observer.states import Matrix, Vector
+
+_PROPORTIONAL = 1e-12
+"""Coupling of modes by damping that counts as rounding, relative to the damping."""
+_RIGID = 1e-15
+"""``omega^2`` that counts as zero, relative to the stiffest mode's, times n."""
+_WORST_CONDITION = 1e3
+"""Condition of the modes, in units of energy, beyond which digits would be lost."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Modes:
+    """A splitting of the state into ``n`` pairs with eigenvalues ``a +- d``.
+
+    Attributes:
+        T: columns of pair ``k`` at ``2k`` and ``2k + 1``, shape (2n, 2n).
+        T_inverse: shape (2n, 2n).
+        J: blocks, shape (n, 2, 2), 1/s.
+        proportional: whether a pair is a coordinate, to ``M``-orthonormal shapes, and its
+            velocity; otherwise it is an eigenvector's two parts, or two real eigenvectors.
+        a: mean of a pair's eigenvalues, shape (n,), 1/s. Derived.
+        d: half their distance, shape (n,), 1/s. Derived.
+        oscillates: whether ``d`` is imaginary, shape (n,). Derived.
+        slow: ``a + d`` of those that do not oscillate, ``a`` of the others, shape (n,). Derived.
+        deviator: ``J - a``, shape (n, 2, 2), 1/s. Derived.
+    """
+
+    T: Matrix
+    T_inverse: Matrix
+    J: NDArray[np.float64]
+    proportional: bool
+    a: Vector = field(init=False)
+    d: Vector = field(init=False)
+    oscillates: NDArray[np.bool_] = field(init=False)
+    slow: Vector = field(init=False)
+    deviator: NDArray[np.float64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Derive the eigenvalues."""
+        J = self.J
+        a = (J[:, 0, 0] + J[:, 1, 1]) / 2
+        deviator = J - a[:, None, None] * np.eye(2)
+        d2 = deviator[:, 0, 0] ** 2 + deviator[:, 0, 1] * deviator[:, 1, 0]
+        d, oscillates = np.sqrt(np.abs(d2)), d2 < 0
+        determinant = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
+        fast = a - np.where(oscillates, 0.0, d)
+        # The slow eigenvalue a + d would cancel; the product of both is the determinant.
+        slow = np.where(oscillates | (fast == 0), a, determinant / np.where(fast == 0, 1.0, fast))
+        derived = {"a": a, "d": d, "oscillates": oscillates, "slow": slow, "deviator": deviator}
+        for key, value in derived.items():
+            object.__setattr__(self, key, value)
+
+    @property
+    def eigenvalues(self) -> tuple[Complex, Complex]:
+        """Both of each pair, the one with positive imaginary part or the slow one first."""
+        imaginary = np.where(self.oscillates, 1j * self.d, 0.0)
+        one = np.where(self.oscillates, self.a + imaginary, self.slow)
+        two = np.where(self.oscillates, self.a - imaginary, 2 * self.a - self.slow)
+        return one, two
+
+
+def split(system: Equations) -> Modes | None:
+    """Split ``system`` into pairs of modes; None where no splitting is well-conditioned."""
+    stiffness, shapes = modes_of(system.M, system.K)
+    rigid = stiffness <= _RIGID * system.n * np.max(np.abs(stiffness))
+    stiffness = np.where(rigid, 0.0, stiffness)
+    damping = congruence(system.C, shapes)
+    coupling = damping - np.diag(np.diag(damping))
+    if np.max(np.abs(coupling)) <= _PROPORTIONAL * np.max(np.abs(damping)):
+        return _proportional(system, stiffness, np.diag(damping), shapes)
+    return _general(system, stiffness, damping, shapes)
+
+
+def _proportional(system: Equations, stiffness: Vector, damping: Vector, shapes: Matrix) -> Modes:
+    """``M``-orthonormal shapes carry their own coordinate and velocity."""
+    n = system.n
+    J = np.zeros((n, 2, 2))
+    J[:, 0, 1] = 1.0
+    J[:, 1, 0] = -stiffness
+    J[:, 1, 1] = -np.maximum(damping, 0.0)
+    T, T_inverse = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
+    T[:n, 0::2] = T[n:, 1::2] = shapes
+    T_inverse[0::2, :n] = T_inverse[1::2, n:] = shapes.T @ system.M
+    return Modes(T, T_inverse, J, proportional=True)
+
+
+def _general(
+    system: Equations, stiffness: Vector, damping: Matrix, shapes: Matrix
+) -> Modes | None:
+    """Eigenvectors, complex ones as real and imaginary part, real ones two by two.
+
+    They are sought in ``(omega y, y')`` of the undamped modes ``y``, whose square is the energy,
+    the fast modes first: the slow ones then keep their digits.
+    """
+    n = system.n
+    omega = np.sqrt(stiffness)
+    # A rigid mode has no energy; any rate of the system serves as its unit.
+    rates = omega[omega > 0]
+    unit = np.where(omega > 0, omega, rates[0] if rates.size else np.max(np.abs(damping)))
+    A = np.zeros((2 * n, 2 * n))
+    A[0::2, 1::2] = np.diag(unit[::-1])
+    A[1::2, 0::2] = -np.diag((stiffness / unit)[::-1])
+    A[1::2, 1::2] = -damping[::-1, ::-1]
+    values, vectors = linalg.eig(A)
+    upper = np.flatnonzero(values.imag > 0)
+    real = np.flatnonzero(values.imag == 0)
+    real = real[np.argsort(values[real].real)]
+    J, Y = np.zeros((n, 2, 2)), np.zeros((2 * n, 2 * n))
+    for k, i in enumerate(upper):
+        a, b = values[i].real, values[i].imag
+        J[k] = [[a, b], [-b, a]]
+        Y[:, 2 * k], Y[:, 2 * k + 1] = vectors[:, i].real, vectors[:, i].imag
+    for k, (i, j) in enumerate(zip(real[0::2], real[1::2], strict=True), start=upper.size):
+        J[k] = np.diag([values[i].real, values[j].real])
+        Y[:, 2 * k], Y[:, 2 * k + 1] = vectors[:, i].real, vectors[:, j].real
+    if not np.linalg.cond(Y / np.linalg.norm(Y, axis=0)) < _WORST_CONDITION:
+        return None
+    T = np.vstack([shapes @ (Y[0::2][::-1] / unit[:, None]), shapes @ Y[1::2][::-1]])
+    inverse = linalg.inv(Y)
+    back = system.M @ shapes
+    T_inverse = np.hstack(
+        [(inverse[:, 0::2][:, ::-1] * unit) @ back.T, inverse[:, 1::2][:, ::-1] @ back.T]
+    )
+    return Modes(T, T_inverse, J, proportional=False)

@@ -1,0 +1,278 @@
+"""A linear phase: the motion while the same contacts are held.
+
+Contacts ``held`` have ``gamma = 0`` by a load ``lambda``. The geometric law keeps the gaps of all
+contacts with ``chi = 1`` closed, whether they are held or slip: these are ``fixed``, and move by
+equation (4) of Baumann and Leine, ``dq/dt = Q u`` with ``Q = I - Z W_A^T`` (``projection.py``).
+The substitution ::
+
+    dp/dt = u,    q = Q p - Z q_r,A
+
+makes that a mechanical system again, ``M du/dt = -C u - Q^T K Q p + f + K Z q_r,A + W_H lambda``:
+its stiffness is what the fixed contacts leave of ``K``. So every phase is an ordinary linear
+system in ``p`` whose velocities stay in the null space of ``W_H^T``; there it is reduced to the
+coordinates that are free, and has an exact flow. Where nothing is fixed, ``p = q``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from impact_observer.dynamics.flow import Equations, Flow, Motion
+from impact_observer.dynamics.projection import PositionProjection
+from impact_observer.dynamics.spectral import flow_of
+from impact_observer.model import Forcing, System
+from impact_observer.states import Matrix, Vector, frozen
+
+RANK = 1e-8
+"""What others leave of a contact's direction, relative to its length, that counts as nothing."""
+_CANCELLED = 1e-14
+"""Stiffness that counts as zero in a reduced system, relative to the whole one's, times n."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """Equations of motion in fewer coordinates; see ``flow.Equations``."""
+
+    M: Matrix
+    C: Matrix
+    K: Matrix
+    forcing: Forcing
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.M)
+
+
+class Unloaded(NamedTuple):
+    """How a system moves in the coordinates ``p`` where no contact takes a load.
+
+    Attributes:
+        equations: of ``p``.
+        Q: ``dq/dt = Q u``, shape (n, n).
+        rest: ``q = Q p + rest``, shape (n,), m.
+        load: bound of ``sqrt(f^(k)^T M^-1 f^(k))``; see ``Forcing.bound``.
+    """
+
+    equations: Equations
+    Q: Matrix
+    rest: Vector
+    load: Callable[[int, Vector], Vector]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Phase:
+    """One linear phase of a system, in the coordinates ``p``.
+
+    Attributes:
+        held: contacts with ``gamma = 0``, independent of each other, as indices.
+        fixed: contacts whose gaps stay closed though they may slip, as indices.
+        equations: of ``p``, without the loads of the held contacts.
+        inverse: what is left of ``M^-1`` when the held contacts take their loads, shape (n, n).
+        loads: ``lambda = -loads (f - C u - K p)``, shape (len(held), n).
+        flow: of (p, u).
+        Q: ``dq/dt = Q u``, shape (n, n).
+        rest: ``q = Q p + rest``, shape (n,), m.
+    """
+
+    held: tuple[int, ...]
+    fixed: tuple[int, ...]
+    equations: Equations
+    inverse: Matrix
+    loads: Matrix
+    flow: Flow
+    Q: Matrix
+    rest: Vector
+
+    def start(self, t: float, x: Vector) -> Motion:
+        """The motion of (p, u) through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
+        return self.flow.start(t, x)
+
+    def states(self, motion: Motion, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """States (q, u) ``s`` seconds after the start of ``motion``, shape (samples, 2n)."""
+        x = motion.states(s)
+        if not self.fixed:
+            return x
+        n = self.equations.n
+        return np.hstack([x[:, :n] @ self.Q.T + self.rest, x[:, n:]])
+
+
+def fastest(equations: Equations) -> float:
+    """The fastest mode or harmonic, rad/s; 0 where nothing oscillates."""
+    stiffest = float(linalg.eigh(equations.K, equations.M, eigvals_only=True)[-1])
+    return float(max([np.sqrt(max(stiffest, 0.0)), *equations.forcing.frequency]))
+
+
+def timescale(equations: Equations) -> float:
+    """The inverse of the fastest rate, at most 1 s."""
+    return 1.0 / max(fastest(equations), 1.0)
+
+
+class Phases:
+    """All phases of one system, each prepared when it is needed first."""
+
+    def __init__(self, system: System) -> None:
+        """Factorise the mass matrix."""
+        self.system = system
+        self.projection = PositionProjection(system)
+        self._factor = linalg.cholesky(system.M, lower=True)
+        self.B = frozen(linalg.solve_triangular(self._factor, system.W, lower=True))
+        self._phases: dict[tuple[tuple[int, ...], tuple[int, ...]], Phase] = {}
+        self._laws: dict[tuple[int, ...], Unloaded] = {}
+
+    def phase(self, held: tuple[int, ...] = (), fixed: tuple[int, ...] = ()) -> Phase:
+        """The phase in which ``held`` contacts, independent of each other, take loads.
+
+        Where the held contacts determine the gaps of all ``fixed`` ones these do not slip, and it
+        is the same phase without them.
+        """
+        if set(fixed) <= set(held) or len(self.independent((*held, *fixed))) == len(held):
+            fixed = ()
+        if (held, fixed) not in self._phases:
+            self._phases[held, fixed] = self._prepare(held, fixed)
+        return self._phases[held, fixed]
+
+    def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
+        """Those of ``contacts`` whose direction is not that of others before them."""
+        chosen: list[int] = []
+        basis = np.zeros((self.system.n, 0))
+        for i in contacts:
+            left = self.B[:, i] - basis @ (basis.T @ self.B[:, i])
+            if np.linalg.norm(left) > RANK * np.linalg.norm(self.B[:, i]):
+                chosen.append(i)
+                basis = np.linalg.qr(self.B[:, chosen])[0]
+        return tuple(chosen)
+
+    def white(self, loads: Matrix) -> Matrix:
+        """``L^-1 loads``, ``M = L L^T``: accelerations whose length is their energy's root."""
+        return np.asarray(linalg.solve_triangular(self._factor, loads, lower=True))
+
+    def unwhite(self, accelerations: Matrix) -> Matrix:
+        """``L^-T accelerations``: back to coordinates."""
+        return np.asarray(linalg.solve_triangular(self._factor.T, accelerations, lower=False))
+
+    def stopped(self, x: Vector, contacts: tuple[int, ...]) -> Vector:
+        """The state (q, u) nearest to ``x`` with ``g = 0`` and ``gamma = 0`` on ``contacts``.
+
+        Nearest in elastic and in kinetic energy.
+        """
+        n = self.system.n
+        basis = linalg.qr(self.B[:, list(self.independent(contacts))], mode="economic")[0]
+        velocity = self._factor.T @ x[n:]
+        velocity -= basis @ (basis.T @ velocity)
+        position = self.projection.position_after(x[:n], contacts)
+        return np.concatenate([position, self.unwhite(velocity)])
+
+    def unloaded(self, fixed: tuple[int, ...] = ()) -> "Unloaded":
+        """The law of motion while the gaps of ``fixed`` stay closed and nothing is held."""
+        if fixed not in self._laws:
+            self._laws[fixed] = self._unloaded(fixed)
+        return self._laws[fixed]
+
+    def _unloaded(self, fixed: tuple[int, ...]) -> "Unloaded":
+        system = self.system
+        equations: Equations = system
+        Q, rest = np.eye(system.n), np.zeros(system.n)
+        if fixed:
+            Z, contacts = self.projection.jump(fixed), list(fixed)
+            W, q_r = system.W[:, contacts], system.q_r[contacts]
+            Q, rest = Q - Z @ W.T, -Z @ q_r
+            forcing = system.forcing.plus(system.K @ Z @ q_r)
+            equations = Reduced(system.M, system.C, self._restricted(system.K, Q), forcing)
+        inverse = linalg.cho_solve((self._factor, True), np.eye(system.n))
+        return Unloaded(equations, frozen(Q), frozen(rest), equations.forcing.bound(inverse))
+
+    def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
+        p = len(held)
+        free = self.unloaded(fixed)
+        orthogonal, triangular = linalg.qr(self.B[:, list(held)])
+        shapes = self.unwhite(orthogonal[:, p:])
+        pressing = self.unwhite(orthogonal[:, :p])
+        return Phase(
+            held=held,
+            fixed=fixed,
+            equations=free.equations,
+            inverse=frozen(shapes @ shapes.T),
+            loads=frozen(linalg.solve_triangular(triangular[:p], pressing.T)),
+            flow=self._held_flow(held, fixed, shapes) if held else flow_of(free.equations),
+            Q=free.Q,
+            rest=free.rest,
+        )
+
+    def _held_flow(self, held: tuple[int, ...], fixed: tuple[int, ...], shapes: Matrix) -> Flow:
+        """Flow in the directions ``shapes``, M-orthonormal, that the held contacts leave free."""
+        equations = self.unloaded(fixed).equations
+        inner = None
+        if shapes.size:
+            inner = flow_of(
+                Reduced(
+                    np.eye(shapes.shape[1]),
+                    self._restricted(equations.C, shapes),
+                    self._restricted(equations.K, shapes),
+                    equations.forcing.mapped(shapes.T),
+                )
+            )
+        # Deflections that hold their contact away from its place without a load on the rest.
+        static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]
+        return _HeldFlow(
+            inner, shapes, shapes.T @ equations.M, static @ self.system.W[:, list(held)].T
+        )
+
+    def _restricted(self, matrix: Matrix, shapes: Matrix) -> Matrix:
+        """``shapes^T matrix shapes`` with zeros where everything cancels."""
+        restricted = shapes.T @ matrix @ shapes
+        whole = np.linalg.norm(self.white(self.white(matrix).T))
+        restricted[np.abs(restricted) <= _CANCELLED * len(matrix) * whole] = 0.0
+        symmetric = np.array_equal(matrix, matrix.T)
+        return np.asarray((restricted + restricted.T) / 2 if symmetric else restricted)
+
+
+class _HeldFlow(Flow):
+    """A flow in fewer coordinates, seen in all of them."""
+
+    def __init__(
+        self, inner: Flow | None, shapes: Matrix, inverse: Matrix, static: Matrix
+    ) -> None:
+        """Take the flow in the free coordinates; None where nothing is free.
+
+        Args:
+            inner: flow of the free coordinates.
+            shapes: their directions, shape (n, r).
+            inverse: free coordinates of a position, shape (r, n).
+            static: the part of a position that does not move, shape (n, n).
+        """
+        self._inner = inner
+        self._shapes = shapes
+        self._inverse = inverse
+        self._static = static
+
+    def start(self, t: float, x: Vector) -> Motion:
+        """The motion through ``x`` at ``t``, its velocity freed from what is held."""
+        n = len(self._shapes)
+        rest = self._static @ x[:n]
+        if self._inner is None:
+            return _HeldMotion(t, None, self._shapes, rest)
+        free = np.concatenate([self._inverse @ (x[:n] - rest), self._inverse @ x[n:]])
+        return _HeldMotion(t, self._inner.start(t, free), self._shapes, rest)
+
+
+class _HeldMotion(Motion):
+    def __init__(self, t: float, inner: Motion | None, shapes: Matrix, rest: Vector) -> None:
+        self.t = t
+        self._inner = inner
+        self._shapes = shapes
+        self._rest = rest
+
+    def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        n, r = self._shapes.shape
+        found = np.zeros((s.size, 2 * n))
+        found[:, :n] = self._rest
+        if self._inner is not None:
+            y = self._inner.states(s)
+            found[:, :n] += y[:, :r] @ self._shapes.T
+            found[:, n:] = y[:, r:] @ self._shapes.T
+        return found

@@ -1,0 +1,184 @@
+"""The forcing ``f(t)`` of a system: constant, harmonics and samples, with bounds on them."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from impact_observer.errors import ModelError
+from impact_observer.model.checks import finite
+from impact_observer.model.samples import Samples
+from impact_observer.states import Matrix, Vector, frozen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forcing:
+    """``f(t) = constant + sum_k cosine_k cos(omega_k t) + sine_k sin(omega_k t) + sampled(t)``.
+
+    A model has samples or the other parts, not both; a mapped forcing may have all.
+
+    Attributes:
+        constant: shape (n,), N or Nm.
+        frequency: angular frequencies ``omega``, shape (h,), rad/s, each positive.
+        cosine: shape (h, n), N or Nm.
+        sine: shape (h, n), N or Nm.
+        sampled: forces at instants, which end; None for a forcing that never does.
+    """
+
+    constant: Vector
+    frequency: Vector
+    cosine: Matrix
+    sine: Matrix
+    sampled: Samples | None = None
+
+    @classmethod
+    def none(cls, n: int) -> "Forcing":
+        """No forcing of ``n`` coordinates."""
+        return cls(np.zeros(n), np.zeros(0), np.zeros((0, n)), np.zeros((0, n)))
+
+    @classmethod
+    def of_samples(cls, samples: Samples) -> "Forcing":
+        """Samples and nothing else."""
+        return replace(cls.none(np.shape(samples.force)[1]), sampled=samples)
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether the epoch matters: there are samples, or some harmonic has an amplitude."""
+        return self.sampled is not None or bool(np.any(self.cosine) or np.any(self.sine))
+
+    @property
+    def end(self) -> float:
+        """Where the forcing ends, s since the epoch; infinity where it never does."""
+        return np.inf if self.sampled is None else self.sampled.end
+
+    def __call__(self, t: float) -> Vector:
+        """``f(t)``, shape (n,), at ``t`` seconds since the epoch.
+
+        Raises:
+            DynamicsError: there is no sample at ``t``.
+        """
+        return np.asarray(self.derivatives(np.array([t]), 0)[0, 0])
+
+    def derivatives(self, t: Vector, order: int) -> NDArray[np.float64]:
+        """``f`` and its time derivatives, from the right where they jump.
+
+        Args:
+            t: s since the epoch, shape (samples,).
+            order: of the highest derivative.
+
+        Returns:
+            Shape (order + 1, samples, n).
+
+        Raises:
+            DynamicsError: there is no sample at some ``t``.
+        """
+        found = np.zeros((order + 1, t.size, self.constant.size))
+        found[0] = self.constant
+        if self.frequency.size:
+            wave = np.exp(1j * np.outer(t, self.frequency))
+            amplitude = self.cosine - 1j * self.sine
+            for k in range(order + 1):
+                found[k] += (wave @ amplitude).real
+                amplitude = amplitude * (1j * self.frequency[:, None])
+        if self.sampled is not None:
+            found[0] += self.sampled.values(t)
+            found[1:2] += self.sampled.slope[self.sampled.index(t)]
+        return found
+
+    def bound(self, X: Matrix) -> Callable[[int, Vector], Vector]:
+        """A bound on the size of ``f`` and its derivatives, prepared to be cheap.
+
+        Args:
+            X: symmetric positive semidefinite, shape (n, n).
+
+        Returns:
+            A function of ``k`` and ``t``, s since the epoch, shape (samples,): an upper bound of
+            ``sqrt(f^(k)' X f^(k))`` from each ``t`` to the next knot, shape (samples,). It raises
+            DynamicsError where there is no sample.
+        """
+        constant = _norms(self.constant, X)
+        amplitudes = _norms(self.cosine, X) + _norms(self.sine, X)
+        sampled = None if self.sampled is None else _bound_of_samples(self.sampled, X)
+
+        def bounded(k: int, t: Vector) -> Vector:
+            size = float(amplitudes @ self.frequency**k)
+            smooth = np.full(t.shape, size if k else size + constant)
+            return smooth if sampled is None else smooth + sampled(k, t)
+
+        return bounded
+
+    def knots(self, start: float, stop: float) -> Vector:
+        """Instants inside (``start``, ``stop``), s since the epoch, where f is not smooth."""
+        return np.zeros(0) if self.sampled is None else self.sampled.knots(start, stop)
+
+    def mapped(self, T: Matrix) -> "Forcing":
+        """The forcing ``T f(t)``, for ``T`` of shape (r, n); r may be 0."""
+        return Forcing(
+            T @ self.constant,
+            self.frequency,
+            self.cosine @ T.T,
+            self.sine @ T.T,
+            None if self.sampled is None else self.sampled.mapped(T),
+        )
+
+    def plus(self, constant: Vector) -> "Forcing":
+        """The forcing ``f(t) + constant``, shape (n,)."""
+        return replace(self, constant=self.constant + constant)
+
+    def checked(self, n: int) -> "Forcing":
+        """The same forcing of ``n`` coordinates, copied, frozen and checked.
+
+        Raises:
+            ModelError: naming the key of the model file and what is wrong with it.
+        """
+        h = np.size(self.frequency)
+        if self.sampled is not None and (h or np.any(self.constant)):
+            raise ModelError(
+                "forcing.sampled", "stands beside constant or harmonics; add those to the samples"
+            )
+        if self.sampled is not None and self.sampled.force.shape[1] != n:
+            found = self.sampled.force.shape[1]
+            raise ModelError("forcing.sampled.force", f"has {found} columns; expected {n}")
+        frequency = finite("forcing.harmonics.frequency", self.frequency, (h,), "a list")
+        for k in np.flatnonzero(frequency <= 0):
+            raise ModelError(
+                f"forcing.harmonics[{k}].frequency",
+                f"is {frequency[k]:g}; expected a positive number, rad/s",
+            )
+        return Forcing(
+            finite("forcing.constant", self.constant, (n,), f"{n} numbers, one a coordinate"),
+            frequency,
+            _amplitudes("cosine", self.cosine, h, n),
+            _amplitudes("sine", self.sine, h, n),
+            self.sampled,
+        )
+
+
+def _norms(forces: NDArray[np.float64], X: Matrix) -> NDArray[np.float64]:
+    """``sqrt(f' X f)`` of forces, shape (..., n)."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("...i,...i->...", forces @ X, forces), 0.0)))
+
+
+def _bound_of_samples(samples: Samples, X: Matrix) -> Callable[[int, Vector], Vector]:
+    """As ``Forcing.bound``; a line is nowhere larger than at both of its ends."""
+    sizes, slopes = _norms(samples.force, X), _norms(samples.slope, X)
+    if samples.hold == "linear":
+        sizes[:-1] = np.maximum(sizes[:-1], sizes[1:])
+    nothing = np.zeros(sizes.shape)
+
+    def bounded(k: int, t: Vector) -> Vector:
+        per_sample = (sizes, slopes)[k] if k < 2 else nothing
+        return np.asarray(per_sample[samples.index(t)])
+
+    return bounded
+
+
+def _amplitudes(part: str, rows: Iterable[ArrayLike], h: int, n: int) -> Matrix:
+    checked = [
+        finite(f"forcing.harmonics[{k}].{part}", row, (n,), f"{n} numbers, one a coordinate")
+        for k, row in enumerate(rows)
+    ]
+    if len(checked) != h:
+        raise ModelError("forcing.harmonics", f"{len(checked)} rows of {part} for {h} frequencies")
+    return frozen(np.reshape(checked, (h, n)))

@@ -1,0 +1,66 @@
+"""A plant, and the choice of how it is integrated."""
+
+from typing import Protocol
+
+from impact_observer.errors import UsageError
+from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU
+from impact_observer.model import System
+from impact_observer.plant.plant import Plant
+from impact_observer.plant.switching import Switching
+from impact_observer.plant.time_stepping import TimeSteppingPlant
+from impact_observer.states import Stamps, Vector
+
+
+class Master(Protocol):
+    """A plant, however it is integrated; see ``Plant``."""
+
+    @property
+    def system(self) -> System:
+        """What moves."""
+
+    @property
+    def epoch(self) -> int:
+        """Stamp of ``t = 0``, ns."""
+
+    @property
+    def closed(self) -> tuple[int, ...]:
+        """Indices of the contacts that are closed in the present phase."""
+
+    def next_switching(self, limit: int) -> Switching | None:
+        """What the contacts do next, if its stamp is not after ``limit`` (ns)."""
+
+    def cross(self, switching: Switching) -> None:
+        """Go on after ``switching``, which must be the one that ``next_switching`` told."""
+
+    def states(self, stamps: Stamps) -> Vector:
+        """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n)."""
+
+
+def make_plant(
+    system: System,
+    position: Vector,
+    velocity: Vector,
+    *,
+    epoch: int,
+    integrator: str = EVENT_DRIVEN,
+    step: float = DEFAULT_STEP,
+) -> Master:
+    """A plant at ``epoch`` (ns).
+
+    Args:
+        system: what moves.
+        position: coordinates at the epoch, shape (n,).
+        velocity: velocities at the epoch, shape (n,).
+        epoch: stamp of ``t = 0``, ns.
+        integrator: one of ``INTEGRATORS``.
+        step: length of the steps of ``moreau``, s.
+
+    Raises:
+        UsageError: a state or step that cannot be used, or an unknown integrator.
+        ImpactLawError: contacts are closed at the start and their impact has no solution.
+    """
+    if integrator == EVENT_DRIVEN:
+        return Plant(system, position, velocity, epoch=epoch)
+    if integrator == MOREAU:
+        return TimeSteppingPlant(system, position, velocity, epoch=epoch, step=step)
+    raise UsageError(f"integrator: {integrator!r} found; expected {' or '.join(INTEGRATORS)}")

@@ -1,0 +1,133 @@
+"""When a contact comes to rest: impacts that accumulate are cut short.
+
+A contact that is pressed on its stop with an acceleration ``a`` and leaves it with ``gamma`` comes
+back after ``2 gamma / a``, from a height of ``gamma^2 / (2 a)``. With a restitution below one such
+flights get shorter without end (Zeno). A contact is taken to rest when its next flight is
+
+- shorter than ``SHORT`` of the model's time scale (its fastest rate's inverse, at most 1 s), or
+- lower than ``LOW`` of what its gap is rounded against: no search could find its end.
+
+Until the last of the impacts that are left out, ``2 gamma / (a (1 - eps))`` later, the error is at
+most ``gamma`` in the contact's speed and ``gamma^2 / (2 a)`` in its gap; from then on it is what
+the rest of the system did meanwhile. Contacts may also throw each other back for ever with no load
+at all (the collapse of a row of beads): the impacts of a contact that is hit more than ``OFTEN``
+times within ``SHORT`` are without restitution.
+"""
+
+from collections import deque
+
+import numpy as np
+from scipy import optimize
+
+from impact_observer.dynamics import DEPTH, Phases, timescale
+from impact_observer.stamps import Instant
+from impact_observer.states import Vector
+
+SHORT = 1e-8
+"""Flight that counts as none, relative to the model's time scale."""
+LOW = 4 * DEPTH
+"""Height of a flight that counts as none, relative to what the gap is rounded against."""
+OFTEN = 32
+"""Impacts of one contact within ``SHORT`` that count as accumulation."""
+_ROUNDING = 1e-12
+"""Contact speed that counts as zero, relative to that of all kinetic energy in it."""
+
+
+class Rest:
+    """Judges which contacts of one system come to rest.
+
+    Attributes:
+        shortest: flight that counts as none, s.
+    """
+
+    def __init__(self, phases: Phases) -> None:
+        """Prepare scales."""
+        self._phases = phases
+        self._timescale = timescale(phases.system)
+        self._length = np.linalg.norm(phases.B, axis=0)
+        self.shortest = SHORT * self._timescale
+
+    def after(
+        self, t: float, x: Vector, contacts: tuple[int, ...], before: Vector
+    ) -> tuple[int, ...]:
+        """The contacts that rest on their stops after an impact.
+
+        Args:
+            t: s since the epoch.
+            x: state (q, u+), shape (2n,).
+            contacts: those that took part, as indices.
+            before: velocities u-, shape (n,): what contact speeds are rounded against.
+        """
+        system = self._phases.system
+        q, u = x[: system.n], x[system.n :]
+        gamma = system.contact_speed(u)
+        # Impulses spread what is rounded over all bodies.
+        rounding = _ROUNDING * self._length * np.sqrt(before @ system.M @ before)
+        lowest = LOW * self._scale(q, u)
+        # One that still closes (Newton's law lets it, if it was separating) hits again at once.
+        found = [i for i in contacts if gamma[i] >= -rounding[i]]
+        while found:
+            fall = self._fall(t, q, u, found)
+            falls = fall > 0
+            fall = np.where(falls, fall, 1.0)
+            speed = gamma[found]
+            flight = np.minimum(
+                2 * speed / fall / self.shortest, speed**2 / (2 * fall) / lowest[found]
+            )
+            still = speed <= rounding[found]
+            flight = np.where(still, 0.0, np.where(falls, flight, np.inf))
+            if flight.max() <= 1.0:
+                break
+            # One at a time: without its load the others may rest or leave.
+            found.pop(int(flight.argmax()))
+        return tuple(found)
+
+    def _scale(self, q: Vector, u: Vector) -> Vector:
+        """What gaps are rounded against, shape (m,), m."""
+        system = self._phases.system
+        size = np.sqrt(q @ system.M @ q + u @ system.M @ u * self._timescale**2)
+        tiny = np.finfo(np.float64).tiny
+        return np.asarray(np.abs(system.q_r) + self._length * size + tiny)
+
+    def _fall(self, t: float, q: Vector, u: Vector, contacts: list[int]) -> Vector:
+        """Acceleration with which each contact would come back, the others held, m/s2.
+
+        Zero where a contact is not pressed on its stop.
+        """
+        system = self._phases.system
+        free = self._phases.white(system.forcing(t) - system.C @ u - system.K @ q)
+        size = float(np.linalg.norm(free)) or 1.0
+        length = self._length[contacts]
+        directions = self._phases.B[:, contacts] / length
+        pushed = size * optimize.nnls(directions, -free / size)[0]
+        fall = np.zeros(len(contacts))
+        pressed = np.flatnonzero(pushed > 0)  # independent of each other
+        if pressed.size:
+            inverse = np.linalg.inv(directions[:, pressed].T @ directions[:, pressed])
+            fall[pressed] = pushed[pressed] / np.diag(inverse) * length[pressed]
+        return fall
+
+
+class Accumulation:
+    """Notices contacts that hit again and again within the shortest flight."""
+
+    def __init__(self, shortest: float) -> None:
+        """Count within ``shortest`` seconds."""
+        self._shortest = shortest
+        self._hits: dict[int, deque[Instant]] = {}
+
+    def hit(self, instant: Instant, contacts: tuple[int, ...]) -> tuple[int, ...]:
+        """Note that ``contacts`` hit at ``instant``.
+
+        Returns:
+            All contacts that were hit lately, if one of them was so more than ``OFTEN`` times.
+        """
+        for i in contacts:
+            self._hits.setdefault(i, deque(maxlen=OFTEN + 1)).append(instant)
+        lately = {i: hits for i, hits in self._hits.items() if self._since(hits[-1], instant)}
+        if any(len(h) > OFTEN and self._since(h[0], instant) for h in lately.values()):
+            return tuple(sorted(lately))
+        return ()
+
+    def _since(self, earlier: Instant, now: Instant) -> bool:
+        return now.until(earlier.stamp) + earlier.remainder >= -self._shortest

@@ -1,0 +1,64 @@
+"""What happens to the contacts of a plant at one instant, and what a sensor tells of it."""
+
+from dataclasses import dataclass
+
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.model import System
+from impact_observer.stamps import Instant
+from impact_observer.states import Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Switching:
+    """Everything that switches at one instant.
+
+    Attributes:
+        instant: when.
+        contacts: indices of the contacts that take part in an impact: all that are closed at the
+            instant; none where contacts only open.
+        closed: indices of those that stay closed from this instant on.
+        held: indices of those that take the loads, independent of each other.
+        before: state (q, u-), shape (2n,).
+        after: state (q, u+), shape (2n,).
+        switches: how ``chi`` switches; none where only loads change hands between contacts.
+    """
+
+    instant: Instant
+    contacts: tuple[int, ...]
+    closed: tuple[int, ...]
+    held: tuple[int, ...]
+    before: Vector
+    after: Vector
+    switches: tuple[Switch, ...]
+
+
+def switches(
+    system: System,
+    was_closed: tuple[int, ...],
+    contacts: tuple[int, ...],
+    closed: tuple[int, ...],
+) -> tuple[Switch, ...]:
+    """How ``chi`` switches, in the order of the contacts.
+
+    Args:
+        system: names the contacts.
+        was_closed: contacts that were closed before the instant.
+        contacts: contacts that take part in an impact.
+        closed: contacts that are closed after it.
+    """
+    told = []
+    for i in sorted({*was_closed, *contacts}):
+        kind = {
+            (False, False): Kind.IMPACT,
+            (False, True): Kind.CLOSE,
+            (True, False): Kind.OPEN,
+            (True, True): None,
+        }[i in was_closed, i in closed]
+        if kind is not None:
+            told.append(Switch(system.contact_names[i], kind))
+    return tuple(told)
+
+
+def event_of(switching: Switching, *, sequence: int, episode: int, epoch: int) -> ImpactEvent:
+    """What an ideal sensor tells of ``switching``: contacts and the stamp, rounded to 1 ns."""
+    return ImpactEvent(switching.instant.stamp, switching.switches, sequence, episode, epoch)

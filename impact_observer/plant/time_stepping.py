@@ -1,0 +1,191 @@
+"""The plant by time stepping: a second integrator, which knows nothing of the first.
+
+Moreau's scheme (``dynamics/moreau.py``) does not look for impacts; what switches is read from its
+steps. A contact touches in a step where it is hit or held. At the end of each step, with a look at
+the next one, which is never taken back:
+
+- it touches in this step and not in the next: ``IMPACT``;
+- it touches in this step and in the next: ``CLOSE``. With restitution that is a bounce whose
+  flight is shorter than about two steps, which the scheme cannot tell from lasting contact;
+- it was closed and does not touch in the next step: ``OPEN``; but at the end of that step where
+  another contact is hit in it, for then the impact opened it.
+
+Stamps are the ends of steps. The scheme acts on a contact that is to close within half a step, so
+the first stamp of a run is half a step to one and a half late, and all are of first order in the
+step. Impacts less than a step apart are one. Impacts that accumulate cost nothing: they end in
+``CLOSE``.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_observer.dynamics.moreau import MoreauScheme, Step
+from impact_observer.errors import UsageError
+from impact_observer.model import System
+from impact_observer.plant.switching import Switching, switches
+from impact_observer.stamps import NS_PER_S, Instant
+from impact_observer.states import Stamps, Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """Where a walk along the steps is: between step ``done`` and the next one.
+
+    Attributes:
+        k: number of steps done since the epoch.
+        done: the last of them; before the first, one that did nothing.
+        coming: the next.
+    """
+
+    k: int
+    done: Step
+    coming: Step
+
+    def next(self, scheme: MoreauScheme) -> "_Place":
+        """One step further."""
+        after = scheme.step(self.k + 1, self.coming.q, self.coming.u)
+        return _Place(self.k + 1, self.coming, after)
+
+
+class TimeSteppingPlant:
+    """The master system with ordinary unilateral contacts, one step at a time.
+
+    It has the interface of ``Plant``. Memory does not grow: states are stepped a second time.
+
+    Attributes:
+        system: what moves.
+        epoch: stamp of ``t = 0`` of the forcing and of the initial state, ns.
+        step: length of the steps, ns; step ``k`` ends at ``epoch + k step`` exactly.
+        closed: contacts that are closed in the present phase, as indices.
+    """
+
+    closed: tuple[int, ...]
+    _next: Switching | None
+    _start: _Place
+    _ahead: _Place
+    _behind: _Place
+
+    def __init__(
+        self, system: System, position: Vector, velocity: Vector, *, epoch: int, step: float
+    ) -> None:
+        """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
+
+        Args:
+            system: what moves.
+            position: coordinates at the epoch, shape (n,), m.
+            velocity: velocities at the epoch, shape (n,), m/s.
+            epoch: stamp of ``t = 0``, ns.
+            step: length of the steps, s; rounded to whole nanoseconds.
+
+        Raises:
+            UsageError: a state of the wrong size, not finite, or inside a stop; a step that is
+                not finite or shorter than 1 ns.
+            ImpactLawError: the law has no solution in the first step.
+        """
+        q, u = system.checked_state(position, velocity)
+        gap = system.gap(q)
+        for i in system.penetrated(q):
+            raise UsageError(
+                f"position: is inside the stop {system.contact_names[i]!r} (gap {gap[i]:g});"
+                " expected gap >= 0"
+            )
+        self.system = system
+        self.epoch = epoch
+        self.step = _nanoseconds(step)
+        self.closed = ()
+        self._scheme = MoreauScheme(system, self.step / NS_PER_S)
+        nothing = Step(q, u, u, np.zeros(system.m), ())
+        self._begin(_Place(0, nothing, self._scheme.step(0, q, u)))
+
+    def next_switching(self, limit: int) -> Switching | None:
+        """The next switching if its stamp is not after ``limit`` (ns).
+
+        Asking again, with any limit, costs nothing where it has been looked already.
+
+        Raises:
+            ImpactLawError: the law has no solution in a step that begins up to ``limit``.
+        """
+        while self._next is None and self._stamp(self._ahead.k + 1) <= limit:
+            self._ahead = self._ahead.next(self._scheme)
+            self._next = self._switching(self._ahead)
+        found = self._next
+        return found if found is not None and found.instant.stamp <= limit else None
+
+    def cross(self, switching: Switching) -> None:
+        """Go on after ``switching``, which must be the one that ``next_switching`` told."""
+        assert switching is self._next, "only the next switching can be crossed"
+        self.closed = switching.closed
+        self._begin(self._ahead)
+
+    def states(self, stamps: Stamps) -> Vector:
+        """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n).
+
+        At the end of a step they are the scheme's, after its impulses: at a switching's stamp the
+        state is after it. Within a step the velocity is linear and the position its integral, but
+        in a step that ends with an impact: up to there the velocity goes to that before the impact
+        and the position evenly to that of the impact. A stamp before the phase is at its start,
+        one beyond its end is as if its last impact were lasting. The cost is that of the steps
+        passed; stamps that go back step the phase from its start again.
+        """
+        steps = np.maximum((stamps - self.epoch) // self.step, self._start.k)
+        inside = np.maximum(stamps - self.epoch - steps * self.step, 0) / self.step
+        states = np.empty((stamps.size, 2 * self.system.n))
+        ascending = np.argsort(steps, kind="stable")
+        numbers, first = np.unique(steps[ascending], return_index=True)
+        for k, at in zip(numbers.tolist(), np.split(ascending, first[1:]), strict=False):
+            self._walk(k)
+            states[at] = self._within(self._behind, inside[at])
+        return states
+
+    def _begin(self, place: _Place) -> None:
+        """Begin a phase at ``place``."""
+        self._start = self._behind = self._ahead = place
+        self._next = None
+
+    def _stamp(self, k: int) -> int:
+        return self.epoch + k * self.step
+
+    def _walk(self, k: int) -> None:
+        """Go to where ``k`` steps are done, to sample the next one."""
+        if self._behind.k > k:
+            self._behind = self._start
+        while self._behind.k < k:
+            self._behind = self._behind.next(self._scheme)
+
+    def _within(self, place: _Place, part: Vector) -> Vector:
+        """States after each ``part``, in [0, 1), of the step that begins at ``place``."""
+        q, u, end = place.done.q, place.done.u, place.coming
+        part = part[:, None]
+        if set(end.touched) <= set(self.closed):
+            position = q + self._scheme.h * part * (u + part / 2 * (end.u - u))
+            return np.hstack([position, u + part * (end.u - u)])
+        return np.hstack([q + part * (end.q - q), u + part * (end.free - u)])
+
+    def _switching(self, place: _Place) -> Switching | None:
+        """What switches at ``place``, by the rule above."""
+        done, coming, was_closed = place.done, place.coming, set(self.closed)
+        touched = was_closed.union(done.touched)
+        hit, hit_next = touched > was_closed, not touched.issuperset(coming.touched)
+        staying = was_closed.union(coming.touched) if hit_next else set(coming.touched)
+        closed = tuple(sorted(touched & staying))
+        if not hit and closed == self.closed:
+            return None
+        contacts = tuple(sorted(touched)) if hit else ()
+        return Switching(
+            instant=Instant(self._stamp(place.k)),
+            contacts=contacts,
+            closed=closed,
+            held=tuple(i for i in closed if coming.impulses[i] > 0),
+            before=np.concatenate([done.q, done.free if hit else done.u]),
+            after=np.concatenate([done.q, done.u]),
+            switches=switches(self.system, self.closed, contacts, closed),
+        )
+
+
+def _nanoseconds(step: float) -> int:
+    """``step`` (s) in whole nanoseconds."""
+    if not math.isfinite(step) or round(step * NS_PER_S) < 1:
+        raise UsageError(f"step: is {step:g} s; expected at least 1e-09 s")
+    return round(step * NS_PER_S)

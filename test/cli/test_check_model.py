@@ -1,0 +1,211 @@
+"""The command that says what a model means for an observer."""
+
+import argparse
+import json
+import math
+from pathlib import Path
+
+import pytest
+from systems import system
+
+from impact_observer.analysis.model_check import check_model as check
+from impact_observer.cli import check_model
+from impact_observer.errors import ModelError, UsageError
+
+CORNER = """
+name: corner
+coordinates: [x, y]
+mass: [[1, 0], [0, 1]]
+damping: [[0, 0], [0, 0]]
+stiffness: [[1, 0], [0, 1]]
+forcing: {harmonics: [{frequency: 1, cosine: [1, 0]}]}
+contacts:
+  - {name: "wall[1]", direction: [1, 0], gap: 1, restitution: 1}
+  - {name: ramp, direction: [0.9, 0.436], gap: 1, restitution: 0}
+initial_state: {position: [0, 0], velocity: [0, 0]}
+"""
+
+
+def parsed(*words: str) -> argparse.Namespace:
+    """The command line ``words``."""
+    parser = argparse.ArgumentParser()
+    check_model.add_arguments(parser)
+    return parser.parse_args(words)
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """What the command prints, without line ends."""
+    assert check_model.run(parsed(*words)) == 0
+    return " ".join(capsys.readouterr().out.split())
+
+
+def written(folder: Path, text: str) -> str:
+    """A model file."""
+    path = folder / "model.yaml"
+    path.write_text(text)
+    return str(path)
+
+
+def rows(count: int, restitution: str = "0.5") -> str:
+    """A model of so many equal masses, each before a wall of its own."""
+    bodies = ", ".join(f"{{name: x{i}, mass: 1}}" for i in range(count))
+    springs = ", ".join(
+        f"{{between: [{f'x{i - 1}' if i else 'ground'}, x{i}], stiffness: 9}}"
+        for i in range(count)
+    )
+    stops = ", ".join(
+        f"{{name: s{i}, body: x{i}, limit: 1, side: above, restitution: {restitution}}}"
+        for i in range(count)
+    )
+    zeros = [0] * count
+    return (
+        f"name: row\nbodies: [{bodies}]\nsprings: [{springs}]\nstops: [{stops}]\n"
+        f"initial_state: {{position: {zeros}, velocity: {zeros}}}\n"
+    )
+
+
+def test_a_sample_fits_on_one_screen_and_is_fine(capsys: pytest.CaptureFixture[str]) -> None:
+    """Tables of modes and contacts, and three findings, none a warning."""
+    assert check_model.check("two_mass") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 24
+    assert lines[0] == "two_mass: 2 coordinates, 1 contact, 1 harmonic of forcing"
+    words = [line.split() for line in lines]
+    assert ["1", "1.9544", "0.311052"] in words
+    assert ["2", "5.115", "0.814077", "0.02558", "7.639"] in words
+    assert ["stop", "0.5", "0.7", "1"] in words
+    assert [line[0] for line in words[-4:]] == ["ok", "ok", "ok", "of"]
+
+
+@pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball"])
+def test_no_sample_has_a_warning(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """No impact of theirs raises V."""
+    output = said(capsys, name)
+    assert "ok No impact raises V" in output
+    assert "warning" not in output
+
+
+def test_the_ball_is_told_to_be_a_rigid_body(capsys: pytest.CaptureFixture[str]) -> None:
+    """And what follows from it."""
+    output = said(capsys, "bouncing_ball")
+    assert "1 rigid-body mode: (height 1). V is a seminorm" in output
+    assert "Without damping: rigid-body motion. V need not vanish" in output
+
+
+def test_warnings_say_what_follows_and_the_model_stays_valid(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A corner with unequal restitution, forced at an undamped frequency."""
+    output = said(capsys, written(tmp_path, CORNER))
+    assert (
+        "warning Contacts wall[1] and ramp can close together, with restitution 1, 0: an impact"
+        " of these alone can raise V by a factor of up to 5.261" in output
+    )
+    assert "Give contacts that close together one restitution." in output
+    assert "warning Harmonic 1 of the forcing, 1 rad/s, is at the frequency" in output
+    assert "note Without damping: 1 rad/s, 1 rad/s. V need not vanish" in output
+
+
+def test_json_has_all_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And nothing else is printed; contacts are called by their names."""
+    assert check_model.run(parsed(written(tmp_path, CORNER), "--json")) == 0
+    found = json.loads(capsys.readouterr().out)
+    (raising,) = found.pop("expansive")
+    assert raising["contacts"] == ["wall[1]", "ramp"]
+    assert raising["factor"] == pytest.approx(1.000096 / 0.436**2, rel=1e-9)
+    assert [len(speeds) for speeds in raising["contact_speeds"]] == [2, 2]
+    kinds = [finding["kind"] for finding in found.pop("findings")]
+    assert kinds == ["warning", "note", "warning", "ok"]
+    mode = {"natural_frequency": 1, "damped_frequency": 1, "damping_ratio": 0, "decay": 0}
+    assert found.pop("modes") == [pytest.approx(mode)] * 2
+    wall, ramp = found.pop("contacts")
+    assert wall == {"name": "wall[1]", "gap": 1, "restitution": 1, "effective_mass": 1}
+    assert ramp["effective_mass"] == pytest.approx(1 / 1.000096)
+    assert found.pop("undamped_frequencies") == pytest.approx([1, 1])
+    assert found == {
+        "name": "corner",
+        "n": 2,
+        "m": 2,
+        "real_eigenvalues": [],
+        "rigid_modes": [],
+        "resonances": [{"harmonic": 0, "frequency": 1.0}],
+        "unseen": [],
+        "redundant": [],
+        "redundant_decided": True,
+        "nonexpansive": False,
+    }
+
+
+def test_a_long_table_shows_its_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And says how much is left out and where it is; JSON has everything."""
+    path = written(tmp_path, rows(30))
+    output = said(capsys, path)
+    assert output.count("... 22 more in --json") == 3
+    assert " s3 " in output
+    assert " s4 " not in output
+    assert " s29 " in output
+    slowest = [6 * math.sin((2 * j + 1) * math.pi / 122) for j in range(3)]
+    told = ", ".join(f"{omega:.4g} rad/s" for omega in slowest)
+    assert f"Without damping: {told}, 27 more" in output
+    assert check_model.check(path, json=True) == 0
+    assert len(json.loads(capsys.readouterr().out)["modes"]) == 30
+
+
+def test_what_contacts_never_tell_is_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A mode, several, or all of them."""
+    one = rows(2).replace("stops: [{name: s0", "stops: [{name: s9")
+    text = CORNER.replace("[0.9, 0.436]", "[2, 0]")
+    output = said(capsys, written(tmp_path, text))
+    assert "warning No contact sees the mode at 1 rad/s, (y 1): no law ever corrects" in output
+    assert "note Contacts wall[1] and ramp depend" not in output  # ramp is half as far away
+    level = text.replace(
+        "name: ramp, direction: [2, 0], gap: 1", "name: ramp, direction: [2, 0], gap: 2"
+    )
+    output = said(capsys, written(tmp_path, level))
+    assert "note Contacts wall[1] and ramp depend on each other and can close together" in output
+    assert "the livelier one rules" in output
+    assert "s9" in said(capsys, written(tmp_path, one))
+    silent = CORNER[: CORNER.index("contacts:")] + "contacts: []\n" + CORNER.splitlines()[-1]
+    output = said(capsys, written(tmp_path, silent))
+    assert "warning There are no contacts: no event ever tells anything." in output
+
+
+def test_stops_without_room_are_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two that touch the body at once; and two that contradict each other."""
+    touching = CORNER.replace("[0.9, 0.436], gap: 1", "[-1, 0], gap: -1")
+    position = touching.replace("position: [0, 0]", "position: [-1, 0]")
+    assert "No position is clear of all stops" in said(capsys, written(tmp_path, position))
+    contacts = [([1.0], -0.1, 0.5), ([-1.0], -0.1, 0.5)]
+    contradicting = check(system(1, 1, 1, contacts=contacts))  # no file can: it needs a position
+    assert "Every position is inside some stop" in check_model.findings(contradicting)[1].text
+
+
+def test_what_is_not_decided_is_a_warning(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Never a silent pass."""
+    from impact_observer.analysis import model_check
+    from impact_observer.analysis.closing import Answer
+
+    monkeypatch.setattr(model_check, "expansive", lambda _: Answer((), False))
+    monkeypatch.setattr(model_check, "redundant", lambda _: Answer((), False))
+    output = said(capsys, "two_mass")
+    assert "warning Whether an impact can raise V is not decided" in output
+    assert "note Whether more contacts that close together depend on each other" in output
+    assert check_model.check("two_mass", json=True) == 0
+    assert json.loads(capsys.readouterr().out)["nonexpansive"] is None
+
+
+def test_a_file_that_is_no_model_is_wrong_use(tmp_path: Path) -> None:
+    """As everywhere: one line, exit code 2."""
+    with pytest.raises(UsageError, match="no such file") as absent:
+        check_model.run(parsed(str(tmp_path / "absent.yaml")))
+    with pytest.raises(ModelError, match="restitution: is 7") as broken:
+        check_model.run(
+            parsed(written(tmp_path, CORNER.replace("restitution: 0", "restitution: 7")))
+        )
+    assert absent.value.exit_code == broken.value.exit_code == 2

@@ -1,0 +1,212 @@
+"""Contacts that stay closed, as an observer is told of them: CLOSE, OPEN and what lies between."""
+
+from functools import cache
+from itertools import permutations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from systems import EPOCH, Harmonic, chain, estimates, forcing, observer, run, sample, system
+
+from impact_observer.analysis import lyapunov
+from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
+from impact_observer.model import System
+from impact_observer.plant import Run
+from impact_observer.stamps import NS_PER_S
+
+Array = NDArray[np.float64]
+LAWS = pytest.mark.parametrize("law", ["kinematic", "geometric"])
+
+TABLE = system(
+    1, 0, 0, contacts=[([1], 0.0, 0.3)], force=forcing(1, -9.81, [Harmonic(10.0, [15.0], [0.0])])
+)
+"""A body on a table that shakes hard enough to throw it, seen from the table."""
+PRESSED = chain(
+    2,
+    damping=0.3,
+    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
+    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
+)
+"""Two masses that are pressed against a stop each, and let go, by turns."""
+
+
+@cache
+def pressed() -> Run:
+    """A run of ``PRESSED`` from rest."""
+    return run(PRESSED, [0.0, 0.0], [0.0, 0.0], seconds=11.5, rate=50.0)
+
+
+def told(
+    *switches: tuple[str, Kind], seconds: float, sequence: int = 0, epoch: int = EPOCH
+) -> ImpactEvent:
+    """An event of any kinds at ``seconds`` since ``EPOCH``."""
+    stamp = EPOCH + round(seconds * NS_PER_S)
+    return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), sequence, 0, epoch)
+
+
+def gap_and_speed(model: System, states: Array) -> tuple[Array, Array]:
+    """Gaps and contact speeds, shape (samples, m)."""
+    q, u = states[:, : model.n], states[:, model.n :]
+    return q @ model.W + model.q_r, u @ model.W
+
+
+def test_runs_here_have_what_they_are_here_for() -> None:
+    """Both contacts close, stay and open, several times, also together."""
+    kinds = [(s.contact, s.kind) for each in pressed().events for s in each.switches]
+    for contact in ("c1", "c2"):
+        assert kinds.count((contact, Kind.CLOSE)) >= 2
+        assert kinds.count((contact, Kind.OPEN)) >= 2
+    assert any(len(switching.closed) == 2 for switching in pressed().switchings)
+
+
+@LAWS
+@pytest.mark.parametrize(("model", "start"), [(TABLE, [0.0, 0.0]), (PRESSED, [0.0] * 4)])
+def test_observer_in_the_true_state_stays_there(law: str, model: System, start: Array) -> None:
+    """Through accumulation, rest and release, to what stamps of 1 ns allow."""
+    truth = run(model, *np.split(np.array(start), 2), seconds=6.0)
+    watcher = observer(model, law, start, epoch=EPOCH, history=100.0)
+    for each in truth.events:
+        assert {verdict.ruling for verdict in watcher.receive(each)} == {Ruling.APPLIED}
+    np.testing.assert_allclose(estimates(watcher, truth.stamps), truth.states, atol=1e-5)
+    away = np.abs(estimates(watcher, truth.stamps) - truth.states).max(axis=1)
+    # Only between the last impact told and true rest, some microseconds, is it more than this.
+    assert np.mean(away > 1e-7) < 0.02
+
+
+@LAWS
+def test_distance_to_the_plant_never_rises_in_contact_either(law: str) -> None:
+    """Pulses and intervals, from six wrong states; it ends far below its start."""
+    truth = pressed()
+    for seed in range(6):
+        x = np.random.default_rng(seed).normal(size=4)
+        watcher = observer(PRESSED, law, x, epoch=EPOCH, history=100.0)
+        for each in truth.events:
+            watcher.receive(each)
+        apart = estimates(watcher, truth.stamps) - truth.states
+        V = lyapunov.distance(PRESSED, apart[:, :2], apart[:, 2:])
+        assert np.max(np.diff(V)) <= 1e-6 * V[0]
+        assert V[-1] < 1e-3 * V[0]
+
+
+def test_geometric_replica_keeps_closed_gaps_closed_while_its_clutch_slips() -> None:
+    """``g = 0`` all the time, ``gamma > 0`` until the clutch holds, never below zero."""
+    watcher = observer(PRESSED, "geometric", [0.3, -0.4, 1.0, -2.0], epoch=EPOCH)
+    watcher.receive(told(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
+    stamps = EPOCH + np.arange(500_000_000, 1_500_000_000, 2_000_000)
+    gap, speed = gap_and_speed(PRESSED, estimates(watcher, stamps))
+    np.testing.assert_allclose(gap[:, 0], 0.0, atol=1e-13)
+    assert speed[:, 0].min() >= -1e-13
+    held = speed[:, 0] < 1e-13
+    assert held.any()
+    assert not held.all()
+
+
+def test_kinematic_replica_keeps_its_gap_once_its_clutch_holds() -> None:
+    """The gap is not zero; it only stops closing."""
+    watcher = observer(PRESSED, "kinematic", [0.3, -0.4, 1.0, -2.0], epoch=EPOCH)
+    watcher.receive(told(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
+    stamps = EPOCH + np.arange(500_000_000, 1_200_000_000, 1_000_000)
+    gap, speed = gap_and_speed(PRESSED, estimates(watcher, stamps))
+    held = speed[:, 0] < 1e-13
+    assert 0 < held.sum() < held.size
+    assert np.all(np.diff(gap[:, 0]) >= -1e-13)
+    assert gap[-1, 0] > 0.1
+
+
+@LAWS
+def test_any_order_of_arrival_gives_equal_bits(law: str) -> None:
+    """CLOSE, IMPACT of another, OPEN, CLOSE: each is put in its place, and so is what follows."""
+    events = [
+        told(("c1", Kind.CLOSE), seconds=0.3, sequence=1),
+        told(("c2", Kind.IMPACT), seconds=0.7, sequence=2),
+        told(("c1", Kind.OPEN), seconds=1.1, sequence=3),
+        told(("c2", Kind.CLOSE), seconds=1.3, sequence=4),
+    ]
+    stamps = EPOCH + np.arange(0, 2_000_000_000, 50_000_000)
+    found = []
+    for order in permutations(events):
+        watcher = observer(PRESSED, law, [0.3, -0.4, 1.0, -2.0], epoch=EPOCH)
+        for each in order:
+            watcher.receive(each)
+            watcher.estimate(EPOCH + 3 * NS_PER_S)  # who asks in between changes nothing
+        found.append(estimates(watcher, stamps))
+        assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ("c2",)
+    assert all(np.array_equal(found[0], each) for each in found[1:])
+
+
+def test_estimate_tells_which_contacts_are_closed() -> None:
+    """From the event on, and no more from the next; by name, in the model's order."""
+    watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
+    watcher.receive(told(("c2", Kind.CLOSE), seconds=1.0, sequence=1))
+    watcher.receive(told(("c1", Kind.CLOSE), seconds=2.0, sequence=2))
+    watcher.receive(told(("c2", Kind.OPEN), ("c1", Kind.IMPACT), seconds=3.0, sequence=3))
+    at = [watcher.estimate(EPOCH + k * NS_PER_S // 2).closed for k in range(1, 8)]
+    assert at == [(), ("c2",), ("c2",), ("c1", "c2"), ("c1", "c2"), ("c1",), ("c1",)]
+
+
+@LAWS
+def test_contact_that_opens_by_an_impact_takes_part_in_it(law: str) -> None:
+    """OPEN with an IMPACT of another at one stamp: first the law on both, then chi is 0."""
+    x = [0.3, -0.4, 1.0, -2.0]
+    watcher, before = (observer(PRESSED, law, x, epoch=EPOCH) for _ in range(2))
+    for each in (watcher, before):
+        each.receive(told(("c1", Kind.CLOSE), seconds=0.3, sequence=1))
+    moment = EPOCH + round(0.35 * NS_PER_S)
+    watcher.receive(told(("c2", Kind.IMPACT), ("c1", Kind.OPEN), seconds=0.35, sequence=2))
+    was, now = before.estimate(moment), watcher.estimate(moment)
+    expected = before.law.impact(np.concatenate([was.q, was.u]), (0, 1), ())
+    np.testing.assert_allclose(np.concatenate([now.q, now.u]), expected, atol=1e-13)
+    assert now.closed == ()
+
+
+def test_switches_that_change_nothing_are_applied_and_change_nothing() -> None:
+    """A contact opened twice, or opened before it was closed: chi is what it was."""
+    plain, repeated = (observer(PRESSED, "geometric", np.ones(4), epoch=EPOCH) for _ in range(2))
+    plain.receive(told(("c3", Kind.OPEN), seconds=0.2, sequence=1))  # there is no such contact
+    repeated.receive(told(("c1", Kind.OPEN), seconds=0.2, sequence=1))
+    for watcher in (plain, repeated):
+        watcher.receive(told(("c1", Kind.CLOSE), seconds=0.5, sequence=2))
+        watcher.receive(told(("c1", Kind.OPEN), seconds=0.8, sequence=3))
+    verdict = repeated.receive(told(("c1", Kind.OPEN), seconds=0.9, sequence=4))[0]
+    assert verdict.ruling is Ruling.APPLIED
+    stamps = EPOCH + np.arange(0, 2_000_000_000, 100_000_000)
+    np.testing.assert_allclose(estimates(repeated, stamps), estimates(plain, stamps), atol=1e-12)
+
+
+def test_state_set_from_outside_leaves_contacts_closed() -> None:
+    """``chi`` is the plant's; a new state of the replica does not open its contacts."""
+    watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
+    watcher.receive(told(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    watcher.set_state(EPOCH + 2 * NS_PER_S, [0.2, 0.1], [0.0, 0.0])
+    assert watcher.estimate(EPOCH + 3 * NS_PER_S).closed == ("c1",)
+
+
+def test_new_episode_begins_with_all_contacts_open() -> None:
+    """What was closed before belongs to the past."""
+    watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
+    watcher.receive(told(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    anew = EPOCH + 10 * NS_PER_S
+    watcher.receive(ImpactEvent(anew + NS_PER_S, (Switch("c2"),), 1, 1, anew))
+    assert watcher.estimate(anew + 2 * NS_PER_S).closed == ()
+
+
+def test_open_loop_has_no_contacts_to_close() -> None:
+    """It moves on as if nothing had been told."""
+    deaf, silent = (observer(PRESSED, "open-loop", np.ones(4), epoch=EPOCH) for _ in range(2))
+    deaf.receive(told(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
+    stamps = EPOCH + np.arange(0, 2_000_000_000, 100_000_000)
+    np.testing.assert_allclose(estimates(deaf, stamps), estimates(silent, stamps), atol=1e-12)
+
+
+@pytest.mark.parametrize(("law", "height"), [("kinematic", 1.2), ("geometric", 0.0)])
+def test_ball_at_rest_is_known_at_rest(law: str, height: float) -> None:
+    """The geometric estimate is exact; the kinematic one, K = 0, never learns its height."""
+    model = sample("bouncing_ball").system
+    truth = run(model, [1.0], [0.0], seconds=10.0)
+    watcher = observer(model, law, [1.7, 0.4], epoch=EPOCH, history=100.0)
+    for each in truth.events:
+        watcher.receive(each)
+    end = watcher.estimate(int(truth.stamps[-1]))
+    assert end.closed == ("floor",)
+    assert abs(end.u[0]) < 1e-12
+    assert end.q[0] == pytest.approx(0.0, abs=1e-12) if height == 0 else end.q[0] > 0.1
