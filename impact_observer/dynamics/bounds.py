@@ -123,6 +123,7 @@ class Bounds:
             derivatives += np.stack(motion[1 : _ORDER + 1]) @ b.T
         if self._of_force:
             derivatives += f[:_ORDER] @ self._watched.force.T
+        derivatives[0] += self._watched.constant
         curvature, remainder = (self._largest(k, t, motion, h) for k in (2, _ORDER))
         return Taylor(derivatives, curvature, remainder)
 

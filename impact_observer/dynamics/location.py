@@ -30,7 +30,7 @@ _FINER = 8.0 ** np.arange(-8, 0)
 """Where the first interval after a start is divided: flights may be short."""
 _ROOT = 4 * np.finfo(np.float64).eps
 """Relative accuracy of a root: brentq's finest."""
-_ROUNDED = 4 * np.finfo(np.float64).eps
+_ROUNDED = 1e-14
 """Value that one more step of Newton's method ends at, relative to the same scale."""
 _NEWTON = 8
 """Steps of Newton's method before brentq's."""

@@ -64,18 +64,24 @@ class Rest:
         # Impulses spread what is rounded over all bodies.
         rounding = _ROUNDING * self._length * np.sqrt(before @ system.M @ before)
         lowest = LOW * self._scale(q, u)
+        free = self._phases.white(system.forcing(t) - system.C @ u - system.K @ q)
+
+        def flights(found: list[int], fall: Vector) -> Vector:
+            """The next flight of contacts that come back with ``fall``; up to 1 it is none."""
+            speed, falls = gamma[found], fall > 0
+            fall = np.where(falls, fall, 1.0)
+            time, height = 2 * speed / fall, speed**2 / (2 * fall)
+            flight = np.minimum(time / self.shortest, height / lowest[found])
+            return np.where(speed <= rounding[found], 0.0, np.where(falls, flight, np.inf))
+
         # One that still closes (Newton's law lets it, if it was separating) hits again at once.
         found = [i for i in contacts if gamma[i] >= -rounding[i]]
+        # None comes back faster than with all of the acceleration: mostly that decides.
+        found = [
+            i for i in found if flights([i], self._length[[i]] * np.linalg.norm(free))[0] <= 1
+        ]
         while found:
-            fall = self._fall(t, q, u, found)
-            falls = fall > 0
-            fall = np.where(falls, fall, 1.0)
-            speed = gamma[found]
-            flight = np.minimum(
-                2 * speed / fall / self.shortest, speed**2 / (2 * fall) / lowest[found]
-            )
-            still = speed <= rounding[found]
-            flight = np.where(still, 0.0, np.where(falls, flight, np.inf))
+            flight = flights(found, self._fall(free, found))
             if flight.max() <= 1.0:
                 break
             # One at a time: without its load the others may rest or leave.
@@ -89,13 +95,12 @@ class Rest:
         tiny = np.finfo(np.float64).tiny
         return np.asarray(np.abs(system.q_r) + self._length * size + tiny)
 
-    def _fall(self, t: float, q: Vector, u: Vector, contacts: list[int]) -> Vector:
+    def _fall(self, free: Vector, contacts: list[int]) -> Vector:
         """Acceleration with which each contact would come back, the others held, m/s2.
 
-        Zero where a contact is not pressed on its stop.
+        Zero where a contact is not pressed on its stop; ``free`` is that without loads, as of
+        ``Phases.white``.
         """
-        system = self._phases.system
-        free = self._phases.white(system.forcing(t) - system.C @ u - system.K @ q)
         size = float(np.linalg.norm(free)) or 1.0
         length = self._length[contacts]
         directions = self._phases.B[:, contacts] / length
