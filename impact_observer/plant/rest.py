@@ -8,10 +8,13 @@ flights get shorter without end (Zeno). A contact is taken to rest when its next
 - lower than ``LOW`` of what its gap is rounded against: no search could find its end.
 
 Until the last of the impacts that are left out, ``2 gamma / (a (1 - eps))`` later, the error is at
-most ``gamma`` in the contact's speed and ``gamma^2 / (2 a)`` in its gap; from then on it is what
-the rest of the system did meanwhile. Contacts may also throw each other back for ever with no load
-at all (the collapse of a row of beads): the impacts of a contact that is hit more than ``OFTEN``
-times within ``SHORT`` are without restitution.
+most ``gamma`` in the contact's speed and ``gamma^2 / (2 a)`` in its gap. From then on the contact
+is where it should be; the rest of the system has got the same impulses, by as much earlier.
+
+With ``eps = 1`` nothing accumulates: where damping alone shortens the flights there are finitely
+many, which may be more than anybody waits for. Contacts may also throw each other back for ever
+with no load at all (the collapse of a row of beads): the impacts of a contact that is hit more
+than ``OFTEN`` times within ``SHORT`` are without restitution.
 """
 
 from collections import deque
