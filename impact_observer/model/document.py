@@ -129,17 +129,27 @@ def numbers(key: str, value: Value, n: int) -> Vector:
     return np.array([number(f"{key}[{i}]", item) for i, item in enumerate(value)])
 
 
-def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
-    """The dense matrix in a ``.npy`` or Matrix Market file, relative to the model file.
+def file_beside(key: str, relative: str, folder: Path | None) -> Path:
+    """The file that a model file in ``folder`` names.
 
     Raises:
-        ModelError: the file is missing, of another kind or not readable.
+        ModelError: it does not exist, or the model is not a file itself.
     """
     if folder is None:
         raise ModelError(key, f"names the file {relative}; only a model file on disk may do so")
     path = folder / relative
     if not path.is_file():
         raise ModelError(key, f"names the file {path}, which does not exist")
+    return path
+
+
+def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
+    """The dense matrix in a ``.npy`` or Matrix Market file, relative to the model file.
+
+    Raises:
+        ModelError: the file is missing, of another kind or not readable.
+    """
+    path = file_beside(key, relative, folder)
     try:
         if path.suffix == ".npy":
             return _real(np.load(path, allow_pickle=False))

@@ -20,7 +20,7 @@ from impact_observer.states import Matrix, Vector, frozen
 LARGEST_STATE = 1e9
 """Largest magnitude of a coordinate or velocity that somebody can mean."""
 _INSIDE = 1e-12
-"""Depth inside a stop that is rounding, relative to what the gap is the sum of."""
+"""Distance from a stop that is rounding, relative to what the gap is the sum of."""
 _SYMMETRY = 1e-9
 """Largest asymmetry accepted, relative to the largest entry: what printing digits costs."""
 _SEMIDEFINITE = 1e-10
@@ -131,6 +131,25 @@ class System:
         """Indices of the contacts whose stop ``q``, shape (n,), is inside of."""
         scale = np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)
         return tuple(np.flatnonzero(self.gap(q) < -_INSIDE * scale).tolist())
+
+    def touched(self, q: Vector) -> tuple[int, ...]:
+        """Indices of the contacts whose stop ``q``, shape (n,), touches or is inside of."""
+        scale = np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)
+        return tuple(np.flatnonzero(self.gap(q) <= _INSIDE * scale).tolist())
+
+    def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
+        """The same as ``checked_state``, for a plant: it must not be inside of a stop.
+
+        Raises:
+            UsageError: a wrong number of values, one that is not finite, or a stop penetrated.
+        """
+        q, u = self.checked_state(position, velocity)
+        for i in self.penetrated(q):
+            raise UsageError(
+                f"position: is inside the stop {self.contact_names[i]!r} (gap {self.gap(q)[i]:g});"
+                " expected gap >= 0"
+            )
+        return q, u
 
     def checked_state(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
         """``position`` and ``velocity`` as read-only arrays of shape (n,).

@@ -10,7 +10,7 @@ import numpy as np
 
 from impact_observer.errors import ModelError
 from impact_observer.model.checks import LARGEST
-from impact_observer.model.document import Section, Value, number, numbers
+from impact_observer.model.document import Section, Value, file_beside, number, numbers
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.samples import HOLDS, Samples
 from impact_observer.states import Matrix
@@ -71,11 +71,7 @@ def _column(key: str, value: Value) -> Matrix:
 
 def _lines(key: str, relative: str, folder: Path | None) -> list[str]:
     """The lines of a file beside the model."""
-    if folder is None:
-        raise ModelError(key, f"names the file {relative}; only a model file on disk may do so")
-    path = folder / relative
-    if not path.is_file():
-        raise ModelError(key, f"names the file {path}, which does not exist")
+    path = file_beside(key, relative, folder)
     try:
         return path.read_text(encoding="utf-8-sig").splitlines(keepends=True)
     except (OSError, UnicodeDecodeError) as error:

@@ -11,15 +11,13 @@ from impact_observer.dynamics import (
     resting,
     window,
 )
-from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
+from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.model import System
 from impact_observer.plant.rest import Accumulation, Rest
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.stamps import Instant, seconds_between, text
 from impact_observer.states import Stamps, Vector
 
-_TOUCH = 1e-12
-"""Gap that counts as closed at the start, relative to what it is the sum of."""
 _MOST = 1_000
 """Changes of contacts at one instant beyond which they would never end."""
 
@@ -43,15 +41,9 @@ class Plant:
             UsageError: a state of the wrong size, not finite, or inside a stop.
             ImpactLawError: contacts are closed at the start and their impact has no solution.
         """
-        q, u = system.checked_state(position, velocity)
+        q, u = system.checked_start(position, velocity)
         self.system = system
         self.epoch = epoch
-        gap = system.gap(q)
-        for i in system.penetrated(q):
-            raise UsageError(
-                f"position: is inside the stop {system.contact_names[i]!r} (gap {gap[i]:g});"
-                " expected gap >= 0"
-            )
         self._law = ImpactLaw(system)
         self._plastic = ImpactLaw(system, np.zeros(system.m))
         self._phases = Phases(system)
@@ -62,9 +54,7 @@ class Plant:
         self._searches: dict[tuple[tuple[int, ...], ...], Search] = {}
         start, x = Instant(epoch), np.concatenate([q, u])
         self._begin(start, x, closed=(), held=())
-        scale = np.abs(system.q_r) + np.abs(system.W).T @ np.abs(q)
-        touching = tuple(np.flatnonzero(gap <= _TOUCH * scale).tolist())
-        if touching:
+        if touching := system.touched(q):
             switching = self._impact(start, x, touching)
             closing = np.any(system.contact_speed(u)[list(touching)] < 0)
             self._next = switching if closing or switching.closed else None

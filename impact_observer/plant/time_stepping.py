@@ -84,13 +84,7 @@ class TimeSteppingPlant:
                 not finite or shorter than 1 ns.
             ImpactLawError: the law has no solution in the first step.
         """
-        q, u = system.checked_state(position, velocity)
-        gap = system.gap(q)
-        for i in system.penetrated(q):
-            raise UsageError(
-                f"position: is inside the stop {system.contact_names[i]!r} (gap {gap[i]:g});"
-                " expected gap >= 0"
-            )
+        q, u = system.checked_start(position, velocity)
         self.system = system
         self.epoch = epoch
         self.step = _nanoseconds(step)
