@@ -6,12 +6,13 @@ from impact_observer.dynamics.impact_law import ImpactLaw
 from impact_observer.dynamics.lasting import Resting, resting
 from impact_observer.dynamics.location import DEPTH, Crossing, Search, window
 from impact_observer.dynamics.phase import Phase, Phases, timescale
-from impact_observer.dynamics.projection import PositionProjection
+from impact_observer.dynamics.projection import KEPT, PositionProjection
 from impact_observer.dynamics.spectral import flow_of
 from impact_observer.dynamics.watched import Watched
 
 __all__ = [
     "DEPTH",
+    "KEPT",
     "Clutches",
     "Crossing",
     "Flow",

@@ -8,6 +8,7 @@ geometric law the gaps stay closed in both.
 
 from bisect import bisect_right
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from impact_observer.dynamics.flow import Motion
 from impact_observer.dynamics.lasting import Resting, resting
 from impact_observer.dynamics.location import Crossing, Search, window
 from impact_observer.dynamics.phase import Phase, Phases, timescale
+from impact_observer.dynamics.projection import KEPT
 from impact_observer.dynamics.watched import Watched
 from impact_observer.model import System
 from impact_observer.states import Vector
@@ -37,7 +39,7 @@ class Clutches:
         self.phases = Phases(system)
         self.window = window(system)
         self.instant = _INSTANT * timescale(system)
-        self._searches: dict[tuple[tuple[int, ...], ...], Search] = {}
+        self.search = lru_cache(KEPT)(self._search)
 
     def motion(self, t: float, x: Vector, closed: tuple[int, ...], *, fix: bool) -> Motion:
         """The motion through ``x`` at ``t`` while the contacts ``closed`` have ``chi = 1``.
@@ -52,14 +54,10 @@ class Clutches:
             return self.phases.phase().start(t, x)
         return _ClutchMotion(self, t, x, closed, fixed=closed if fix else ())
 
-    def search(self, phase: Phase, slipping: tuple[int, ...]) -> Search:
+    def _search(self, phase: Phase, slipping: tuple[int, ...]) -> Search:
         """The search for the end of ``phase``: loads first, then speeds of ``slipping``."""
-        key = (phase.held, phase.fixed, slipping)
-        if key not in self._searches:
-            speeds = Watched.speeds(self.system, list(slipping))
-            watched = Watched.loads(phase).and_also(speeds)
-            self._searches[key] = Search(phase, watched, self.window)
-        return self._searches[key]
+        speeds = Watched.speeds(self.system, list(slipping))
+        return Search(phase, Watched.loads(phase).and_also(speeds), self.window)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

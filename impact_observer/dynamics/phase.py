@@ -15,6 +15,7 @@ coordinates that are free, and has an exact flow. Where nothing is fixed, ``p = 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.flow import Equations, Flow, Motion
-from impact_observer.dynamics.projection import PositionProjection
+from impact_observer.dynamics.projection import KEPT, PositionProjection
 from impact_observer.dynamics.spectral import flow_of
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
@@ -113,7 +114,7 @@ def timescale(equations: Equations) -> float:
 
 
 class Phases:
-    """All phases of one system, each prepared when it is needed first."""
+    """All phases of one system, each prepared when it is needed."""
 
     def __init__(self, system: System) -> None:
         """Factorise the mass matrix."""
@@ -121,8 +122,8 @@ class Phases:
         self.projection = PositionProjection(system)
         self._factor = linalg.cholesky(system.M, lower=True)
         self.B = frozen(linalg.solve_triangular(self._factor, system.W, lower=True))
-        self._phases: dict[tuple[tuple[int, ...], tuple[int, ...]], Phase] = {}
-        self._laws: dict[tuple[int, ...], Unloaded] = {}
+        self._prepared = lru_cache(KEPT)(self._prepare)
+        self._laws = lru_cache(KEPT)(self._unloaded)
 
     def phase(self, held: tuple[int, ...] = (), fixed: tuple[int, ...] = ()) -> Phase:
         """The phase in which ``held`` contacts, independent of each other, take loads.
@@ -132,9 +133,7 @@ class Phases:
         """
         if set(fixed) <= set(held) or len(self.independent((*held, *fixed))) == len(held):
             fixed = ()
-        if (held, fixed) not in self._phases:
-            self._phases[held, fixed] = self._prepare(held, fixed)
-        return self._phases[held, fixed]
+        return self._prepared(held, fixed)
 
     def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
         """Those of ``contacts`` whose direction is not that of others before them."""
@@ -169,9 +168,7 @@ class Phases:
 
     def unloaded(self, fixed: tuple[int, ...] = ()) -> "Unloaded":
         """The law of motion while the gaps of ``fixed`` stay closed and nothing is held."""
-        if fixed not in self._laws:
-            self._laws[fixed] = self._unloaded(fixed)
-        return self._laws[fixed]
+        return self._laws(fixed)
 
     def _unloaded(self, fixed: tuple[int, ...]) -> "Unloaded":
         system = self.system

@@ -6,12 +6,16 @@ projection onto ``{g_A = 0}`` of Baumann and Leine (equation 5); for singular ``
 extension to rigid-body modes.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from scipy import linalg
 
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
 
+KEPT = 128
+"""Sets of contacts whose preparation is kept: n contacts have 2^n sets."""
 _RIGID = 1e-12
 """``omega^2`` that counts as zero, relative to the stiffest mode's."""
 _RANK = 1e-10
@@ -30,21 +34,20 @@ class PositionProjection:
         self._elastic = shapes[:, elastic] / np.sqrt(stiffness[elastic])
         self._softest = float(np.min(stiffness[elastic], initial=np.inf))
         self._M = linalg.cho_factor(system.M)
-        self._Z: dict[tuple[int, ...], Matrix] = {}
+        self._kept = lru_cache(KEPT)(self._solve)
 
     def jump(self, active: tuple[int, ...]) -> Matrix:
         """``Z``, the position jump per unit of gap, shape (n, len(active))."""
-        if active not in self._Z:
-            self._Z[active] = frozen(self._solve(self._system.W[:, list(active)]))
-        return self._Z[active]
+        return self._kept(active)
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (n,): the closest position with ``g = 0`` on the active contacts."""
         gap = self._system.gap(q)[list(active)]
         return np.asarray(q - self.jump(active) @ gap)
 
-    def _solve(self, W: Matrix) -> Matrix:
+    def _solve(self, active: tuple[int, ...]) -> Matrix:
         """Elastic deflection only as far as rigid motion cannot close the gaps."""
+        W = self._system.W[:, list(active)]
         rigid, elastic = W.T @ self._rigid, W.T @ self._elastic
         # The shapes are M-orthonormal: no mode is seen by more than sqrt(w^T M^-1 w). Contacts
         # between bodies do not see rigid motion; what rounding leaves of it is no rank.
@@ -53,7 +56,7 @@ class PositionProjection:
         beyond = np.eye(W.shape[1]) - rigid @ rigid_inverse
         elastic_part = _inverse(beyond @ elastic, least / np.sqrt(self._softest)) @ beyond
         rigid_part = rigid_inverse @ (np.eye(W.shape[1]) - elastic @ elastic_part)
-        return np.asarray(self._elastic @ elastic_part + self._rigid @ rigid_part)
+        return frozen(self._elastic @ elastic_part + self._rigid @ rigid_part)
 
 
 def _inverse(seen: Matrix, least: float) -> Matrix:

@@ -1,10 +1,14 @@
 """The event-driven plant: exact flow from one change of its contacts to the next."""
 
+from functools import lru_cache
+
 import numpy as np
 
 from impact_observer.dynamics import (
+    KEPT,
     Crossing,
     ImpactLaw,
+    Phase,
     Phases,
     Search,
     Watched,
@@ -51,7 +55,7 @@ class Plant:
         self._accumulation = Accumulation(self._rest.shortest)
         self._hasty = 0
         self._window = window(system)
-        self._searches: dict[tuple[tuple[int, ...], ...], Search] = {}
+        self._searcher = lru_cache(KEPT)(self._search_of)
         start, x = Instant(epoch), np.concatenate([q, u])
         self._begin(start, x, closed=(), held=())
         if touching := system.touched(q):
@@ -117,16 +121,14 @@ class Plant:
         while self._crossing is None and self._windows * self._window <= horizon:
             start, self._windows = self._windows * self._window, self._windows + 1
             stop = self._windows * self._window
-            self._crossing = self._searcher().first(self._motion, stop, start)
+            self._crossing = self._searcher(self._phase, self.closed).first(
+                self._motion, stop, start
+            )
 
-    def _searcher(self) -> Search:
-        """The search for the end of the present phase: gaps of open contacts, then loads."""
-        key = (self.closed, self._phase.held)
-        if key not in self._searches:
-            gaps = Watched.gaps(self.system, self._open)
-            watched = gaps.and_also(Watched.loads(self._phase))
-            self._searches[key] = Search(self._phase, watched, self._window)
-        return self._searches[key]
+    def _search_of(self, phase: Phase, closed: tuple[int, ...]) -> Search:
+        """The search for the end of a phase: gaps of open contacts first, then loads."""
+        gaps = Watched.gaps(self.system, [i for i in range(self.system.m) if i not in closed])
+        return Search(phase, gaps.and_also(Watched.loads(phase)), self._window)
 
     def _ended(self, crossing: Crossing) -> Switching:
         """What ends the present phase."""
