@@ -81,7 +81,7 @@ def test_a_demonstration_shows_records_and_judges(demo: Run) -> None:
     moved = np.array([event.stamp - event.epoch for event in events])
     np.testing.assert_allclose(moved, [e.stamp - e.epoch for e in offline], rtol=0, atol=1)
     for comparison in result.comparisons.values():
-        assert comparison.impacts == count
+        assert comparison.events == count
         assert comparison.stamps.size > 800, "nearly every sample of 1001 has its estimate"
         assert comparison.largest_rise() <= 1e-9
     laws = {each.law: each for each in result.comparisons.values()}

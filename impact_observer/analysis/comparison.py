@@ -41,7 +41,7 @@ class Comparison:
         error: estimate minus truth, (dq, du), shape (samples, 2n).
         V: Lyapunov distance, J, shape (samples,).
         late: estimates left out because their event had not arrived.
-        impacts: impact instants that the estimate used.
+        events: instants of events, openings included, that the estimate used.
     """
 
     system: System
@@ -50,7 +50,7 @@ class Comparison:
     error: NDArray[np.float64]
     V: Vector
     late: int
-    impacts: int
+    events: int
 
     @property
     def ratio(self) -> float | None:
@@ -137,7 +137,7 @@ def compare(
         error=error,
         V=distance(system, error[:, :n], error[:, n:]),
         late=int(np.count_nonzero(~kept)),
-        impacts=int(np.count_nonzero(np.unique(applied) <= last)),
+        events=int(np.count_nonzero(np.unique(applied) <= last)),
     )
 
 

@@ -9,7 +9,7 @@ from impact_observer.bag import interfaces
 from impact_observer.bag.reader import BagReader, JointStates
 from impact_observer.bag.recordings import events_in
 from impact_observer.errors import BagError
-from impact_observer.events import ImpactEvent, Ruling
+from impact_observer.events import ImpactEvent, Kind, Ruling
 from impact_observer.model import System
 from impact_observer.states import Stamps
 
@@ -101,6 +101,6 @@ def _applied(reader: BagReader, prefix: str, events: list[ImpactEvent]) -> Stamp
 def _impacts_of(events: list[ImpactEvent]) -> dict[str, Stamps]:
     by_contact: dict[str, list[int]] = {}
     for event in events:
-        for switch in event.switches:
+        for switch in (each for each in event.switches if each.kind is not Kind.OPEN):
             by_contact.setdefault(switch.contact, []).append(event.stamp)
     return {name: np.array(stamps, dtype=np.int64) for name, stamps in sorted(by_contact.items())}

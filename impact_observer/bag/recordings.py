@@ -1,8 +1,10 @@
 """Whole recordings: a plant's run written to a bag, a bag observed into another one."""
 
 import heapq
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from operator import itemgetter
 from pathlib import Path
 
@@ -37,6 +39,18 @@ def carried_text(model: Model, seed: int, integrator: str = EVENT_DRIVEN) -> str
     )
 
 
+@contextmanager
+def _whole(path: Path) -> Iterator[BagWriter]:
+    """A writer whose bag stays only when everything has come into it."""
+    with BagWriter(path) as writer:
+        try:
+            yield writer
+        except BaseException:
+            writer.close()
+            shutil.rmtree(path, ignore_errors=True)
+            raise
+
+
 def write_run(
     path: Path, model: Model, run: Run, *, seed: int, integrator: str = EVENT_DRIVEN
 ) -> None:
@@ -55,7 +69,7 @@ def write_run(
     """
     make, names = bag_messages(), model.system.coordinates
     n = model.system.n
-    with BagWriter(path) as writer:
+    with _whole(path) as writer:
         for each in _CARRIED:
             writer.declare(each.topic)
         start = int(run.stamps[0])
@@ -161,7 +175,7 @@ def observe_bag(
     stamps = sample_stamps(reader, events, rate, epoch)
     carried = [topic for each in _CARRIED if (topic := reader.find(each)) is not None]
     count, rulings = 0, Counter[Ruling]()
-    with BagWriter(output) as writer:
+    with _whole(output) as writer:
         for topic in carried:
             info = reader.topics[topic]
             writer.declare(topic, type_name=info.type, quality=info.quality)

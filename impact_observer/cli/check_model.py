@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from impact_observer.analysis.model_check import ModelCheck
-    from impact_observer.model import System
+    from impact_observer.model import Forcing, System
     from impact_observer.states import Vector
 
 _WIDTH = 100
@@ -173,7 +173,11 @@ def _closing(checked: "ModelCheck") -> Iterator[Finding]:
             "note",
             f"{_listed(system, contacts)} depend on each other and can close together: how they"
             " share an impulse is not unique, the motion is"
-            + ("; of unequal restitutions the livelier one rules." if unequal else "."),
+            + (
+                "; of unequal restitutions the larger counts."
+                if unequal and checked.roomy
+                else "."
+            ),
         )
     if (more := len(checked.redundant.sets) - _SHOWN) > 0:
         yield Finding("note", f"So do {_count(more, 'other set')} of contacts found.")
@@ -253,6 +257,16 @@ def _unseen(checked: "ModelCheck") -> Iterator[Finding]:
         )
 
 
+def _forcing(forcing: "Forcing") -> str:
+    """What a forcing consists of, in words."""
+    parts = [
+        *(["constant force"] if forcing.constant.any() else []),
+        *([_count(forcing.frequency.size, "harmonic")] if forcing.frequency.size else []),
+        *([f"sampled force to {forcing.end:g} s"] if forcing.sampled is not None else []),
+    ]
+    return f"forcing: {', '.join(parts) or 'none'}"
+
+
 def print_check(checked: "ModelCheck") -> None:
     """Print tables and findings."""
     from rich.console import Console
@@ -261,10 +275,9 @@ def print_check(checked: "ModelCheck") -> None:
     width = None if sys.stdout.isatty() else _WIDTH
     console = Console(highlight=False, markup=False, width=width)
     system = checked.system
-    harmonics = system.forcing.frequency.size
     console.print(
         f"{system.name}: {_count(system.n, 'coordinate')}, {_count(system.m, 'contact')},"
-        f" {_count(harmonics, 'harmonic')} of forcing"
+        f" {_forcing(system.forcing)}"
     )
     for table in _tables(checked):
         console.print()

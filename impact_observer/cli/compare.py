@@ -127,7 +127,7 @@ def figures(comparison: "Comparison", threshold: float) -> dict[str, object]:
         "law": comparison.law,
         "samples": int(comparison.stamps.size),
         "late_samples": comparison.late,
-        "impacts_used": comparison.impacts,
+        "events_used": comparison.events,
         "start_stamp_ns": int(comparison.stamps[0]),
         "end_stamp_ns": int(comparison.stamps[-1]),
         "V_start": float(comparison.V[0]),
@@ -154,7 +154,7 @@ def print_tables(labelled: "dict[str, Comparison]", threshold: float = SETTLED) 
     title = f"Estimates of {', '.join(systems)}"
     table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
     table.add_column("law", overflow="fold")
-    for heading in ("V0 [J]", "V end [J]", "V/V0", f"s to {threshold:g} V0", "impacts", "late"):
+    for heading in ("V0 [J]", "V end [J]", "V/V0", f"s to {threshold:g} V0", "events", "late"):
         table.add_column(heading, justify="right", no_wrap=True)
     errors = Table(
         box=box.SIMPLE_HEAD, title="Errors, estimate minus truth, SI units", title_justify="left"
@@ -171,7 +171,7 @@ def print_tables(labelled: "dict[str, Comparison]", threshold: float = SETTLED) 
             f"{each.V[-1]:.3g}",
             "undefined" if each.ratio is None else f"{each.ratio:.2e}",
             "never" if settled is None else f"{settled:.2f}",
-            str(each.impacts),
+            str(each.events),
             str(each.late),
         )
         for row in _error_rows(label, each):

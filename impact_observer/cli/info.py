@@ -50,7 +50,8 @@ class BagSummary:
         duration: from the first message to the last, s.
         messages: messages on all topics.
         topics: the topics, by name.
-        impacts: impacts of each contact, by its name.
+        impacts: impacts of each contact, by its name; a closing is one.
+        closings: how often each contact stayed closed, by its name.
         episodes: runs of the sender between resets.
         model: name, and version, seed and integrator that made the bag; None when not carried.
         observers: the law of each observer, by its prefix; empty when it published no state.
@@ -65,6 +66,7 @@ class BagSummary:
     messages: int
     topics: list[TopicSummary]
     impacts: dict[str, int]
+    closings: dict[str, int]
     episodes: int
     model: dict[str, str | int | None] | None
     observers: dict[str, str]
@@ -116,7 +118,7 @@ def summarize(bag: Path) -> BagSummary:
     from impact_observer.stamps import seconds_between
 
     with BagReader(bag) as reader:
-        impacts, episodes = _impacts(reader)
+        impacts, closings, episodes = _impacts(reader)
         return BagSummary(
             path=str(bag),
             storage=reader.storage,
@@ -127,6 +129,7 @@ def summarize(bag: Path) -> BagSummary:
             messages=reader.message_count,
             topics=_topics(reader),
             impacts=impacts,
+            closings=closings,
             episodes=episodes,
             model=_model(reader),
             observers={prefix: _law(reader, prefix) for prefix in reader.observers()},
@@ -158,19 +161,21 @@ def _topics(reader: "BagReader") -> list[TopicSummary]:
     return summaries
 
 
-def _impacts(reader: "BagReader") -> tuple[dict[str, int], int]:
-    """Impacts of each contact, and the number of episodes, over all topics of events."""
+def _impacts(reader: "BagReader") -> tuple[dict[str, int], dict[str, int], int]:
+    """Impacts and closings of each contact, and the number of episodes, over all topics."""
     from impact_observer.bag.interfaces import IMPACT_EVENT
     from impact_observer.events import Kind
 
     counts: Counter[str] = Counter()
+    closings: Counter[str] = Counter()
     episodes = set()
     for topic in reader.topics.values():
         if topic.type == IMPACT_EVENT:
             for event in reader.events(topic.name):
                 episodes.add((topic.name, event.episode))
                 counts.update(s.contact for s in event.switches if s.kind is not Kind.OPEN)
-    return dict(sorted(counts.items())), len(episodes)
+                closings.update(s.contact for s in event.switches if s.kind is Kind.CLOSE)
+    return dict(sorted(counts.items())), dict(sorted(closings.items())), len(episodes)
 
 
 def _model(reader: "BagReader") -> dict[str, str | int | None] | None:
@@ -221,7 +226,8 @@ def _print(summary: BagSummary) -> None:
     if summary.model:
         facts.add_row("model", _said(summary.model))
     if summary.episodes:
-        each = ", ".join(f"{count} at {contact}" for contact, count in summary.impacts.items())
+        lasting = {name: f" ({n} of them lasting)" for name, n in summary.closings.items()}
+        each = ", ".join(f"{n} at {c}{lasting.get(c, '')}" for c, n in summary.impacts.items())
         facts.add_row("impacts", f"{each or 'none'}; episodes: {summary.episodes}")
     for prefix, law in summary.observers.items():
         facts.add_row("observer", f"{prefix}: {law or 'law not recorded'}")

@@ -75,12 +75,14 @@ def observe(
 
     Raises:
         UsageError, ModelError: the arguments cannot be used.
-        BagError: a bag cannot be read or written.
+        BagError: a bag cannot be read or written, or nothing in it could be applied.
         ImpactLawError: the replica cannot follow an event.
     """
     from impact_observer.bag.reader import BagReader
     from impact_observer.bag.recordings import carried_model, observe_bag
     from impact_observer.cli.progress import Progress
+    from impact_observer.errors import BagError
+    from impact_observer.events import Ruling
     from impact_observer.model import read_model
     from impact_observer.observer import Observer, initial_state, law_named
 
@@ -100,6 +102,11 @@ def observe(
         verdicts = [
             f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items()
         ]
-        impacts = f"impacts: {', '.join(verdicts) or 'none'}"
-        progress.line(f"{output}: {law}, {count} estimates, {impacts}")
+        switches = f"switches: {', '.join(verdicts) or 'none'}"
+        progress.line(f"{output}: {law}, {count} estimates, {switches}")
+    if rulings and not rulings[Ruling.APPLIED]:
+        raise BagError(
+            f"{bag}: none of its {sum(rulings.values())} switches was applied; is it a bag of the"
+            f" model {system.name}, with contacts {', '.join(system.contact_names) or 'none'}?"
+        )
     return 0

@@ -60,22 +60,32 @@ class Bounds:
         forcing, c = phase.equations.forcing, watched.force
         self._of_velocity = bool(np.any(watched.velocity))
         self._of_force = bool(np.any(c))
+        self._moving = np.any(watched.velocity, axis=1)
         self._gaps = ~np.any(watched.velocity, axis=1) & ~np.any(c, axis=1)
         self._reach_a, self._reach_b = (
             _lengths(rows, phase.inverse) for rows in (watched.position, watched.velocity)
         )
         self._work = forcing.bound(phase.inverse)
         self._force = [forcing.bound(np.outer(row, row)) for row in c] if self._of_force else []
-        self._whole = linalg.inv(phase.equations.M)
-        self._load = forcing.bound(self._whole)
-        self._whole_a, self._whole_b = (
-            _lengths(rows, self._whole) for rows in (watched.position, watched.velocity)
-        )
-        # A mode's amplitude is u / omega; a slower one has not got there within a second.
         self._timescale = timescale(phase.equations)
+        self._prepare_scale(phase)
+
+    def _prepare_scale(self, phase: Phase) -> None:
+        """What each function sees of the modes, and of forces at once, signs apart."""
+        equations, watched = phase.equations, self._watched
+        _, shapes = linalg.eigh(equations.K, equations.M)
+        self._modes = equations.M @ shapes
+        self._sees_a, self._sees_b = (
+            np.abs(rows @ shapes) for rows in (watched.position, watched.velocity)
+        )
+        pushed = linalg.solve(
+            equations.M, (watched.position + watched.velocity).T, assume_a="pos"
+        ).T
+        self._pushes = [equations.forcing.bound(np.outer(row, row)) for row in pushed]
+        self._stiff, self._damped = np.abs(pushed @ equations.K), np.abs(pushed @ equations.C)
 
     def scale(self, t: Vector, p: Matrix, u: Matrix, s: Vector) -> Matrix:
-        """What the functions are rounded against: all of the motion, whose modes superpose.
+        """What the functions are rounded against: what they see of each mode, signs apart.
 
         After a start from rest that is little, and what the forces have made of it counts too.
 
@@ -88,16 +98,16 @@ class Bounds:
         Returns:
             Shape (samples - 1, w), of intervals.
         """
-        equations, s = self._equations, np.minimum(s[1:], self._timescale)
-        forces = self._load(0, t[:-1]) + _widest(
-            _lengths(p @ equations.K, self._whole) + _lengths(u @ equations.C.T, self._whole)
-        )
-        kinetic = np.einsum("si,si->s", u @ equations.M, u)
-        size = np.einsum("si,si->s", p @ equations.M, p) + kinetic * self._timescale**2
-        reached = _widest(np.sqrt(size)) + forces * s**2 / 2
-        scale = np.abs(self._watched.constant) + np.outer(reached, self._whole_a)
-        if self._of_velocity:
-            scale += np.outer(_widest(np.sqrt(kinetic)) + forces * s, self._whole_b)
+        s = np.minimum(s[1:], self._timescale)[:, None]
+        forces = np.stack([bound(0, t[:-1]) for bound in self._pushes], axis=1)
+        forces += _widest(np.abs(p) @ self._stiff.T + np.abs(u) @ self._damped.T)
+        p, u = np.abs(p @ self._modes), np.abs(u @ self._modes)
+        moved = _widest((p + u * self._timescale) @ self._sees_a.T)
+        scale = np.abs(self._watched.constant) + moved
+        if not self._of_velocity:
+            scale += forces * s**2 / 2
+        else:
+            scale += _widest(u @ self._sees_b.T) + forces * np.where(self._moving, s, s**2 / 2)
         if self._of_force:
             scale += self._forces(0, t[:-1])
         return np.asarray(scale)
@@ -174,8 +184,8 @@ def _lengths(rows: Matrix, metric: Matrix) -> Vector:
     return np.asarray(np.sqrt(np.maximum(np.einsum("wi,wi->w", rows @ metric, rows), 0.0)))
 
 
-def _widest(samples: Vector) -> Vector:
-    """The larger of both ends of each interval, shape (samples - 1,)."""
+def _widest(samples: Matrix) -> Matrix:
+    """The larger of both ends of each interval, shape (samples - 1, w)."""
     return np.asarray(np.maximum(samples[:-1], samples[1:]))
 
 

@@ -138,12 +138,17 @@ class Phases:
     def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
         """Those of ``contacts`` whose direction is not that of others before them."""
         chosen: list[int] = []
-        basis = np.zeros((self.system.n, 0))
+        basis = np.empty((self.system.n, min(len(contacts), self.system.n)), order="F")
         for i in contacts:
-            left = self.B[:, i] - basis @ (basis.T @ self.B[:, i])
-            if np.linalg.norm(left) > RANK * np.linalg.norm(self.B[:, i]):
+            if len(chosen) == self.system.n:
+                break
+            direction, known = self.B[:, i], basis[:, : len(chosen)]
+            left = direction - known @ (known.T @ direction)
+            left -= known @ (known.T @ left)
+            length = np.linalg.norm(left)
+            if length > RANK * np.linalg.norm(direction):
+                basis[:, len(chosen)] = left / length
                 chosen.append(i)
-                basis = np.linalg.qr(self.B[:, chosen])[0]
         return tuple(chosen)
 
     def white(self, loads: Matrix) -> Matrix:

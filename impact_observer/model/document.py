@@ -139,7 +139,8 @@ def file_beside(key: str, relative: str, folder: Path | None) -> Path:
         raise ModelError(key, f"names the file {relative}; only a model file on disk may do so")
     path = folder / relative
     if not path.is_file():
-        raise ModelError(key, f"names the file {path}, which does not exist")
+        found = "is not a file" if path.exists() else "does not exist"
+        raise ModelError(key, f"names the file {path}, which {found}")
     return path
 
 

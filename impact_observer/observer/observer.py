@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from impact_observer.errors import ImpactLawError, UsageError
+from impact_observer.errors import ImpactLawError, ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer.laws import Law
@@ -80,13 +80,17 @@ class Observer:
 
         Raises:
             UsageError: a state of the wrong size or one that is not finite.
+            ImpactLawError: contacts are closed and their law has no solution for that state.
         """
         x = np.concatenate(self.system.checked_state(position, velocity))
         if self._timeline is None:
             self._initial = x
         else:
             stamp = max(stamp, self._timeline.start.stamp)
-            self._timeline = Timeline(stamp, x, self._timeline.at(stamp).closed)
+            closed = self._timeline.at(stamp).closed
+            if closed:  # what holds while they are closed holds at once
+                x = self.law.impact(x, closed, closed)
+            self._timeline = Timeline(stamp, x, closed)
             self._placed = True
 
     @property
@@ -118,6 +122,7 @@ class Observer:
 
         Raises:
             ImpactLawError: the impact law has no solution; the event is not applied.
+            DynamicsError: the loads of closed contacts cannot be found; likewise.
             UsageError: the forcing depends on time and nobody has said when it began.
         """
         if (reason := self._outdated(event)) is not None:
@@ -137,7 +142,11 @@ class Observer:
             return (self._refuse(event, Ruling.TOO_LATE, reason),)
         if key in timeline:
             return (self._refuse(event, Ruling.DUPLICATE, "the same event was seen"),)
-        timeline.insert(key, self._step)
+        try:
+            timeline.insert(key, self._step)
+        except ImpactObserverError:
+            self._disremember(event)
+            raise
         self._forget(timeline)
         return verdicts
 
@@ -235,6 +244,11 @@ class Observer:
             self._numbered += 1
             self._seen[event.sequence] = event.stamp
 
+    def _disremember(self, event: ImpactEvent) -> None:
+        """An event that could not be applied has not been received."""
+        if self._seen.pop(event.sequence, None) is not None:
+            self._numbered -= 1
+
     def _forget(self, timeline: Timeline) -> None:
         """Keep the past bounded: what is older than the history is too late anyway."""
         timeline.forget_before(timeline.newest.stamp - self._history)
@@ -251,7 +265,9 @@ class Observer:
         """The entry of ``event``, from the one before it."""
         kinds = {kind: {i for i, k in event.switches if k is kind} for kind in Kind}
         hit = kinds[Kind.IMPACT] | kinds[Kind.CLOSE]
-        closed = tuple(sorted({*previous.closed, *kinds[Kind.CLOSE]} - kinds[Kind.OPEN]))
+        # An impact that is one instant says too that the contact is not closed afterwards.
+        staying = set(previous.closed) - kinds[Kind.IMPACT] | kinds[Kind.CLOSE]
+        closed = tuple(sorted(staying - kinds[Kind.OPEN]))
         x = self._flowed(previous, event.stamp)
         if hit:
             # A contact that is closed already takes part, also when it opens by the impact.

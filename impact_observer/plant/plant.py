@@ -22,6 +22,8 @@ from impact_observer.plant.switching import Switching, switches
 from impact_observer.stamps import Instant, seconds_between, text
 from impact_observer.states import Stamps, Vector
 
+_INSTANT = 1e-4
+"""Length of a phase that is no progress, relative to the shortest flight."""
 _MOST = 1_000
 """Changes of contacts at one instant beyond which they would never end."""
 
@@ -61,7 +63,10 @@ class Plant:
         if touching := system.touched(q):
             switching = self._impact(start, x, touching)
             closing = np.any(system.contact_speed(u)[list(touching)] < 0)
-            self._next = switching if closing or switching.closed else None
+            if closing or switching.closed:
+                self._next = switching
+            else:  # it separates; only where rounding has left the gaps is mended
+                self._begin(start, switching.after, closed=(), held=())
 
     def next_switching(self, limit: int) -> Switching | None:
         """What the contacts do next, if its stamp is not after ``limit`` (ns).
@@ -148,7 +153,7 @@ class Plant:
 
     def _check_progress(self, s: float, instant: Instant) -> None:
         """Raise where contacts change again and again and time does not go on."""
-        self._hasty = self._hasty + 1 if s <= self._rest.shortest else 0
+        self._hasty = self._hasty + 1 if s <= _INSTANT * self._rest.shortest else 0
         if self._hasty > _MOST:
             raise DynamicsError(
                 f"contacts {', '.join(self.system.contact_names)}: {_MOST} changes at stamp"
@@ -157,16 +162,23 @@ class Plant:
 
     def _impact(self, instant: Instant, x: Vector, contacts: tuple[int, ...]) -> Switching:
         """The impact of ``contacts``; without restitution where their impacts accumulate."""
-        n, law = self.system.n, self._law
-        if accumulating := self._accumulation.hit(instant, contacts):
-            contacts, law = tuple(sorted({*contacts, *accumulating})), self._plastic
+        n, u = self.system.n, x[self.system.n :]
         try:
-            velocity = law.velocity_after(x[n:], contacts)
+            velocity = self._law.velocity_after(u, contacts)
+            if lately := self._accumulation.hit(instant, contacts):
+                near = {*contacts, *(i for i in self.system.touched(x[:n]) if i in lately)}
+                plastic = self._plastic.velocity_after(u, tuple(sorted(near)))
+                if self._accumulation.negligible(self._energy(u), self._energy(plastic)):
+                    velocity, contacts = plastic, tuple(sorted(near))
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None
-        after = np.concatenate([x[:n], velocity])
+        after = np.concatenate([self._phases.projection.position_after(x[:n], contacts), velocity])
         rest = self._rest.after(self._time(instant), after, contacts, x[n:])
         return self._switched(instant, x, after, contacts, rest)
+
+    def _energy(self, u: Vector) -> float:
+        """Kinetic energy of velocities ``u``, J."""
+        return float(u @ self.system.M @ u) / 2
 
     def _switched(
         self,

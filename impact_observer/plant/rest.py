@@ -13,14 +13,15 @@ is where it should be; the rest of the system has got the same impulses, by as m
 
 With ``eps = 1`` nothing accumulates: where damping alone shortens the flights there are finitely
 many, which may be more than anybody waits for. Contacts may also throw each other back for ever
-with no load at all (the collapse of a row of beads): the impacts of a contact that is hit more
-than ``OFTEN`` times within ``SHORT`` are without restitution.
+with no load at all (the collapse of a row of beads): when a contact has been hit more than
+``OFTEN`` times within ``SHORT``, and the energy left in that is ``NEGLIGIBLE``, the next impact is
+without restitution.
 """
 
 from collections import deque
 
 import numpy as np
-from scipy import optimize
+from scipy import linalg, optimize
 
 from impact_observer.dynamics import DEPTH, Phases, timescale
 from impact_observer.stamps import Instant
@@ -32,6 +33,9 @@ LOW = 4 * DEPTH
 """Height of a flight that counts as none, relative to what the gap is rounded against."""
 OFTEN = 32
 """Impacts of one contact within ``SHORT`` that count as accumulation."""
+NEGLIGIBLE = 1e-14
+"""Kinetic energy that accumulation may take away, relative to the largest there was."""
+_TINY = np.finfo(np.float64).tiny
 _ROUNDING = 1e-12
 """Contact speed that counts as zero, relative to that of all kinetic energy in it."""
 
@@ -49,6 +53,9 @@ class Rest:
         self._timescale = timescale(phases.system)
         self._length = np.linalg.norm(phases.B, axis=0)
         self.shortest = SHORT * self._timescale
+        system = phases.system
+        _, shapes = linalg.eigh(system.K, system.M)
+        self._modes, self._sees = system.M @ shapes, np.abs(system.W.T @ shapes)
 
     def after(
         self, t: float, x: Vector, contacts: tuple[int, ...], before: Vector
@@ -89,14 +96,18 @@ class Rest:
                 break
             # One at a time: without its load the others may rest or leave.
             found.pop(int(flight.argmax()))
-        return tuple(found)
+        # A contact that the others determine rests with them, though it may take no load.
+        rank = len(self._phases.independent(tuple(found)))
+        return tuple(
+            i
+            for i in contacts
+            if i in found or len(self._phases.independent((*found, i))) == rank > 0
+        )
 
     def _scale(self, q: Vector, u: Vector) -> Vector:
-        """What gaps are rounded against, shape (m,), m."""
-        system = self._phases.system
-        size = np.sqrt(q @ system.M @ q + u @ system.M @ u * self._timescale**2)
-        tiny = np.finfo(np.float64).tiny
-        return np.asarray(np.abs(system.q_r) + self._length * size + tiny)
+        """What gaps are rounded against, m, shape (m,): all they see of modes, signs apart."""
+        moved = np.abs(q @ self._modes) + np.abs(u @ self._modes) * self._timescale
+        return np.asarray(np.abs(self._phases.system.q_r) + self._sees @ moved + _TINY)
 
     def _fall(self, free: Vector, contacts: list[int]) -> Vector:
         """Acceleration with which each contact would come back, the others held, m/s2.
@@ -107,8 +118,11 @@ class Rest:
         size = float(np.linalg.norm(free)) or 1.0
         length = self._length[contacts]
         directions = self._phases.B[:, contacts] / length
-        pushed = size * optimize.nnls(directions, -free / size)[0]
         fall = np.zeros(len(contacts))
+        try:
+            pushed = size * optimize.nnls(directions, -free / size)[0]
+        except RuntimeError:  # it cycles between directions that are almost the same
+            return fall
         pressed = np.flatnonzero(pushed > 0)  # independent of each other
         if pressed.size:
             inverse = np.linalg.inv(directions[:, pressed].T @ directions[:, pressed])
@@ -122,6 +136,7 @@ class Accumulation:
     def __init__(self, shortest: float) -> None:
         """Count within ``shortest`` seconds."""
         self._shortest = shortest
+        self._largest = 0.0
         self._hits: dict[int, deque[Instant]] = {}
 
     def hit(self, instant: Instant, contacts: tuple[int, ...]) -> tuple[int, ...]:
@@ -136,6 +151,19 @@ class Accumulation:
         if any(len(h) > OFTEN and self._since(h[0], instant) for h in lately.values()):
             return tuple(sorted(lately))
         return ()
+
+    def negligible(self, before: float, after: float) -> bool:
+        """Whether an impact that loses so much energy may be the last of many.
+
+        Bodies can hit each other as often and lose nothing: a light one that a heavy one drives
+        towards a wall. Only what is little against all energy there was may be taken away.
+
+        Args:
+            before: kinetic energy before the impact, J.
+            after: kinetic energy after it, J.
+        """
+        self._largest = max(self._largest, before)
+        return before - after <= NEGLIGIBLE * self._largest
 
     def _since(self, earlier: Instant, now: Instant) -> bool:
         return now.until(earlier.stamp) + earlier.remainder >= -self._shortest

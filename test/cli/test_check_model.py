@@ -69,7 +69,7 @@ def test_a_sample_fits_on_one_screen_and_is_fine(capsys: pytest.CaptureFixture[s
     assert check_model.check("two_mass") == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 24
-    assert lines[0] == "two_mass: 2 coordinates, 1 contact, 1 harmonic of forcing"
+    assert lines[0] == "two_mass: 2 coordinates, 1 contact, forcing: 1 harmonic"
     words = [line.split() for line in lines]
     assert ["1", "1.9544", "0.311052"] in words
     assert ["2", "5.115", "0.814077", "0.02558", "7.639"] in words
@@ -165,7 +165,7 @@ def test_what_contacts_never_tell_is_a_warning(
     )
     output = said(capsys, written(tmp_path, level))
     assert "note Contacts wall[1] and ramp depend on each other and can close together" in output
-    assert "the livelier one rules" in output
+    assert "of unequal restitutions the larger counts" in output
     assert "s9" in said(capsys, written(tmp_path, one))
     silent = CORNER[: CORNER.index("contacts:")] + "contacts: []\n" + CORNER.splitlines()[-1]
     output = said(capsys, written(tmp_path, silent))

@@ -34,6 +34,7 @@ def test_json_has_all_figures(sample_bag: Path, capsys: pytest.CaptureFixture[st
         "duration": 0.5,
         "messages": 114,
         "impacts": {"stop": 11},
+        "closings": {},
         "episodes": 1,
         "model": {"name": "two_mass", "version": "1.2.3", "seed": 7, "integrator": None},
         "observers": {"/observer_geometric": "geometric"},
@@ -79,6 +80,7 @@ def test_impacts_are_counted_by_contact_and_episode(tmp_path: Path) -> None:
         writer.write("/impacts", 3, make.event(ImpactEvent(3, (Switch("left"),), 3, 2)))
     summary = info.summarize(tmp_path / "bag")
     assert summary.impacts == {"left": 2, "right": 1}
+    assert summary.closings == {"right": 1}
     assert summary.episodes == 2
     assert summary.model is None
     assert summary.observers == {}

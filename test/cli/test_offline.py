@@ -108,7 +108,7 @@ def test_compare_orders_the_laws_and_draws_them(
     for law in ("kinematic", "geometric"):
         assert figures[law]["V_largest_rise"] <= 1e-9
         assert figures[law]["late_samples"] == 0
-    assert figures["geometric"]["impacts_used"] == 10
+    assert figures["geometric"]["events_used"] == 10
     assert figures["geometric"]["settling_time"] == pytest.approx(10.5, abs=0.1)
     assert picture.read_bytes().startswith(b"\x89PNG")
 
@@ -143,7 +143,8 @@ def test_observe_takes_another_rate_and_model(
     np.testing.assert_array_equal(stamps, grid(EPOCH, 16 * 1_000_000_000, 10.0))
     capsys.readouterr()
     wrong = run_bag.parent / "wrong"
-    assert main(["observe", str(run_bag), "--model", "three_mass", "-o", str(wrong)]) == 0
+    assert main(["observe", str(run_bag), "--model", "three_mass", "-o", str(wrong)]) == 1
+    assert "none of its 10 switches was applied" in capsys.readouterr().err
     with BagReader(wrong) as reader:
         rulings = {int(v.ruling) for v in reader.verdicts("/observer/verdicts")}
     assert rulings == {5}, "three_mass has no contact called stop"
@@ -169,3 +170,22 @@ def test_compare_without_estimates_says_what_to_do(
     errors = capsys.readouterr().err.strip().splitlines()
     assert len(errors) == 1
     assert "no estimates" in errors[0]
+
+
+def test_observation_that_fails_leaves_no_bag(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Stops without play and a replica that comes another way: one line, and nothing is left."""
+    model = tmp_path / "jammed.yaml"
+    stops = [
+        f"  - {{name: {name}, body: x, limit: 0, side: {side}, restitution: {eps}}}"
+        for name, side, eps in (("floor", "below", 0), ("ceiling", "above", 1))
+    ]
+    start = "initial_state: {position: [0], velocity: [0]}"
+    lines = ["name: jammed", "bodies: [{name: x, mass: 1}]", "stops:", *stops, start]
+    model.write_text("\n".join(lines), encoding="utf-8")
+    plant, output = tmp_path / "plant", tmp_path / "out"
+    assert main(["simulate", str(model), "--duration", "1", "-o", str(plant)]) == 0
+    assert main(["observe", str(plant), "--initial", "0,1", "-o", str(output)]) == 1
+    assert "has no solution" in capsys.readouterr().err
+    assert not output.exists()

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from systems import EPOCH, Harmonic, chain, estimates, forcing, observer, run, sample, system
 
 from impact_observer.analysis import lyapunov
+from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
 from impact_observer.plant import Run
@@ -139,7 +140,7 @@ def test_estimate_tells_which_contacts_are_closed() -> None:
     watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
     watcher.receive(told(("c2", Kind.CLOSE), seconds=1.0, sequence=1))
     watcher.receive(told(("c1", Kind.CLOSE), seconds=2.0, sequence=2))
-    watcher.receive(told(("c2", Kind.OPEN), ("c1", Kind.IMPACT), seconds=3.0, sequence=3))
+    watcher.receive(told(("c2", Kind.OPEN), seconds=3.0, sequence=3))
     at = [watcher.estimate(EPOCH + k * NS_PER_S // 2).closed for k in range(1, 8)]
     assert at == [(), ("c2",), ("c2",), ("c1", "c2"), ("c1", "c2"), ("c1",), ("c1",)]
 
@@ -173,12 +174,41 @@ def test_switches_that_change_nothing_are_applied_and_change_nothing() -> None:
     np.testing.assert_allclose(estimates(repeated, stamps), estimates(plain, stamps), atol=1e-12)
 
 
-def test_state_set_from_outside_leaves_contacts_closed() -> None:
-    """``chi`` is the plant's; a new state of the replica does not open its contacts."""
+def test_impact_of_a_closed_contact_says_that_it_opened_unheard() -> None:
+    """An IMPACT is one instant: where the OPEN got lost, the contact is not held for ever."""
     watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
     watcher.receive(told(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
-    watcher.set_state(EPOCH + 2 * NS_PER_S, [0.2, 0.1], [0.0, 0.0])
-    assert watcher.estimate(EPOCH + 3 * NS_PER_S).closed == ("c1",)
+    watcher.receive(told(("c1", Kind.IMPACT), seconds=2.0, sequence=3))
+    assert watcher.estimate(EPOCH + 5 * NS_PER_S // 2).closed == ()
+    assert watcher.missing == 1
+
+
+@LAWS
+def test_state_set_from_outside_leaves_contacts_closed(law: str) -> None:
+    """``chi`` is the plant's: what it says of the new state holds at once, and goes on."""
+    watcher = observer(PRESSED, law, np.zeros(4), epoch=EPOCH)
+    watcher.receive(told(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    moment = EPOCH + 2 * NS_PER_S
+    watcher.set_state(moment, [0.2, 0.3], [0.1, 0.5])
+    now, next_one = watcher.estimate(moment), watcher.estimate(moment + 1)
+    assert now.closed == watcher.estimate(EPOCH + 3 * NS_PER_S).closed == ("c1",)
+    assert PRESSED.contact_speed(now.u)[0] >= 0
+    if law == "geometric":
+        assert PRESSED.gap(now.q)[0] == pytest.approx(0.0, abs=1e-15)
+    np.testing.assert_allclose(next_one.q, now.q, atol=1e-8)
+    np.testing.assert_allclose(next_one.u, now.u, atol=1e-7)
+
+
+def test_event_that_fails_has_not_been_received() -> None:
+    """Sent again it fails again; it is missing, and no duplicate."""
+    jammed = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
+    watcher = observer(jammed, "geometric", [0.0, -1.0], epoch=EPOCH)
+    watcher.receive(told(("c1", Kind.IMPACT), seconds=0.5, sequence=1))
+    watcher.set_state(EPOCH + NS_PER_S, [0.0], [-1.0])
+    both = told(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2)
+    for _ in range(2):
+        with pytest.raises(ImpactLawError, match="'c1', 'c2'"):
+            watcher.receive(both)
 
 
 def test_new_episode_begins_with_all_contacts_open() -> None:

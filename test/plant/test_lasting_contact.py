@@ -410,3 +410,52 @@ def test_random_systems_obey_all_laws(data: st.DataObject) -> None:
         total = ((u @ model.M * u).sum(axis=1) + (q @ model.K * q).sum(axis=1)) / 2
         total -= q @ model.forcing.constant
         assert np.max(np.diff(total)) < 1e-9 * (1 + np.max(np.abs(total)))
+
+
+def test_light_body_between_a_heavy_one_and_a_wall_keeps_all_energy() -> None:
+    """Galperin's billiard: 314 collisions for a mass ratio of 10^4, many within one instant."""
+    wall, between = ([1, 0], 0.0, 1.0), ([-1, 1], 0.0, 1.0)
+    model = system(
+        np.diag([1e-4, 1]), np.zeros((2, 2)), np.zeros((2, 2)), contacts=[wall, between]
+    )
+    found = run(model, [5e-6, 1e-5], [0, -10.0], seconds=0.1)
+    assert len(found.impacts) == 314
+    energy = float(found.states[-1, 2:] ** 2 @ [1e-4, 1])
+    assert energy == pytest.approx(100.0, rel=1e-11)
+    assert not any(switching.closed for switching in found.switchings)
+
+
+def test_heavy_body_does_not_hide_the_impacts_of_a_light_one() -> None:
+    """What a gap is rounded against is what it sees, not the largest body of the system."""
+    model = system(
+        np.diag([1e6, 1e-6]),
+        np.zeros((2, 2)),
+        np.diag([0, 1e-6]),
+        contacts=[([0, 1], 1 - 1e-9, 1)],
+    )
+    found = run(model, [1.0, 0.0], [0.3, -1.0], seconds=10.0)
+    assert len(found.impacts) == 2
+    assert np.min(found.states[:, 1]) >= -(1 - 1e-9)
+
+
+def test_redundant_supports_close_together_when_their_impacts_accumulate() -> None:
+    """Three legs of a rigid table, two floors in one place: no contact that touches is open."""
+    legs = [([1, -1], 0.0, 0.4), ([1, 0], 0.0, 0.4), ([1, 1], 0.0, 0.4)]
+    push = forcing(2, [-9.81, 0], [Harmonic(1.0, [0, 0], [0, 3.0])])
+    table = system(
+        np.diag([1, 0.3]), np.zeros((2, 2)), np.zeros((2, 2)), contacts=legs, force=push
+    )
+    found = run(table, [0.2, 0.05], [0.0, 0.0], seconds=4.0)
+    assert found.switchings[-1].closed == (0, 1, 2)
+    assert found.events[-1].stamp < EPOCH + NS_PER_S, "loads change legs without an event"
+    floors = [([1], 0.0, 0.5), ([1], 0.0, 0.5)]
+    ball = system(1, 0, 0, contacts=floors, force=forcing(1, -9.81))
+    assert run(ball, [1.0], [0.0], seconds=2.0).switchings[-1].closed == (0, 1)
+
+
+def test_body_that_starts_inside_its_stop_by_rounding_leaves_it() -> None:
+    """Half a picometre deep and separating: no impact is found again and again."""
+    model = system(1, 0, 0, contacts=[([1], 1.0, 0.5)], force=forcing(1, -1e-3))
+    found = run(model, [-1 - 5e-13], [1e-6], seconds=0.1)
+    assert len(found.impacts) <= 10
+    assert np.min(found.states[:, 0] + 1) >= -1e-12

@@ -31,6 +31,8 @@ class Geometric(Law):
         """``q+`` by projection, ``u+`` by Newton's law."""
         n = self.system.n
         position = self._projection.position_after(x[:n], active)
+        if closed != active:  # gaps that cannot all be zero are told: those that stay count
+            position = self._projection.position_after(position, closed)
         return np.concatenate([position, self._newton.velocity_held(x[n:], active, closed)])
 
     def motion(self, t: float, x: Vector, closed: tuple[int, ...]) -> Motion:
