@@ -165,10 +165,10 @@ class Plant:
         n, u = self.system.n, x[self.system.n :]
         try:
             velocity = self._law.velocity_after(u, contacts)
-            if lately := self._accumulation.hit(instant, contacts):
+            if lately := self._accumulation.hit(instant, contacts, self._energy(u)):
                 near = {*contacts, *(i for i in self.system.touched(x[:n]) if i in lately)}
                 plastic = self._plastic.velocity_after(u, tuple(sorted(near)))
-                if self._accumulation.negligible(self._energy(u), self._energy(plastic)):
+                if self._accumulation.negligible(self._energy(u) - self._energy(plastic)):
                     velocity, contacts = plastic, tuple(sorted(near))
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None

@@ -139,12 +139,13 @@ class Accumulation:
         self._largest = 0.0
         self._hits: dict[int, deque[Instant]] = {}
 
-    def hit(self, instant: Instant, contacts: tuple[int, ...]) -> tuple[int, ...]:
-        """Note that ``contacts`` hit at ``instant``.
+    def hit(self, instant: Instant, contacts: tuple[int, ...], energy: float) -> tuple[int, ...]:
+        """Note that ``contacts`` hit at ``instant`` with the kinetic ``energy``, J.
 
         Returns:
             All contacts that were hit lately, if one of them was so more than ``OFTEN`` times.
         """
+        self._largest = max(self._largest, energy)
         for i in contacts:
             self._hits.setdefault(i, deque(maxlen=OFTEN + 1)).append(instant)
         lately = {i: hits for i, hits in self._hits.items() if self._since(hits[-1], instant)}
@@ -152,18 +153,13 @@ class Accumulation:
             return tuple(sorted(lately))
         return ()
 
-    def negligible(self, before: float, after: float) -> bool:
-        """Whether an impact that loses so much energy may be the last of many.
+    def negligible(self, lost: float) -> bool:
+        """Whether an impact that loses so much energy, J, may be the last of many.
 
         Bodies can hit each other as often and lose nothing: a light one that a heavy one drives
         towards a wall. Only what is little against all energy there was may be taken away.
-
-        Args:
-            before: kinetic energy before the impact, J.
-            after: kinetic energy after it, J.
         """
-        self._largest = max(self._largest, before)
-        return before - after <= NEGLIGIBLE * self._largest
+        return lost <= NEGLIGIBLE * self._largest
 
     def _since(self, earlier: Instant, now: Instant) -> bool:
         return now.until(earlier.stamp) + earlier.remainder >= -self._shortest
