@@ -157,6 +157,8 @@ class Phases:
 
     def unwhite(self, accelerations: Matrix) -> Matrix:
         """``L^-T accelerations``: back to coordinates."""
+        if not accelerations.size:
+            return accelerations
         return np.asarray(linalg.solve_triangular(self._factor.T, accelerations, lower=False))
 
     def stopped(self, x: Vector, contacts: tuple[int, ...]) -> Vector:
@@ -191,7 +193,7 @@ class Phases:
     def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
         p = len(held)
         free = self.unloaded(fixed)
-        orthogonal, triangular = linalg.qr(self.B[:, list(held)])
+        orthogonal, triangular = np.linalg.qr(self.B[:, list(held)], mode="complete")
         shapes = self.unwhite(orthogonal[:, p:])
         pressing = self.unwhite(orthogonal[:, :p])
         return Phase(
@@ -199,7 +201,10 @@ class Phases:
             fixed=fixed,
             equations=free.equations,
             inverse=frozen(shapes @ shapes.T),
-            loads=frozen(linalg.solve_triangular(triangular[:p], pressing.T)),
+            loads=frozen(
+                # scipy before 1.14 knows no empty systems
+                linalg.solve_triangular(triangular[:p], pressing.T) if p else pressing.T
+            ),
             flow=self._held_flow(held, fixed, shapes) if held else flow_of(free.equations),
             Q=free.Q,
             rest=free.rest,
