@@ -22,6 +22,8 @@ def frozen(values: object) -> NDArray[np.float64]:
 class Estimate:
     """What an observer says at a stamp; mirrors ``impact_observer_msgs/ObserverState``.
 
+    ``bound`` alone is not in that message: it has a topic of its own.
+
     Attributes:
         stamp: when the state holds, ns.
         law: name of the observer's law.
@@ -29,8 +31,10 @@ class Estimate:
         u: velocities, shape (n,), m/s or rad/s.
         covariance: shape (2n, 2n), order (q, u); shape (0, 0) for a law that has none.
         closed: names of the contacts that the replica holds closed.
-        convergence: largest V distance between replicas, J; -1 while there is only one.
-        synchronized: whether the replicas agree.
+        convergence: largest V distance between replicas just after the last event, J; it only
+            falls until the next one. -1 while there is only one replica.
+        synchronized: whether the replicas have agreed at several events in a row.
+        bound: certified upper bound of V, J; -1 where nothing is certified.
         clock_offset: estimated offset of the sensor's clock, s; 0 unless asked for.
         last_sequence: sequence number of the last event applied; 0 before the first.
         last_event: stamp of the last event applied, ns; 0 before the first.
@@ -44,6 +48,7 @@ class Estimate:
     closed: tuple[str, ...] = ()
     convergence: float = -1.0
     synchronized: bool = False
+    bound: float = -1.0
     clock_offset: float = 0.0
     last_sequence: int = 0
     last_event: int = 0

@@ -8,7 +8,7 @@ import pytest
 from impact_observer.cli.main import COMMANDS
 from impact_observer.model import parse_model
 from impact_observer.nodes.parameters import TABLES, markdown
-from impact_observer.observer import Law
+from impact_observer.observer import ReplicaLaw
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
@@ -68,7 +68,7 @@ def test_the_law_of_the_docs_is_a_law() -> None:
     exec(compile(code, "house.md", "exec"), space)
     law = space["PositionOnly"]
     assert isinstance(law, type)
-    assert issubclass(law, Law)
+    assert issubclass(law, ReplicaLaw)
     from impact_observer.model import read_model
 
     system = read_model("two_mass").system

@@ -43,6 +43,12 @@ class DenseFlow(Flow):
         start = np.concatenate([x * self._unit, w])
         return _DenseMotion(t, self._augmented, start, self._unit, self._stride)
 
+    def transition(self, s: float) -> Matrix:
+        """``e^{As}``, shape (2n, 2n)."""
+        size = self._unit.size
+        balanced = linalg.expm(s * self._augmented[:size, :size])
+        return np.asarray(balanced * self._unit / self._unit[:, None])
+
 
 class _DenseMotion(Motion):
     """A matrix exponential leads to the nearest whole stride, a power series on from there."""

@@ -99,3 +99,11 @@ class Flow(ABC):
     @abstractmethod
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
+
+    @abstractmethod
+    def transition(self, s: float) -> Matrix:
+        """How the difference of two motions goes on in ``s`` seconds, which may be negative.
+
+        Returns:
+            ``e^{As}``, shape (2n, 2n).
+        """

@@ -6,6 +6,7 @@ complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 
 """
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from scipy import linalg
@@ -13,12 +14,16 @@ from scipy import linalg
 from impact_observer.dynamics.complementarity import complementary
 from impact_observer.errors import ImpactLawError
 from impact_observer.model import System
-from impact_observer.states import Vector
+from impact_observer.states import Matrix, Vector
+
+Contacts: TypeAlias = "tuple[int, ...]"
 
 _ROUNDING = 1e-12
 """Contact speed that counts as zero, relative to that of all kinetic energy in it."""
 _NOISE = 1e-14
 """Contact speed that several contacts may have by rounding, relative to the same."""
+_EIGENVALUE = 1e-12
+"""Negative eigenvalue of ``G - E G E`` that is rounding, ``G`` having a unit diagonal."""
 _REPEATS = 64
 """How often contacts that stay closed may throw each other back before none is thrown back."""
 
@@ -90,6 +95,60 @@ class ImpactLaw:
             after = self.velocity_after(after, closed)
         return ImpactLaw(self._system, np.zeros(self._system.m)).velocity_after(after, closed)
 
+    def velocities_held(self, U: Matrix, active: Sequence[int], closed: Sequence[int]) -> Matrix:
+        """``velocity_held`` of many replicas at once: ``U`` and result of shape (replicas, n).
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts for one of them.
+        """
+        if len(active) == 1 and not closed:
+            i = active[0]
+            gamma = np.minimum(U @ self._system.W[:, i], 0.0)
+            return np.asarray(U - np.outer(self._single[i] * gamma, self._Minv_W[:, i]))
+        return np.array([self.velocity_held(u, active, closed) for u in U]).reshape(U.shape)
+
+    def pressed(self, active: Sequence[int], hit: Sequence[int], gamma: Vector) -> Contacts:
+        """The contacts that take an impulse in an impact of the plant, as sorted indices.
+
+        The plant closed the contacts ``hit``, whatever an estimate says of their speeds, and
+        those of ``active`` that were closed before had none.
+
+        Args:
+            active: indices of all contacts that are closed at this instant.
+            hit: indices of those that close at it.
+            gamma: estimated contact speeds of those hit, shape (len(hit),), m/s; of a wrong sign
+                they count as if they had the other.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        if len(active) == 1:
+            return tuple(hit)
+        towards = -np.abs(gamma) if np.any(gamma) else -np.ones(len(hit))
+        closing = dict(zip(hit, towards, strict=True))
+        speeds = np.array([closing.get(i, 0.0) for i in active])
+        impulses = self._impulses(list(active), speeds)
+        return tuple(i for i, impulse in zip(active, impulses, strict=True) if impulse > 0)
+
+    def jump(self, pressed: Sequence[int]) -> Matrix:
+        """``J`` of ``u+ = J u-``, shape (n, n), where exactly the contacts ``pressed`` take part.
+
+        Of contacts that depend on each other the least impulses are taken.
+        """
+        P = list(pressed)
+        B, W = self._B[:, P], self._system.W[:, P]
+        share = linalg.lstsq(B.T @ B, np.diag(1.0 + self._eps[P]) @ W.T)[0] if P else W.T
+        return np.asarray(np.eye(len(W)) - self._Minv_W[:, P] @ share)
+
+    def is_nonexpansive(self, active: Sequence[int]) -> bool:
+        """Whether ``G - E G E >= 0`` on ``active``: then neither they nor some of them raise V."""
+        A = list(active)
+        B, eps = self._B[:, A] / np.linalg.norm(self._B[:, A], axis=0), self._eps[A]
+        if np.all(eps == eps[:1]):
+            return True
+        G = B.T @ B
+        return bool(linalg.eigvalsh(G - np.outer(eps, eps) * G)[0] >= -_EIGENVALUE)
+
     def impulses(self, u: Vector, active: Sequence[int]) -> Vector:
         """Impulses ``Lambda >= 0`` on the ``active`` contacts, shape (len(active),), Ns.
 
@@ -103,6 +162,10 @@ class ImpactLaw:
             _NOISE * np.sqrt(u @ self._system.M @ u) * np.linalg.norm(self._B[:, active], axis=0)
         )
         gamma[np.abs(gamma) <= noise] = 0.0
+        return self._impulses(active, gamma)
+
+    def _impulses(self, active: list[int], gamma: Vector) -> Vector:
+        """The impulses for contact speeds ``gamma``, shape (len(active),)."""
         impulses = complementary(self._B[:, active], (1.0 + self._eps[active]) * gamma)
         if impulses is None:
             raise self._no_solution(active, gamma)

@@ -101,6 +101,35 @@ class Phase:
         n = self.equations.n
         return np.hstack([x[:, :n] @ self.Q.T + self.rest, x[:, n:]])
 
+    def transition(self, s: float) -> Matrix:
+        """How the difference of two states (q, u) goes on in ``s`` seconds, shape (2n, 2n)."""
+        found = self.flow.transition(s)
+        if not self.fixed:
+            return found
+        n = self.equations.n
+        return np.vstack([self.Q @ found[:n], found[n:]])
+
+    def moved(self, t: float, x: Vector, s: float) -> Vector:
+        """The state (q, u), shape (2n,), ``s`` seconds after or, where negative, before ``x``.
+
+        Args:
+            t: s since the epoch, of ``x``.
+            x: state (q, u), shape (2n,), with nothing fixed.
+            s: seconds; how far back the forcing is known is for the caller to see to.
+        """
+        if s >= 0:
+            return self.flow.start(t, x).state(s)
+        # What the forces alone do from then to now is taken away, and the rest goes back.
+        driven = self.flow.start(t + s, np.zeros_like(x)).state(-s)
+        return np.asarray(self.flow.transition(s) @ (x - driven))
+
+    def rate(self, t: float, x: Vector) -> Vector:
+        """``dx/dt`` of the state (q, u), shape (2n,), at ``t`` s since the epoch."""
+        equations, n = self.equations, self.equations.n
+        q, u = x[:n], x[n:]
+        load = equations.forcing(t) - equations.C @ u - equations.K @ q
+        return np.concatenate([self.Q @ u, self.inverse @ load])
+
 
 def fastest(equations: Equations) -> float:
     """The fastest mode or harmonic, rad/s; 0 where nothing oscillates."""
@@ -265,6 +294,21 @@ class _HeldFlow(Flow):
             return _HeldMotion(t, None, self._shapes, rest)
         free = np.concatenate([self._inverse @ (x[:n] - rest), self._inverse @ x[n:]])
         return _HeldMotion(t, self._inner.start(t, free), self._shapes, rest)
+
+    def transition(self, s: float) -> Matrix:
+        """That of the free coordinates; velocities that are held are gone at once."""
+        n, r = self._shapes.shape
+        found = np.zeros((2 * n, 2 * n))
+        found[:n, :n] = self._static
+        if self._inner is None:
+            return found
+        free = np.zeros((2 * r, 2 * n))
+        free[:r, :n] = self._inverse @ (np.eye(n) - self._static)
+        free[r:, n:] = self._inverse
+        moved = self._inner.transition(s) @ free
+        found[:n] += self._shapes @ moved[:r]
+        found[n:] = self._shapes @ moved[r:]
+        return found
 
 
 class _HeldMotion(Motion):

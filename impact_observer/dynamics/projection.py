@@ -45,6 +45,12 @@ class PositionProjection:
         gap = self._system.gap(q)[list(active)]
         return np.asarray(q - self.jump(active) @ gap)
 
+    def positions_after(self, Q: Matrix, active: tuple[int, ...]) -> Matrix:
+        """The same of many positions ``Q``, shape (positions, n) like what is returned."""
+        A = list(active)
+        gaps = Q @ self._system.W[:, A] + self._system.q_r[A]
+        return np.asarray(Q - gaps @ self.jump(active).T)
+
     def _solve(self, active: tuple[int, ...]) -> Matrix:
         """Elastic deflection only as far as rigid motion cannot close the gaps."""
         W = self._system.W[:, list(active)]

@@ -122,6 +122,10 @@ class SampledFlow(Flow):
         """
         return _SampledMotion(self._smooth.start(t, x), self._response, self._samples)
 
+    def transition(self, s: float) -> Matrix:
+        """That of the flow without samples."""
+        return self._smooth.transition(s)
+
 
 class _SampledMotion(Motion):
     """Intervals are counted from the phase's start; the first one begins there."""

@@ -98,6 +98,11 @@ class SpectralFlow(Flow):
             return old
         return _YoungMotion(self, (self._T_inverse @ x).reshape(self._n, 2), old, self._young)
 
+    def transition(self, s: float) -> Matrix:
+        """``T e^{Js} T^{-1}``, shape (2n, 2n)."""
+        pairs = self._T_inverse.T.reshape(-1, self._n, 2)  # of each unit state
+        return np.asarray(self.assemble(self.homogeneous(pairs, np.array([s]))).T)
+
     def steady(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         """Steady response of all pairs away from resonance, shape (samples, 2n)."""
         if not self._frequency.size:
@@ -110,7 +115,7 @@ class SpectralFlow(Flow):
         )
 
     def homogeneous(self, z: Matrix, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Free response of pairs ``z``, shape (n, 2), in pairs, shape (samples, n, 2)."""
+        """Free response of pairs ``z``, shape (n, 2) or one for each sample, (samples, n, 2)."""
         s = s[:, None]
         if self._oscillates.all():
             decay, angle = np.exp(self._a * s), self._d * s

@@ -1,14 +1,26 @@
 """The observer: a replica of the plant, switched by nothing but impact events."""
 
+from impact_observer.observer.agreement import AGREED
+from impact_observer.observer.belief import Belief, Contacts, Course, Touch
 from impact_observer.observer.initial import initial_state
-from impact_observer.observer.laws import Law, law_named, law_names
-from impact_observer.observer.observer import DEFAULT_HISTORY, Observer
+from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
+from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
 from impact_observer.observer.replay import replay
+from impact_observer.observer.uncertainty import Uncertainty, deviation_of
 
 __all__ = [
+    "AGREED",
+    "DEFAULT_ENSEMBLE",
     "DEFAULT_HISTORY",
+    "Belief",
+    "Contacts",
+    "Course",
     "Law",
     "Observer",
+    "ReplicaLaw",
+    "Touch",
+    "Uncertainty",
+    "deviation_of",
     "initial_state",
     "law_named",
     "law_names",

@@ -1,22 +1,33 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.errors import ImpactLawError, ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.model import System
+from impact_observer.observer.agreement import AGREED, HELD, Agreeing
+from impact_observer.observer.belief import Contacts, Course, Touch
 from impact_observer.observer.laws import Law
-from impact_observer.observer.timeline import Entry, Key, Timeline
+from impact_observer.observer.timeline import Entry, Key, Timeline, beginning
+from impact_observer.observer.uncertainty import covariance_root, spread
 from impact_observer.stamps import from_seconds, seconds_between, text
-from impact_observer.states import Estimate, Vector
+from impact_observer.states import Estimate, Matrix, Vector, frozen
 
 DEFAULT_HISTORY = 10.0
 """How late an event may be and still be applied, s."""
+DEFAULT_ENSEMBLE = 10
+"""Replicas that are run together."""
 
 
 class Observer:
-    """A replica of ``system``, switched by events only.
+    """Replicas of ``system``, switched by events only; the first of them is the estimate.
+
+    The others begin elsewhere, spread over the initial uncertainty that its law was told: whether
+    they come together is what an observer can know of its own error. The estimate does not
+    depend on them.
 
     Its initial state holds at the epoch, or, when the observer hears of the plant only later
     (the lowest sequence number that it sees is not 1), at the first stamp it sees.
@@ -36,6 +47,8 @@ class Observer:
         *,
         epoch: int = 0,
         history: float = DEFAULT_HISTORY,
+        ensemble: int = DEFAULT_ENSEMBLE,
+        agreed: float = AGREED,
     ) -> None:
         """Make an observer that has seen nothing yet.
 
@@ -46,16 +59,24 @@ class Observer:
             velocity: initial velocities, shape (n,).
             epoch: stamp of ``t = 0`` of the forcing, ns; 0 to learn it from the events.
             history: how late an event may be and still be applied, s.
+            ensemble: how many replicas are run together, at least one.
+            agreed: V distance at which they count as synchronized, relative to the energy of the
+                estimated motion.
 
         Raises:
-            UsageError: a state of the wrong size, or a history that is not positive.
+            UsageError: a state of the wrong size, a history or an agreement that is not positive,
+                or an ensemble of none.
         """
-        if not history > 0:
-            raise UsageError(f"history: {history:g} s found; expected a positive number")
+        for name, value in (("history", history), ("agreed", agreed), ("ensemble", ensemble)):
+            if not value > 0:
+                raise UsageError(f"{name}: {value:g} found; expected a positive number")
         q, u = system.checked_state(position, velocity)
         self.system = system
         self.law = law
         self._initial = np.concatenate([q, u])
+        self._root = law.uncertainty.root(system.n)
+        self._ensemble = ensemble
+        self._agreeing = Agreeing(system, agreed)
         self._history = from_seconds(history)
         self._index = {name: i for i, name in enumerate(system.contact_names)}
         self._given_epoch = epoch
@@ -71,27 +92,52 @@ class Observer:
         self._seen: dict[int, int] = {}
         self._numbered = self._first = self._earliest = self._forgotten = 0
         if self._epoch:
-            self._timeline = Timeline(self._epoch, self._initial)
+            self._timeline = Timeline(self._beginning(self._epoch))
 
-    def set_state(self, stamp: int, position: ArrayLike, velocity: ArrayLike) -> None:
+    def set_state(
+        self,
+        stamp: int,
+        position: ArrayLike,
+        velocity: ArrayLike,
+        covariance: ArrayLike | None = None,
+    ) -> None:
         """Forget the past: from ``stamp`` (ns) on the replica moves from the given state.
 
         Before anything is known of the plant, this becomes the initial state.
 
+        Args:
+            stamp: ns.
+            position: coordinates, shape (n,), m or rad.
+            velocity: velocities, shape (n,).
+            covariance: of the state, shape (2n, 2n) or its rows one after the other; None for the
+                initial one.
+
         Raises:
-            UsageError: a state of the wrong size or one that is not finite.
+            UsageError: a state or covariance of the wrong size or one that is not finite.
             ImpactLawError: contacts are closed and their law has no solution for that state.
         """
         x = np.concatenate(self.system.checked_state(position, velocity))
+        root = self._root if covariance is None else covariance_root(covariance, self.system.n)
         if self._timeline is None:
-            self._initial = x
+            self._initial, self._root = x, root
         else:
             stamp = max(stamp, self._timeline.start.stamp)
             closed = self._timeline.at(stamp).closed
-            if closed:  # what holds while they are closed holds at once
-                x = self.law.impact(x, closed, closed)
-            self._timeline = Timeline(stamp, x, closed)
+            self._timeline = Timeline(self._beginning(stamp, x, root, closed))
             self._placed = True
+
+    def _beginning(
+        self,
+        stamp: int,
+        x: Vector | None = None,
+        root: Matrix | None = None,
+        closed: Contacts = (),
+    ) -> Entry:
+        """Replicas at ``stamp`` (ns) about ``x`` or the initial state, before any event."""
+        x = self._initial if x is None else x
+        root = self._root if root is None else root
+        belief = self.law.begin(spread(x, root, self._ensemble), root, closed)
+        return beginning(stamp, belief, self._agreeing.at_first(belief), closed)
 
     @property
     def start(self) -> int | None:
@@ -143,12 +189,12 @@ class Observer:
         if key in timeline:
             return (self._refuse(event, Ruling.DUPLICATE, "the same event was seen"),)
         try:
-            timeline.insert(key, self._step)
+            entry = timeline.insert(key, self._step)
         except ImpactObserverError:
             self._disremember(event)
             raise
         self._forget(timeline)
-        return verdicts
+        return tuple(self._measured(verdict, entry) for verdict in verdicts)
 
     def estimate(self, stamp: int) -> Estimate:
         """The state at ``stamp`` (ns) after all known events at or before it.
@@ -166,14 +212,22 @@ class Observer:
             raise UsageError(f"estimate at {text(stamp)} s: {known}")
         self._require_epoch()
         entry, n = self._timeline.at(stamp), self.system.n
-        x = self._flowed(entry, stamp)
+        course, s = self._course(entry), seconds_between(entry.key.stamp, stamp)
+        x, root = (
+            (course.state(s), course.root(s)) if s > 0 else (entry.belief.x, entry.belief.root)
+        )
+        bound, agreement = entry.belief.bound, entry.agreement
         applied = bool(entry.key.switches)
         return Estimate(
             stamp=stamp,
             law=self.law.name,
             q=x[:n],
             u=x[n:],
+            covariance=frozen(np.empty((0, 0)) if root is None else root @ root.T),
             closed=tuple(self.system.contact_names[i] for i in entry.closed),
+            convergence=agreement.convergence,
+            synchronized=self.law.hears and agreement.held >= HELD,
+            bound=-1.0 if bound is None else bound,
             last_sequence=entry.key.sequence if applied else 0,
             last_event=entry.key.stamp if applied else 0,
         )
@@ -231,9 +285,9 @@ class Observer:
         """The timeline, begun where all events seen so far, in any order, say it begins."""
         start = self._epoch if self._epoch and self._first <= 1 else self._earliest
         if self._timeline is None:
-            self._timeline = Timeline(start, self._initial)
+            self._timeline = Timeline(self._beginning(start))
         elif self._timeline.whole and not self._placed and self._timeline.start.stamp != start:
-            self._timeline.begin(start, self._initial, self._step)
+            self._timeline.begin(self._beginning(start), self._step)
         return self._timeline
 
     def _remember(self, event: ImpactEvent) -> None:
@@ -268,22 +322,29 @@ class Observer:
         # An impact that is one instant says too that the contact is not closed afterwards.
         staying = set(previous.closed) - kinds[Kind.IMPACT] | kinds[Kind.CLOSE]
         closed = tuple(sorted(staying - kinds[Kind.OPEN]))
-        x = self._flowed(previous, event.stamp)
-        if hit:
-            # A contact that is closed already takes part, also when it opens by the impact.
-            active = tuple(sorted({*previous.closed, *hit}))
-            try:
-                x = self.law.impact(x, active, closed)
-            except ImpactLawError as error:
-                raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
-        return Entry(event, x, closed)
+        s = seconds_between(previous.key.stamp, event.stamp)
+        before = self._course(previous).belief(s) if s > 0 else previous.belief
+        touch = Touch(
+            seconds_between(self._epoch or event.stamp, event.stamp),
+            previous.closed,
+            tuple(sorted(hit)),
+            closed,
+        )
+        try:
+            belief = self.law.event(touch, before)
+        except ImpactLawError as error:
+            raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
+        agreement = self._agreeing.after(previous.agreement, touch, before, belief)
+        return Entry(event, belief, agreement, closed)
 
-    def _flowed(self, entry: Entry, stamp: int) -> Vector:
-        """One exact motion from just after ``entry`` to ``stamp``."""
-        if stamp == entry.key.stamp:
-            return np.array(entry.x)
-        if entry.motion is None:
-            origin = self._epoch or entry.key.stamp
-            t = seconds_between(origin, entry.key.stamp)
-            entry.motion = self.law.motion(t, entry.x, entry.closed)
-        return entry.motion.state(seconds_between(entry.key.stamp, stamp))
+    def _course(self, entry: Entry) -> Course:
+        """How the belief of ``entry`` goes on: one exact motion from just after it."""
+        if entry.course is None:
+            t = seconds_between(self._epoch or entry.key.stamp, entry.key.stamp)
+            entry.course = self.law.course(t, entry.belief, entry.closed)
+        return entry.course
+
+    def _measured(self, verdict: Verdict, entry: Entry) -> Verdict:
+        """``verdict`` with the innovation that its contact had."""
+        i = self._index.get(verdict.contact, -1)
+        return replace(verdict, innovation=entry.belief.innovations.get(i, -1.0))

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
-from impact_observer.dynamics import Motion
 from impact_observer.events import Kind
-from impact_observer.states import Vector
+from impact_observer.observer.agreement import Agreement
+from impact_observer.observer.belief import Belief, Contacts, Course
 
 _BEGINNING = -1
 """Sequence of the entry before any event, so that it comes first at its stamp."""
@@ -41,15 +41,22 @@ class Entry:
 
     Attributes:
         key: its place.
-        x: the replica's state (q, u) after it, shape (2n,).
+        belief: after it.
+        agreement: of the replicas since then.
         closed: indices of the contacts with ``chi = 1`` after it, ascending.
-        motion: the replica's motion after it, once somebody has asked for it.
+        course: how the belief goes on, once somebody has asked for it.
     """
 
     key: Key
-    x: Vector = field(repr=False)
-    closed: tuple[int, ...] = ()
-    motion: Motion | None = field(default=None, repr=False)
+    belief: Belief = field(repr=False)
+    agreement: Agreement
+    closed: Contacts = ()
+    course: Course | None = field(default=None, repr=False)
+
+
+def beginning(start: int, belief: Belief, agreement: Agreement, closed: Contacts = ()) -> Entry:
+    """The entry at stamp ``start`` (ns), before any event of that stamp."""
+    return Entry(Key(start, _BEGINNING, ()), belief, agreement, closed)
 
 
 class Timeline:
@@ -59,15 +66,9 @@ class Timeline:
         entries: the entry at the start of the known past, then one entry an event.
     """
 
-    def __init__(self, start: int, x: Vector, closed: tuple[int, ...] = ()) -> None:
-        """Begin with state ``x`` at stamp ``start`` (ns), before any event of that stamp.
-
-        Args:
-            start: ns.
-            x: (q, u), shape (2n,).
-            closed: indices of the contacts with ``chi = 1``.
-        """
-        self.entries = [Entry(Key(start, _BEGINNING, ()), x, closed)]
+    def __init__(self, first: Entry) -> None:
+        """Begin with the entry of a ``beginning``."""
+        self.entries = [first]
 
     @property
     def start(self) -> Key:
@@ -96,18 +97,18 @@ class Timeline:
             return entry
         return self.entries[max(bisect_right(self.entries, stamp, key=_stamp), 1) - 1]
 
-    def begin(self, start: int, x: Vector, step: Step) -> None:
-        """Begin elsewhere: with state ``x`` at stamp ``start`` (ns), and redo what follows."""
-        beginning = Entry(Key(start, _BEGINNING, ()), x)
-        events = [entry.key for entry in self.entries[1:] if entry.key > beginning.key]
-        self.entries = [beginning, *_redone(beginning, events, step)]
+    def begin(self, first: Entry, step: Step) -> None:
+        """Begin elsewhere, with the entry of another ``beginning``, and redo what follows."""
+        events = [entry.key for entry in self.entries[1:] if entry.key > first.key]
+        self.entries = [first, *_redone(first, events, step)]
 
-    def insert(self, key: Key, step: Step) -> None:
+    def insert(self, key: Key, step: Step) -> Entry:
         """Put an event, not before ``start``, in its place and redo everything after it."""
         at = bisect_right(self.entries, key, key=_key)
         events = [key, *(entry.key for entry in self.entries[at:])]
         # Only when every step has succeeded does the past change.
         self.entries[at:] = _redone(self.entries[at - 1], events, step)
+        return self.entries[at]
 
     def forget_before(self, stamp: int) -> None:
         """Drop what lies before ``stamp`` except the state there."""

@@ -12,6 +12,7 @@ from impact_observer.analysis import lyapunov
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
+from impact_observer.observer import ReplicaLaw
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
 
@@ -155,6 +156,7 @@ def test_contact_that_opens_by_an_impact_takes_part_in_it(law: str) -> None:
     moment = EPOCH + round(0.35 * NS_PER_S)
     watcher.receive(told(("c2", Kind.IMPACT), ("c1", Kind.OPEN), seconds=0.35, sequence=2))
     was, now = before.estimate(moment), watcher.estimate(moment)
+    assert isinstance(before.law, ReplicaLaw)
     expected = before.law.impact(np.concatenate([was.q, was.u]), (0, 1), ())
     np.testing.assert_allclose(np.concatenate([now.q, now.u]), expected, atol=1e-13)
     assert now.closed == ()

@@ -15,7 +15,7 @@ from systems import EPOCH, examples, sample, switchings, systems, vectors
 from impact_observer.analysis import lyapunov
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.model import System
-from impact_observer.observer import Law, law_named, law_names
+from impact_observer.observer import ReplicaLaw, law_named, law_names
 from impact_observer.observer import laws as laws_module
 from impact_observer.observer.laws import Geometric, Kinematic, OpenLoop
 from impact_observer.plant import Plant, Switching
@@ -47,7 +47,9 @@ def rounding(*states: Array) -> float:
 @CORRECTING
 @examples(60)
 @given(st.data())
-def test_two_replicas_never_part_under_any_switching(law: type[Law], data: st.DataObject) -> None:
+def test_two_replicas_never_part_under_any_switching(
+    law: type[ReplicaLaw], data: st.DataObject
+) -> None:
     """No plant at all: random instants and contacts, pulses and intervals, K singular or not."""
     model = data.draw(systems(contacts=(1, 3)))
     assume(passes_eigenvalue_test(model))
@@ -95,7 +97,7 @@ def switchings_of(model: System, x: Array, seconds: float, most: int = 12) -> li
 @CORRECTING
 @examples(25)
 @given(st.data())
-def test_replica_never_parts_from_its_plant(law: type[Law], data: st.DataObject) -> None:
+def test_replica_never_parts_from_its_plant(law: type[ReplicaLaw], data: st.DataObject) -> None:
     """Under the true switching, at the true instants: V falls in every phase and every jump."""
     model = data.draw(systems(contacts=(1, 3), gaps=(0.0, 1.0)))
     assume(passes_eigenvalue_test(model))
@@ -127,7 +129,7 @@ def test_replica_never_parts_from_its_plant(law: type[Law], data: st.DataObject)
 
 
 @CORRECTING
-def test_true_state_is_left_alone(law: type[Law]) -> None:
+def test_true_state_is_left_alone(law: type[ReplicaLaw]) -> None:
     """A replica in the plant's state jumps as the plant does."""
     for name in ("two_mass", "three_mass", "bouncing_ball"):
         model = sample(name)
@@ -162,7 +164,7 @@ def test_geometric_law_also_closes_the_gap() -> None:
 
 
 @CORRECTING
-def test_law_does_not_change_what_it_is_given(law: type[Law]) -> None:
+def test_law_does_not_change_what_it_is_given(law: type[ReplicaLaw]) -> None:
     """The state before the impact stays the caller's."""
     x = np.array([0.1, 0.2, 1.0, 2.0])
     kept = x.copy()
@@ -170,7 +172,7 @@ def test_law_does_not_change_what_it_is_given(law: type[Law]) -> None:
     np.testing.assert_array_equal(x, kept)
 
 
-class Mirror(Law):
+class Mirror(ReplicaLaw):
     """Another package's law."""
 
     name: ClassVar[str] = "mirror"

@@ -24,7 +24,8 @@ from impact_observer.dynamics import flow_of
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent, Ruling
 from impact_observer.model import System
-from impact_observer.observer import Observer, law_named
+from impact_observer.observer import Observer
+from impact_observer.observer.laws import Kinematic
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -361,7 +362,7 @@ def test_simultaneous_impacts_are_one_event_or_two() -> None:
     together.receive(event(1.0, "c1", "c2", sequence=1))
     apart.receive(event(1.0, "c1", sequence=1))
     apart.receive(event(1.0, "c2", sequence=2))
-    law, before = law_named("kinematic")(model), flow_of(model).start(0.0, np.array(x)).state(1.0)
+    law, before = Kinematic(model), flow_of(model).start(0.0, np.array(x)).state(1.0)
     assert state(together, 1.0) == pytest.approx(
         law.impact(before, (0, 1), ()).tolist(), abs=1e-14
     )

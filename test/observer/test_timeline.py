@@ -2,17 +2,23 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from impact_observer.events import Kind
-from impact_observer.observer.timeline import Entry, Key, Timeline
+from impact_observer.observer import Belief
+from impact_observer.observer.agreement import Agreement
+from impact_observer.observer.timeline import Entry, Key, Timeline, beginning
 
-Array = NDArray[np.float64]
+NONE = Agreement(-1.0, 0.0)
+
+
+def first(stamp: int, x: float) -> Entry:
+    """The entry of a timeline's beginning."""
+    return beginning(stamp, Belief(np.array([[x]])), NONE)
 
 
 def step(previous: Entry, event: Key) -> Entry:
     """A state that tells the whole way to it: digits of the events' stamps."""
-    return Entry(event, previous.x * 10 + event.stamp)
+    return Entry(event, Belief(previous.belief.replicas * 10 + event.stamp), NONE)
 
 
 def key(stamp: int, sequence: int = 0, contact: int = 0) -> Key:
@@ -22,7 +28,7 @@ def key(stamp: int, sequence: int = 0, contact: int = 0) -> Key:
 
 def filled(*keys: Key) -> Timeline:
     """A timeline from stamp 0 on with events that come in the given order."""
-    timeline = Timeline(0, np.zeros(1))
+    timeline = Timeline(first(0, 0.0))
     for each in keys:
         timeline.insert(each, step)
     return timeline
@@ -30,7 +36,7 @@ def filled(*keys: Key) -> Timeline:
 
 def states(timeline: Timeline) -> list[float]:
     """The state after each entry."""
-    return [float(entry.x[0]) for entry in timeline.entries]
+    return [float(entry.belief.x[0]) for entry in timeline.entries]
 
 
 def test_late_event_is_put_in_its_place_and_the_rest_done_again() -> None:
@@ -79,7 +85,7 @@ def test_past_is_dropped_up_to_the_state_that_is_needed() -> None:
     assert states(timeline) == [12, 124]
     assert timeline.start == key(2)
     assert [*whole, timeline.whole] == [True, False]
-    assert timeline.at(3).x[0] == 12
+    assert timeline.at(3).belief.x[0] == 12
     timeline.forget_before(-5)
     assert states(timeline) == [12, 124]
 
@@ -87,7 +93,7 @@ def test_past_is_dropped_up_to_the_state_that_is_needed() -> None:
 def test_beginning_elsewhere_does_everything_again() -> None:
     """Events before the new beginning are gone, those after it follow the new state."""
     timeline = filled(key(1), key(3), key(4))
-    timeline.begin(2, np.array([5.0]), step)
+    timeline.begin(first(2, 5.0), step)
     assert states(timeline) == [5, 53, 534]
 
 

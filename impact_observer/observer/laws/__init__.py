@@ -11,8 +11,18 @@ from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.open_loop import OpenLoop
+from impact_observer.observer.laws.replica import ReplicaLaw
 
-__all__ = ["BUILT_IN", "Geometric", "Kinematic", "Law", "OpenLoop", "law_named", "law_names"]
+__all__ = [
+    "BUILT_IN",
+    "Geometric",
+    "Kinematic",
+    "Law",
+    "OpenLoop",
+    "ReplicaLaw",
+    "law_named",
+    "law_names",
+]
 
 ENTRY_POINTS = "impact_observer.laws"
 BUILT_IN: dict[str, type[Law]] = {law.name: law for law in (OpenLoop, Kinematic, Geometric)}

@@ -4,13 +4,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from impact_observer.dynamics import ImpactLaw
+from impact_observer.dynamics import ImpactLaw, Phase
 from impact_observer.model import System
-from impact_observer.observer.laws.law import Law
-from impact_observer.states import Vector
+from impact_observer.observer.belief import Contacts
+from impact_observer.observer.laws.replica import ReplicaLaw
+from impact_observer.observer.uncertainty import Uncertainty
+from impact_observer.states import Matrix, Vector
 
 
-class Kinematic(Law):
+class Kinematic(ReplicaLaw):
     """A closed contact acts as a sprag clutch: velocities jump, positions never do.
 
     Reference [1] of the paper: Newton's impact law on the contacts with ``chi = 1``, with the
@@ -20,12 +22,22 @@ class Kinematic(Law):
 
     name: ClassVar[str] = "kinematic"
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare Newton's law."""
-        super().__init__(system)
+        super().__init__(system, uncertainty)
         self._newton = ImpactLaw(system)
 
-    def impact(self, x: Vector, active: tuple[int, ...], closed: tuple[int, ...]) -> Vector:
+    def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``u+`` by Newton's law, ``q+ = q-``."""
         n = self.system.n
         return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
+
+    def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
+        """The same of many replicas."""
+        n = self.system.n
+        velocities = self._newton.velocities_held(replicas[:, n:], active, closed)
+        return np.hstack([replicas[:, :n], velocities])
+
+    def phase(self, closed: Contacts) -> Phase | None:
+        """Free flight; clutches of different replicas hold and slip at different times."""
+        return None if closed else self._clutches.phases.phase()

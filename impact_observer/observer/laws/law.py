@@ -3,47 +3,69 @@
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
-from impact_observer.dynamics import Clutches, Motion
 from impact_observer.model import System
-from impact_observer.states import Vector
+from impact_observer.observer.belief import Belief, Contacts, Course, Touch
+from impact_observer.observer.uncertainty import Uncertainty
+from impact_observer.states import Matrix
 
 
 class Law(ABC):
-    """What a replica does while contacts of the plant are closed.
+    """How a belief follows from the events of the plant.
+
+    A law that corrects every replica by itself derives from ``ReplicaLaw``, and is simpler.
 
     Attributes:
         name: what users choose it by.
+        hears: whether its replicas' agreement says anything: only if events correct them.
+        system: what plant and replicas share.
+        uncertainty: what the user declares not to know.
     """
 
     name: ClassVar[str]
+    hears: ClassVar[bool] = True
 
-    def __init__(self, system: System) -> None:
-        """Prepare the law for one ``system``."""
+    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
+        """Prepare the law for one ``system``.
+
+        Raises:
+            UsageError: the declared uncertainty does not fit the system.
+        """
         self.system = system
-        self._clutches = Clutches(system)
+        self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
+        self.uncertainty.root(system.n)
 
     @abstractmethod
-    def impact(self, x: Vector, active: tuple[int, ...], closed: tuple[int, ...]) -> Vector:
-        """The replica's state after an impact of the plant.
+    def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
+        """What is believed before any event.
 
         Args:
-            x: the replica's state (q-, u-), shape (2n,); not changed.
-            active: indices of the contacts with ``chi = 1`` at this instant, ascending.
-            closed: indices of those with ``chi = 1`` from now on, a part of ``active``.
-
-        Returns:
-            (q+, u+), shape (2n,).
+            replicas: states (q, u), shape (N, 2n), the estimate first.
+            root: a square root of the estimate's covariance, shape (2n, 2n).
+            closed: contacts with ``chi = 1``; what holds while they are closed holds at once.
 
         Raises:
             ImpactLawError: the impact law has no solution on these contacts.
         """
 
-    def motion(self, t: float, x: Vector, closed: tuple[int, ...]) -> Motion:
-        """The replica's motion until the next event: sprag clutches, unless a law says else.
+    @abstractmethod
+    def event(self, touch: Touch, belief: Belief) -> Belief:
+        """What is believed just after an event.
+
+        Args:
+            touch: what the plant's contacts do.
+            belief: just before it.
+
+        Raises:
+            ImpactLawError: the impact law has no solution on these contacts.
+            DynamicsError: the loads of closed contacts cannot be found.
+        """
+
+    @abstractmethod
+    def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
+        """How ``belief`` goes on until the next event.
 
         Args:
             t: s since the epoch.
-            x: the replica's state (q, u), shape (2n,).
-            closed: indices of the contacts with ``chi = 1`` meanwhile, ascending.
+            belief: then.
+            closed: contacts with ``chi = 1`` meanwhile.
         """
-        return self._clutches.motion(t, x, closed, fix=False)

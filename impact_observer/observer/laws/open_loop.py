@@ -2,22 +2,29 @@
 
 from typing import ClassVar
 
-from impact_observer.dynamics import Motion
-from impact_observer.observer.laws.law import Law
+from impact_observer.dynamics import Motion, Phase
+from impact_observer.observer.belief import Contacts
+from impact_observer.observer.laws.replica import ReplicaLaw
 from impact_observer.states import Vector
 
 
-class OpenLoop(Law):
+class OpenLoop(ReplicaLaw):
     """The replica moves without contact and hears nothing of the plant."""
 
     name: ClassVar[str] = "open-loop"
+    hears: ClassVar[bool] = False
 
-    def impact(self, x: Vector, active: tuple[int, ...], closed: tuple[int, ...]) -> Vector:
+    def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """The state as it was."""
         del active, closed
         return x
 
-    def motion(self, t: float, x: Vector, closed: tuple[int, ...]) -> Motion:
+    def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """The motion without contact."""
         del closed
         return super().motion(t, x, ())
+
+    def phase(self, closed: Contacts) -> Phase:
+        """The motion without contact, always."""
+        del closed
+        return self._clutches.phases.phase()

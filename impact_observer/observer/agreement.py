@@ -1,0 +1,99 @@
+"""Whether replicas that began apart have come together: convergence without ground truth.
+
+Replicas under the same events approach each other, and the plant is like one of them. So their
+largest mutual distance tells how far the estimate may be from the plant, and the estimate's own
+gap at an impact, where the plant's is zero, how far it certainly was.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_observer.dynamics import PositionProjection
+from impact_observer.model import System
+from impact_observer.observer.belief import Belief, Touch
+from impact_observer.states import Matrix, Vector
+
+HELD = 5
+"""Events, one after the other, at which replicas must agree."""
+AGREED = 1e-4
+"""V distance that counts as agreement, relative to the energy of the estimated motion."""
+_PAIRS = 256
+"""Most replicas of which every pair is looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How well the replicas agree since an event.
+
+    Attributes:
+        convergence: largest V distance between replicas just after the event, J; it only falls
+            until the next one. -1 while there is only one replica.
+        energy: of the estimated motion then, kinetic and elastic, J.
+        held: events in a row at which they agreed, this one the last.
+    """
+
+    convergence: float
+    energy: float
+    held: int = 0
+
+
+class Agreeing:
+    """Judges the agreement of one system's replicas.
+
+    Attributes:
+        threshold: largest V distance that counts as agreement, relative to the motion's energy.
+    """
+
+    def __init__(self, system: System, threshold: float = AGREED) -> None:
+        """Take the metric of ``V`` from ``system``."""
+        self._system = system
+        self._projection = PositionProjection(system)
+        self.threshold = threshold
+
+    def at_first(self, belief: Belief) -> Agreement:
+        """The agreement before any event."""
+        return Agreement(self._diameter(belief.replicas), self._energy(belief.x))
+
+    def after(
+        self, previous: Agreement, touch: Touch, before: Belief, belief: Belief
+    ) -> Agreement:
+        """The agreement after an event, between the beliefs ``before`` and after it."""
+        convergence, energy = self._diameter(belief.replicas), self._energy(belief.x)
+        apart = max(convergence, self._certain(before.x, touch), self._expected(belief))
+        agrees = convergence >= 0 and apart <= self.threshold * energy
+        held = previous.held if not touch.hit else previous.held + 1
+        return Agreement(convergence, energy, held if agrees else 0)
+
+    def _energy(self, x: Vector) -> float:
+        """Kinetic and elastic energy, J."""
+        return float(self._energies(x[None])[0])
+
+    def _energies(self, x: Matrix) -> Vector:
+        """``1/2 x^T diag(K, M) x`` of each row, J."""
+        q, u = np.hsplit(x, 2)
+        found = np.einsum("si,si->s", q @ self._system.K, q)
+        found += np.einsum("si,si->s", u @ self._system.M, u)
+        return np.asarray(np.maximum(found, 0.0) / 2)
+
+    def _diameter(self, replicas: Matrix) -> float:
+        """The largest V distance of two replicas, J; of very many an upper bound."""
+        if len(replicas) < 2:
+            return -1.0
+        apart = replicas - replicas[0]
+        if len(replicas) > _PAIRS:
+            return 4 * float(np.max(self._energies(apart)))  # twice the radius, squared
+        one, two = np.triu_indices(len(replicas), k=1)
+        return float(np.max(self._energies(apart[one] - apart[two])))
+
+    def _expected(self, belief: Belief) -> float:
+        """``V`` to be expected from the covariance, J; 0 for a law that has none."""
+        return 0.0 if belief.root is None else float(np.sum(self._energies(belief.root.T)))
+
+    def _certain(self, x: Vector, touch: Touch) -> float:
+        """What V was at least before an impact, J: the plant's gaps were zero there."""
+        if not touch.hit:
+            return 0.0
+        q = x[: self._system.n]
+        jump = self._projection.position_after(q, touch.active) - q
+        return float(jump @ self._system.K @ jump) / 2

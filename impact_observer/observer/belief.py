@@ -1,0 +1,76 @@
+"""What an observer carries from one event to the next, and what a law is told of an event."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from impact_observer.states import Matrix, Vector
+
+Contacts: TypeAlias = tuple[int, ...]
+"""Indices of contacts, ascending."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """What a law takes for possible at one instant.
+
+    Attributes:
+        replicas: states (q, u), shape (N, 2n): the estimate, and others that began elsewhere.
+        root: a square root ``S`` of the estimate's covariance ``S S^T``, shape (2n, 2n); None for
+            a law that has none.
+        bound: certified upper bound of V, J; None where nothing is certified.
+        innovations: of the event before it, by contact: how far the estimate's gap was from
+            zero, in standard deviations.
+    """
+
+    replicas: Matrix
+    root: Matrix | None = None
+    bound: float | None = None
+    innovations: Mapping[int, float] = field(default_factory=dict)
+
+    @property
+    def x(self) -> Vector:
+        """The estimate (q, u), shape (2n,)."""
+        return np.asarray(self.replicas[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """What the plant's contacts do at one instant, as far as a law is told.
+
+    Attributes:
+        t: the instant, s since the epoch.
+        before: contacts with ``chi = 1`` until now.
+        hit: contacts that impact now; none where contacts only open.
+        closed: contacts with ``chi = 1`` from now on.
+    """
+
+    t: float
+    before: Contacts
+    hit: Contacts
+    closed: Contacts
+
+    @property
+    def active(self) -> Contacts:
+        """Contacts with ``chi = 1`` at this instant: closed ones take part in every impact."""
+        return tuple(sorted({*self.before, *self.hit}))
+
+
+class Course(ABC):
+    """How a belief goes on until the next event; a function of time alone."""
+
+    @abstractmethod
+    def state(self, s: float) -> Vector:
+        """The estimate (q, u), shape (2n,), ``s`` seconds after the start."""
+
+    @abstractmethod
+    def belief(self, s: float) -> Belief:
+        """The whole belief ``s`` seconds after the start."""
+
+    def root(self, s: float) -> Matrix | None:
+        """``Belief.root`` after ``s`` seconds, without the other replicas."""
+        del s
+        return None

@@ -1,0 +1,149 @@
+"""Laws that correct every replica by itself: the paper's, and whatever is built like them."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import special
+
+from impact_observer.dynamics import Clutches, Motion, Phase
+from impact_observer.model import System
+from impact_observer.observer.belief import Belief, Contacts, Course, Touch
+from impact_observer.observer.laws.law import Law
+from impact_observer.observer.uncertainty import Uncertainty
+from impact_observer.states import Matrix, Vector
+
+_BEYOND = 1e-6
+"""Probability of an initial error beyond what a certified bound begins with."""
+
+
+class ReplicaLaw(Law):
+    """What one replica does at an impact of the plant, and in between.
+
+    ``impact`` must be given, ``motion`` may be. The other methods serve many replicas at once,
+    and certify a bound where a law knows what each event takes away.
+    """
+
+    def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
+        """Prepare sprag clutches and all linear phases."""
+        super().__init__(system, uncertainty)
+        self._clutches = Clutches(system)
+
+    @abstractmethod
+    def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
+        """One replica's state after an impact of the plant.
+
+        Args:
+            x: the replica's state (q-, u-), shape (2n,); not changed.
+            active: indices of the contacts with ``chi = 1`` at this instant, ascending.
+            closed: indices of those with ``chi = 1`` from now on, a part of ``active``.
+
+        Returns:
+            (q+, u+), shape (2n,).
+
+        Raises:
+            ImpactLawError: the impact law has no solution on these contacts.
+        """
+
+    def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
+        """One replica's motion until the next event: sprag clutches, unless a law says else.
+
+        Args:
+            t: s since the epoch.
+            x: the replica's state (q, u), shape (2n,).
+            closed: indices of the contacts with ``chi = 1`` meanwhile, ascending.
+        """
+        return self._clutches.motion(t, x, closed, fix=False)
+
+    def placed(self, x: Vector) -> Vector:
+        """Where a replica begins that is told to begin at ``x``: there, unless a law says else."""
+        return x
+
+    def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
+        """``impact`` of many replicas, shape (N, 2n): one after the other, or all at once."""
+        after = [self.impact(x, active, closed) for x in replicas]
+        return np.reshape(after, replicas.shape)
+
+    def phase(self, closed: Contacts) -> Phase | None:
+        """The one linear phase in which every replica moves; None where each has its own."""
+        del closed
+        return None
+
+    def taken(self, before: Vector, after: Vector, active: Contacts) -> float | None:
+        """What an impact has surely taken away from V, whatever the plant's state is, J.
+
+        None for a law, or for contacts, with which nothing is sure.
+        """
+        del before, after, active
+        return None
+
+    def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
+        """The replicas in their places; the bound holds but for one start in a million."""
+        replicas = np.array([self.placed(x) for x in replicas])
+        if closed:
+            replicas = self.impacts(replicas, closed, closed)
+        n = self.system.n
+        weighted = np.vstack([self.system.K @ root[:n], self.system.M @ root[n:]])
+        largest = float(np.linalg.eigvalsh(root.T @ weighted)[-1])
+        reach = float(special.chdtri(2 * n, _BEYOND))
+        certified = self.taken(replicas[0], replicas[0], ()) is not None
+        return Belief(replicas, bound=reach * max(largest, 0.0) / 2 if certified else None)
+
+    def event(self, touch: Touch, belief: Belief) -> Belief:
+        """Every replica after its own impact."""
+        if not touch.hit:
+            return belief
+        before, active, closed = belief.replicas, touch.active, touch.closed
+        replicas = np.empty_like(before)
+        # The estimate does not depend on how many others there are, not in a single bit.
+        replicas[0] = self.impact(before[0], active, closed)
+        if len(before) > 1:
+            replicas[1:] = self.impacts(before[1:], active, closed)
+        bound = belief.bound
+        if bound is not None:
+            taken = self.taken(before[0], replicas[0], active)
+            # Below zero it is refuted: by a wrong model, or a start that was not to be expected.
+            bound = bound - taken if taken is not None and taken <= bound else None
+        return Belief(replicas, bound=bound)
+
+    def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
+        """The estimate by its own motion, the others beside it where all move alike."""
+        first = self.motion(t, belief.x, closed)
+        phase = self.phase(closed) if len(belief.replicas) > 1 else None
+        if phase is not None:
+            return _Together(first, belief, phase)
+        others = [self.motion(t, x, closed) for x in belief.replicas[1:]]
+        return _Apart([first, *others], belief)
+
+
+class _Apart(Course):
+    """Every replica by its own motion."""
+
+    def __init__(self, motions: Sequence[Motion], belief: Belief) -> None:
+        self._motions = motions
+        self._belief = belief
+
+    def state(self, s: float) -> Vector:
+        return self._motions[0].state(s)
+
+    def belief(self, s: float) -> Belief:
+        replicas = np.array([motion.state(s) for motion in self._motions])
+        return Belief(replicas, bound=self._belief.bound)
+
+
+class _Together(Course):
+    """Differences of replicas in one linear phase: one matrix for all of them."""
+
+    def __init__(self, first: Motion, belief: Belief, phase: Phase) -> None:
+        self._first = first
+        self._belief = belief
+        self._apart = belief.replicas - belief.x
+        self._phase = phase
+
+    def state(self, s: float) -> Vector:
+        return self._first.state(s)
+
+    def belief(self, s: float) -> Belief:
+        replicas = self._apart @ self._phase.transition(s).T
+        replicas += self.state(s)
+        return Belief(replicas, bound=self._belief.bound)

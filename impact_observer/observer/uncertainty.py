@@ -1,0 +1,117 @@
+"""What the user of an observer declares not to know."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from impact_observer.errors import UsageError
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector, frozen
+
+DEFAULT_DEVIATION = 1.0
+"""Standard deviation of every initial coordinate (m or rad) and velocity (m/s or rad/s)."""
+_SEED = 2014
+"""Of the replicas' initial states: the same for everybody, and nobody's initial state."""
+_SYMMETRY = 1e-9
+"""Asymmetry or negative eigenvalue of a covariance that is rounding, relative to its largest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """Standard deviations of what an observer is told wrongly.
+
+    Attributes:
+        deviation: of the initial state (q, u), shape (2n,), or one number for all, SI units.
+        clock_error: of the events' stamps, s; besides their rounding to 1 ns.
+        model_error: of the accelerations, as white noise: it makes velocities go astray by
+            ``model_error sqrt(t)`` in ``t`` seconds, m/s^1.5.
+    """
+
+    deviation: Vector | float = DEFAULT_DEVIATION
+    clock_error: float = 0.0
+    model_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check that every number is finite and not negative.
+
+        Raises:
+            UsageError: naming what was found.
+        """
+        object.__setattr__(self, "deviation", frozen(self.deviation))
+        for name in ("deviation", "clock_error", "model_error"):
+            values = np.asarray(getattr(self, name))
+            if not np.all(np.isfinite(values) & (values >= 0)):
+                found = ",".join(f"{value:g}" for value in np.ravel(values))
+                raise UsageError(f"{name}: {found} found; expected no number below 0")
+
+    def root(self, n: int) -> Matrix:
+        """A square root of the initial covariance, shape (2n, 2n).
+
+        Raises:
+            UsageError: ``deviation`` is of another size.
+        """
+        deviation = np.asarray(self.deviation)
+        if deviation.shape not in ((), (2 * n,)):
+            raise UsageError(
+                f"deviation: {deviation.size} numbers, expected 1 or {2 * n}: q1,..,qn,u1,..,un"
+            )
+        return np.diag(np.broadcast_to(deviation, 2 * n).astype(float))
+
+
+def deviation_of(text: str, system: System) -> Vector:
+    """Read one number, or ``q1,..,qn,u1,..,un``: standard deviations of an initial state.
+
+    Raises:
+        UsageError: naming what was found and what is expected.
+    """
+    size = 2 * system.n
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        values = np.empty(0)
+    if values.size not in (1, size) or not np.all(np.isfinite(values) & (values >= 0)):
+        raise UsageError(
+            f"deviation {text!r}: expected one number, not below 0, or {size} of them:"
+            " q1,..,qn,u1,..,un"
+        )
+    return np.asarray(np.broadcast_to(values, size), dtype=float)
+
+
+def covariance_root(covariance: ArrayLike, n: int) -> Matrix:
+    """A square root of a covariance, shape (2n, 2n), row by row or as a matrix.
+
+    Raises:
+        UsageError: it is none: of the wrong size, not finite, not symmetric, not semidefinite.
+    """
+    values = np.asarray(covariance, dtype=float)
+    if values.size != 4 * n * n or not np.all(np.isfinite(values)):
+        raise UsageError(
+            f"covariance: {values.size} numbers; expected {4 * n * n} finite ones,"
+            f" {2 * n} x {2 * n}"
+        )
+    P = values.reshape(2 * n, 2 * n)
+    size = float(np.max(np.abs(P)))
+    if float(np.max(np.abs(P - P.T))) > _SYMMETRY * size:
+        raise UsageError("covariance: not symmetric; expected a symmetric matrix")
+    variances, axes = linalg.eigh((P + P.T) / 2)
+    if variances[0] < -_SYMMETRY * size:
+        raise UsageError(f"covariance: has the eigenvalue {variances[0]:g}; expected none below 0")
+    return np.asarray(axes * np.sqrt(np.maximum(variances, 0.0)))
+
+
+def spread(x: Vector, root: Matrix, count: int) -> Matrix:
+    """``count`` initial states, the first ``x`` itself, the others normal about it.
+
+    Args:
+        x: state (q, u), shape (2n,).
+        root: a square root of the covariance, shape (2n, 2n).
+        count: of replicas, at least one.
+
+    Returns:
+        Shape (count, 2n); the first rows do not depend on ``count``.
+    """
+    found = np.tile(x, (count, 1))
+    found[1:] += np.random.default_rng(_SEED).normal(size=(count - 1, x.size)) @ root.T
+    return found
