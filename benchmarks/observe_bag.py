@@ -25,8 +25,9 @@ MADE = (
     interfaces.OBSERVER_JOINT_STATES,
     interfaces.OBSERVER_STATES,
     interfaces.OBSERVER_VERDICTS,
+    interfaces.OBSERVER_BOUND,
 )
-"""What an observer adds to a bag: two messages a state of the truth, one verdict an impact."""
+"""What an observer adds to a bag: two messages a state of the truth, two an impact."""
 
 
 def prepare(folder: Path) -> Contest:

@@ -137,6 +137,7 @@ PLANT_MODEL = Interface("plant/model", STRING, LATCHED)
 OBSERVER_JOINT_STATES = Interface("observer/joint_states", JOINT_STATE)
 OBSERVER_STATES = Interface("observer/state", OBSERVER_STATE)
 OBSERVER_VERDICTS = Interface("observer/verdicts", EVENT_VERDICT, EVENTS)
+OBSERVER_BOUND = Interface("observer/bound", ESTIMATE_ERROR, LATCHED)
 MONITOR_ERROR = Interface("monitor/error", ESTIMATE_ERROR)
 SIMULATED_CLOCK = Interface("/clock", CLOCK)
 DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
@@ -148,6 +149,7 @@ INTERFACES = (
     OBSERVER_JOINT_STATES,
     OBSERVER_STATES,
     OBSERVER_VERDICTS,
+    OBSERVER_BOUND,
     MONITOR_ERROR,
     SIMULATED_CLOCK,
     DIAGNOSTIC_ARRAYS,

@@ -299,6 +299,12 @@ class Messages:
         )
         return cast("ErrorMessage", message)
 
+    def bound(self, estimate: Estimate) -> ErrorMessage:
+        """The certified bound of ``estimate``'s V, as an error whose parts are not known."""
+        unknown = frozen(np.empty(0))
+        error = EstimateError(estimate.stamp, estimate.law, estimate.bound, (), unknown, unknown)
+        return self.estimate_error(error)
+
     def _header(self, kind: str, stamp: int) -> HeaderMessage:
         """A header with a stamp that must be known."""
         _check_stamp(f"{kind}.header.stamp", stamp)

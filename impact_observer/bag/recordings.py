@@ -175,6 +175,7 @@ def observe_bag(
     stamps = sample_stamps(reader, events, rate, epoch)
     carried = [topic for each in _CARRIED if (topic := reader.find(each)) is not None]
     count, rulings = 0, Counter[Ruling]()
+    bound, make = -1.0, bag_messages()
     with _whole(output) as writer:
         for topic in carried:
             info = reader.topics[topic]
@@ -191,6 +192,9 @@ def observe_bag(
                 writer.write(topic, log_time, message)
             if isinstance(item, Estimate):
                 count += 1
+                if item.bound != bound:
+                    bound = item.bound
+                    writer.write(interfaces.OBSERVER_BOUND.topic, log_time, make.bound(item))
                 progress(count, stamps.size)
             else:
                 rulings[item.ruling] += 1

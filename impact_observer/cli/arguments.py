@@ -2,6 +2,67 @@
 
 import argparse
 import math
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from impact_observer.observer import Options
+
+
+def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
+    """What users choose of observers; ``observer_options`` reads it.
+
+    Defaults are those of ``observer.Options``, which knows the mathematics and is not imported
+    for a ``--help``.
+    """
+    parser.add_argument(
+        "--initial",
+        metavar="STATE",
+        help="q1,..,qn,u1,..,un, random:SEED or zero (default)",
+    )
+    parser.add_argument(
+        "--deviation",
+        metavar="D",
+        help="standard deviations of the initial state: one number, or 2n (default 1)",
+    )
+    parser.add_argument(
+        "--clock-error",
+        metavar="S",
+        type=not_negative,
+        help="standard deviation of the impacts' stamps, s (default 0: rounding to 1 ns only)",
+    )
+    parser.add_argument(
+        "--model-error",
+        metavar="A",
+        type=not_negative,
+        help="of the model's accelerations, as white noise, m/s^1.5 (default 0)",
+    )
+    parser.add_argument(
+        "--epoch", metavar="S", type=stamp, help="stamp of t = 0 (default: as in the bag)"
+    )
+
+
+def add_ensemble_arguments(parser: argparse.ArgumentParser) -> None:
+    """The same of what tells whether an estimate has converged."""
+    parser.add_argument(
+        "--ensemble", metavar="N", type=count, help="replicas run together (default 10)"
+    )
+    parser.add_argument(
+        "--agreed",
+        metavar="R",
+        type=positive,
+        help="V distance that counts as synchronized, over the motion's energy (default 1e-4)",
+    )
+
+
+def observer_options(args: argparse.Namespace, law: str) -> "Options":
+    """The options of an observer with ``law``, as far as they were given."""
+    from dataclasses import fields
+
+    from impact_observer.observer import Options
+
+    names = {field.name for field in fields(Options)} - {"law"}
+    given = {name: value for name, value in vars(args).items() if name in names}
+    return Options(law, **{name: value for name, value in given.items() if value is not None})
 
 
 def positive(text: str) -> float:
@@ -23,6 +84,21 @@ def stamp(text: str) -> int:
     if nanoseconds == 0:
         raise argparse.ArgumentTypeError("0 found; stamps start above zero")
     return nanoseconds
+
+
+def not_negative(text: str) -> float:
+    """A finite number, not below zero."""
+    value = _number(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} found; expected a number, 0 or more")
+    return value
+
+
+def count(text: str) -> int:
+    """A whole number above zero."""
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text} found; expected a whole number, 1 or more")
+    return int(text)
 
 
 def seed(text: str) -> int:

@@ -2,8 +2,17 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import positive, stamp
+from impact_observer.cli.arguments import (
+    add_ensemble_arguments,
+    add_observer_arguments,
+    observer_options,
+    positive,
+)
+
+if TYPE_CHECKING:
+    from impact_observer.observer import Options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,21 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--law", metavar="LAW", default="geometric", help="of the observer (default geometric)"
     )
-    parser.add_argument(
-        "--initial",
-        metavar="STATE",
-        default="zero",
-        help="q1,..,qn,u1,..,un, random:SEED or zero (default)",
-    )
+    add_observer_arguments(parser)
+    add_ensemble_arguments(parser)
     parser.add_argument(
         "--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)"
-    )
-    parser.add_argument(
-        "--epoch",
-        metavar="S",
-        type=stamp,
-        default=0,
-        help="stamp of t = 0 (default: as in the bag)",
     )
     parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
@@ -42,10 +40,8 @@ def run(args: argparse.Namespace) -> int:
         args.bag,
         args.output,
         model=args.model,
-        law=args.law,
-        initial=args.initial,
+        options=observer_options(args, args.law),
         rate=args.rate,
-        epoch=args.epoch,
     )
 
 
@@ -54,10 +50,8 @@ def observe(
     output: Path,
     *,
     model: str | None = None,
-    law: str = "geometric",
-    initial: str = "zero",
+    options: "Options | None" = None,
     rate: float | None = None,
-    epoch: int = 0,
 ) -> int:
     """Observe a bag into another one.
 
@@ -65,10 +59,8 @@ def observe(
         bag: has impacts; truth and model are carried along.
         output: the bag to make.
         model: a model file or a sample's name; None for the model that the bag carries.
-        law: name of the observer's law.
-        initial: the replica's initial state, as users write it.
+        options: of the observer; None for the defaults.
         rate: of the estimates, Hz; None for the stamps of the truth.
-        epoch: stamp of ``t = 0``, ns; 0 where the events say it.
 
     Returns:
         0.
@@ -84,26 +76,25 @@ def observe(
     from impact_observer.errors import BagError
     from impact_observer.events import Ruling
     from impact_observer.model import read_model
-    from impact_observer.observer import Observer, initial_state, law_named
+    from impact_observer.observer import Options
 
+    chosen = options or Options()
     with BagReader(bag) as reader, Progress() as progress:
         system = (carried_model(reader) if model is None else read_model(model)).system
-        observer = Observer(
-            system, law_named(law)(system), *initial_state(initial, system), epoch=epoch
-        )
+        observer = chosen.observer(system)
 
         def show(done: int, total: int) -> None:
             if done % 1000 == 0:
-                progress.show(f"{law}: {done} of {total} estimates")
+                progress.show(f"{chosen.law}: {done} of {total} estimates")
 
         count, rulings = observe_bag(
-            reader, observer, output, rate=rate, epoch=epoch, progress=show
+            reader, observer, output, rate=rate, epoch=chosen.epoch, progress=show
         )
         verdicts = [
             f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items()
         ]
         switches = f"switches: {', '.join(verdicts) or 'none'}"
-        progress.line(f"{output}: {law}, {count} estimates, {switches}")
+        progress.line(f"{output}: {chosen.law}, {count} estimates, {switches}")
     if rulings and not rulings[Ruling.APPLIED]:
         raise BagError(
             f"{bag}: none of its {sum(rulings.values())} switches was applied; is it a bag of the"

@@ -1,6 +1,7 @@
 """The observer node: impact events in, the estimated state out."""
 
 from collections import Counter
+from collections.abc import Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from impact_observer_msgs.srv import SetState
@@ -15,14 +16,15 @@ from std_srvs.srv import Trigger
 from impact_observer.bag import interfaces
 from impact_observer.bag.interfaces import Quality
 from impact_observer.bag.messages import EventMessage, JointState, MessageError, read_event
-from impact_observer.errors import UsageError
+from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.model import read_model
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
-from impact_observer.observer import Observer, initial_state, law_named
+from impact_observer.observer import Options, initial_state
 from impact_observer.stamps import NS_PER_S, seconds_between
+from impact_observer.states import Estimate
 
 _BACKLOG = 20
 """Estimates made up for at once when the node was late; older ones are passed over."""
@@ -47,21 +49,25 @@ class ObserverNode(Node):
         super().__init__("observer")
         values = parameters.declare(self, parameters.OBSERVER)
         system = read_model(values.text("model")).system
-        law = law_named(values.text("law"))(system)
         self._initial = initial_state(values.text("initial_state"), system)
-        self._observer = Observer(
-            system,
-            law,
-            *self._initial,
+        self._observer = Options(
+            law=values.text("law"),
+            initial=values.text("initial_state"),
+            deviation=values.text("initial_deviation"),
+            clock_error=values.number("clock_error"),
+            model_error=values.number("model_error"),
+            ensemble=values.integer("ensemble"),
+            agreed=values.number("agreed"),
             epoch=values.integer("epoch"),
             history=values.number("history"),
-        )
+        ).observer(system)
         self._names = system.coordinates
         self._rate = values.number("rate")
         self._make = ros_messages()
         self._states = self._publisher(interfaces.OBSERVER_STATES)
         self._joint_states = self._publisher(interfaces.OBSERVER_JOINT_STATES)
         self._verdicts = self._publisher(interfaces.OBSERVER_VERDICTS)
+        self._bounds = self._publisher(interfaces.OBSERVER_BOUND)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, "/diagnostics", qos_profile(interfaces.DIAGNOSTIC_ARRAYS.quality)
         )
@@ -101,6 +107,7 @@ class ObserverNode(Node):
         """Nothing has been published yet."""
         self._last_sample = -1
         self._last_stamp = 0
+        self._last: Estimate | None = None
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -172,6 +179,9 @@ class ObserverNode(Node):
 
     def _publish(self, stamp: int) -> None:
         estimate = self._observer.estimate(stamp)
+        if estimate.bound != (-1.0 if self._last is None else self._last.bound):
+            self._bounds.publish(self._make.bound(estimate))
+        self._last = estimate
         self._states.publish(self._make.estimate(estimate, self._names))
         state = JointState(stamp, self._names, estimate.q, estimate.u)
         self._joint_states.publish(self._make.joint_state(state))
@@ -191,19 +201,20 @@ class ObserverNode(Node):
         self, request: SetState.Request, response: SetState.Response
     ) -> SetState.Response:
         """Put the replica into a state, now."""
-        if len(request.covariance):
-            response.success = False
-            response.message = f"covariance: the law {self._observer.law.name} carries none"
-            return response
-        response.success, response.message = self._set_state(request.position, request.velocity)
+        response.success, response.message = self._set_state(
+            request.position, request.velocity, request.covariance
+        )
         return response
 
-    def _set_state(self, position: ArrayLike, velocity: ArrayLike) -> tuple[bool, str]:
+    def _set_state(
+        self, position: ArrayLike, velocity: ArrayLike, covariance: Sequence[float] = ()
+    ) -> tuple[bool, str]:
         """The state holds from the last estimate's stamp on, or as the initial one."""
         try:
             stamp = max(self._last_stamp, self._observer.last_event)
-            self._observer.set_state(stamp, position, velocity)
-        except UsageError as error:
+            given = covariance if len(covariance) else None
+            self._observer.set_state(stamp, position, velocity, given)
+        except ImpactObserverError as error:
             return False, str(error)
         return True, f"holds at {stamp} ns" if stamp else "holds at the start"
 
@@ -232,6 +243,7 @@ class ObserverNode(Node):
             "clock jumps back": self._counts["clock_jumps"],
             "restarts": observer.restarts,
             "largest latency [s]": f"{self._latency:.6f}",
+            **self._known(),
         }
         status = DiagnosticStatus(
             level=level,
@@ -243,6 +255,17 @@ class ObserverNode(Node):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+    def _known(self) -> dict[str, object]:
+        """What the last estimate says of its own error."""
+        if self._last is None:
+            return {}
+        bound, apart = self._last.bound, self._last.convergence
+        return {
+            "synchronized": self._last.synchronized,
+            "convergence [J]": f"{apart:.6g}" if apart >= 0 else "one replica only",
+            "certified bound of V [J]": f"{bound:.6g}" if bound >= 0 else "none",
+        }
 
     def _health(self) -> tuple[bytes, str]:
         """Level and message of the diagnostics: the worst that is true."""

@@ -5,6 +5,7 @@ from impact_observer.observer.belief import Belief, Contacts, Course, Touch
 from impact_observer.observer.initial import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
+from impact_observer.observer.options import Options
 from impact_observer.observer.replay import replay
 from impact_observer.observer.uncertainty import Uncertainty, deviation_of
 
@@ -17,6 +18,7 @@ __all__ = [
     "Course",
     "Law",
     "Observer",
+    "Options",
     "ReplicaLaw",
     "Touch",
     "Uncertainty",

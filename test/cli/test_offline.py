@@ -2,10 +2,12 @@
 
 import json
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
+from impact_observer.bag.messages import ErrorMessage
 from impact_observer.bag.reader import BagReader
 from impact_observer.bag.recordings import carried_model, events_in
 from impact_observer.cli.main import main
@@ -77,6 +79,7 @@ def test_observe_writes_what_the_observer_says(run_bag: Path, law: str) -> None:
             "/observer/joint_states",
             "/observer/state",
             "/observer/verdicts",
+            *(["/observer/bound"] if law == "geometric" else []),
         }
     assert states.law == law
     assert states.stamps[0] == EPOCH
@@ -88,6 +91,19 @@ def test_observe_writes_what_the_observer_says(run_bag: Path, law: str) -> None:
         assert estimate.u.tobytes() == u.tobytes()
         assert estimate.last_sequence == sequence
     np.testing.assert_array_equal(joints.q, states.q)
+
+
+def test_certified_bound_is_written_when_it_changes(run_bag: Path) -> None:
+    """Once at the start, then after each impact: as an error whose parts nobody knows."""
+    output = observed(run_bag, "bounded", "--initial", "random:3", "--deviation", "2")
+    with BagReader(output) as reader:
+        impacts = len(events_in(reader))
+        bounds = [cast("ErrorMessage", each) for _, each in reader.messages("/observer/bound")]
+    values = [message.v for message in bounds]
+    assert len(values) == impacts + 1
+    assert np.all(np.diff(values) < 0)
+    assert values[-1] > 0
+    assert all(len(message.position_error) == 0 for message in bounds)
 
 
 def test_compare_orders_the_laws_and_draws_them(

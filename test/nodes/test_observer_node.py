@@ -230,10 +230,19 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
     assert not future.result().success
     assert "1 values, expected 2" in future.result().message
 
-    future = client.call_async(SetState.Request(covariance=[1.0] * 16))
+    covariance = np.diag([1e-6, 1e-6, 1e-4, 1e-4]).ravel()
+    request = SetState.Request(position=wanted[:2], velocity=wanted[2:], covariance=covariance)
+    future = client.call_async(request)
+    spinner.until(future.done)
+    assert future.result().success, future.result().message
+    narrow = rig.node._observer.estimate(rig.node._last_stamp).convergence
+    assert 0 < narrow < 1e-2 * estimate.convergence
+
+    request = SetState.Request(position=wanted[:2], velocity=wanted[2:], covariance=[1.0] * 4)
+    future = client.call_async(request)
     spinner.until(future.done)
     assert not future.result().success
-    assert "carries none" in future.result().message
+    assert "covariance: 4 numbers; expected 16" in future.result().message
 
     reset = probe.create_client(Trigger, "observer/reset")
     spinner.until(reset.service_is_ready)

@@ -1,0 +1,56 @@
+"""What users choose of an observer, as they write it: the same in nodes and commands."""
+
+from dataclasses import dataclass
+
+from impact_observer.model import System
+from impact_observer.observer.agreement import AGREED
+from impact_observer.observer.initial import initial_state
+from impact_observer.observer.laws import law_named
+from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
+from impact_observer.observer.uncertainty import Uncertainty, deviation_of
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Everything about an observer but its system.
+
+    Attributes:
+        law: name of its law.
+        initial: where the estimate begins; see ``initial_state``.
+        deviation: standard deviations of that; see ``deviation_of``.
+        clock_error: standard deviation of the events' stamps, s.
+        model_error: of the accelerations, as white noise, m/s^1.5.
+        ensemble: replicas that are run together.
+        agreed: V distance at which they count as synchronized, relative to the motion's energy.
+        epoch: stamp of ``t = 0``, ns; 0 to learn it from the events.
+        history: how late an event may be and still be applied, s.
+    """
+
+    law: str = "geometric"
+    initial: str = "zero"
+    deviation: str = "1"
+    clock_error: float = 0.0
+    model_error: float = 0.0
+    ensemble: int = DEFAULT_ENSEMBLE
+    agreed: float = AGREED
+    epoch: int = 0
+    history: float = DEFAULT_HISTORY
+
+    def observer(self, system: System) -> Observer:
+        """An observer of ``system`` that has seen nothing yet.
+
+        Raises:
+            UsageError: something cannot be used, by its name.
+        """
+        uncertainty = Uncertainty(
+            deviation_of(self.deviation, system), self.clock_error, self.model_error
+        )
+        return Observer(
+            system,
+            law_named(self.law)(system, uncertainty),
+            *initial_state(self.initial, system),
+            epoch=self.epoch,
+            history=self.history,
+            ensemble=self.ensemble,
+            agreed=self.agreed,
+        )

@@ -1,0 +1,237 @@
+"""Convergence without ground truth: an ensemble, its agreement, and a certified bound."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from systems import EPOCH, Array, chain, event, examples, observer, run, sample, systems, vectors
+
+from impact_observer.analysis import lyapunov
+from impact_observer.errors import ImpactLawError
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.model import System
+from impact_observer.observer import Observer, Uncertainty, law_named
+from impact_observer.observer.agreement import HELD
+from impact_observer.plant import Run
+from impact_observer.stamps import NS_PER_S
+
+LAWS = pytest.mark.parametrize("law", ["open-loop", "kinematic", "geometric"])
+CERTIFIED = pytest.mark.parametrize("law", ["geometric"])
+LONG = 1000.0
+"""A history that forgets nothing, s."""
+THREE_MASS = sample("three_mass")
+TRUTH = run(THREE_MASS.system, *THREE_MASS.initial_state(), seconds=30.0, rate=10.0)
+
+
+def started(
+    model: System, law: str, start: Array, deviation: float, **options: object
+) -> Observer:
+    """An observer at ``start`` that was told how uncertain that is."""
+    made = law_named(law)(model, Uncertainty(deviation))
+    return Observer(model, made, *np.split(start, 2), epoch=EPOCH, history=LONG, **options)  # type: ignore[arg-type]
+
+
+def random_start(seed: int) -> Array:
+    """The truth of three masses at first, and a standard normal error."""
+    return np.asarray(TRUTH.states[0] + np.random.default_rng(seed).normal(size=6))
+
+
+def heard(watcher: Observer, plant: Run = TRUTH) -> list[float]:
+    """``V`` at each state of the plant's run, after the events at or before it."""
+    events, found = list(reversed(plant.events)), []
+    for stamp, x in zip(plant.stamps.tolist(), plant.states, strict=True):
+        while events and events[-1].stamp <= stamp:
+            watcher.receive(events.pop())
+        estimate = watcher.estimate(stamp)
+        found.append(V(watcher.system, x, np.concatenate([estimate.q, estimate.u])))
+    return found
+
+
+def V(model: System, one: Array, two: Array) -> float:  # noqa: N802
+    """The Lyapunov distance of two states."""
+    return float(lyapunov.distance(model, *np.split(one - two, 2)))
+
+
+@LAWS
+def test_estimate_does_not_depend_on_the_ensemble(law: str) -> None:
+    """Not in a single bit, whether it has one replica or three hundred."""
+    bits = set()
+    for count in (1, 2, 10, 300):
+        watcher = observer(THREE_MASS.system, law, random_start(1), epoch=EPOCH, ensemble=count)
+        for each in TRUTH.events[:8]:
+            watcher.receive(each)
+        found = watcher.estimate(TRUTH.events[8].stamp)
+        bits.add(found.q.tobytes() + found.u.tobytes())
+    assert len(bits) == 1
+
+
+PRESSED = chain(2, contacts=[([1, 0], 0.1, 0.5), ([-1, 1], 0.1, 0.5)])
+
+
+@LAWS
+def test_replicas_together_move_as_each_alone(law: str) -> None:
+    """Through impacts of one contact, of two at once, and while contacts stay closed."""
+
+    def told(seconds: float, *switches: tuple[str, Kind]) -> ImpactEvent:
+        stamp = EPOCH + round(seconds * NS_PER_S)
+        return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), epoch=EPOCH)
+
+    events = [
+        told(0.3, ("c1", Kind.IMPACT)),
+        told(0.7, ("c1", Kind.IMPACT), ("c2", Kind.IMPACT)),
+        told(1.1, ("c2", Kind.CLOSE)),
+        told(1.4, ("c1", Kind.IMPACT)),
+        told(1.9, ("c2", Kind.OPEN)),
+        told(2.2, ("c1", Kind.IMPACT)),
+    ]
+    together = observer(PRESSED, law, [0.2, -0.1, 0.5, -0.4], epoch=EPOCH, ensemble=6)
+    timeline = together._timeline
+    assert timeline is not None
+    starts = timeline.entries[0].belief.replicas
+    for each in events:
+        together.receive(each)
+    alone = [observer(PRESSED, law, x, epoch=EPOCH, ensemble=1) for x in starts]
+    for watcher, each in itertools.product(alone, events):
+        watcher.receive(each)
+    for entry in timeline.entries[1:]:
+        states = [watcher.estimate(entry.key.stamp) for watcher in alone]
+        expected = [np.concatenate([each.q, each.u]) for each in states]
+        np.testing.assert_allclose(entry.belief.replicas, expected, atol=1e-13)
+
+
+def test_convergence_is_the_largest_distance_of_two_replicas() -> None:
+    """Of every pair; of very many replicas an upper bound of it, less than four times as much."""
+    for count in (2, 10, 400):
+        watcher = observer(
+            THREE_MASS.system, "geometric", random_start(2), epoch=EPOCH, ensemble=count
+        )
+        for each in TRUTH.events[:3]:
+            watcher.receive(each)
+        timeline = watcher._timeline
+        assert timeline is not None
+        pairs = itertools.combinations(timeline.entries[-1].belief.replicas, 2)
+        largest = max(V(THREE_MASS.system, one, two) for one, two in pairs)
+        found = watcher.estimate(TRUTH.events[2].stamp + 1000).convergence
+        if count < 100:
+            assert found == pytest.approx(largest, rel=1e-12)
+        else:
+            assert largest <= found <= 4 * largest
+
+
+def test_one_replica_agrees_with_nobody() -> None:
+    """Its convergence is -1, and it is never synchronized, not even in the true state."""
+    watcher = observer(THREE_MASS.system, "geometric", TRUTH.states[0], epoch=EPOCH, ensemble=1)
+    heard(watcher)
+    last = watcher.estimate(int(TRUTH.stamps[-1]))
+    assert (last.convergence, last.synchronized) == (-1.0, False)
+
+
+def test_convergence_never_rises() -> None:
+    """Replicas under the same events are what V never rises between."""
+    watcher = observer(THREE_MASS.system, "geometric", random_start(3), epoch=EPOCH)
+    found = []
+    for each in TRUTH.events:
+        watcher.receive(each)
+        found.append(watcher.estimate(each.stamp).convergence)
+    assert np.all(np.diff(found) <= 1e-12 * found[0])
+    assert found[-1] < 1e-2 * found[0]
+
+
+def test_replicas_must_agree_for_several_events() -> None:
+    """Replicas that begin together are synchronized after so many events, not before."""
+    watcher = started(THREE_MASS.system, "geometric", TRUTH.states[0], deviation=1e-6)
+    for count, each in enumerate(TRUTH.events[: 2 * HELD], start=1):
+        watcher.receive(each)
+        assert watcher.estimate(each.stamp).synchronized is (count >= HELD)
+
+
+def test_law_that_hears_nothing_is_never_synchronized() -> None:
+    """Damping brings open-loop replicas together, and not to the plant."""
+    watcher = started(THREE_MASS.system, "open-loop", TRUTH.states[0], deviation=1e-9)
+    heard(watcher)
+    last = watcher.estimate(int(TRUTH.stamps[-1]))
+    assert last.convergence < 1e-15
+    assert not last.synchronized
+
+
+def test_event_that_nobody_expects_ends_the_agreement() -> None:
+    """All replicas are far from a stop that the plant is said to touch: they were all wrong."""
+    watcher = started(THREE_MASS.system, "geometric", TRUTH.states[0], deviation=1e-9)
+    heard(watcher)
+    stamp = int(TRUTH.stamps[-1])
+    assert watcher.estimate(stamp).synchronized
+    gap = THREE_MASS.system.gap(TRUTH.states[-1][:3])
+    farthest = THREE_MASS.system.contact_names[int(np.argmax(gap))]
+    watcher.receive(event(30.0, farthest, sequence=1000))
+    assert not watcher.estimate(stamp).synchronized
+
+
+@CERTIFIED
+@pytest.mark.parametrize("seed", range(4))
+def test_certified_bound_holds(law: str, seed: int) -> None:
+    """It begins above V, falls, and V stays below it."""
+    watcher = observer(THREE_MASS.system, law, random_start(seed), epoch=EPOCH, history=LONG)
+    found = heard(watcher)
+    bounds = [watcher.estimate(int(stamp)).bound for stamp in TRUTH.stamps]
+    bounds = [watcher.estimate(EPOCH).bound, *bounds]
+    assert np.all(np.diff(bounds) <= 0)
+    assert np.all(np.array(found) <= np.array(bounds[1:]))
+    assert bounds[-1] < bounds[0]
+
+
+@CERTIFIED
+@examples(15)
+@given(st.data())
+def test_certified_bound_holds_on_random_systems(law: str, data: st.DataObject) -> None:
+    """Whatever the system, from a start within what was declared."""
+    model = data.draw(systems(contacts=(1, 2), gaps=(0.0, 1.0), common_restitution=True))
+    x = np.concatenate([data.draw(vectors(model.n, -0.5, 0.5)), data.draw(vectors(model.n))])
+    assume(np.all(model.gap(x[: model.n]) >= 0))
+    watcher = observer(model, law, x + data.draw(vectors(2 * model.n)), epoch=EPOCH)
+    try:
+        plant = run(model, x[: model.n], x[model.n :], seconds=4.0, rate=5.0)
+        found = heard(watcher, plant)
+    except ImpactLawError:
+        assume(False)
+    bounds = [watcher.estimate(int(stamp)).bound for stamp in plant.stamps]
+    size = 1e-9 * (1 + bounds[0])
+    assert all(v <= bound + size for v, bound in zip(found, bounds, strict=True))
+
+
+def test_bound_that_is_refuted_is_given_up() -> None:
+    """Who declares a start to be certain that is wrong is told that nothing is certified."""
+    watcher = started(THREE_MASS.system, "geometric", random_start(5), deviation=1e-3)
+    heard(watcher)
+    assert watcher.estimate(EPOCH).bound > 0
+    assert watcher.estimate(int(TRUTH.stamps[-1])).bound == -1.0
+
+
+def test_law_that_measures_no_gap_certifies_nothing() -> None:
+    """Kinematic constraints never look where the replica is."""
+    watcher = observer(THREE_MASS.system, "kinematic", random_start(5), epoch=EPOCH, history=LONG)
+    heard(watcher)
+    assert {watcher.estimate(int(stamp)).bound for stamp in TRUTH.stamps} == {-1.0}
+
+
+def test_nothing_is_certified_after_an_impact_that_may_raise_V() -> None:  # noqa: N802
+    """Two contacts that are not M-orthogonal, with restitution 1 and 0, hit at once."""
+    corner = [([1, 0], 0.1, 1.0), ([1, 1], 0.1, 0.0)]
+    watcher = observer(chain(2, contacts=corner), "geometric", [0, 0, -1, -1], epoch=EPOCH)
+    watcher.receive(event(0.5, "c1", sequence=1))
+    assert watcher.estimate(EPOCH + NS_PER_S).bound > 0
+    watcher.receive(event(0.9, "c1", "c2", sequence=2))
+    assert watcher.estimate(EPOCH + NS_PER_S).bound == -1.0
+
+
+def test_covariance_given_with_a_state_spreads_the_replicas() -> None:
+    """A narrow one makes them agree at once; the wide one of the start comes back with reset."""
+    watcher = observer(THREE_MASS.system, "geometric", random_start(6), epoch=EPOCH)
+    wide = watcher.estimate(EPOCH).convergence
+    x = random_start(6)[:3], random_start(6)[3:]
+    watcher.set_state(EPOCH + NS_PER_S, *x, covariance=1e-8 * np.eye(6))
+    narrow = watcher.estimate(EPOCH + NS_PER_S).convergence
+    assert narrow == pytest.approx(1e-8 * wide, rel=1e-6)
+    watcher.set_state(EPOCH + NS_PER_S, *x)
+    assert watcher.estimate(EPOCH + NS_PER_S).convergence == pytest.approx(wide, rel=1e-12)

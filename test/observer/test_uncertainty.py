@@ -1,0 +1,80 @@
+"""What users declare not to know: read, checked, and spread over replicas."""
+
+import numpy as np
+import pytest
+from systems import sample
+
+from impact_observer.errors import UsageError
+from impact_observer.observer import Options, Uncertainty, deviation_of
+from impact_observer.observer.uncertainty import covariance_root, spread
+
+SYSTEM = sample("two_mass").system
+
+
+def test_deviation_is_one_number_or_one_for_each_state() -> None:
+    """The same for all, or q1,..,qn,u1,..,un."""
+    assert deviation_of("0.5", SYSTEM).tolist() == [0.5] * 4
+    assert deviation_of("1,2,3,0", SYSTEM).tolist() == [1.0, 2.0, 3.0, 0.0]
+
+
+@pytest.mark.parametrize("text", ["", "1,2", "a", "-1", "nan", "inf", "1,2,3,4,5", "1,,2,3"])
+def test_deviation_that_is_none_is_one_line(text: str) -> None:
+    """It says what was found and what is wanted."""
+    with pytest.raises(UsageError, match="expected one number, not below 0, or 4 of them") as info:
+        deviation_of(text, SYSTEM)
+    assert repr(text) in str(info.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("deviation", -1.0), ("clock_error", -1e-3), ("model_error", float("nan"))],
+)
+def test_uncertainty_checks_itself(name: str, value: float) -> None:
+    """By name, with what was found."""
+    with pytest.raises(UsageError, match=f"{name}: .* found; expected no number below 0"):
+        Uncertainty(**{name: value})
+
+
+def test_options_name_what_cannot_be_used() -> None:
+    """The law, the initial state, the size of a deviation, an ensemble of none."""
+    for options, message in (
+        (Options(law="none"), "law 'none': not installed"),
+        (Options(initial="1,2"), "initial state '1,2': 2 numbers, expected 4"),
+        (Options(deviation="1,2"), "deviation '1,2'"),
+        (Options(ensemble=0), "ensemble: 0 found; expected a positive number"),
+        (Options(agreed=0.0), "agreed: 0 found"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            options.observer(SYSTEM)
+
+
+def test_covariance_has_a_root() -> None:
+    """Also where it is singular, and given row by row."""
+    root = np.array([[1.0, 0, 0, 0], [2, 1, 0, 0], [0, 0, 0, 0], [1, 0, 3, 0]])
+    found = covariance_root((root @ root.T).ravel(), 2)
+    np.testing.assert_allclose(found @ found.T, root @ root.T, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "message"),
+    [
+        ([1.0] * 9, "9 numbers; expected 16 finite ones, 4 x 4"),
+        ([float("inf")] * 16, "expected 16 finite ones"),
+        (np.triu(np.ones((4, 4))).ravel(), "not symmetric"),
+        (-np.eye(4).ravel(), "has the eigenvalue -1"),
+    ],
+)
+def test_what_is_no_covariance_is_one_line(covariance: object, message: str) -> None:
+    """Of the wrong size, not finite, not symmetric, not semidefinite."""
+    with pytest.raises(UsageError, match=message):
+        covariance_root(covariance, 2)  # type: ignore[arg-type]
+
+
+def test_replicas_are_spread_as_declared() -> None:
+    """The first is the state itself; mean and covariance of the others are as told."""
+    x, root = np.array([1.0, -2.0]), np.array([[2.0, 0.0], [1.0, 0.5]])
+    found = spread(x, root, 20_001)
+    np.testing.assert_array_equal(found[0], x)
+    np.testing.assert_allclose(found[1:].mean(axis=0), x, atol=0.05)
+    np.testing.assert_allclose(np.cov(found[1:].T), root @ root.T, atol=0.1)
+    np.testing.assert_array_equal(spread(x, root, 5), found[:5])
