@@ -4,6 +4,7 @@ Every error a user can cause derives from :class:`ImpactObserverError`; its ``ex
 what a command ends with. Anything else that escapes is a bug and shows its traceback.
 """
 
+from collections.abc import Iterable
 from typing import ClassVar
 
 
@@ -48,3 +49,20 @@ class DynamicsError(ImpactObserverError, ArithmeticError):
 
 class ImpactLawError(DynamicsError):
     """An impact whose law has no solution on the contacts that are closed."""
+
+    @classmethod
+    def of(
+        cls,
+        contacts: Iterable[str],
+        problem: str,
+        speeds: Iterable[float],
+        restitution: Iterable[float],
+        remedy: str = "",
+    ) -> "ImpactLawError":
+        """Name the contacts, the problem, contact speeds (m/s), restitution, and what to do."""
+        return cls(
+            f"contacts {', '.join(map(repr, contacts))}: {problem} for contact speeds"
+            f" {', '.join(f'{speed:g}' for speed in speeds)} m/s with restitution"
+            f" {', '.join(f'{eps:g}' for eps in restitution)};"
+            f" give contacts that depend on each other a common restitution{remedy}"
+        )

@@ -78,6 +78,18 @@ def system(
     )
 
 
+def jammed(floor: float, ceiling: float, velocity: float) -> str:
+    """A model file: a mass between two stops without play, of two restitutions."""
+    return f"""
+name: jammed
+bodies: [{{name: x, mass: 1}}]
+stops:
+  - {{name: floor, body: x, limit: 0, side: below, restitution: {floor}}}
+  - {{name: ceiling, body: x, limit: 0, side: above, restitution: {ceiling}}}
+initial_state: {{position: [0], velocity: [{velocity}]}}
+"""
+
+
 def chain(n: int, stiffness: float = 10.0, damping: float = 0.1, **others: object) -> System:
     """``n`` unit masses between two walls, joined by equal springs and dampers."""
     laplacian = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)

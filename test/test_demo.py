@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from systems import jammed
 
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
@@ -32,16 +33,6 @@ class Run:
     code: int
     out: str
     err: str
-
-
-JAMMED = """
-name: jammed
-bodies: [{name: x, mass: 1}]
-stops:
-  - {name: floor, body: x, limit: 0, side: below, restitution: 0.8}
-  - {name: ceiling, body: x, limit: 0, side: above, restitution: 0.5}
-initial_state: {position: [0], velocity: [1]}
-"""
 
 
 def run_demo(folder: Path, environment: dict[str, str], *arguments: str) -> Run:
@@ -130,7 +121,7 @@ def test_a_model_that_the_plant_cannot_follow_ends_the_demonstration(
 ) -> None:
     """Two stops without play, hit together: one line with the plant's own reason, exit code 1."""
     model = tmp_path / "jammed.yaml"
-    model.write_text(JAMMED, encoding="utf-8")
+    model.write_text(jammed(0.8, 0.5, velocity=1), encoding="utf-8")
     run = run_demo(tmp_path / "jammed", ros_environment, "--model", str(model))
     assert run.code == 1
     lines = run.err.strip().splitlines()

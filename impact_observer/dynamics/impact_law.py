@@ -6,6 +6,7 @@ complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -45,6 +46,11 @@ class ImpactLaw:
         self._Minv_W = linalg.solve_triangular(factor.T, self._B, lower=False)
         # Plain floats: the law of a single contact is on the path of every event.
         self._single = ((1.0 + self._eps) / np.sum(self._B**2, axis=0)).tolist()
+
+    @cached_property
+    def plastic(self) -> "ImpactLaw":
+        """The same law without restitution."""
+        return ImpactLaw(self._system, np.zeros(self._system.m))
 
     def velocity_after(self, u: Vector, active: Sequence[int]) -> Vector:
         """Velocities ``u+`` after an impact on the ``active`` contacts.
@@ -93,7 +99,7 @@ class ImpactLaw:
             if np.all(W.T @ after >= -_ROUNDING * speed * length):
                 return after
             after = self.velocity_after(after, closed)
-        return ImpactLaw(self._system, np.zeros(self._system.m)).velocity_after(after, closed)
+        return self.plastic.velocity_after(after, closed)
 
     def velocities_held(self, U: Matrix, active: Sequence[int], closed: Sequence[int]) -> Matrix:
         """``velocity_held`` of many replicas at once: ``U`` and result of shape (replicas, n).
@@ -168,14 +174,8 @@ class ImpactLaw:
         """The impulses for contact speeds ``gamma``, shape (len(active),)."""
         impulses = complementary(self._B[:, active], (1.0 + self._eps[active]) * gamma)
         if impulses is None:
-            raise self._no_solution(active, gamma)
+            names = [self._system.contact_names[i] for i in active]
+            raise ImpactLawError.of(
+                names, "Newton's impact law has no solution", gamma, self._eps[active]
+            )
         return impulses
-
-    def _no_solution(self, active: Sequence[int], gamma: Vector) -> ImpactLawError:
-        names = [self._system.contact_names[i] for i in active]
-        return ImpactLawError(
-            f"contacts {', '.join(map(repr, names))}: Newton's impact law has no solution for"
-            f" contact speeds {', '.join(f'{g:g}' for g in gamma)} m/s with restitution"
-            f" {', '.join(f'{e:g}' for e in self._eps[list(active)])};"
-            " give contacts that depend on each other a common restitution"
-        )

@@ -169,15 +169,12 @@ class MoreauScheme:
             # Both are nonnegative, and one of the two is zero.
             if np.all(np.abs(np.minimum(found, A @ found - d)) <= _RESIDUAL):
                 return np.asarray(np.maximum(found, 0.0) * (scale / length))
-        raise self._no_impulses(k * self.h, active, gamma[active])
-
-    def _no_impulses(self, t: float, active: Indices, gamma: Vector) -> ImpactLawError:
-        names = [self.system.contact_names[i] for i in active]
-        return ImpactLawError(
-            f"contacts {', '.join(map(repr, names))}: the step at t = {t:.9f} s finds no impulses"
-            f" for contact speeds {', '.join(f'{g:g}' for g in gamma)} m/s with restitution"
-            f" {', '.join(f'{e:g}' for e in self.system.eps[active])};"
-            " give contacts that depend on each other a common restitution, or take a shorter step"
+        raise ImpactLawError.of(
+            [self.system.contact_names[i] for i in active],
+            f"the step at t = {k * self.h:.9f} s finds no impulses",
+            gamma[active],
+            self.system.eps[active],
+            remedy=", or take a shorter step",
         )
 
     def _candidates(self, A: Matrix, B: Matrix, d: Vector) -> Iterator[Vector]:

@@ -160,8 +160,6 @@ class Phases:
         Where the held contacts determine the gaps of all ``fixed`` ones these do not slip, and it
         is the same phase without them.
         """
-        if set(fixed) <= set(held) or len(self.independent((*held, *fixed))) == len(held):
-            fixed = ()
         return self._prepared(held, fixed)
 
     def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
@@ -220,6 +218,8 @@ class Phases:
         return Unloaded(equations, frozen(Q), frozen(rest), equations.forcing.bound(inverse))
 
     def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
+        if fixed and len(self.independent((*held, *fixed))) == len(held):
+            return self.phase(held)
         p = len(held)
         free = self.unloaded(fixed)
         orthogonal, triangular = np.linalg.qr(self.B[:, list(held)], mode="complete")

@@ -18,6 +18,8 @@ HELD = 5
 """Events, one after the other, at which replicas must agree."""
 AGREED = 1e-4
 """V distance that counts as agreement, relative to the energy of the estimated motion."""
+_MARGIN = 2.0
+"""V between plant and estimate that is reckoned with, over the largest between replicas."""
 _PAIRS = 256
 """Most replicas of which every pair is looked at."""
 
@@ -60,7 +62,7 @@ class Agreeing:
     ) -> Agreement:
         """The agreement after an event, between the beliefs ``before`` and after it."""
         convergence, energy = self._diameter(belief.replicas), self._energy(belief.x)
-        apart = max(convergence, self._certain(before.x, touch), self._expected(belief))
+        apart = max(_MARGIN * convergence, self._certain(before.x, touch), self._expected(belief))
         agrees = convergence >= 0 and apart <= self.threshold * energy
         held = previous.held if not touch.hit else previous.held + 1
         return Agreement(convergence, energy, held if agrees else 0)

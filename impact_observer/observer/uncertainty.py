@@ -102,7 +102,11 @@ def covariance_root(covariance: ArrayLike, n: int) -> Matrix:
 
 
 def spread(x: Vector, root: Matrix, count: int) -> Matrix:
-    """``count`` initial states, the first ``x`` itself, the others normal about it.
+    """``count`` initial states: ``x`` itself, and others about it in every direction alike.
+
+    A normal draw of so few leaves directions in which all happen to lie close together, and a slow
+    system shows only one of its directions in the end. So the draw is centred and whitened: the
+    mean of the others is ``x`` and, from ``2n + 2`` replicas on, their covariance as declared.
 
     Args:
         x: state (q, u), shape (2n,).
@@ -110,8 +114,13 @@ def spread(x: Vector, root: Matrix, count: int) -> Matrix:
         count: of replicas, at least one.
 
     Returns:
-        Shape (count, 2n); the first rows do not depend on ``count``.
+        Shape (count, 2n).
     """
-    found = np.tile(x, (count, 1))
-    found[1:] += np.random.default_rng(_SEED).normal(size=(count - 1, x.size)) @ root.T
+    found, others = np.tile(x, (count, 1)), count - 1
+    drawn = np.random.default_rng(_SEED).normal(size=(others, x.size))
+    if others > 1:
+        left, _, right = np.linalg.svd(drawn - drawn.mean(axis=0), full_matrices=False)
+        rank = min(others - 1, x.size)
+        drawn = left[:, :rank] @ right[:rank] * np.sqrt(others * x.size / rank)
+    found[1:] += drawn @ root.T
     return found

@@ -51,7 +51,6 @@ class Plant:
         self.system = system
         self.epoch = epoch
         self._law = ImpactLaw(system)
-        self._plastic = ImpactLaw(system, np.zeros(system.m))
         self._phases = Phases(system)
         self._rest = Rest(self._phases)
         self._accumulation = Accumulation(self._rest.shortest)
@@ -106,7 +105,7 @@ class Plant:
         """Begin a phase at ``instant`` from state ``x``."""
         self._start = instant
         self.closed = closed
-        self._open = [i for i in range(self.system.m) if i not in closed]
+        self._open = tuple(i for i in range(self.system.m) if i not in closed)
         self._phase = self._phases.phase(held)
         self._state = x
         self._motion = self._phase.start(self._time(instant), x)
@@ -126,13 +125,13 @@ class Plant:
         while self._crossing is None and self._windows * self._window <= horizon:
             start, self._windows = self._windows * self._window, self._windows + 1
             stop = self._windows * self._window
-            self._crossing = self._searcher(self._phase, self.closed).first(
+            self._crossing = self._searcher(self._phase, self._open).first(
                 self._motion, stop, start
             )
 
-    def _search_of(self, phase: Phase, closed: tuple[int, ...]) -> Search:
-        """The search for the end of a phase: gaps of open contacts first, then loads."""
-        gaps = Watched.gaps(self.system, [i for i in range(self.system.m) if i not in closed])
+    def _search_of(self, phase: Phase, apart: tuple[int, ...]) -> Search:
+        """The search for the end of a phase: gaps of those ``apart`` first, then loads."""
+        gaps = Watched.gaps(self.system, list(apart))
         return Search(phase, gaps.and_also(Watched.loads(phase)), self._window)
 
     def _ended(self, crossing: Crossing) -> Switching:
@@ -167,7 +166,7 @@ class Plant:
             velocity = self._law.velocity_after(u, contacts)
             if lately := self._accumulation.hit(instant, contacts, self._energy(u)):
                 near = {*contacts, *(i for i in self.system.touched(x[:n]) if i in lately)}
-                plastic = self._plastic.velocity_after(u, tuple(sorted(near)))
+                plastic = self._law.plastic.velocity_after(u, tuple(sorted(near)))
                 if self._accumulation.negligible(self._energy(u) - self._energy(plastic)):
                     velocity, contacts = plastic, tuple(sorted(near))
         except ImpactLawError as error:

@@ -97,11 +97,11 @@ class Rest:
             # One at a time: without its load the others may rest or leave.
             found.pop(int(flight.argmax()))
         # A contact that the others determine rests with them, though it may take no load.
+        if not found:
+            return ()
         rank = len(self._phases.independent(tuple(found)))
         return tuple(
-            i
-            for i in contacts
-            if i in found or len(self._phases.independent((*found, i))) == rank > 0
+            i for i in contacts if i in found or len(self._phases.independent((*found, i))) == rank
         )
 
     def _scale(self, q: Vector, u: Vector) -> Vector:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from systems import jammed
 
 from impact_observer import __version__
 from impact_observer.cli.main import COMMANDS, main
@@ -163,13 +164,7 @@ def test_impact_without_a_solution_is_one_line_and_exit_code_1(
 ) -> None:
     """Two stops without play between them: the line names both and the time."""
     model = tmp_path / "jammed.yaml"
-    stops = [
-        f"  - {{name: {name}, body: x, limit: 0, side: {side}, restitution: {eps}}}"
-        for name, side, eps in (("floor", "below", 0.8), ("ceiling", "above", 0.5))
-    ]
-    lines = ["name: jammed", "bodies: [{name: x, mass: 1}]", "stops:", *stops]
-    start = "initial_state: {position: [0], velocity: [1]}"
-    model.write_text("\n".join([*lines, start]), encoding="utf-8")
+    model.write_text(jammed(0.8, 0.5, velocity=1), encoding="utf-8")
     assert main(["simulate", str(model), "-o", str(tmp_path / "bag")]) == 1
     errors = capsys.readouterr().err.strip().splitlines()
     assert len(errors) == 1

@@ -6,6 +6,7 @@ from typing import cast
 
 import numpy as np
 import pytest
+from systems import jammed
 
 from impact_observer.bag.messages import ErrorMessage
 from impact_observer.bag.reader import BagReader
@@ -193,13 +194,7 @@ def test_observation_that_fails_leaves_no_bag(
 ) -> None:
     """Stops without play and a replica that comes another way: one line, and nothing is left."""
     model = tmp_path / "jammed.yaml"
-    stops = [
-        f"  - {{name: {name}, body: x, limit: 0, side: {side}, restitution: {eps}}}"
-        for name, side, eps in (("floor", "below", 0), ("ceiling", "above", 1))
-    ]
-    start = "initial_state: {position: [0], velocity: [0]}"
-    lines = ["name: jammed", "bodies: [{name: x, mass: 1}]", "stops:", *stops, start]
-    model.write_text("\n".join(lines), encoding="utf-8")
+    model.write_text(jammed(0, 1, velocity=0), encoding="utf-8")
     plant, output = tmp_path / "plant", tmp_path / "out"
     assert main(["simulate", str(model), "--duration", "1", "-o", str(plant)]) == 0
     assert main(["observe", str(plant), "--initial", "0,1", "-o", str(output)]) == 1

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
-from impact_observer_msgs.msg import EstimateError
+from impact_observer_msgs.msg import ContactSwitch, EstimateError, ImpactEvent, ObserverState
 from processes import PATIENCE, interrupt, ros_arguments, running, spinning
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from impact_observer.bag.interfaces import Quality
@@ -61,6 +63,50 @@ def test_plant_and_observer_processes_converge_on_the_topic(
     last = errors[-1]
     assert list(last.name) == ["x1", "x2"]
     assert np.abs(last.position_error).max() < 0.05
+
+
+def test_a_body_at_rest_on_its_stop_is_told_as_closed(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """The plant's process says CLOSE at the epoch, and an observer's holds the contact."""
+    model = tmp_path / "resting.yaml"
+    model.write_text(
+        "name: resting\nbodies: [{name: z, mass: 1}]\nforces: [{body: z, constant: -9.81}]\n"
+        "stops: [{name: floor, body: z, limit: 0, side: below, restitution: 0.5}]\n"
+        "initial_state: {position: [0], velocity: [0]}\n",
+        encoding="utf-8",
+    )
+    arguments = {"model": str(model), "epoch": 3_000_000_000}
+    simulated = {"publish_clock": True, "duration": 2.0, "wait_for_subscribers": 1}
+    told = {"use_sim_time": True, "initial_state": "'0.3,1.0'"}
+    events: list[ImpactEvent] = []
+    states: list[ObserverState] = []
+    truth: list[JointState] = []
+    observer = ros_arguments({**arguments, **told, "events_durability": "transient_local"})
+    with (
+        running("impact_observer.nodes.observer", observer, ros_environment),
+        spinning() as spinner,
+    ):
+        probe = spinner.probe
+        heard = qos_profile(Quality(transient_local=True, depth=10))
+        probe.create_subscription(ImpactEvent, "impacts", events.append, heard)
+        seen = qos_profile(Quality(depth=1000))
+        probe.create_subscription(JointState, "plant/joint_states", truth.append, seen)
+        probe.create_subscription(ObserverState, "observer/state", states.append, seen)
+        spinner.until(lambda: probe.count_publishers("observer/state") == 1)
+        spinner.settle()
+        plant = ros_arguments({**arguments, **simulated})
+        with running("impact_observer.nodes.plant", plant, ros_environment) as process:
+            spinner.until(lambda: process.poll() is not None)
+            assert process.returncode == 0, process.communicate()
+        spinner.settle()
+    assert [[(s.contact, s.kind) for s in event.switches] for event in events] == [
+        [("floor", ContactSwitch.CLOSE)]
+    ]
+    assert (events[0].header.stamp.sec, events[0].header.stamp.nanosec) == (3, 0)
+    assert list(states[-1].closed) == ["floor"]
+    assert states[-1].position[0] == 0.0
+    assert truth[-1].position[0] == 0.0
 
 
 def test_a_reset_of_the_plant_is_a_new_episode(ros_environment: dict[str, str]) -> None:

@@ -10,7 +10,7 @@ from systems import EPOCH, Array, chain, event, examples, observer, run, sample,
 
 from impact_observer.analysis import lyapunov
 from impact_observer.errors import ImpactLawError
-from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
 from impact_observer.observer import Observer, Uncertainty, law_named
 from impact_observer.observer.agreement import HELD
@@ -235,3 +235,13 @@ def test_covariance_given_with_a_state_spreads_the_replicas() -> None:
     assert narrow == pytest.approx(1e-8 * wide, rel=1e-6)
     watcher.set_state(EPOCH + NS_PER_S, *x)
     assert watcher.estimate(EPOCH + NS_PER_S).convergence == pytest.approx(wide, rel=1e-12)
+
+
+def test_replica_whose_impact_has_no_solution_stays_apart() -> None:
+    """It never hinders the estimate, and it does not agree with it."""
+    stops = [([1.0], 0.0, 0.0), ([-1.0], 0.0, 1.0)]  # no play between them
+    watcher = observer(chain(1, contacts=stops), "kinematic", [0.0, 0.0], epoch=EPOCH)
+    assert watcher.receive(event(1.0, "c1", "c2", sequence=1))[0].ruling is Ruling.APPLIED
+    found = watcher.estimate(EPOCH + NS_PER_S)
+    assert found.u.tolist() == [0.0]
+    assert found.convergence > 1e-3

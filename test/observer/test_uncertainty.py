@@ -71,10 +71,20 @@ def test_what_is_no_covariance_is_one_line(covariance: object, message: str) -> 
 
 
 def test_replicas_are_spread_as_declared() -> None:
-    """The first is the state itself; mean and covariance of the others are as told."""
+    """The first is the state itself; mean and covariance of the others are as told, exactly."""
     x, root = np.array([1.0, -2.0]), np.array([[2.0, 0.0], [1.0, 0.5]])
-    found = spread(x, root, 20_001)
-    np.testing.assert_array_equal(found[0], x)
-    np.testing.assert_allclose(found[1:].mean(axis=0), x, atol=0.05)
-    np.testing.assert_allclose(np.cov(found[1:].T), root @ root.T, atol=0.1)
-    np.testing.assert_array_equal(spread(x, root, 5), found[:5])
+    for count in (4, 10, 2001):
+        found = spread(x, root, count)
+        np.testing.assert_array_equal(found[0], x)
+        np.testing.assert_allclose(found[1:].mean(axis=0), x, atol=1e-13)
+        np.testing.assert_allclose(np.cov(found[1:].T, ddof=0), root @ root.T, atol=1e-12)
+
+
+def test_few_replicas_are_spread_as_far() -> None:
+    """Fewer than directions: their mean square distance is that of many."""
+    for count in (2, 3, 5):
+        found = spread(np.zeros(8), np.eye(8), count)
+        assert len({x.tobytes() for x in found}) == count
+        if count > 2:
+            assert np.mean(np.sum(found[1:] ** 2, axis=1)) == pytest.approx(8.0)
+    assert spread(np.zeros(8), np.eye(8), 1).shape == (1, 8)

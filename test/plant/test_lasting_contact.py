@@ -9,7 +9,18 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
-from systems import EPOCH, Harmonic, examples, forcing, run, system, systems, vectors
+from systems import (
+    EPOCH,
+    Harmonic,
+    chain,
+    examples,
+    forcing,
+    observer,
+    run,
+    system,
+    systems,
+    vectors,
+)
 
 from impact_observer.dynamics import DEPTH, ImpactLaw
 from impact_observer.errors import ImpactLawError
@@ -459,3 +470,28 @@ def test_body_that_starts_inside_its_stop_by_rounding_leaves_it() -> None:
     found = run(model, [-1 - 5e-13], [1e-6], seconds=0.1)
     assert len(found.impacts) <= 10
     assert np.min(found.states[:, 0] + 1) >= -1e-12
+
+
+@pytest.mark.slow
+def test_chain_of_three_hundred_sticks_and_flies_and_its_observer_follows() -> None:
+    """Two stops close, hold and open again: no gap is ever negative; what starts true stays."""
+    n = 300
+    left, middle = -np.eye(n)[0], np.eye(n)[n // 2 - 1]
+    pushed = [Harmonic(1.3, np.eye(n)[0].tolist(), [0.0] * n)]
+    model = chain(
+        n,
+        contacts=[(left, 0.05, 0.5), (middle, 0.05, 0.3)],
+        force=forcing(n, 0.5 * np.eye(n)[0], pushed),
+    )
+    start = 0.5 * np.sin(np.arange(n) * np.pi / 7)
+    plant = run(model, np.zeros(n), start, seconds=5.0)
+    kinds = {switch.kind for each in plant.events for switch in each.switches}
+    assert kinds == set(Kind)
+    assert len(plant.events) > 30
+    assert np.min(plant.states[:, :n] @ model.W + model.q_r) >= -1e-10
+    watcher = observer(model, "geometric", plant.states[0], epoch=EPOCH, ensemble=1)
+    for each in plant.events:
+        watcher.receive(each)
+    found = watcher.estimate(int(plant.stamps[-1]))
+    # Impact times of 1 ns leave so much.
+    np.testing.assert_allclose(np.r_[found.q, found.u], plant.states[-1], atol=1e-8)

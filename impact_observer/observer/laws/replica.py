@@ -7,6 +7,7 @@ import numpy as np
 from scipy import special
 
 from impact_observer.dynamics import Clutches, Motion, Phase
+from impact_observer.errors import ImpactLawError
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Contacts, Course, Touch
 from impact_observer.observer.laws.law import Law
@@ -98,13 +99,23 @@ class ReplicaLaw(Law):
         # The estimate does not depend on how many others there are, not in a single bit.
         replicas[0] = self.impact(before[0], active, closed)
         if len(before) > 1:
-            replicas[1:] = self.impacts(before[1:], active, closed)
+            replicas[1:] = self._others(before[1:], active, closed)
         bound = belief.bound
         if bound is not None:
             taken = self.taken(before[0], replicas[0], active)
             # Below zero it is refuted: by a wrong model, or a start that was not to be expected.
             bound = bound - taken if taken is not None and taken <= bound else None
         return Belief(replicas, bound=bound)
+
+    def _others(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
+        """The impacts of the other replicas; one without a solution stays apart, as it was."""
+        try:
+            return self.impacts(replicas, active, closed)
+        except ImpactLawError:
+            if len(replicas) == 1:
+                return replicas
+            each = [self._others(x[None], active, closed) for x in replicas]
+            return np.concatenate(each)
 
     def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
         """The estimate by its own motion, the others beside it where all move alike."""
