@@ -14,9 +14,11 @@ PROGRAM = "impact-observer"
 COMMANDS = {
     "demo": "plant, observers and monitors as processes, a bag, a comparison, a picture",
     "check-model": "what a model means for an observer: modes, contacts, impact law",
+    "observability": "what the impacts in a bag have told of the state: rank, condition, unknowns",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
     "observe": "run an observer on the impacts in a bag",
     "compare": "estimates against the truth: V(t), errors, a picture",
+    "figure": "from a model to the picture: V(t) of several laws",
     "info": "what is in a bag",
     "play": "publish a bag on its topics",
     "record": "record topics into a bag",

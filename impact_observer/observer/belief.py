@@ -1,12 +1,13 @@
 """What an observer carries from one event to the next, and what a law is told of an event."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
 
+from impact_observer.events import Kind
 from impact_observer.states import Matrix, Vector
 
 Contacts: TypeAlias = tuple[int, ...]
@@ -52,6 +53,23 @@ class Touch:
     before: Contacts
     hit: Contacts
     closed: Contacts
+
+    @classmethod
+    def of(cls, t: float, before: Contacts, switches: Iterable[tuple[int, Kind]]) -> "Touch":
+        """What an event at ``t`` means while the contacts ``before`` are closed.
+
+        Args:
+            t: s since the epoch.
+            before: contacts with ``chi = 1`` until now.
+            switches: contacts and how they switch. An impact that is one instant says too that its
+                contact is not closed afterwards: an ``OPEN`` was lost.
+        """
+        kinds = {kind: set[int]() for kind in Kind}
+        for contact, kind in switches:
+            kinds[kind].add(contact)
+        hit = kinds[Kind.IMPACT] | kinds[Kind.CLOSE]
+        closed = (set(before) - kinds[Kind.IMPACT] | kinds[Kind.CLOSE]) - kinds[Kind.OPEN]
+        return cls(t, before, tuple(sorted(hit)), tuple(sorted(closed)))
 
     @property
     def active(self) -> Contacts:

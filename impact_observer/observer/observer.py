@@ -317,25 +317,16 @@ class Observer:
 
     def _step(self, previous: Entry, event: Key) -> Entry:
         """The entry of ``event``, from the one before it."""
-        kinds = {kind: {i for i, k in event.switches if k is kind} for kind in Kind}
-        hit = kinds[Kind.IMPACT] | kinds[Kind.CLOSE]
-        # An impact that is one instant says too that the contact is not closed afterwards.
-        staying = set(previous.closed) - kinds[Kind.IMPACT] | kinds[Kind.CLOSE]
-        closed = tuple(sorted(staying - kinds[Kind.OPEN]))
         s = seconds_between(previous.key.stamp, event.stamp)
         before = self._course(previous).belief(s) if s > 0 else previous.belief
-        touch = Touch(
-            seconds_between(self._epoch or event.stamp, event.stamp),
-            previous.closed,
-            tuple(sorted(hit)),
-            closed,
-        )
+        t = seconds_between(self._epoch or event.stamp, event.stamp)
+        touch = Touch.of(t, previous.closed, event.switches)
         try:
             belief = self.law.event(touch, before)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
         agreement = self._agreeing.after(previous.agreement, touch, before, belief)
-        return Entry(event, belief, agreement, closed)
+        return Entry(event, belief, agreement, touch.closed)
 
     def _course(self, entry: Entry) -> Course:
         """How the belief of ``entry`` goes on: one exact motion from just after it."""

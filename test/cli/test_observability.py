@@ -1,0 +1,180 @@
+"""The command that says what the impacts in a bag have told."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from systems import system
+
+from impact_observer.analysis.observability import observability
+from impact_observer.bag import BagWriter
+from impact_observer.bag.messages import bag_messages
+from impact_observer.cli import observability as command
+from impact_observer.cli.main import main
+from impact_observer.errors import BagError, UsageError
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.shares import shared
+
+TWO_MASS = shared("bags/two_mass")
+APART = """
+name: apart
+bodies: [{name: x1, mass: 1}, {name: x2, mass: 1}]
+springs: [{between: [ground, x1], stiffness: 10}, {between: [ground, x2], stiffness: 7}]
+stops: [{name: stop, body: x1, limit: 0.3, side: above, restitution: 0.7}]
+"""
+
+
+def said(capsys: pytest.CaptureFixture[str], bag: Path, *words: str) -> str:
+    """What the command prints, without line ends."""
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    assert command.run(parser.parse_args([str(bag), *words])) == 0
+    return " ".join(capsys.readouterr().out.split())
+
+
+def bag_of(path: Path, *events: ImpactEvent) -> Path:
+    """A bag with nothing but events."""
+    make = bag_messages()
+    with BagWriter(path) as writer:
+        for each in events:
+            writer.write("/impacts", each.stamp, make.event(each))
+    return path
+
+
+def impact(stamp: int, *contacts: str, episode: int = 0) -> ImpactEvent:
+    """An impact ``stamp`` tenths of a second after the epoch, 1 s."""
+    return told(stamp, *(Switch(contact) for contact in contacts), episode=episode)
+
+
+def told(stamp: int, *switches: Switch, episode: int = 0) -> ImpactEvent:
+    """An event then."""
+    epoch = 1_000_000_000
+    return ImpactEvent(epoch + stamp * 100_000_000, switches, stamp, episode, epoch)
+
+
+@pytest.fixture
+def apart(tmp_path: Path) -> str:
+    """A model with a mass that no contact sees."""
+    (tmp_path / "apart.yaml").write_text(APART)
+    return str(tmp_path / "apart.yaml")
+
+
+def test_two_mass_is_told_whole_by_four_impacts(capsys: pytest.CaptureFixture[str]) -> None:
+    """By the model in the bag: a row for each rise and the end, then what it comes down to."""
+    output = said(capsys, TWO_MASS)
+    assert output.startswith("two_mass: 22 impacts in 28.189 s, 4 unknown numbers event s contact")
+    for row in ("1 0.537 stop 1/4 0.723 0 -", "4 5.695 stop 4/4 1.34 0.0826 16.2", "22 28.189"):
+        assert row in output
+    assert "5 6.5" not in output
+    assert "Full rank after 4 impacts, 5.695 s after the start: all 4 numbers" in output
+    assert "Least known: -0.31 x1 - 0.37 x2 - 0.045 dx1/dt + 0.88 dx2/dt." in output
+    assert "moves the recorded gaps by 0.12 m in all, 12 times less than the best" in output
+
+
+def test_what_was_never_told_is_named(
+    tmp_path: Path, apart: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In plain words; contacts the model does not have and other episodes are counted."""
+    bag = bag_of(
+        tmp_path / "bag",
+        impact(9, "stop"),
+        impact(4, "stop", "bell", episode=1),
+        impact(7, "bell", episode=1),
+        impact(11, "stop", episode=1),
+        impact(11, "stop", episode=1),
+    )
+    output = said(capsys, bag, "--model", apart)
+    assert (
+        "The rank is 2 of 4: 2 combinations of the initial state have never been told." in output
+    )
+    # x2 oscillates with sqrt(7) rad/s for 0.7 s
+    assert "gives the same impacts: 1.0 x2, at the end -0.28 x2 - 2.5 dx2/dt 1.0 dx2/dt," in output
+    assert "Told all the same: x1, dx1/dt." in output
+    assert "The bag has 2 episodes: this is the last one." in output
+    assert "1 event left out: sent twice" in output
+    assert "2 switches of contacts that the model does not have left out: bell; it has stop." in (
+        output
+    )
+
+
+def test_json_has_all_figures(apart: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Per impact too; what has no meaning is null."""
+    found = json.loads(said(capsys, TWO_MASS, "--json", "--model", apart, "--deviation", "0.5"))
+    assert found["rank"] == 2
+    assert found["condition"] is found["impacts_to_full_rank"] is found["seconds_to_full_rank"]
+    assert found["condition"] is None
+    assert found["unknown"] == [[0, 0.5, 0, 0], [0, 0, 0, 0.5]]
+    assert found["states"] == ["x1", "x2", "dx1/dt", "dx2/dt"]
+    growth = found["growth"]
+    assert {len(values) for values in growth.values()} == {22}
+    assert np.shape(growth["singular_values"]) == (22, 4)
+    assert growth["stamp_ns"][0] - found["start_stamp_ns"] == round(growth["seconds"][0] * 1e9)
+    full = json.loads(said(capsys, TWO_MASS, "--json"))
+    assert full["impacts_to_full_rank"] == 4
+    assert full["condition"] == full["growth"]["condition"][-1] == pytest.approx(12, abs=0.1)
+    assert full["growth"]["condition"][:4][:3] == [None, None, None]
+
+
+def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    """With a coarse one the least known direction counts as unknown."""
+    output = said(capsys, TWO_MASS, "--tolerance", "0.1")
+    assert "The rank is 3 of 4: 1 combination of the initial state has never been told" in output
+
+
+@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+def test_picture_is_written(
+    tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And its name is told."""
+    picture = tmp_path / f"told.{ending}"
+    assert said(capsys, TWO_MASS, "--plot", str(picture)).endswith(f"picture: {picture}")
+    assert picture.stat().st_size > 5000
+
+
+def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It names both sides, and the command ends with 1."""
+    bag = bag_of(tmp_path / "bag", impact(3, "bell"))
+    assert main(["observability", str(bag), "--model", "two_mass"]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"{bag}: tells no impact of the model's contacts, stop; " in error
+    assert "bell" in error
+    with pytest.raises(BagError, match="name one with --model"):
+        command.observe(bag)
+    with pytest.raises(UsageError, match="expected one number"):
+        command.observe(TWO_MASS, deviation="1,2")
+    with pytest.raises(UsageError, match=r"told\.txt"):
+        command.observe(TWO_MASS, plot=tmp_path / "told.txt")
+
+
+def test_combination_shows_its_largest_terms() -> None:
+    """In SI units; what is small in deviations is left out, and so is all but six."""
+    model = system(np.eye(4), np.eye(4), np.eye(4), contacts=[([1, 0, 0, 0], 0.0, 0.5)])
+    found = observability(model, [impact(3, "c1")])
+    assert command._left(found, np.ones(8), np.full(8, 1e-12)) == "gone at the end"
+    one = np.array([0.7, 0.003, 0, 0, 0, -0.5, 0, 0])
+    assert command.combination(found, one) == "0.70 x1 - 0.50 dx2/dt"
+    many = np.array([1, -2, 3, 4, 5, 6, 7, 8.0])
+    assert command.combination(found, many) == (
+        "3.0 x3 + 4.0 x4 + 5.0 dx1/dt + 6.0 dx2/dt + 7.0 dx3/dt + 8.0 dx4/dt and 2 more"
+    )
+
+
+def test_long_growth_is_shown_by_its_ends(capsys: pytest.CaptureFixture[str]) -> None:
+    """Eight masses, each before a stop of its own; one closes for good."""
+    contacts = [(row, 0.0, 0.5) for row in np.eye(8)]
+    model = system(np.eye(8), np.zeros((8, 8)), np.diag(np.arange(1.0, 9.0)), contacts=contacts)
+    events = [impact(k, f"c{k % 8 + 1}") for k in range(1, 17)]
+    events.append(told(30, Switch("c1", Kind.CLOSE), Switch("c2")))
+    events.append(told(40, Switch("c1", Kind.OPEN)))
+    command.print_told(observability(model, events))
+    output = capsys.readouterr().out
+    assert "17 impacts and 1 release in 4.000 s, 16 unknown numbers" in output
+    assert "... " in output
+    assert "5 more in --json" in output
+    assert "c1 opens" in output
+    assert len(output.splitlines()) < 24
