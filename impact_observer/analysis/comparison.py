@@ -5,6 +5,7 @@ it. A live estimate that was published before its event arrived is *late*: it is
 out, for its distance is the size of the jump and says nothing of the observer.
 """
 
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +13,11 @@ from numpy.typing import NDArray
 
 from impact_observer.analysis.lyapunov import distance
 from impact_observer.errors import BagError
+from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.model import System
+from impact_observer.observer import Observer, replay
 from impact_observer.stamps import seconds_between, text
-from impact_observer.states import Stamps, Vector
+from impact_observer.states import Estimate, Stamps, Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,6 +142,65 @@ def compare(
         late=int(np.count_nonzero(~kept)),
         events=int(np.count_nonzero(np.unique(applied) <= last)),
     )
+
+
+def compare_law(
+    observer: Observer,
+    events: Sequence[ImpactEvent],
+    truth: Series,
+    *,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> Comparison:
+    """Run an observer over events and compare what it says with the truth, all in memory.
+
+    Args:
+        observer: has seen nothing yet.
+        events: in order of episode, stamp and sequence.
+        truth: the plant's states; its stamps are where to estimate.
+        progress: told the estimates made and the stamps to make them for.
+
+    Raises:
+        BagError: no event could be applied, or no estimate made at the truth's stamps.
+        ImpactLawError, UsageError: as ``Observer.receive``.
+    """
+    stamps, law = np.unique(truth.stamps), observer.law.name
+    estimates: list[Estimate] = []
+    verdicts: list[Verdict] = []
+    for item in replay(observer, events, stamps):
+        if isinstance(item, Verdict):
+            verdicts.append(item)
+        else:
+            estimates.append(item)
+            progress(len(estimates), stamps.size)
+    applied = applied_in(verdicts)
+    if verdicts and not applied.size:
+        raise BagError(f"{law}: no event could be applied: {verdicts[0].reason}")
+    made = np.array([each.stamp for each in estimates], dtype=np.int64)
+    states = [np.concatenate([each.q, each.u]) for each in estimates]
+    return compare(
+        observer.system,
+        law,
+        truth,
+        Series(made, np.reshape(states, (made.size, 2 * observer.system.n))),
+        applied=applied,
+        last_event=np.array([each.last_event for each in estimates], dtype=np.int64),
+    )
+
+
+def applied_in(verdicts: Iterable[Verdict]) -> Stamps:
+    """Stamps of the events that an observer applied, by its verdicts, ns, shape (events,)."""
+    used = (Ruling.APPLIED, Ruling.INSERTED)
+    stamps = [verdict.stamp for verdict in verdicts if verdict.ruling in used]
+    return np.unique(np.array(stamps, dtype=np.int64))
+
+
+def impacts_in(events: Iterable[ImpactEvent]) -> dict[str, Stamps]:
+    """Stamps of the impacts (ns), by contact; a closing is one too."""
+    by_contact: dict[str, list[int]] = {}
+    for event in events:
+        for switch in (each for each in event.switches if each.kind is not Kind.OPEN):
+            by_contact.setdefault(switch.contact, []).append(event.stamp)
+    return {name: np.array(stamps, dtype=np.int64) for name, stamps in sorted(by_contact.items())}
 
 
 def _last_of_each(stamps: Stamps) -> NDArray[np.int64]:

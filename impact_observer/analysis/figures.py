@@ -1,7 +1,10 @@
-"""Pictures: readable in grey, units on every axis."""
+"""Pictures: readable in grey and for colour-blind people, units on every axis."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import count
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
@@ -11,17 +14,38 @@ from matplotlib.figure import Figure
 from impact_observer.analysis.comparison import Comparison
 from impact_observer.errors import UsageError
 from impact_observer.stamps import NS_PER_S
-from impact_observer.states import Stamps
+from impact_observer.states import Stamps, Vector
 
 mpl.use("Agg", force=False)
 
-_STYLES = {
+Style: TypeAlias = dict[str, Any]
+"""What matplotlib calls the properties of a line."""
+
+# The paper's own two as in its Figure 2: grey and black. Blue and vermilion are those of Okabe and
+# Ito, for eyes that see no red or no green; in grey the dashes and the marks tell them apart.
+STYLES: Mapping[str, Style] = {
+    "open-loop": {"color": "0.45", "linewidth": 1.1, "linestyle": ":"},
+    "kinematic": {"color": "0.58", "linewidth": 2.0, "linestyle": "-"},
     "geometric": {"color": "black", "linewidth": 1.3, "linestyle": "-"},
-    "kinematic": {"color": "0.55", "linewidth": 1.3, "linestyle": "-"},
-    "open-loop": {"color": "0.3", "linewidth": 0.9, "linestyle": ":"},
+    "unilateral": {"color": "#0072B2", "linewidth": 1.3, "linestyle": "--", "marker": "o"},
+    "minimum-variance": {"color": "#D55E00", "linewidth": 1.1, "linestyle": "-", "marker": "D"},
 }
-_OTHERS = ("--", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
-_MARKS = "|^v<>dxs"
+"""How the built-in laws are drawn."""
+_OTHER_DASHES = ("-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
+_OTHER_MARKERS = "sv*Xph"
+_ROW_MARKERS = "|^x<>d+v"
+MOST_ROWS = len(_ROW_MARKERS)
+"""Most rows of marks that are told apart."""
+_MARKERS_A_CURVE = 9
+_ROW = 0.05
+"""Height of a row of impacts, of that of the axes."""
+_SIZE, _PAPER_SIZE = (8.0, 5.0), (3.46, 3.0)
+"""Inches; a column of a printed page is 88 mm wide."""
+_FONT, _PAPER_FONT = 10.0, 7.5
+_ROOM, _PAPER_ROOM = 108, 54
+"""Letters of a legend side by side above the axes."""
+_HANDLE = 11
+"""Letters that the line before a legend's label takes, with the room about it."""
 
 
 def lyapunov_figure(
@@ -30,6 +54,7 @@ def lyapunov_figure(
     *,
     title: str,
     epoch: int,
+    paper: bool = False,
 ) -> Figure:
     """``V`` over time on a logarithmic axis, after Figure 2 of Baumann and Leine.
 
@@ -38,52 +63,129 @@ def lyapunov_figure(
         impacts: stamps of the impacts (ns), by contact.
         title: of the picture.
         epoch: stamp at which the time axis begins, ns.
+        paper: as wide as a column and without a title, which a caption replaces.
     """
-    figure = Figure(figsize=(8.0, 4.5), layout="constrained")
-    axes = figure.add_subplot()
-    others = iter(_OTHERS * len(comparisons))
-    for label, comparison in comparisons.items():
-        style = _STYLES.get(comparison.law)
-        if style is None:
-            style = {"color": "0.2", "linewidth": 1.1, "linestyle": next(others)}
-        # Zero has no logarithm: a gap says that the estimate is exact there.
-        V = np.where(comparison.V > 0, comparison.V, np.nan)
-        axes.semilogy((comparison.stamps - epoch) / NS_PER_S, V, label=label, **style)
-    axes.set_xlabel("time since the epoch [s]")
-    axes.set_ylabel("Lyapunov distance V [J]")
-    axes.set_title(title)
-    axes.grid(visible=True, which="major", color="0.9")
-    _mark_impacts(axes, impacts, epoch)
-    axes.legend(loc="lower left", fontsize="small")
-    axes.margins(x=0.01)
+    room = _PAPER_ROOM if paper else _ROOM
+    with mpl.rc_context({"font.size": _PAPER_FONT if paper else _FONT}):
+        figure = Figure(figsize=_PAPER_SIZE if paper else _SIZE, layout="constrained")
+        axes = figure.add_subplot()
+        for (label, comparison), style in zip(
+            comparisons.items(), styles([c.law for c in comparisons.values()]), strict=True
+        ):
+            # Zero has no logarithm: a gap says that the estimate is exact there.
+            V = np.where(comparison.V > 0, comparison.V, np.nan)
+            shown = _shortened(label, room - _HANDLE)
+            axes.semilogy((comparison.stamps - epoch) / NS_PER_S, V, label=shown, **style)
+            _space_markers(axes, len(comparisons))
+        axes.set_xlabel("time since the epoch [s]")
+        axes.set_ylabel("Lyapunov distance V [J]")
+        axes.grid(visible=True, which="major", color="0.9")
+        axes.margins(x=0.01)
+        _mark_impacts(axes, impacts, epoch, room - _HANDLE)
+        _legend(axes, room)
+        if not paper:
+            figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
     return figure
 
 
-def _mark_impacts(axes: Axes, impacts: Mapping[str, Stamps], epoch: int) -> None:
-    """A row of marks a contact along the upper edge."""
-    for row, (contact, stamps) in enumerate(impacts.items()):
+def styles(laws: Sequence[str]) -> list[Style]:
+    """A style for each curve; where a law comes again, marks tell its curves apart.
+
+    Args:
+        laws: name of each curve's law.
+    """
+    found: list[Style] = []
+    seen: Counter[str] = Counter()
+    others, markers = count(), count()
+    for law in laws:
+        style = STYLES.get(law)
+        if style is None:
+            style = {"color": "0.2", "linewidth": 1.1}
+            style["linestyle"] = _OTHER_DASHES[next(others) % len(_OTHER_DASHES)]
+        if seen[law] or law not in STYLES:
+            style = {**style, "marker": _OTHER_MARKERS[next(markers) % len(_OTHER_MARKERS)]}
+        seen[law] += 1
+        found.append({"markersize": 4.5, "markerfacecolor": "white", **style})
+    return found
+
+
+def _legend(axes: Axes, room: int) -> None:
+    """What the curves are, above the axes: there it covers none, wherever they go."""
+    longest = max(map(len, axes.get_legend_handles_labels()[1]), default=0)
+    axes.legend(
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncol=min(max(room // (longest + _HANDLE), 1), 4),
+        fontsize="small",
+        frameon=False,
+        handlelength=3.2,
+        borderaxespad=0.2,
+    )
+
+
+def _shortened(label: str, most: int) -> str:
+    """``label`` with dots for its middle where it has more than ``most`` letters."""
+    kept = (most - 1) // 2
+    return label if len(label) <= most else f"{label[:kept]}…{label[-kept:]}"
+
+
+def _space_markers(axes: Axes, curves: int) -> None:
+    """A few markers along the curve drawn last, beside those of the other ``curves``."""
+    number, line = len(axes.lines) - 1, axes.lines[-1]
+    step = max(np.size(line.get_xdata()) // _MARKERS_A_CURVE, 1)
+    line.set_markevery((step * number // curves, step))
+
+
+def _mark_impacts(axes: Axes, impacts: Mapping[str, Stamps], epoch: int, most: int) -> None:
+    """A row of marks a contact; one row for very many contacts."""
+    rows = {
+        _shortened(f"impacts at {contact}", most): (stamps - epoch) / NS_PER_S
+        for contact, stamps in impacts.items()
+    }
+    if len(rows) > MOST_ROWS:
+        rows = {f"impacts at {len(rows)} contacts": np.concatenate(list(rows.values()))}
+    mark_rows(axes, rows)
+
+
+def mark_rows(axes: Axes, rows: Mapping[str, Vector]) -> None:
+    """Rows of marks along the upper edge of logarithmic axes, above all curves.
+
+    Args:
+        axes: with everything else in it.
+        rows: where the marks stand, s, by label; at most ``MOST_ROWS``.
+    """
+    below, above = axes.get_ylim()
+    room = _ROW * (len(rows) + 0.1)
+    if rows:
+        axes.set_ylim(below, above * (above / below) ** (room / (1 - room)))
+    for row, (label, at) in enumerate(rows.items()):
         axes.plot(
-            (stamps - epoch) / NS_PER_S,
-            np.full(stamps.size, 0.975 - 0.045 * row),
+            at,
+            np.full(at.size, 1 - _ROW * (row + 0.6)),
             linestyle="none",
-            marker=_MARKS[row % len(_MARKS)],
-            markersize=6,
+            marker=_ROW_MARKERS[row],
+            markersize=5,
             markerfacecolor="white",
             color="0.25",
-            label=f"impacts at {contact}",
+            label=label,
             transform=axes.get_xaxis_transform(),
         )
 
 
-def save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path, *, about: str = "") -> None:
     """Write ``figure`` to ``path``; the ending says how: PNG, SVG or PDF.
+
+    Args:
+        figure: what to write.
+        path: where; a picture that is there is replaced.
+        about: what it shows, kept in the file beside the picture itself.
 
     Raises:
         UsageError: another ending, or a folder that does not exist.
     """
     check_picture(path)
     try:
-        figure.savefig(path, dpi=150)
+        figure.savefig(path, dpi=150, metadata={"Title": about} if about else None)
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
 

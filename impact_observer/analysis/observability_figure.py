@@ -5,17 +5,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from impact_observer.analysis.figures import mark_rows
 from impact_observer.analysis.observability import Observability
 from impact_observer.states import Vector
 
 _STYLES = ("-", (0, (6, 2)), (0, (4, 1, 1, 1)), (0, (1, 1)), "-", (0, (3, 3)))
-_MARKS = "|^v<>dxs"
 _NAMED = 6
 """Most singular values, and most contacts, that are told apart."""
-_ROW = 0.045
-"""Height of a row of marks, of the axes' height."""
 _BELOW = 30.0
 """How far below the tolerance the picture goes: there is nothing but rounding."""
+_ABOVE = 2.0
+"""How far above the largest it goes."""
 
 
 def observability_figure(told: Observability, *, title: str) -> Figure:
@@ -83,22 +83,6 @@ def _mark_impacts(axes: Axes, told: Observability, t: Vector) -> None:
         rows = {"impacts": t[hit]}
     if told.released.any():
         rows["releases"] = t[told.released]
-    for row, (label, at) in enumerate(rows.items()):
-        _mark(axes, at, row, label)
     if (top := float(told.singular[-1, 0])) > 0:
-        decades, room = _BELOW / told.tolerance, (len(rows) + 0.5) * _ROW
-        axes.set_ylim(top / decades, top * decades ** (room / (1 - room)))
-
-
-def _mark(axes: Axes, at: Vector, row: int, label: str) -> None:
-    axes.plot(
-        at,
-        np.full(at.size, 1 - (row + 0.6) * _ROW),
-        linestyle="none",
-        marker=_MARKS[row],
-        markersize=6,
-        markerfacecolor="white",
-        color="0.25",
-        label=label,
-        transform=axes.get_xaxis_transform(),
-    )
+        axes.set_ylim(top * told.tolerance / _BELOW, top * _ABOVE)
+    mark_rows(axes, rows)

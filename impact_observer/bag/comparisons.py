@@ -1,16 +1,27 @@
-"""Comparing the estimates in a bag with the truth in it."""
+"""Comparing estimates with the truth in a bag: those in it, and those of observers run on it."""
 
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from impact_observer.analysis.comparison import Comparison, Series, compare
+from impact_observer.analysis.comparison import (
+    Comparison,
+    Series,
+    applied_in,
+    compare,
+    compare_law,
+    impacts_in,
+)
 from impact_observer.bag import interfaces
 from impact_observer.bag.reader import BagReader, JointStates
 from impact_observer.bag.recordings import events_in
 from impact_observer.errors import BagError
-from impact_observer.events import ImpactEvent, Kind, Ruling
+from impact_observer.events import ImpactEvent
 from impact_observer.model import System
+from impact_observer.observer import Observer
 from impact_observer.states import Stamps
 
 
@@ -20,7 +31,8 @@ class BagComparison:
 
     Attributes:
         system: the system that plant and observers share.
-        comparisons: by the observer's topic prefix, such as ``/observer_geometric``.
+        comparisons: by the observer's topic prefix, such as ``/observer_geometric``, and of
+            observers that were run on the bag by their law's name.
         impacts: stamps of the impacts (ns), by contact.
         epoch: stamp of ``t = 0``, ns; where no event says it, the first stamp of the truth.
     """
@@ -31,27 +43,49 @@ class BagComparison:
     epoch: int
 
 
-def compare_bag(reader: BagReader, system: System) -> BagComparison:
-    """Compare every observer in a bag with the plant.
+def compare_bag(
+    reader: BagReader,
+    system: System,
+    observers: Sequence[Observer] = (),
+    *,
+    progress: Callable[[str, int, int], None] = lambda _law, _done, _all: None,
+) -> BagComparison:
+    """Compare with the plant every observer in a bag, and others that are run on its events.
+
+    Args:
+        reader: the bag.
+        system: gives M and K for V.
+        observers: to run on the bag, one a law; they have seen nothing yet.
+        progress: told an observer's law, its estimates made and how many there will be.
 
     Raises:
-        BagError: the bag has no truth, no estimate, or nothing in common between them.
+        BagError: the bag has no truth, no estimate, or nothing in common between them, or an
+            observer could not apply any of its events.
+        ImpactLawError, DynamicsError, UsageError: an observer cannot follow the events.
     """
     truth_topic = reader.truth_topic()
     if truth_topic is None:
         raise BagError(
             f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
         )
-    observers = reader.observers()
-    if not observers:
-        raise BagError(f"{reader.path}: has no estimates; make them with observe")
+    prefixes = reader.observers()
+    if not prefixes and not observers:
+        raise BagError(
+            f"{reader.path}: has no estimates; make them with observe, or name laws with --laws"
+        )
     truth = _series(reader.joint_states(truth_topic, system.coordinates))
     events = events_in(reader)
     comparisons = {}
-    for prefix in observers:
+    for prefix in prefixes:
         comparisons[prefix] = _compare_observer(reader, prefix, system, truth, events)
+    for observer in observers:
+        law = observer.law.name
+        with _named(reader):
+            comparisons[law] = compare_law(
+                observer, events, truth, progress=partial(progress, law)
+            )
     epochs = [e.epoch for e in events if e.epoch] or [int(truth.stamps[0])]
-    return BagComparison(system, comparisons, _impacts_of(events), epochs[0])
+    return BagComparison(system, comparisons, impacts_in(events), epochs[0])
 
 
 def _compare_observer(
@@ -64,7 +98,7 @@ def _compare_observer(
     """One observer; without its ``state`` topic its joint states are taken as they are."""
     state_topic = f"{prefix}/state"
     applied = _applied(reader, prefix, events)
-    try:
+    with _named(reader):
         if state_topic not in reader.topics:
             joint = reader.joint_states(f"{prefix}/joint_states", system.coordinates)
             name = prefix.rpartition("/")[2]
@@ -78,6 +112,13 @@ def _compare_observer(
             applied=applied,
             last_event=states.last_event,
         )
+
+
+@contextmanager
+def _named(reader: BagReader) -> Iterator[None]:
+    """Errors within say which bag."""
+    try:
+        yield
     except BagError as error:
         where = str(reader.path)
         raise error if str(error).startswith(where) else BagError(f"{where}: {error}") from None
@@ -91,16 +132,5 @@ def _applied(reader: BagReader, prefix: str, events: list[ImpactEvent]) -> Stamp
     """Stamps of the events that an observer applied, by its verdicts where it gave any."""
     topic = f"{prefix}/verdicts"
     if topic in reader.topics:
-        used = (Ruling.APPLIED, Ruling.INSERTED)
-        stamps = [verdict.stamp for verdict in reader.verdicts(topic) if verdict.ruling in used]
-    else:
-        stamps = [event.stamp for event in events]
-    return np.unique(np.array(stamps, dtype=np.int64))
-
-
-def _impacts_of(events: list[ImpactEvent]) -> dict[str, Stamps]:
-    by_contact: dict[str, list[int]] = {}
-    for event in events:
-        for switch in (each for each in event.switches if each.kind is not Kind.OPEN):
-            by_contact.setdefault(switch.contact, []).append(event.stamp)
-    return {name: np.array(stamps, dtype=np.int64) for name, stamps in sorted(by_contact.items())}
+        return applied_in(reader.verdicts(topic))
+    return np.unique(np.array([event.stamp for event in events], dtype=np.int64))

@@ -1,16 +1,25 @@
-"""Compare the estimates in bags with the truth: V(t), errors, settling times, a picture."""
+"""Compare the estimates in bags with the truth: V(t), errors, settling times, a picture.
+
+With --laws, other observers are run on the bags' own impacts and compared as well.
+"""
 
 import argparse
 import json as json_module
+import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import positive
+from impact_observer.cli.arguments import add_observer_arguments, observer_options, positive
+from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from impact_observer.analysis.comparison import Comparison
     from impact_observer.bag.comparisons import BagComparison
+    from impact_observer.observer import Options
 
 SETTLED = 1e-2
 """V over V at the start below which an estimate counts as settled, unless told otherwise."""
@@ -18,9 +27,13 @@ SETTLED = 1e-2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
+    parser.add_argument("bags", metavar="BAG", nargs="+", type=Path, help="bags with truth")
     parser.add_argument(
-        "bags", metavar="BAG", nargs="+", type=Path, help="bags with truth and estimates"
+        "--laws",
+        metavar="LAW,...",
+        help="run observers with these laws on each bag, or with all that are installed",
     )
+    add_observer_arguments(parser)
     parser.add_argument(
         "--model", metavar="MODEL", help="a model file or a sample (default: the one in each bag)"
     )
@@ -39,15 +52,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
+    options = [observer_options(args, law) for law in laws_in(args.laws or "")]
+    if not options and observer_options(args, "") != observer_options(argparse.Namespace(), ""):
+        raise UsageError("laws: none named, but how to run observers; name some with --laws")
     return compare(
-        args.bags, model=args.model, plot=args.plot, threshold=args.threshold, json=args.json
+        args.bags,
+        model=args.model,
+        observers=options,
+        plot=args.plot,
+        threshold=args.threshold,
+        json=args.json,
     )
+
+
+def laws_in(text: str) -> tuple[str, ...]:
+    """Read ``LAW,LAW,...`` or ``all``: names of installed laws, each once; of nothing, none.
+
+    Raises:
+        UsageError: a law is not installed.
+    """
+    from impact_observer.observer import law_named, law_names
+
+    if not text:
+        return ()
+    names = law_names() if text == "all" else [name.strip() for name in text.split(",")]
+    for name in names:
+        law_named(name)
+    return tuple(dict.fromkeys(names))
 
 
 def compare(
     bags: Sequence[Path],
     *,
     model: str | None = None,
+    observers: "Sequence[Options]" = (),
     plot: Path | None = None,
     threshold: float = SETTLED,
     json: bool = False,
@@ -55,8 +93,10 @@ def compare(
     """Compare bags and print what comes out.
 
     Args:
-        bags: with truth and estimates.
+        bags: with truth, and with estimates or impacts.
         model: a model file or a sample's name; None for the model that each bag carries.
+        observers: to run on each bag, one a law, beside those whose estimates it has. Their
+            ensemble is left out: no estimate depends on it.
         plot: a picture to write; None for none.
         threshold: V over V at the start at which an estimate has settled.
         json: print JSON instead of tables.
@@ -67,21 +107,13 @@ def compare(
     Raises:
         UsageError, ModelError: the arguments cannot be used.
         BagError: a bag cannot be read, or holds nothing to compare.
+        ImpactLawError, DynamicsError: an observer cannot follow the events of a bag.
     """
-    from impact_observer.bag.comparisons import compare_bag
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import carried_model
-    from impact_observer.model import read_model
-
     if plot is not None:
         from impact_observer.analysis.figures import check_picture
 
         check_picture(plot)
-    results: list[tuple[Path, BagComparison]] = []
-    for bag in bags:
-        with BagReader(bag) as reader:
-            system = (carried_model(reader) if model is None else read_model(model)).system
-            results.append((bag, compare_bag(reader, system)))
+    results = [(bag, _compare_one(bag, model, observers)) for bag in bags]
     labelled = labelled_by_law(results)
     if json:
         print(json_module.dumps({k: figures(v, threshold) for k, v in labelled.items()}, indent=2))
@@ -94,6 +126,26 @@ def compare(
     return 0
 
 
+def _compare_one(bag: Path, model: str | None, observers: "Sequence[Options]") -> "BagComparison":
+    """Compare one bag, and show on a terminal how far that is."""
+    from impact_observer.bag.comparisons import compare_bag
+    from impact_observer.bag.reader import BagReader
+    from impact_observer.bag.recordings import carried_model
+    from impact_observer.cli.progress import Progress
+    from impact_observer.model import read_model
+
+    with BagReader(bag) as reader, Progress(sys.stderr) as progress:
+        progress.show(f"{bag}: reading")
+        system = (carried_model(reader) if model is None else read_model(model)).system
+
+        def show(law: str, done: int, total: int) -> None:
+            if done % 100 == 0:
+                progress.show(f"{bag}: {law}, {done} of {total} estimates")
+
+        made = [replace(each, ensemble=1).observer(system) for each in observers]
+        return compare_bag(reader, system, made, progress=show)
+
+
 def draw(labelled: "dict[str, Comparison]", first: "BagComparison", plot: Path) -> None:
     """Draw V over time; impacts and epoch are those of the first bag."""
     from impact_observer.analysis.figures import lyapunov_figure, save
@@ -103,17 +155,20 @@ def draw(labelled: "dict[str, Comparison]", first: "BagComparison", plot: Path) 
 
 
 def labelled_by_law(results: "Sequence[tuple[Path, BagComparison]]") -> "dict[str, Comparison]":
-    """Name each estimate by its law, and by observer and bag where that is not enough."""
+    """Name each estimate by its law, and by observer and bag where that is not enough.
+
+    One that was made here, and not recorded, has no observer's prefix.
+    """
     each = [
-        (bag, prefix, comparison)
+        (bag, "" if prefix == comparison.law else f" {prefix}", comparison)
         for bag, result in results
         for prefix, comparison in result.comparisons.items()
     ]
     namings = [
         [comparison.law for _, _, comparison in each],
-        [f"{comparison.law} {prefix}" for _, prefix, comparison in each],
+        [f"{comparison.law}{prefix}" for _, prefix, comparison in each],
         [f"{comparison.law} {bag.name}" for bag, _, comparison in each],
-        [f"{comparison.law} {prefix} {bag}" for bag, prefix, comparison in each],
+        [f"{comparison.law}{prefix} {bag}" for bag, prefix, comparison in each],
     ]
     names = next((n for n in namings if len(set(n)) == len(n)), None)
     if names is None:
@@ -147,15 +202,7 @@ def print_tables(labelled: "dict[str, Comparison]", threshold: float = SETTLED) 
     from rich.console import Console
     from rich.table import Table
 
-    from impact_observer.analysis.lyapunov import is_seminorm
-
     console = Console()
-    systems = {each.system.name: each.system for each in labelled.values()}
-    title = f"Estimates of {', '.join(systems)}"
-    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
-    table.add_column("law", overflow="fold")
-    for heading in ("V0 [J]", "V end [J]", "V/V0", f"s to {threshold:g} V0", "events", "late"):
-        table.add_column(heading, justify="right", no_wrap=True)
     errors = Table(
         box=box.SIMPLE_HEAD, title="Errors, estimate minus truth, SI units", title_justify="left"
     )
@@ -163,6 +210,31 @@ def print_tables(labelled: "dict[str, Comparison]", threshold: float = SETTLED) 
     errors.add_column("state")
     for heading in ("rms", "largest", "final"):
         errors.add_column(heading, justify="right")
+    for label, each in labelled.items():
+        for row in _error_rows(label, each):
+            errors.add_row(*row)
+        errors.add_section()
+    console.print(table_of(labelled, threshold))
+    console.print(errors)
+    print_blindness(labelled)
+
+
+def table_of(labelled: "dict[str, Comparison]", threshold: float = SETTLED) -> "Table":
+    """V of each estimate, and when it settled."""
+    from rich import box
+    from rich.table import Table
+
+    names = ", ".join(dict.fromkeys(each.system.name for each in labelled.values()))
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        title=f"Estimates of {names}",
+        title_justify="left",
+        collapse_padding=True,
+        pad_edge=False,
+    )
+    table.add_column("law", overflow="fold")
+    for heading in ("V0 [J]", "V end [J]", "V/V0", f"s to {threshold:g} V0", "events", "late"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for label, each in labelled.items():
         settled = each.settling_time(threshold)
         table.add_row(
@@ -174,11 +246,14 @@ def print_tables(labelled: "dict[str, Comparison]", threshold: float = SETTLED) 
             str(each.events),
             str(each.late),
         )
-        for row in _error_rows(label, each):
-            errors.add_row(*row)
-        errors.add_section()
-    console.print(table)
-    console.print(errors)
+    return table
+
+
+def print_blindness(labelled: "dict[str, Comparison]") -> None:
+    """Say of which systems V does not see everything."""
+    from impact_observer.analysis.lyapunov import is_seminorm
+
+    systems = {each.system.name: each.system for each in labelled.values()}
     for name, system in systems.items():
         if is_seminorm(system):
             print(f"{name} has a rigid-body mode: V does not see an error of its position")

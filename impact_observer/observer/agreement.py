@@ -14,12 +14,14 @@ from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Touch
 from impact_observer.states import Matrix, Vector
 
-HELD = 5
+HELD = 3
 """Events, one after the other, at which replicas must agree."""
 AGREED = 1e-4
 """V distance that counts as agreement, relative to the energy of the estimated motion."""
 _MARGIN = 2.0
 """V between plant and estimate that is reckoned with, over the largest between replicas."""
+_RESTING = 1e-6
+"""Energy below which a motion counts as rest, relative to the largest that it had."""
 _PAIRS = 256
 """Most replicas of which every pair is looked at."""
 
@@ -31,12 +33,15 @@ class Agreement:
     Attributes:
         convergence: largest V distance between replicas just after the event, J; it only falls
             until the next one. -1 while there is only one replica.
-        energy: of the estimated motion then, kinetic and elastic, J.
+        energy: of the estimated motion then, kinetic and elastic, J; where it has come to rest, a
+            millionth of the largest that it had at an event.
+        largest: energy at an event so far, J.
         held: events in a row at which they agreed, this one the last.
     """
 
     convergence: float
     energy: float
+    largest: float = 0.0
     held: int = 0
 
 
@@ -62,10 +67,12 @@ class Agreeing:
     ) -> Agreement:
         """The agreement after an event, between the beliefs ``before`` and after it."""
         convergence, energy = self._diameter(belief.replicas), self._energy(belief.x)
+        largest = max(previous.largest, energy)
+        energy = max(energy, _RESTING * largest)
         apart = max(_MARGIN * convergence, self._certain(before.x, touch), self._expected(belief))
         agrees = convergence >= 0 and apart <= self.threshold * energy
         held = previous.held if not touch.hit else previous.held + 1
-        return Agreement(convergence, energy, held if agrees else 0)
+        return Agreement(convergence, energy, largest, held if agrees else 0)
 
     def _energy(self, x: Vector) -> float:
         """Kinetic and elastic energy, J."""

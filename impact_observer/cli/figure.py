@@ -1,0 +1,177 @@
+"""From a model to the picture: a plant, observers with several laws, V over time.
+
+With the default laws it is made after Figure 2 of Baumann and Leine (ENOC 2014): kinematic grey,
+geometric black. With --laws all it shows everything that is installed.
+"""
+
+import argparse
+import json as json_module
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from impact_observer.cli.arguments import positive
+from impact_observer.errors import UsageError
+
+if TYPE_CHECKING:
+    from impact_observer.analysis.comparison import Comparison
+    from impact_observer.cli.progress import Progress
+    from impact_observer.model import Model
+    from impact_observer.observer import Observer
+    from impact_observer.plant import Run
+
+LAWS = "kinematic,geometric"
+INITIAL = "random:1"
+EPOCH = 1_000_000_000
+"""Stamp of ``t = 0``, ns."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    parser.add_argument("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE",
+        type=Path,
+        required=True,
+        help="the picture: a PNG, SVG or PDF",
+    )
+    parser.add_argument(
+        "--laws",
+        metavar="LAW,...",
+        default=LAWS,
+        help=f"one curve each, or all that are installed (default {LAWS})",
+    )
+    parser.add_argument(
+        "--initial",
+        metavar="STATE",
+        default=INITIAL,
+        help=f"of the observers: q1,..,qn,u1,..,un, random:SEED or zero (default {INITIAL})",
+    )
+    parser.add_argument(
+        "--duration", metavar="S", type=positive, default=30.0, help="how long, s (default 30)"
+    )
+    parser.add_argument(
+        "--rate", metavar="HZ", type=positive, default=100.0, help="samples, Hz (default 100)"
+    )
+    parser.add_argument(
+        "--paper", action="store_true", help="for a printed column: 88 mm wide, without a title"
+    )
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    from impact_observer.cli.compare import laws_in
+
+    laws = laws_in(args.laws)
+    if not laws:
+        raise UsageError("--laws: no law named; expected all, or LAW,LAW,...")
+    return figure(
+        args.model,
+        args.output,
+        laws,
+        initial=args.initial,
+        duration=args.duration,
+        rate=args.rate,
+        paper=args.paper,
+        json=args.json,
+    )
+
+
+def figure(
+    model: str | Path,
+    output: Path,
+    laws: Sequence[str],
+    *,
+    initial: str = INITIAL,
+    duration: float = 30.0,
+    rate: float = 100.0,
+    paper: bool = False,
+    json: bool = False,
+) -> int:
+    """Simulate, observe, compare and draw.
+
+    Args:
+        model: a model file or a sample's name.
+        output: the picture; one that is there is replaced.
+        laws: names of the observers' laws, one curve each.
+        initial: where all observers begin, as users write it.
+        duration: s.
+        rate: of the samples, Hz.
+        paper: as wide as a printed column and without a title.
+        json: print JSON instead of a table.
+
+    Returns:
+        0.
+
+    Raises:
+        UsageError, ModelError: the arguments cannot be used.
+        ImpactLawError, DynamicsError: plant or observers have no solution.
+    """
+    from rich.console import Console
+
+    from impact_observer.analysis.comparison import impacts_in
+    from impact_observer.analysis.figures import check_picture, lyapunov_figure, save
+    from impact_observer.cli import compare
+    from impact_observer.cli.progress import Progress
+    from impact_observer.model import read_model
+    from impact_observer.observer import Options
+
+    check_picture(output)
+    read = read_model(model)
+    # The ensemble is left out: no estimate depends on it.
+    observers = [Options(law, initial, ensemble=1).observer(read.system) for law in laws]
+    with Progress(sys.stderr) as progress:
+        done = _simulated(read, duration, rate, progress)
+        comparisons = _observed(observers, done, progress)
+        progress.show(f"drawing {output}")
+        about = (
+            f"{read.system.name}: distance of the estimates from the truth, observers started at"
+            f" {initial}\nour model and numbers, by impact_observer; after Figure 2 of Baumann"
+            " and Leine, ENOC 2014"
+        )
+        impacts = impacts_in(done.events)
+        drawn = lyapunov_figure(comparisons, impacts, title=about, epoch=EPOCH, paper=paper)
+        save(drawn, output, about=about.replace("\n", "; "))
+    if json:
+        found = {law: compare.figures(each, compare.SETTLED) for law, each in comparisons.items()}
+        print(json_module.dumps(found, indent=2))
+        return 0
+    Console().print(compare.table_of(comparisons))
+    compare.print_blindness(comparisons)
+    print(f"picture: {output}")
+    return 0
+
+
+def _simulated(model: "Model", duration: float, rate: float, progress: "Progress") -> "Run":
+    """The plant's run, told while it goes on."""
+    from impact_observer.plant import Plant, simulate
+    from impact_observer.stamps import from_seconds, grid, seconds_between
+
+    def show(impact: int) -> None:
+        progress.show(f"simulated {seconds_between(EPOCH, impact):.1f} of {duration:g} s")
+
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    return simulate(plant, grid(EPOCH, EPOCH + from_seconds(duration), rate), progress=show)
+
+
+def _observed(
+    observers: "Sequence[Observer]", run: "Run", progress: "Progress"
+) -> "dict[str, Comparison]":
+    """Each law's estimates against the run, told while it goes on."""
+    from impact_observer.analysis.comparison import Series, compare_law
+
+    comparisons = {}
+    for observer in observers:
+        law = observer.law.name
+
+        def show(done: int, total: int, law: str = law) -> None:
+            if done % 100 == 0:
+                progress.show(f"{law}: {done} of {total} estimates")
+
+        truth = Series(run.stamps, run.states)
+        comparisons[law] = compare_law(observer, run.events, truth, progress=show)
+    return comparisons

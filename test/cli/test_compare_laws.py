@@ -1,0 +1,114 @@
+"""compare --laws: the law is one parameter, and every law is compared on the same bag."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from impact_observer.bag.comparisons import compare_bag
+from impact_observer.bag.reader import BagReader
+from impact_observer.bag.recordings import carried_model
+from impact_observer.cli.main import main
+from impact_observer.observer import Options, law_names
+from impact_observer.shares import shared
+
+
+@pytest.fixture(scope="module")
+def plant_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six seconds of two_mass, with four impacts."""
+    bag = tmp_path_factory.mktemp("laws") / "plant"
+    arguments = ["simulate", "two_mass", "--duration", "6", "--rate", "10", "-o", str(bag)]
+    assert main(arguments) == 0
+    return bag
+
+
+def observed(bag: Path, output: Path, law: str) -> Path:
+    """``bag`` observed with ``law`` into another one."""
+    arguments = ["--law", law, "--initial", "random:1", "--ensemble", "1", "-o", str(output)]
+    assert main(["observe", str(bag), *arguments]) == 0
+    return output
+
+
+def compared(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, dict[str, object]]:
+    """What ``compare --json`` says."""
+    capsys.readouterr()
+    assert main(["compare", *arguments, "--json"]) == 0
+    found: dict[str, dict[str, object]] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_laws_run_on_a_bag_equal_those_observed_into_bags(
+    plant_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every error of every law, bit for bit, and every figure that is printed."""
+    bags = [observed(plant_bag, tmp_path / law, law) for law in law_names()]
+    with BagReader(plant_bag) as reader:
+        system = carried_model(reader).system
+        observers = [Options(law, "random:1", ensemble=1).observer(system) for law in law_names()]
+        made = compare_bag(reader, system, observers).comparisons
+    for bag in bags:
+        with BagReader(bag) as reader:
+            recorded = compare_bag(reader, system).comparisons["/observer"]
+        assert made[bag.name].error.tobytes() == recorded.error.tobytes()
+        assert made[bag.name].stamps.tobytes() == recorded.stamps.tobytes()
+    in_memory = compared(capsys, str(plant_bag), "--laws", "all", "--initial", "random:1")
+    assert list(in_memory) == list(law_names())
+    assert in_memory == compared(capsys, *map(str, bags))
+
+
+def test_laws_are_laid_over_the_estimates_in_the_bag(
+    plant_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The recorded one is named by its topic where the law alone does not tell."""
+    bag = str(observed(plant_bag, tmp_path / "recorded", "geometric"))
+    assert list(compared(capsys, bag, "--laws", "kinematic")) == ["geometric", "kinematic"]
+    found = compared(capsys, bag, "--laws", "geometric,kinematic,geometric")
+    assert list(found) == ["geometric /observer", "geometric", "kinematic"]
+    assert found["geometric"]["V_start"] != found["geometric /observer"]["V_start"]
+
+
+def test_laws_are_told_what_the_user_does_not_know(
+    plant_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A clock error makes minimum-variance careful; geometric has no use for it."""
+    arguments = [str(plant_bag), "--laws", "geometric,minimum-variance", "--initial", "random:1"]
+    exact = compared(capsys, *arguments)
+    careful = compared(capsys, *arguments, "--clock-error", "0.01", "--deviation", "0.5")
+    assert careful["geometric"] == exact["geometric"]
+    assert careful["minimum-variance"]["V_end"] != exact["minimum-variance"]["V_end"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--laws", "geometric,quick"], 2, "law 'quick': not installed"),
+        (["--laws", ""], 1, "name laws with --laws"),
+        (["--initial", "random:1"], 2, "name some with --laws"),
+        (["--laws", "geometric", "--initial", "1,2"], 2, "expected 4"),
+        (["--laws", "geometric", "--epoch", "5"], 1, "geometric: no event could be applied"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(
+    plant_bag: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], code: int, said: str
+) -> None:
+    """Wrong use, and a bag that has nothing for the question asked."""
+    capsys.readouterr()
+    assert main(["compare", str(plant_bag), *arguments]) == code
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert said in errors[0]
+
+
+def test_impacts_of_other_contacts_are_no_comparison(
+    plant_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The line names the bag, the law, and the contacts that the model has."""
+    model = tmp_path / "other.yaml"
+    text = shared("config/two_mass.yaml").read_text("utf-8")
+    model.write_text(text.replace("name: stop", "name: anvil"), encoding="utf-8")
+    arguments = ["compare", str(plant_bag), "--laws", "kinematic", "--model", str(model)]
+    assert main(arguments) == 1
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert "plant: kinematic: no event could be applied" in errors[0]
+    assert "contacts are anvil" in errors[0]
