@@ -53,8 +53,15 @@ class Taylor(NamedTuple):
 class Bounds:
     """Bounds on watched functions of one phase between samples of a motion."""
 
-    def __init__(self, phase: Phase, watched: Watched) -> None:
-        """Prepare norms of the functions and the forcing."""
+    def __init__(self, phase: Phase, watched: Watched, least: float = 0.0) -> None:
+        """Prepare norms of the functions and the forcing.
+
+        Args:
+            phase: whose motions are looked at.
+            watched: the functions.
+            least: scale of a function that sees nothing of a motion, relative to what it could.
+        """
+        self._least = least
         self._equations, self._inverse = phase.equations, phase.inverse
         self._watched = watched
         forcing, c = phase.equations.forcing, watched.force
@@ -98,6 +105,7 @@ class Bounds:
         Returns:
             Shape (samples - 1, w), of intervals.
         """
+        least = self._least_scale(t, p, u) if self._least > 0 else 0.0
         s = np.minimum(s[1:], self._timescale)[:, None]
         forces = np.stack([bound(0, t[:-1]) for bound in self._pushes], axis=1)
         forces += _widest(np.abs(p) @ self._stiff.T + np.abs(u) @ self._damped.T)
@@ -110,7 +118,15 @@ class Bounds:
             scale += _widest(u @ self._sees_b.T) + forces * np.where(self._moving, s, s**2 / 2)
         if self._of_force:
             scale += self._forces(0, t[:-1])
-        return np.asarray(scale)
+        return np.asarray(np.maximum(scale, least))
+
+    def _least_scale(self, t: Vector, p: Matrix, u: Matrix) -> Matrix:
+        """Least scale, shape (samples - 1, w): a body may rest exactly while others move."""
+        energy = np.einsum("si,si->s", u @ self._equations.M, u)
+        energy += np.einsum("si,si->s", p @ self._equations.K, p)
+        speed = np.sqrt(np.maximum(energy, 0.0)) + self._work(0, t) * self._timescale
+        reach = self._reach_a * self._timescale + self._reach_b
+        return self._least * np.outer(_widest(speed), reach)
 
     def taylor(self, t: Vector, p: Matrix, u: Matrix, h: Vector) -> Taylor:
         """Derivatives of the functions at the left ends of intervals, with bounds along them.

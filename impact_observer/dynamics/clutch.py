@@ -6,6 +6,7 @@ the root of ``lambda`` on; in between the motion is one linear phase (``phase.py
 geometric law the gaps stay closed in both.
 """
 
+from abc import abstractmethod
 from bisect import bisect_right
 from dataclasses import dataclass
 from functools import lru_cache
@@ -26,6 +27,8 @@ _ROUNDING = 1e-12
 """Contact speed that counts as zero, relative to that of all kinetic energy in it."""
 _INSTANT = 1e-12
 """Length of a phase that counts as none, relative to the model's time scale."""
+_PATIENCE = 30
+"""Doublings of the length of a phase, after that, until they change places no more."""
 _MOST = 8
 """Phases of no length, one after the other, that are believed."""
 
@@ -38,7 +41,8 @@ class Clutches:
         self.system = system
         self.phases = Phases(system)
         self.window = window(system)
-        self.instant = _INSTANT * timescale(system)
+        self.timescale = timescale(system)
+        self.instant = _INSTANT * self.timescale
         self.search = lru_cache(KEPT)(self._search)
 
     def motion(self, t: float, x: Vector, closed: tuple[int, ...], *, fix: bool) -> Motion:
@@ -61,31 +65,37 @@ class Clutches:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
-    """One phase of a motion: what is held and what slips from ``start`` on, s."""
+class Part:
+    """One phase of a motion: what is held and what slips from ``start`` on, s.
+
+    Attributes:
+        start: s since the start of the motion.
+        phase: the phase.
+        motion: in it, of (p, u).
+        slipping: contacts with ``chi = 1`` that slip, as indices.
+        stopped: open contacts whose gaps are held at zero, as indices; see ``holds.py``.
+    """
 
     start: float
     phase: Phase
     motion: Motion
     slipping: tuple[int, ...]
+    stopped: tuple[int, ...] = ()
+
+    @property
+    def kind(self) -> tuple[tuple[int, ...], ...]:
+        """What its contacts do: two parts of one kind move by the same equations."""
+        return self.phase.held, self.slipping, self.stopped
 
 
-class _ClutchMotion(Motion):
+class Piecewise(Motion):
     """Phase after phase, found as far as somebody asks; who asks when decides nothing."""
 
-    def __init__(
-        self,
-        clutches: Clutches,
-        t: float,
-        x: Vector,
-        closed: tuple[int, ...],
-        *,
-        fixed: tuple[int, ...],
-    ) -> None:
+    def __init__(self, clutches: Clutches, t: float, x: Vector, closed: tuple[int, ...]) -> None:
+        """Begin with ``x`` at ``t``, the contacts ``closed`` having ``chi = 1`` from then on."""
         self.t = t
         self._clutches = clutches
         self._closed = closed
-        self._fixed = fixed
         self._searched = 0.0
         self._hasty = 0
         system = clutches.system
@@ -93,7 +103,19 @@ class _ClutchMotion(Motion):
         gamma = system.W[:, contacts].T @ u
         length = np.linalg.norm(clutches.phases.B[:, contacts], axis=0)
         slow = gamma <= _ROUNDING * length * np.sqrt(u @ system.M @ u)
-        self._parts = [self._part(0.0, x, tuple(np.array(closed)[slow].tolist()))]
+        self._parts = [self._first(x, tuple(np.array(closed)[slow].tolist()))]
+
+    @abstractmethod
+    def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
+        """The first phase, ``slow`` contacts having ``gamma = 0``."""
+
+    @abstractmethod
+    def _next(self, part: Part, crossing: Crossing) -> Part:
+        """The phase after ``part`` ended by ``crossing``."""
+
+    @abstractmethod
+    def _search(self, part: Part) -> Search:
+        """The search for the end of ``part``."""
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """States (q, u) at ``s`` seconds, shape (samples, 2n)."""
@@ -111,12 +133,12 @@ class _ClutchMotion(Motion):
         window = self._clutches.window
         while self._parts[-1].start + self._searched <= until:
             part, least = self._parts[-1], self._least()
-            search = self._clutches.search(part.phase, part.slipping)
             begin, self._searched = max(self._searched, least), self._searched + window
-            crossing = search.first(part.motion, self._searched, begin)
+            crossing = self._search(part).first(part.motion, self._searched, begin)
             if crossing is not None:
                 crossing = crossing._replace(s=max(crossing.s, least))
-                self._hasty = self._hasty + 1 if crossing.s <= self._clutches.instant else 0
+                hasty = crossing.s <= max(self._clutches.instant, least)
+                self._hasty = self._hasty + 1 if hasty else 0
                 self._parts.append(self._next(part, crossing))
                 self._searched = 0.0
 
@@ -124,14 +146,34 @@ class _ClutchMotion(Motion):
         """Least length of the present phase, s.
 
         Loads and speeds that vanish together may change places at one instant without end, their
-        signs being rounding: then time goes on by as little as rounding cannot tell.
+        signs being rounding: then time goes on by as little as rounding cannot tell, and, where
+        that does not end it, by more and more.
         """
-        return (
-            self._clutches.instant * 2.0 ** min(self._hasty - _MOST, _MOST) * (self._hasty > _MOST)
-        )
+        if self._hasty <= _MOST:
+            return 0.0
+        return self._clutches.instant * 2.0 ** min(self._hasty - _MOST, _PATIENCE)
 
-    def _next(self, part: _Part, crossing: Crossing) -> _Part:
-        """The phase after ``part`` ended by ``crossing``."""
+
+class _ClutchMotion(Piecewise):
+    def __init__(
+        self,
+        clutches: Clutches,
+        t: float,
+        x: Vector,
+        closed: tuple[int, ...],
+        *,
+        fixed: tuple[int, ...],
+    ) -> None:
+        self._fixed = fixed
+        super().__init__(clutches, t, x, closed)
+
+    def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
+        return self._part(0.0, x, slow)
+
+    def _search(self, part: Part) -> Search:
+        return self._clutches.search(part.phase, part.slipping)
+
+    def _next(self, part: Part, crossing: Crossing) -> Part:
         start = part.start + crossing.s
         x = part.phase.states(part.motion, np.array([crossing.s]))[0]
         held = part.phase.held
@@ -139,19 +181,19 @@ class _ClutchMotion(Motion):
         caught = {part.slipping[i - len(held)] for i in crossing.which if i >= len(held)}
         slow = [i for i in self._closed if i not in part.slipping or i in caught]
         found = self._part(start, x, tuple(slow))
-        if (found.phase.held, found.slipping) != (held, part.slipping):
+        if found.kind != part.kind:
             return found
         # What falls too slowly to be told from what rests may not go below zero either.
         still = tuple(i for i in slow if i not in released)
         return self._begun(start, x, Resting(still, self._clutches.phases.independent(still)))
 
-    def _part(self, start: float, x: Vector, slow: tuple[int, ...]) -> _Part:
+    def _part(self, start: float, x: Vector, slow: tuple[int, ...]) -> Part:
         """The phase from ``start`` on, ``slow`` contacts having ``gamma = 0``."""
         phases = self._clutches.phases
         return self._begun(start, x, resting(phases, self._fixed, self.t + start, x, slow))
 
-    def _begun(self, start: float, x: Vector, still: Resting) -> _Part:
+    def _begun(self, start: float, x: Vector, still: Resting) -> Part:
         """The phase from ``start`` on in which contacts are ``still``."""
         phase = self._clutches.phases.phase(still.held, self._fixed)
         slipping = tuple(i for i in self._closed if i not in still.closed)
-        return _Part(start, phase, phase.start(self.t + start, x), slipping)
+        return Part(start, phase, phase.start(self.t + start, x), slipping)

@@ -86,18 +86,22 @@ def window(equations: Equations) -> float:
 class Search:
     """Looks for the first crossing of watched functions along motions of one phase."""
 
-    def __init__(self, phase: Phase, watched: Watched, window: float) -> None:
+    def __init__(
+        self, phase: Phase, watched: Watched, window: float, *, least: float = 0.0
+    ) -> None:
         """Prepare the bounds.
 
         Args:
             phase: whose motions are searched.
             watched: what must not fall below zero.
             window: length of the stretch that is looked at together, s.
+            least: scale of a function that sees nothing of a motion, relative to what it could:
+                for those that may be exactly zero for long.
         """
         self._forcing = phase.equations.forcing
         self._watched = watched
         self._window = window
-        self._bounds = Bounds(phase, watched)
+        self._bounds = Bounds(phase, watched, least)
 
     def first(self, motion: Motion, horizon: float, start: float = 0.0) -> Crossing | None:
         """Seconds until the first function falls below zero; None if none does.

@@ -119,9 +119,9 @@ class Phase:
         """
         if s >= 0:
             return self.flow.start(t, x).state(s)
-        # What the forces alone do from then to now is taken away, and the rest goes back.
-        driven = self.flow.start(t + s, np.zeros_like(x)).state(-s)
-        return np.asarray(self.flow.transition(s) @ (x - driven))
+        # Had it been at x then, it would now be where it is not: the difference goes back.
+        now = self.flow.start(t + s, x).state(-s)
+        return np.asarray(x + self.flow.transition(s) @ (x - now))
 
     def rate(self, t: float, x: Vector) -> Vector:
         """``dx/dt`` of the state (q, u), shape (2n,), at ``t`` s since the epoch."""

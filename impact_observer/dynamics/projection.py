@@ -7,6 +7,7 @@ extension to rigid-body modes.
 """
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -22,6 +23,28 @@ _RANK = 1e-10
 """Singular value that counts as zero, relative to the most that contacts could see of modes."""
 
 
+_SPRUNG = 1e-8
+"""What rigid motion leaves of a gap, relative to the gap, that counts as nothing."""
+_WAY = 30.0
+"""How much cheaper a rigid motion is than the softest elastic one, in the root of energy."""
+
+
+class _Parts(NamedTuple):
+    """How a gap of one is closed by elastic and by rigid modes.
+
+    Attributes:
+        elastic: amplitudes, shape (elastic modes, |A|).
+        rigid: amplitudes, shape (rigid modes, |A|).
+        inverse: those of rigid motion alone, shape (rigid modes, |A|).
+        beyond: what rigid motion cannot close, shape (|A|, |A|).
+    """
+
+    elastic: Matrix
+    rigid: Matrix
+    inverse: Matrix
+    beyond: Matrix
+
+
 class PositionProjection:
     """The position jumps of one system, one matrix ``Z`` a set of contacts."""
 
@@ -35,6 +58,7 @@ class PositionProjection:
         self._softest = float(np.min(stiffness[elastic], initial=np.inf))
         self._M = linalg.cho_factor(system.M)
         self._kept = lru_cache(KEPT)(self._solve)
+        self._reacting = lru_cache(KEPT)(self._react)
 
     def jump(self, active: tuple[int, ...]) -> Matrix:
         """``Z``, the position jump per unit of gap, shape (n, len(active))."""
@@ -51,7 +75,32 @@ class PositionProjection:
         gaps = Q @ self._system.W[:, A] + self._system.q_r[A]
         return np.asarray(Q - gaps @ self.jump(active).T)
 
+    def reactions(self, active: tuple[int, ...]) -> Matrix:
+        """``R`` of ``sigma = -R g_A``, what the stops do in the jump, shape (|A|, |A|).
+
+        ``K dq = W_A sigma``, so ``R = L^-1`` for ``K > 0``. A contact that rigid motions close
+        without any spring has none; its row tells what the tie-break in ``M`` wants, ``M dq = W_A
+        sigma``: signs are those of ``K + delta M`` as ``delta`` vanishes.
+        """
+        return self._reacting(active)
+
+    def directions(self) -> Matrix:
+        """``D`` of ``D^T D = W^T K^-1 W``, shape (n, m), rigid motions being cheap, not free."""
+        rigid = _WAY / np.sqrt(self._softest) if np.isfinite(self._softest) else 1.0
+        W = self._system.W
+        return np.vstack([self._elastic.T @ W, rigid * (self._rigid.T @ W)])
+
     def _solve(self, active: tuple[int, ...]) -> Matrix:
+        parts = self._split(active)
+        return frozen(self._elastic @ parts.elastic + self._rigid @ parts.rigid)
+
+    def _react(self, active: tuple[int, ...]) -> Matrix:
+        parts = self._split(active)
+        elastic, rigid = parts.elastic.T @ parts.elastic, parts.inverse.T @ parts.rigid
+        sprung = np.linalg.norm(parts.beyond, axis=1) > _SPRUNG
+        return frozen(np.where(sprung[:, None], elastic, rigid))
+
+    def _split(self, active: tuple[int, ...]) -> _Parts:
         """Elastic deflection only as far as rigid motion cannot close the gaps."""
         W = self._system.W[:, list(active)]
         rigid, elastic = W.T @ self._rigid, W.T @ self._elastic
@@ -62,7 +111,7 @@ class PositionProjection:
         beyond = np.eye(W.shape[1]) - rigid @ rigid_inverse
         elastic_part = _inverse(beyond @ elastic, least / np.sqrt(self._softest)) @ beyond
         rigid_part = rigid_inverse @ (np.eye(W.shape[1]) - elastic @ elastic_part)
-        return frozen(self._elastic @ elastic_part + self._rigid @ rigid_part)
+        return _Parts(elastic_part, rigid_part, rigid_inverse, beyond)
 
 
 def _inverse(seen: Matrix, least: float) -> Matrix:

@@ -27,16 +27,28 @@ class Watched:
     constant: Vector
 
     @classmethod
-    def gaps(cls, system: System, contacts: list[int]) -> "Watched":
-        """The gaps of ``contacts``: below zero they are penetrated."""
-        a = system.W[:, contacts].T
-        return cls(a, np.zeros_like(a), np.zeros_like(a), system.q_r[contacts])
+    def gaps(cls, system: System, contacts: list[int], phase: Phase | None = None) -> "Watched":
+        """The gaps of ``contacts``: below zero they are penetrated.
+
+        Args:
+            system: whose contacts.
+            contacts: indices.
+            phase: in whose coordinates; None where these are the system's.
+        """
+        a, d = system.W[:, contacts].T, system.q_r[contacts]
+        if phase is not None and phase.fixed:
+            a, d = a @ phase.Q, d + a @ phase.rest
+        return cls(a, np.zeros_like(a), np.zeros_like(a), d)
 
     @classmethod
     def speeds(cls, system: System, contacts: list[int]) -> "Watched":
         """The contact speeds of ``contacts``: at zero a slipping one is held."""
-        b = system.W[:, contacts].T
-        return cls(np.zeros_like(b), b, np.zeros_like(b), np.zeros(len(contacts)))
+        return cls.of_velocity(system.W[:, contacts].T)
+
+    @classmethod
+    def of_velocity(cls, b: Matrix) -> "Watched":
+        """``b u``, shape (w, n): reactions ``sigma`` of stops are such functions."""
+        return cls(np.zeros_like(b), b, np.zeros_like(b), np.zeros(len(b)))
 
     @classmethod
     def loads(cls, phase: Phase) -> "Watched":

@@ -10,22 +10,28 @@ from impact_observer.errors import UsageError
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.laws.open_loop import OpenLoop
 from impact_observer.observer.laws.replica import ReplicaLaw
+from impact_observer.observer.laws.unilateral import Unilateral
 
 __all__ = [
     "BUILT_IN",
     "Geometric",
     "Kinematic",
     "Law",
+    "MinimumVariance",
     "OpenLoop",
     "ReplicaLaw",
+    "Unilateral",
     "law_named",
     "law_names",
 ]
 
 ENTRY_POINTS = "impact_observer.laws"
-BUILT_IN: dict[str, type[Law]] = {law.name: law for law in (OpenLoop, Kinematic, Geometric)}
+BUILT_IN: dict[str, type[Law]] = {
+    law.name: law for law in (OpenLoop, Kinematic, Geometric, Unilateral, MinimumVariance)
+}
 
 
 def law_names() -> tuple[str, ...]:

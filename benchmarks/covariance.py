@@ -1,0 +1,267 @@
+"""Is the covariance of ``minimum-variance`` honest? ``python -m benchmarks.covariance``.
+
+Three tables, no timing:
+
+- ideal stamps (1 ns): V over the initial V just after each of the first 2n + 2 impacts, 20 starts;
+- honesty: plants that start at random, stamps with normal errors of 1 ms that are declared,
+  initial errors as declared (standard normal in every coordinate). The normalised estimation error
+  squared, over 2n, should be 1 on average: at the 2n-th impact and each second from then on,
+  farther than five deviations of the clock from any impact;
+- jitter: V over the initial V at 60 s, against the geometric law, and against the least that any
+  unbiased estimator can be expected to have (Cramer and Rao): the covariance of one that knows all
+  but the errors while it linearises.
+
+Runs with lasting contact are left out. Models called ``random`` are a new chain in every run.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from impact_observer.analysis import lyapunov
+from impact_observer.dynamics import (
+    ImpactLaw,
+    Measured,
+    Mirror,
+    Phases,
+    Rates,
+    correction,
+    triangular,
+)
+from impact_observer.model import Contact, Forcing, System, read_model
+from impact_observer.observer import Belief, Law, Touch, Uncertainty
+from impact_observer.observer.laws import Geometric, MinimumVariance
+from impact_observer.plant import Plant, Run, simulate
+from impact_observer.stamps import NS_PER_S, seconds_between
+
+EPOCH = 5 * NS_PER_S
+JITTER = 1e-3
+"""Standard deviation of the clock's errors, s."""
+APART = 5 * JITTER
+"""Distance from any impact at which truth and estimate are on the same side of it, s."""
+MODELS = ("two_mass", "three_mass", "random")
+
+Array = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+class Believed(NamedTuple):
+    """What a law believes from one impact on."""
+
+    stamp: int
+    belief: Belief
+
+    def at(self, law: Law, stamp: int) -> tuple[Array, Array | None]:
+        """The estimate and a root of its covariance at a later stamp."""
+        s = seconds_between(self.stamp, stamp)
+        if s == 0:
+            return self.belief.x, self.belief.root
+        course = law.course(seconds_between(EPOCH, self.stamp), self.belief, ())
+        return course.state(s), course.root(s)
+
+
+def random_chain(rng: np.random.Generator) -> System:
+    """Two to four bodies between two walls, the first forced, the outer ones with a stop each."""
+    n = int(rng.integers(2, 5))
+    springs = np.vstack([np.eye(n), np.zeros((1, n))]) - np.eye(n + 1, n, k=-1)
+    names = tuple(f"x{i + 1}" for i in range(n))
+    force = Forcing(
+        np.zeros(n),
+        rng.uniform(2.0, 5.0, 1),
+        rng.uniform(3.0, 8.0) * np.eye(n)[:1],
+        np.zeros((1, n)),
+    )
+    stops = [(np.eye(n)[0], "left"), (-np.eye(n)[-1], "right")]
+    return System(
+        "random",
+        names,
+        np.diag(rng.uniform(0.5, 2.0, n)),
+        springs.T @ np.diag(rng.uniform(0.02, 0.2, n + 1)) @ springs,
+        springs.T @ np.diag(rng.uniform(10.0, 40.0, n + 1)) @ springs,
+        force,
+        tuple(Contact(name, w, rng.uniform(0.1, 0.4), rng.uniform(0.5, 0.9)) for w, name in stops),
+    )
+
+
+def drawn(name: str, rng: np.random.Generator) -> tuple[System, Array]:
+    """A system, and a start of the plant that is in no stop."""
+    system = random_chain(rng) if name == "random" else read_model(name).system
+    while True:
+        x = rng.normal(size=2 * system.n) * np.repeat([0.2, 0.7], system.n)
+        if np.all(system.gap(x[: system.n]) > 0.01):
+            return system, x
+
+
+def ran(system: System, x: Array, stamps: Stamps) -> Run:
+    """The plant from ``x`` on, with its states at ``stamps``."""
+    return simulate(Plant(system, *np.split(x, 2), epoch=EPOCH), stamps)
+
+
+def hits(run: Run) -> list[tuple[int, tuple[int, ...]]]:
+    """Stamps and contacts of all impacts."""
+    return [(each.instant.stamp, each.contacts) for each in run.impacts]
+
+
+def followed(
+    law: Law, x: Array, told: Sequence[tuple[int, tuple[int, ...]]]
+) -> Iterator[Believed]:
+    """What a law believes from the epoch on, and from each impact on."""
+    root = law.uncertainty.root(law.system.n)
+    now = Believed(EPOCH, law.begin(x[None], root, ()))
+    yield now
+    for stamp, contacts in sorted(told):
+        course = law.course(seconds_between(EPOCH, now.stamp), now.belief, ())
+        before = course.belief(seconds_between(now.stamp, stamp))
+        touch = Touch(seconds_between(EPOCH, stamp), (), contacts, ())
+        now = Believed(stamp, law.event(touch, before))
+        yield now
+
+
+def jittered(run: Run, rng: np.random.Generator) -> list[tuple[int, tuple[int, ...]]]:
+    """Impacts with wrong stamps."""
+    wrong = np.rint(rng.normal(0.0, JITTER * NS_PER_S, len(run.impacts))).astype(int).tolist()
+    told = hits(run)
+    return [(max(s + by, EPOCH), hit) for (s, hit), by in zip(told, wrong, strict=True)]
+
+
+def distance(system: System, apart: Array) -> float:
+    """``V`` of a difference of states."""
+    return float(lyapunov.distance(system, *np.split(apart, 2)))
+
+
+def ideal(name: str, seeds: int = 20) -> Array:
+    """V over the initial V just after each of 2n + 2 impacts, shape (seeds, 2n + 2)."""
+    model = read_model(name)
+    system, x, count = model.system, np.concatenate(model.initial_state()), 2 * model.system.n + 2
+    told = hits(ran(system, x, np.array([EPOCH + 30 * NS_PER_S])))[:count]
+    truth = ran(system, x, np.array([stamp + 1 for stamp, _ in told])).states
+    law, ratios = MinimumVariance(system), np.empty((seeds, count))
+    for seed in range(seeds):
+        wrong = np.random.default_rng(seed).normal(size=x.size)
+        for k, each in enumerate(list(followed(law, x + wrong, told))[1:]):
+            apart = each.at(law, each.stamp + 1)[0] - truth[k]
+            ratios[seed, k] = distance(system, apart) / distance(system, wrong)
+    return ratios
+
+
+def surprises(name: str, seed: int, seconds: int) -> Array | None:
+    """NEES over 2n at the 2n-th impact and each second, NaN near impacts; None if left out."""
+    rng = np.random.default_rng([2014, seed])
+    system, x = drawn(name, rng)
+    seen = np.arange(1, seconds + 1) * NS_PER_S + EPOCH
+    run, twice = ran(system, x, seen), 2 * system.n
+    if any(each.closed for each in run.switchings) or len(run.impacts) < twice:
+        return None
+    instants = np.array([stamp for stamp, _ in hits(run)])
+    asked = np.append(instants[twice - 1] + round(1.1 * APART * NS_PER_S), seen)
+    near = np.min(np.abs(asked[:, None] - instants), axis=1) < APART * NS_PER_S
+    order = np.argsort(asked)
+    truth = np.empty((asked.size, twice))
+    truth[order] = ran(system, x, asked[order]).states
+    law = MinimumVariance(system, Uncertainty(clock_error=JITTER))
+    beliefs = list(followed(law, x + rng.normal(size=twice), jittered(run, rng)))
+    starts = np.array([each.stamp for each in beliefs])
+    found = np.full(asked.size, np.nan)
+    for k in np.flatnonzero(~near):
+        last = beliefs[int(np.searchsorted(starts, asked[k], side="right")) - 1]
+        estimate, root = last.at(law, int(asked[k]))
+        assert root is not None
+        normal = np.linalg.lstsq(root, estimate - truth[k], rcond=None)[0]
+        found[k] = normal @ normal / twice
+    return found
+
+
+def jitter(name: str, law: type[Law], clock: float, seeds: int, seconds: int = 60) -> Array:
+    """V over the initial V at the end, shape (seeds,)."""
+    model = read_model(name)
+    system, x = model.system, np.concatenate(model.initial_state())
+    end = EPOCH + seconds * NS_PER_S
+    run, ratios = ran(system, x, np.array([end])), np.empty(seeds)
+    used = law(system, Uncertainty(clock_error=clock))
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        wrong = rng.normal(size=x.size)
+        last = list(followed(used, x + wrong, jittered(run, rng)))[-1]
+        apart = last.at(used, end)[0] - run.states[0]
+        ratios[seed] = distance(system, apart) / distance(system, wrong)
+    return ratios
+
+
+def least(name: str, seconds: int = 60) -> float:
+    """``V`` over the initial one that is to be expected of the best unbiased estimator.
+
+    The rows of all impacts, taken at the true states: there nothing is left to linearise.
+    """
+    model = read_model(name)
+    system, x = model.system, np.concatenate(model.initial_state())
+    phases, law = Phases(system), ImpactLaw(system)
+    phase, start = phases.phase(), np.eye(2 * system.n)
+    rates, root, last = Rates(phase), start, 0.0
+    for each in ran(system, x, np.array([EPOCH + seconds * NS_PER_S])).impacts:
+        t, hit = -each.instant.until(EPOCH), each.contacts
+        forces = system.forcing.derivatives(np.array([t]), 2)[:, 0]
+        joint = linalg.block_diag(JITTER, phase.transition(t - last) @ root)
+        rows = Measured.gaps(system, hit).expanded(rates, each.before, forces).H
+        told = correction(joint, rows, 1e-15 * np.eye(len(hit))).root
+        mirror = Mirror.of(system, law.jump(hit), hit)
+        root = triangular(mirror.expanded(rates, rates, each.before, forces).H @ told)
+        last = t
+    root = phase.transition(seconds - last) @ root
+    expected = [sum(distance(system, column) for column in S.T) for S in (root, start)]
+    return expected[0] / expected[1]
+
+
+def print_honesty(name: str, runs: int, seconds: int) -> None:
+    """A row an instant."""
+    found = [each for k in range(runs) if (each := surprises(name, k, seconds)) is not None]
+    print(f"\n{name}: NEES / 2n of {len(found)} runs of {runs}, jitter 1 ms, declared")
+    print(f"{'at':>12} {'runs':>5} {'mean':>7} {'median':>7} {'99 %':>7} {'largest':>8}")
+    values = np.array(found)
+    for k, row in enumerate(values.T):
+        known = row[~np.isnan(row)]
+        if known.size and (k in (0, 1, 2) or k % 5 == 0):
+            at = f"{k} s" if k else "2n-th impact"
+            parts = (np.mean(known), np.median(known), np.quantile(known, 0.99), np.max(known))
+            print(f"{at:>12} {known.size:>5} " + " ".join(f"{part:7.3f}" for part in parts))
+    means = np.nanmean(values[:, 1:], axis=0)
+    print(f"  highest mean of any second: {np.max(means):.3f}")
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Print the three tables."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.covariance")
+    parser.add_argument("--runs", type=int, default=500, metavar="N", help="honesty (default 500)")
+    parser.add_argument("--seconds", type=int, default=30, metavar="S", help="their length")
+    parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS)
+    given = parser.parse_args(args)
+    if given.runs < 1 or given.seconds < 1:
+        parser.error("--runs and --seconds: expected 1 or more")
+    samples = [name for name in given.models if name != "random"]
+    for name in samples:
+        ratios = ideal(name)
+        print(f"\n{name}: V / V0 just after impact k, stamps of 1 ns, {len(ratios)} starts")
+        for k, column in enumerate(ratios.T, start=1):
+            print(f"{k:>12} median {np.median(column):8.1e}   worst {np.max(column):8.1e}")
+    for name in given.models:
+        print_honesty(name, given.runs, given.seconds)
+    for name in samples:
+        seeds = min(given.runs, 40)
+        print(f"\n{name}: V / V0 after 60 s, jitter 1 ms, {seeds} starts")
+        for law, clock in ((MinimumVariance, JITTER), (MinimumVariance, 0.0), (Geometric, 0.0)):
+            ratios = jitter(name, law, clock, seeds)
+            told = "declared" if clock else "not declared"
+            print(
+                f"{law.name:>18}, {told:12} median {np.median(ratios):8.1e}"
+                f"   worst {np.max(ratios):8.1e}"
+            )
+        print(f"{'best unbiased':>18}, {'':12} expected {least(name):6.1e}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

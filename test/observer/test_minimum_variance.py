@@ -1,0 +1,483 @@
+"""The law of least variance: how fast it knows, and that it knows how well it knows."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import permutations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from systems import EPOCH, Harmonic, chain, estimates, forcing, run, sample, system
+
+from impact_observer.analysis import lyapunov
+from impact_observer.dynamics import ImpactLaw, Phases
+from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
+from impact_observer.model import Forcing, System
+from impact_observer.model.samples import Samples
+from impact_observer.observer import Belief, Observer, Touch, Uncertainty, law_named
+from impact_observer.observer.laws import MinimumVariance
+from impact_observer.plant import Plant, Run, Switching, simulate
+from impact_observer.stamps import NS_PER_S, seconds_between
+
+Array = NDArray[np.float64]
+BOTH = pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+JITTER = 1e-3
+
+PRESSED = chain(
+    2,
+    damping=0.3,
+    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
+    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
+)
+"""Two masses that are pressed against a stop each, and let go, by turns."""
+HAMMER = system(
+    np.diag([1.0, 0.5]),
+    [[0.1, -0.1], [-0.1, 0.1]],
+    [[8.0, -8.0], [-8.0, 8.0]],
+    contacts=[([1, 0], 0.4, 0.7), ([0, -1], 0.5, 0.6)],
+    force=forcing(2, 0.0, [Harmonic(1.7, [1.5, 0], [0, 0.5])]),
+)
+"""Two masses, joined by a spring, that fly between two stops."""
+
+
+@cache
+def case(name: str) -> tuple[System, Array]:
+    """A system by its name, and where its plant starts, (q, u)."""
+    if name == "pressed":
+        return PRESSED, np.zeros(4)
+    if name == "hammer":
+        return HAMMER, np.array([0.0, 0.0, 1.0, -0.5])
+    found = sample(name)
+    return found.system, np.concatenate(found.initial_state())
+
+
+@cache
+def truth(name: str, seconds: float) -> Run:
+    """A run of it."""
+    model, start = case(name)
+    return run(model, start[: model.n], start[model.n :], seconds=seconds, rate=25.0)
+
+
+@cache
+def states(name: str, stamps: tuple[int, ...]) -> Array:
+    """True states at stamps that are no impact's, shape (samples, 2n)."""
+    model, start = case(name)
+    plant = Plant(model, start[: model.n], start[model.n :], epoch=EPOCH)
+    return simulate(plant, np.array(stamps)).states
+
+
+def watching(
+    model: System, x: Array, *, clock: float = 0.0, law: str = "minimum-variance", **options: float
+) -> Observer:
+    """An observer that starts at ``x``."""
+    ensemble = int(options.pop("ensemble", 1))
+    told = law_named(law)(model, Uncertainty(clock_error=clock, **options))
+    return Observer(
+        model, told, x[: model.n], x[model.n :], epoch=EPOCH, history=1e4, ensemble=ensemble
+    )
+
+
+def jittered(
+    events: Sequence[ImpactEvent], rng: np.random.Generator, *, ordered: bool = False
+) -> list[ImpactEvent]:
+    """The events with wrong stamps; ``ordered`` so that none comes before an earlier one."""
+    wrong = np.rint(rng.normal(0.0, JITTER * NS_PER_S, len(events))).astype(int)
+    stamps = np.maximum([each.stamp for each in events] + wrong, EPOCH + 1)
+    if ordered:
+        stamps = np.maximum.accumulate(stamps)
+    return [replace(each, stamp=at) for each, at in zip(events, stamps.tolist(), strict=True)]
+
+
+def errors(name: str, watcher: Observer, *stamps: int) -> Array:
+    """Estimate less truth at stamps that are no impact's, shape (samples, 2n)."""
+    return np.asarray(estimates(watcher, np.array(stamps)) - states(name, stamps))
+
+
+def root(watcher: Observer, stamp: int) -> Array:
+    """A root of the covariance at ``stamp``: P itself would be rounding."""
+    timeline = watcher._timeline
+    assert timeline is not None
+    entry = timeline.at(stamp)
+    found = watcher._course(entry).root(seconds_between(entry.key.stamp, stamp))
+    assert found is not None
+    return found
+
+
+def surprise(watcher: Observer, stamp: int, error: Array) -> float:
+    """Normalised estimation error squared, over 2n."""
+    found = np.linalg.lstsq(root(watcher, stamp), error, rcond=None)[0]
+    return float(found @ found) / error.size
+
+
+def after(events: Sequence[ImpactEvent], k: int) -> int:
+    """A stamp 6 ms after the k-th impact: on the same side of it for truth and estimate."""
+    stamp = events[k - 1].stamp + 6_000_000
+    assert stamp < events[k].stamp - 6_000_000
+    return stamp
+
+
+@BOTH
+def test_state_is_known_to_rounding_after_twice_as_many_impacts_as_coordinates(name: str) -> None:
+    """Stamps of 1 ns, 2n + 2 impacts, median of 20 wrong starts."""
+    (model, start), events = case(name), truth(name, 30.0).events
+    told = events[: 2 * model.n + 2]
+    stamp, ratios = events[len(told) - 1].stamp + 1_000_000, []
+    for seed in range(20):
+        wrong = np.random.default_rng(seed).normal(size=2 * model.n)
+        watcher = watching(model, start + wrong)
+        for each in told:
+            watcher.receive(each)
+        left = errors(name, watcher, stamp)[0]
+        V = [float(lyapunov.distance(model, *np.split(each, 2))) for each in (left, wrong)]
+        ratios.append(V[0] / V[1])
+    assert np.median(ratios) <= 1e-14
+    assert max(ratios) <= 1e-12
+
+
+@BOTH
+def test_covariance_is_honest(name: str) -> None:
+    """Stamps wrong by 1 ms, initial errors as declared: NEES and innovations are as they should.
+
+    Just after three impacts, the 2n-th the first, mean of 40: as near to 1 as 40 can tell. The
+    figures of 500 random runs are told by benchmarks/covariance.py.
+    """
+    (model, start), events = case(name), truth(name, 30.0).events
+    stamps = [after(events, k) for k in (2 * model.n, 2 * model.n + 5, 15)]
+    surprises, innovations = [], []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        watcher = watching(model, start + rng.normal(size=2 * model.n), clock=JITTER)
+        for each in jittered(events[:15], rng):
+            innovations += [verdict.innovation for verdict in watcher.receive(each)]
+        wrong = errors(name, watcher, *stamps)
+        surprises.append(
+            [surprise(watcher, s, each) for s, each in zip(stamps, wrong, strict=True)]
+        )
+    for mean in np.mean(surprises, axis=0):  # of 2n squares of normal numbers each
+        assert 0.4 <= mean <= 1.4
+    assert 0.8 <= np.mean(np.square(innovations)) <= 1.2
+    assert np.max(innovations) < 5
+
+
+@BOTH
+def test_jitter_costs_it_far_less_than_the_geometric_law(name: str) -> None:
+    """1 ms, 30 s, median of 8: more than a hundred times less in V, whether declared or not."""
+    (model, start), whole = case(name), truth(name, 30.0)
+    found: dict[tuple[str, float], list[float]] = {}
+    for seed in range(8):
+        for law, clock in (("geometric", 0.0), ("minimum-variance", JITTER)):
+            rng = np.random.default_rng(seed)
+            watcher = watching(model, start + rng.normal(size=2 * model.n), clock=clock, law=law)
+            for each in jittered(whole.events, rng):
+                watcher.receive(each)
+            stamp = after(whole.events, len(whole.events) - 1)
+            left = errors(name, watcher, stamp)[0]
+            V = float(lyapunov.distance(model, *np.split(left, 2)))
+            found.setdefault((law, clock), []).append(V)
+    medians = {law: np.median(V) for (law, _), V in found.items()}
+    assert medians["minimum-variance"] < 1e-2 * medians["geometric"]
+
+
+def followed(model: System, law: MinimumVariance, x: Array, switchings: list[Switching]) -> Belief:
+    """The belief just after the last of some impacts, at their own instants, not at stamps."""
+    belief, t = law.begin(x[None], law.uncertainty.root(model.n), ()), 0.0
+    for each in switchings:
+        now = -each.instant.until(EPOCH)
+        belief = law.course(t, belief, ()).belief(now - t)
+        belief, t = law.event(Touch(now, (), each.contacts, ()), belief), now
+    return belief
+
+
+@pytest.mark.parametrize("count", [1, 3, 5])
+def test_filter_is_batch_least_squares_over_all_that_was_told(count: int) -> None:
+    """Instants known: the rows ``w^T Phi .. J .. Phi`` stacked, and the start nearest to them.
+
+    What is left unknown is the projection onto their null space. The oracle flies the states and
+    knows of no filter; positions are thrown back with the speeds.
+    """
+    model, phase = sample("three_mass").system, Phases(sample("three_mass").system).phase()
+    n, law = model.n, MinimumVariance(model)
+    switchings = list(truth("three_mass", 30.0).switchings[:count])
+    guess = np.random.default_rng(3).normal(size=2 * n)
+    F, x, t, rows, values = np.eye(2 * n), guess, 0.0, [], []
+    for each in switchings:
+        now, (i,) = -each.instant.until(EPOCH), each.contacts
+        F, x = phase.transition(now - t) @ F, phase.start(t, x).state(now - t)
+        w, t = np.concatenate([model.W[:, i], np.zeros(n)]), now
+        gap = float(model.gap(x[:n])[i])
+        rows.append(w @ F)
+        values.append(gap)
+        J = ImpactLaw(model).jump((i,))
+        F = np.kron(np.eye(2), J) @ F
+        push = (J - np.eye(n)) @ model.W[:, i] / (model.W[:, i] @ model.W[:, i])
+        x = np.concatenate([x[:n] + push * gap, J @ x[n:]])
+    left = np.linalg.lstsq(np.array(rows), -np.array(values), rcond=None)[0]
+    unknown = F @ (np.eye(2 * n) - np.linalg.pinv(np.array(rows)) @ np.array(rows)) @ F.T
+    belief = followed(model, law, guess, switchings)
+    assert belief.root is not None
+    np.testing.assert_allclose(belief.x, x + F @ left, atol=2e-7)
+    np.testing.assert_allclose(belief.root @ belief.root.T, unknown, atol=2e-8)
+
+
+def test_other_replicas_are_corrected_as_the_estimate_s_own_error() -> None:
+    """The plant as a replica: it stays the plant, to what stamps allow."""
+    model, start = case("two_mass")
+    law, switchings = MinimumVariance(model), truth("two_mass", 30.0).switchings[:8]
+    replicas = np.array([start + np.array([0.5, -1, 1, 0.3]), start])
+    belief, t = law.begin(replicas, law.uncertainty.root(2), ()), 0.0
+    for each in switchings:
+        now = -each.instant.until(EPOCH)
+        belief = law.course(t, belief, ()).belief(now - t)
+        np.testing.assert_allclose(belief.replicas[1], each.before, atol=1e-8)
+        belief, t = law.event(Touch(now, (), each.contacts, ()), belief), now
+        np.testing.assert_allclose(belief.replicas[1], each.after, atol=1e-8)
+    np.testing.assert_allclose(belief.x, belief.replicas[1], atol=1e-7)
+
+
+def test_estimate_does_not_depend_on_how_many_replicas_there_are() -> None:
+    """Not in a bit: alone, with two, with twenty; through lasting contact."""
+    stamps = truth("pressed", 4.0).stamps
+    found = []
+    for ensemble in (1, 2, 20):
+        watcher = watching(PRESSED, np.array([0.3, -0.4, 1.0, -2.0]), ensemble=ensemble)
+        for each in truth("pressed", 4.0).events:
+            watcher.receive(each)
+        found.append(estimates(watcher, stamps))
+    assert all(np.array_equal(found[0], each) for each in found[1:])
+
+
+def test_any_order_of_arrival_gives_equal_bits() -> None:
+    """Estimate and covariance, with wrong stamps, CLOSE and OPEN."""
+    kinds = [("c1", Kind.CLOSE), ("c2", Kind.IMPACT), ("c1", Kind.OPEN), ("c2", Kind.CLOSE)]
+    events = [
+        ImpactEvent(EPOCH + stamp * 1_000_000, (Switch(*kind),), k + 1, 0, EPOCH)
+        for k, (stamp, kind) in enumerate(zip((300, 700, 1100, 1300), kinds, strict=True))
+    ]
+    found = []
+    for order in permutations(events):
+        watcher = watching(PRESSED, np.array([0.3, -0.4, 1.0, -2.0]), clock=JITTER)
+        for each in order:
+            watcher.receive(each)
+            watcher.estimate(EPOCH + 3 * NS_PER_S)
+        told = [watcher.estimate(EPOCH + k * NS_PER_S // 4) for k in range(12)]
+        found.append(np.array([np.concatenate([e.q, e.u, e.covariance.ravel()]) for e in told]))
+    assert all(np.array_equal(found[0], each) for each in found[1:])
+
+
+@pytest.mark.parametrize("clock", [0.0, JITTER])
+def test_estimate_locks_on_in_lasting_contact_and_stays(clock: float) -> None:
+    """CLOSE, OPEN and all between; P is zero along what is closed, and nothing is NaN."""
+    whole = truth("pressed", 11.5)
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        watcher = watching(PRESSED, rng.normal(size=4), clock=clock, ensemble=3)
+        for each in jittered(whole.events, rng, ordered=True) if clock else whole.events:
+            watcher.receive(each)
+        told = [watcher.estimate(stamp) for stamp in whole.stamps.tolist()]
+        for estimate in told:
+            assert np.all(np.isfinite(estimate.covariance))
+            for name in estimate.closed:
+                W = np.kron(np.eye(2), PRESSED.W[:, PRESSED.contact_names.index(name)])
+                assert np.max(np.abs(W @ estimate.covariance @ W.T)) <= 1e-15
+        away = np.array([np.concatenate([e.q, e.u]) for e in told]) - whole.states
+        assert np.max(np.abs(away[-50:])) < (1e-6 if clock else 1e-12)
+
+
+def test_ball_is_followed_through_accumulation_to_rest() -> None:
+    """K = 0 and 170 impacts within eight seconds: after the second it is known."""
+    model, whole = sample("bouncing_ball").system, truth("bouncing_ball", 10.0)
+    watcher = watching(model, np.array([1.7, 0.4]), ensemble=3)
+    for each in whole.events:
+        watcher.receive(each)
+    apart = np.abs(estimates(watcher, whole.stamps) - whole.states).max(axis=1)
+    assert np.max(apart[50:200]) < 1e-7
+    end = watcher.estimate(int(whole.stamps[-1]))
+    assert end.closed == ("floor",)
+    assert not np.any([end.q, end.u])
+    assert not end.covariance.any()
+
+
+@pytest.mark.parametrize("clock", [0.0, JITTER])
+def test_free_floating_hammer_is_known(clock: float) -> None:
+    """K singular: its place is known too, as V cannot tell."""
+    whole, start = truth("hammer", 20.0), case("hammer")[1]
+    rng = np.random.default_rng(1)
+    watcher = watching(HAMMER, start + rng.normal(size=4), clock=clock)
+    for each in jittered(whole.events, rng) if clock else whole.events:
+        watcher.receive(each)
+    stamp = int(whole.stamps[-1])
+    wrong = errors("hammer", watcher, stamp)[0]
+    assert np.max(np.abs(wrong)) < (1e-3 if clock else 1e-9)
+    assert surprise(watcher, stamp, wrong) < 3
+
+
+def test_release_tells_that_the_load_was_zero() -> None:
+    """After CLOSE and OPEN of one contact alone more is known than the CLOSE has told."""
+    law = MinimumVariance(PRESSED, Uncertainty(clock_error=JITTER))
+    x = np.array([[0.0, 0.0, 0.0, 0.0]])
+    belief = law.begin(x, law.uncertainty.root(2), (0,))
+    before = law.course(0.0, belief, (0,)).belief(0.4)
+    told = law.event(Touch(0.4, (0,), (), ()), before)
+    assert list(told.innovations) == [0]
+    assert told.root is not None
+    assert before.root is not None
+    silent = law.course(0.4, before, ()).belief(0.0)
+    assert silent.root is not None
+    L = Phases(PRESSED).phase((0,)).loads
+    row = np.concatenate([(L @ PRESSED.K)[0], (L @ PRESSED.C)[0]])
+    assert np.linalg.norm(row @ told.root) < 0.02 * np.linalg.norm(row @ silent.root)
+
+
+def test_release_where_the_force_jumps_tells_nothing() -> None:
+    """Its load need not have come down to zero; the same for contacts that open together."""
+    steps = Samples(np.array([0.0, 0.5, 9.0]), np.array([[-3.0], [3.0], [3.0]]), "previous")
+    jumping = system(1, 0.1, 1, contacts=[([1], 0.0, 0.5)], force=Forcing.of_samples(steps))
+    for model, closed in ((jumping, (0,)), (PRESSED, (0, 1))):
+        law = MinimumVariance(model)
+        x = np.zeros((1, 2 * model.n))
+        start = law.begin(x, law.uncertainty.root(model.n), closed)
+        before = law.course(0.0, start, closed).belief(0.5)
+        told = law.event(Touch(0.5, closed, (), ()), before)
+        assert not told.innovations
+        assert told.root is not None
+        assert before.root is not None
+        np.testing.assert_allclose(told.root @ told.root.T, before.root @ before.root.T, atol=1e-9)
+
+
+def test_contacts_closed_at_the_start_hold_at_once() -> None:
+    """Nearest in the declared covariance, which is singular along them."""
+    law = MinimumVariance(PRESSED, Uncertainty(np.array([1.0, 2.0, 1.0, 0.5])))
+    belief = law.begin(np.array([[0.3, 0.4, 1, 2], [0, 0, 0, 0]]), law.uncertainty.root(2), (0,))
+    gaps = belief.replicas[:, :2] @ PRESSED.W[:, 0] + PRESSED.q_r[0]
+    np.testing.assert_allclose(gaps, 0, atol=1e-15)
+    np.testing.assert_allclose(belief.replicas[:, 3], 0, atol=1e-15)
+    np.testing.assert_allclose(belief.x, [0.3, 0.1, 1, 0], atol=1e-13)
+    assert belief.root is not None
+    P = belief.root @ belief.root.T
+    np.testing.assert_allclose(P, np.diag([1.0, 0, 1.0, 0]), atol=1e-13)
+
+
+def test_model_error_lets_covariance_grow_and_leaves_the_estimate() -> None:
+    """By ``w^2 t`` in the velocity of a free ball; nothing when it is 0."""
+    model, x = sample("bouncing_ball").system, np.array([1.0, 0.5])
+    exact, doubting = watching(model, x), watching(model, x, model_error=0.2)
+    stamp = EPOCH + 2 * NS_PER_S
+    one, two = exact.estimate(stamp), doubting.estimate(stamp)
+    assert (one.q, one.u) == (two.q, two.u)
+    np.testing.assert_allclose(
+        two.covariance - one.covariance,
+        0.04 * np.array([[8 / 3, 2.0], [2.0, 2.0]]),
+        atol=1e-12,
+    )
+    for each in truth("bouncing_ball", 10.0).events:
+        doubting.receive(each)
+    end = doubting.estimate(EPOCH + 10 * NS_PER_S)
+    assert not np.any([end.q, end.u])
+    assert not end.covariance.any()
+
+
+def test_true_state_that_is_declared_to_be_known_is_left_alone() -> None:
+    """Deviation 0: no covariance, no NaN; it follows the plant to what stamps allow."""
+    (model, start), whole = case("two_mass"), truth("two_mass", 30.0)
+    watcher = watching(model, start, deviation=0.0)
+    for each in whole.events:
+        watcher.receive(each)
+    assert np.max(np.abs(errors("two_mass", watcher, *whole.stamps[1::25].tolist()))) < 1e-8
+
+
+@pytest.mark.parametrize("damping", [1e3, 1e6, 1e9])
+def test_stiff_damping_is_not_followed_back_into_overflow(damping: float) -> None:
+    """A clock wrong by a hundredth of a second, in which motions fade ten million times."""
+    model = chain(2, damping=damping, contacts=[([0, -1], 0.1, 0.5)])
+    watcher = watching(model, np.array([0.2, 0.3, 1, 1]), clock=0.01, ensemble=3)
+    for k in range(1, 6):
+        stamp = EPOCH + k * NS_PER_S // 2
+        watcher.receive(ImpactEvent(stamp, (Switch("c1"),), k, 0, EPOCH))
+        end = watcher.estimate(stamp + NS_PER_S // 4)
+        assert np.all(np.isfinite(np.concatenate([end.q, end.u, end.covariance.ravel()])))
+        assert np.max(np.abs(end.q)) < 1.0
+
+
+def test_instant_is_not_sought_where_no_force_is_known() -> None:
+    """Impacts just after the first and just before the last sample, with a clock that is wrong."""
+    samples = Samples(np.array([0.0, 1.0]), np.array([[-1.0], [1.0]]), "linear")
+    model = system(1, 0.1, 1, contacts=[([1], 0.5, 0.5)], force=Forcing.of_samples(samples))
+    for gap in (-0.2, 0.2):
+        watcher = watching(model, np.array([gap - 0.5, -1.0]), clock=0.1)
+        for k, stamp in enumerate((1, NS_PER_S - 1)):
+            watcher.receive(ImpactEvent(EPOCH + stamp, (Switch("c1"),), k + 1, 0, EPOCH))
+        end = watcher.estimate(EPOCH + NS_PER_S)
+        assert np.all(np.isfinite([end.q, end.u]))
+
+
+@pytest.mark.parametrize("speed", [-1e-9, 0.0, 1e-9, 3.0])
+def test_grazing_impact_divides_by_nothing(speed: float) -> None:
+    """Contact speed zero or of the wrong sign; one that leads away is thrown back all the same."""
+    model = sample("two_mass").system
+    law = MinimumVariance(model, Uncertainty(clock_error=JITTER))
+    x = np.array([[0.1, 0.5, 0.0, -speed]])
+    belief = law.event(Touch(1.0, (), (0,), ()), law.begin(x, 0.1 * np.eye(4), ()))
+    assert belief.root is not None
+    assert np.all(np.isfinite(belief.root))
+    assert np.all(np.isfinite(belief.x))
+    if speed == 3.0:
+        assert belief.x[3] == pytest.approx(0.7 * 3.0, abs=0.05)
+
+
+def test_contacts_that_hit_together_share_one_instant() -> None:
+    """Two beads and a wall: both gaps are known after, and the stamp's error by both."""
+    beads = system(
+        np.eye(2),
+        np.zeros((2, 2)),
+        np.zeros((2, 2)),
+        contacts=[([1, 0], 0.0, 0.5), ([-1, 1], 0.0, 0.5)],
+        force=forcing(2, -1.0),
+    )
+    law = MinimumVariance(beads, Uncertainty(clock_error=JITTER))
+    start = law.begin(np.array([[0.2, -0.1, -1.0, -2.0]]), law.uncertainty.root(2), ())
+    belief = law.event(Touch(0.5, (), (0, 1), ()), start)
+    assert sorted(belief.innovations) == [0, 1]
+    assert belief.root is not None
+    assert np.max(np.linalg.norm(beads.W.T @ belief.root[:2], axis=1)) < 0.01
+    assert np.max(np.abs(beads.gap(belief.x[:2]))) < 0.01
+
+
+def test_same_stop_given_twice_is_one_stop() -> None:
+    """Redundant contacts hit, close, stay and open as one."""
+    once = system(1, 0.1, 1, contacts=[([1], 0.0, 0.5)], force=forcing(1, -2.0))
+    contacts = [([1], 0.0, 0.5), ([2], 0.0, 0.5)]
+    twice = system(1, 0.1, 1, contacts=contacts, force=forcing(1, -2.0))
+    found = []
+    for model, names in ((once, ("c1",)), (twice, ("c1", "c2"))):
+        watcher = watching(model, np.array([0.7, 0.4]), clock=1e-4)
+        for k, kind in enumerate((Kind.IMPACT, Kind.CLOSE, Kind.OPEN, Kind.IMPACT)):
+            switches = tuple(Switch(name, kind) for name in names)
+            stamp = EPOCH + (k + 1) * NS_PER_S // 2
+            watcher.receive(ImpactEvent(stamp, switches, k + 1, 0, EPOCH))
+        end = watcher.estimate(EPOCH + 9 * NS_PER_S // 4)
+        found.append(np.concatenate([end.q, end.u]))
+    np.testing.assert_allclose(found[0], found[1], atol=1e-2)
+
+
+def test_impact_of_a_closed_contact_says_that_it_opened_unheard() -> None:
+    """It is applied, and nothing is NaN."""
+    watcher = watching(PRESSED, np.zeros(4))
+    for k, kind in enumerate((Kind.CLOSE, Kind.IMPACT, Kind.IMPACT)):
+        event = ImpactEvent(EPOCH + (k + 1) * NS_PER_S, (Switch("c1", kind),), k + 1, 0, EPOCH)
+        assert watcher.receive(event)[0].ruling is Ruling.APPLIED
+    end = watcher.estimate(EPOCH + 4 * NS_PER_S)
+    assert end.closed == ()
+    assert np.all(np.isfinite(np.concatenate([end.q, end.u, end.covariance.ravel()])))
+
+
+def test_mean_alone_is_the_belief_s() -> None:
+    """``Course.state`` and ``root`` are parts of ``Course.belief``, in flight and in contact."""
+    law = MinimumVariance(PRESSED, Uncertainty(model_error=0.1))
+    for closed in ((), (0,), (0, 1)):
+        belief = law.begin(np.array([[0.3, 0.1, -1.0, 2.0]]), law.uncertainty.root(2), closed)
+        course = law.course(0.3, belief, closed)
+        for s in (0.0, 0.4, 3.0):
+            whole = course.belief(s)
+            np.testing.assert_array_equal(course.state(s), whole.x)
+            np.testing.assert_array_equal(course.root(s), whole.root)

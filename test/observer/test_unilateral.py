@@ -1,0 +1,221 @@
+"""The unilateral law: what it knows of every plant, and what that is worth."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from systems import (
+    EPOCH,
+    chain,
+    estimates,
+    event,
+    examples,
+    forcing,
+    observer,
+    run,
+    sample,
+    switchings,
+    system,
+    systems,
+    vectors,
+)
+
+from impact_observer.analysis import lyapunov
+from impact_observer.errors import ImpactLawError
+from impact_observer.model import System
+from impact_observer.observer.belief import Belief, Touch
+from impact_observer.observer.laws import Geometric, Unilateral
+from impact_observer.stamps import NS_PER_S, grid
+
+Array = NDArray[np.float64]
+
+
+def hammer() -> System:
+    """Two masses and one spring, free between two stops, driven: K is singular."""
+    return system(
+        np.diag([1.0, 2.0]),
+        [[0.1, -0.1], [-0.1, 0.1]],
+        [[8.0, -8.0], [-8.0, 8.0]],
+        contacts=[([1, 0], 0.5, 0.7), ([0, -1], 0.5, 0.7)],
+        force=forcing(2, [-3.0, 0.5]),
+    )
+
+
+def distance(model: System, one: Array, two: Array) -> Array:
+    """``V`` of states, shape (..., 2n)."""
+    q, u = np.split(one - two, 2, axis=-1)
+    return lyapunov.distance(model, q, u)
+
+
+@examples(25)
+@given(st.data())
+def test_no_gap_is_ever_negative_under_any_switching(data: st.DataObject) -> None:
+    """Random contacts at random instants, K singular or not, where some position is possible."""
+    model = data.draw(systems(contacts=(1, 4), common_restitution=True))
+    law, t = Unilateral(model), 0.0
+    closed: tuple[int, ...] = ()
+    assume(law._joint.is_possible(()))
+    x = law.placed(data.draw(vectors(2 * model.n)))
+    for wait, hit, stay in data.draw(switchings(model.m)):
+        motion = law.motion(t, x, closed)
+        states = motion.states(np.linspace(0.0, wait, 33))
+        q = states[:, : model.n]
+        size = np.abs(model.q_r) + np.abs(q) @ np.abs(model.W) + np.max(np.abs(states))
+        assert np.all(q @ model.W + model.q_r >= -1e-12 * size)
+        x, t = motion.state(wait), t + wait
+        active = tuple(sorted({*closed, *hit}))
+        stays = tuple(i for i in active if i in stay)
+        assume(law._joint.is_possible(active))
+        try:
+            x = law.event(Touch(t, closed, hit, stays), Belief(x[None])).x
+        except ImpactLawError:
+            assume(False)
+        closed = stays
+
+
+@examples(25)
+@given(st.data())
+def test_impact_leaves_no_contact_separating_before_newtons_law(data: st.DataObject) -> None:
+    """``u-`` goes to the nearest with ``gamma_A <= 0``: optimality conditions of that."""
+    model = data.draw(systems(contacts=(1, 3)))
+    u = data.draw(vectors(model.n))
+    active = tuple(sorted(data.draw(st.sets(st.integers(0, model.m - 1), min_size=1))))
+    W = model.W[:, list(active)]
+    found = Unilateral(model)._closing(u, active)
+    size = 1 + float(np.max(np.abs(u)))
+    assert np.max(W.T @ found) <= 1e-8 * size
+    push = model.M @ (u - found)  # = W P with P >= 0, and P gamma = 0
+    assert abs(push @ found) <= 1e-7 * size**2
+    for _ in range(5):
+        other = data.draw(vectors(model.n))
+        if np.all(W.T @ other <= 0):  # the angle with all that is allowed is obtuse
+            assert push @ (other - found) <= 1e-7 * size**2
+
+
+def test_contact_that_separates_stops_and_one_that_closes_is_thrown_back() -> None:
+    """By hand for two_mass: gamma = -u2, restitution 0.7."""
+    law = Unilateral(sample("two_mass").system)
+    opening = law.impact(np.array([0.1, 0.2, 1.0, -2.0]), (0,), ())
+    np.testing.assert_allclose(opening, [0.25, 0.5, 1.0, 0.0], atol=1e-15)
+    closing = law.impact(np.array([0.1, 0.2, 1.0, 2.0]), (0,), ())
+    np.testing.assert_allclose(closing, [0.25, 0.5, 1.0, -1.4], rtol=1e-14)
+
+
+def test_replica_that_no_stop_is_in_the_way_of_is_the_geometric_one() -> None:
+    """In every bit: the plant's own state, and one that stays away from the other stop."""
+    model = chain(2, contacts=[([0, -1], 0.2, 0.6), ([1, 0], 50.0, 0.5)])
+    x, t = np.array([0.1, 0.0, 0.3, 0.2]), 0.0
+    closed: tuple[int, ...] = ()
+    geometric, unilateral = Geometric(model), Unilateral(model)
+    np.testing.assert_array_equal(unilateral.placed(x), x)
+    for hit, stays in (((0,), (0,)), ((), ())):
+        one = geometric.motion(t, x, closed).state(0.05)
+        np.testing.assert_array_equal(unilateral.motion(t, x, closed).state(0.05), one)
+        touch = Touch(t, closed, hit, stays)
+        x = geometric.event(touch, Belief(one[None])).x
+        np.testing.assert_array_equal(unilateral.event(touch, Belief(one[None])).x, x)
+        t, closed = t + 0.05, stays
+
+
+@pytest.mark.parametrize(
+    "model", [sample("bouncing_ball").system, hammer()], ids=["ball", "hammer"]
+)
+def test_free_bodies_are_followed_and_v_only_falls(model: System) -> None:
+    """K singular: V is a seminorm; the replica's gaps stay nonnegative, V falls, far down."""
+    n = model.n
+    start = np.concatenate([np.full(n, 0.3), np.full(n, 0.2)])
+    plant = run(model, start[:n], start[n:], seconds=3.0 if n == 1 else 8.0, rate=20.0)
+    assert len(plant.events) >= 4
+    for seed in range(2):
+        x = start + np.random.default_rng(seed).normal(size=2 * n) / 2
+        watcher = observer(model, "unilateral", x, epoch=EPOCH, ensemble=1)
+        for each in plant.events:
+            watcher.receive(each)
+        found = estimates(watcher, plant.stamps)
+        assert np.min(found[:, :n] @ model.W + model.q_r) >= -1e-12
+        V = distance(model, found, plant.states)
+        assert np.max(np.diff(V)) <= 1e-6 * (1e-3 + V[0])  # stamps are rounded to 1 ns
+        assert V[-1] <= 0.5 * V[0]
+
+
+def test_estimate_does_not_depend_on_who_asks_or_when_events_come() -> None:
+    """Events in any order, with questions in between: the same bits."""
+    model = sample("three_mass")
+    plant = run(model.system, *model.initial_state(), seconds=5.0)
+    x = np.concatenate(model.initial_state()) + np.random.default_rng(1).normal(size=6)
+    stamps = grid(EPOCH, EPOCH + 5 * NS_PER_S, 4.0)
+    once = observer(model.system, "unilateral", x, epoch=EPOCH, ensemble=1)
+    for each in plant.events:
+        once.receive(each)
+    asked = observer(model.system, "unilateral", x, epoch=EPOCH, ensemble=1)
+    for each in (plant.events[0], *plant.events[:0:-1]):
+        asked.receive(each)
+        asked.estimate(int(stamps[7]))
+    expected = estimates(once, stamps)
+    np.testing.assert_array_equal(estimates(asked, stamps[::-1])[::-1], expected)
+
+
+def test_certified_bound_is_never_below_the_true_distance() -> None:
+    """It falls at each event by what both projections take, and so faster than geometric's."""
+    model = sample("three_mass")
+    plant = run(model.system, *model.initial_state(), seconds=8.0, rate=10.0)
+    truth = dict(zip(plant.stamps.tolist(), plant.states, strict=True))
+    for seed in range(2):
+        x = np.concatenate(model.initial_state()) + np.random.default_rng(seed).normal(size=6)
+        bounds = {}
+        for law in ("geometric", "unilateral"):
+            watcher = observer(model.system, law, x, epoch=EPOCH, ensemble=1)
+            for each in plant.events:
+                watcher.receive(each)
+            found = [watcher.estimate(stamp) for stamp in truth]
+            V = distance(
+                model.system,
+                np.array([np.concatenate([each.q, each.u]) for each in found]),
+                np.array(list(truth.values())),
+            )
+            bounds[law] = np.array([each.bound for each in found])
+            assert np.all(bounds[law] >= V)
+            assert np.all(np.diff(bounds[law]) <= 0)
+        assert bounds["unilateral"][-1] < bounds["unilateral"][0]
+
+
+def test_initial_state_inside_a_stop_is_taken_out_of_it() -> None:
+    """As little as K allows: two_mass's masses move as 1 to 2."""
+    x = np.array([0.0, 1.5, 0.0, 0.0])
+    model = sample("two_mass").system
+    placed = observer(model, "unilateral", x, epoch=EPOCH, ensemble=1).estimate(EPOCH)
+    np.testing.assert_allclose(placed.q, [-0.5, 0.5], atol=1e-14)
+
+
+def test_what_no_plant_could_tell_is_no_failure() -> None:
+    """Floor and ceiling told closed together, opened again: afterwards no gap is negative."""
+    model = chain(2, contacts=[([1, 0], 0.5, 0.5), ([-1, 0], 0.5, 0.5)])
+    watcher = observer(model, "unilateral", [0.1, 0.3, 2.0, 1.0], epoch=EPOCH, ensemble=3)
+    watcher.receive(event(0.5, "c1", "c2", sequence=1))
+    watcher.receive(event(0.7, "c1", sequence=2))
+    stamps = grid(EPOCH, EPOCH + 3 * NS_PER_S, 20.0)
+    gaps = estimates(watcher, stamps)[:, :2] @ model.W + model.q_r
+    assert np.min(gaps) >= -1e-12
+    assert watcher.estimate(int(stamps[-1])).bound == -1.0
+
+
+def test_true_gaps_make_the_estimate_better_than_geometric_on_three_masses() -> None:
+    """Median of V/V0 after 15 s over five seeds; bodies with one stop gain nothing."""
+    model = sample("three_mass")
+    plant = run(model.system, *model.initial_state(), seconds=15.0, rate=1.0)
+    medians = []
+    for law in ("geometric", "unilateral"):
+        ratios = []
+        for seed in range(5):
+            x = np.concatenate(model.initial_state())
+            y = x + np.random.default_rng(seed).normal(size=6)
+            watcher = observer(model.system, law, y, epoch=EPOCH, ensemble=1)
+            for each in plant.events:
+                watcher.receive(each)
+            last = estimates(watcher, plant.stamps[-1:])[0]
+            ratios.append(
+                distance(model.system, last, plant.states[-1]) / distance(model.system, y, x)
+            )
+        medians.append(float(np.median(ratios)))
+    assert medians[1] <= medians[0] / 2
