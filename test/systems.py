@@ -211,8 +211,9 @@ def run(
 
 
 def observer(model: System, law: str, x: ArrayLike, **options: object) -> Observer:
-    """An observer that starts at ``x`` = (q, u)."""
+    """An observer that starts at ``x`` = (q, u), of one replica unless told else."""
     start = np.asarray(x, float)
+    options = {"ensemble": 1, **options}
     return Observer(
         model,
         law_named(law)(model),

@@ -33,6 +33,7 @@ def test_a_recorded_bag_is_what_its_model_does(name: str) -> None:
     np.testing.assert_allclose(np.hstack([truth.q, truth.u]), run.states, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EXPECTED)
 @pytest.mark.parametrize("law", ["open-loop", "kinematic", "geometric"])
 def test_observers_make_of_a_recorded_bag_what_is_expected(

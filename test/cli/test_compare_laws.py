@@ -37,6 +37,7 @@ def compared(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, d
     return found
 
 
+@pytest.mark.slow
 def test_laws_run_on_a_bag_equal_those_observed_into_bags(
     plant_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

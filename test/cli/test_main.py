@@ -134,6 +134,7 @@ def test_a_demo_checks_its_parameters_before_it_makes_anything(
     assert not (tmp_path / "x").exists()
 
 
+@pytest.mark.slow
 def test_ball_comes_to_rest_by_either_integrator(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -107,6 +107,7 @@ def test_certified_bound_is_written_when_it_changes(run_bag: Path) -> None:
     assert all(len(message.position_error) == 0 for message in bounds)
 
 
+@pytest.mark.slow
 def test_compare_orders_the_laws_and_draws_them(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

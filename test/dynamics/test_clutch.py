@@ -106,6 +106,7 @@ def assert_is_a_motion(closed: Closed, seconds: float) -> None:
         np.testing.assert_allclose(gaps, gaps[[0] * len(gaps)], atol=1e-10 * size)
 
 
+@pytest.mark.slow
 @BOTH
 @examples(40)
 @given(st.data())
@@ -117,6 +118,7 @@ def test_every_motion_obeys_the_complementarity_of_speeds_and_loads(
     assert_is_a_motion(drawn(data, model, fix=fix), 3.0)
 
 
+@pytest.mark.slow
 @examples(40)
 @given(st.data())
 def test_motions_of_whole_numbers_obey_it_as_well(data: st.DataObject) -> None:
@@ -216,6 +218,7 @@ def test_who_asks_when_decides_nothing(fix: bool, data: st.DataObject) -> None:
     np.testing.assert_allclose(ahead.states(s), singly, atol=1e-13 * size)
 
 
+@pytest.mark.slow
 @BOTH
 @examples(15)
 @given(st.data())

@@ -147,6 +147,7 @@ def test_common_restitution_always_has_a_solution_that_loses_energy(data: st.Dat
     assert lost == pytest.approx(expected, abs=1e-9 * float(1 + u @ model.M @ u))
 
 
+@pytest.mark.slow
 @examples(60)
 @given(st.data())
 def test_velocity_jump_does_not_part_two_solutions(data: st.DataObject) -> None:

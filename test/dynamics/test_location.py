@@ -54,6 +54,7 @@ def sampled(model: System, x: Array, horizon: float, t: float) -> float | None:
     return min(roots, default=None)
 
 
+@pytest.mark.slow
 @examples(40)
 @given(st.data())
 def test_first_closing_is_the_one_that_dense_sampling_finds(data: st.DataObject) -> None:

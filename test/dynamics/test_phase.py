@@ -120,6 +120,7 @@ def drawn(data: st.DataObject, model: System, *, fix: bool) -> tuple[Contacts, C
     return held, fixed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fix", [False, True], ids=["held", "fixed"])
 @pytest.mark.parametrize("rigid", [False, True], ids=["elastic", "rigid"])
 @examples(20)

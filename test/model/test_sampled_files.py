@@ -230,6 +230,7 @@ def test_coordinate_called_time_needs_a_table(tmp_path: Path) -> None:
         read(tmp_path, CSV, model)
 
 
+@pytest.mark.slow
 def test_hundred_seconds_at_one_kilohertz_are_read(tmp_path: Path) -> None:
     """A whole measurement, exact to the last bit."""
     rng = np.random.default_rng(5)

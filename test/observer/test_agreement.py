@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from systems import EPOCH, Array, chain, event, examples, observer, run, sample, systems, vectors
+from numpy.typing import ArrayLike
+from systems import EPOCH, Array, chain, event, examples, run, sample, systems, vectors
+from systems import observer as observer_of
 
 from impact_observer.analysis import lyapunov
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
-from impact_observer.observer import Observer, Uncertainty, law_named
+from impact_observer.observer import DEFAULT_ENSEMBLE, Observer, Uncertainty, law_named
 from impact_observer.observer.agreement import HELD
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
@@ -31,6 +33,11 @@ def started(
     """An observer at ``start`` that was told how uncertain that is."""
     made = law_named(law)(model, Uncertainty(deviation))
     return Observer(model, made, *np.split(start, 2), epoch=EPOCH, history=LONG, **options)  # type: ignore[arg-type]
+
+
+def observer(model: System, law: str, x: ArrayLike, **options: object) -> Observer:
+    """An observer with an ensemble as everybody has it."""
+    return observer_of(model, law, x, **{"ensemble": DEFAULT_ENSEMBLE, **options})
 
 
 def random_start(seed: int) -> Array:
@@ -101,6 +108,7 @@ def test_replicas_together_move_as_each_alone(law: str) -> None:
         np.testing.assert_allclose(entry.belief.replicas, expected, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_convergence_is_the_largest_distance_of_two_replicas() -> None:
     """Of every pair; of very many replicas an upper bound of it, less than four times as much."""
     for count in (2, 10, 400):

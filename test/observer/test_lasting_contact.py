@@ -61,6 +61,7 @@ def test_runs_here_have_what_they_are_here_for() -> None:
     assert any(len(switching.closed) == 2 for switching in pressed().switchings)
 
 
+@pytest.mark.slow
 @LAWS
 @pytest.mark.parametrize(("model", "start"), [(TABLE, [0.0, 0.0]), (PRESSED, [0.0] * 4)])
 def test_observer_in_the_true_state_stays_there(law: str, model: System, start: Array) -> None:
@@ -75,6 +76,7 @@ def test_observer_in_the_true_state_stays_there(law: str, model: System, start: 
     assert np.mean(away > 1e-7) < 0.02
 
 
+@pytest.mark.slow
 @LAWS
 def test_distance_to_the_plant_never_rises_in_contact_either(law: str) -> None:
     """Pulses and intervals, from six wrong states; it ends far below its start."""

@@ -47,6 +47,7 @@ def rounding(*states: Array) -> float:
     return 1e-13 * max(float(np.max(np.abs(x))) for x in states) ** 2
 
 
+@pytest.mark.slow
 @CORRECTING
 @examples(60)
 @given(st.data())
@@ -95,6 +96,7 @@ def switchings_of(model: System, x: Array, seconds: float, most: int = 12) -> li
     return found
 
 
+@pytest.mark.slow
 @CORRECTING
 @examples(25)
 @given(st.data())

@@ -193,6 +193,7 @@ def alternates(told: Sequence[Switching], contact: str) -> bool:
     return all((before is Kind.CLOSE) == (after is Kind.OPEN) for before, after in pairwise(kind))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eps", [0.0, 0.5])
 def test_vibrating_table_throws_and_catches_for_many_cycles(eps: float) -> None:
     """``f = -g + A cos wt`` in the table's frame: take-off where ``A cos wt = g``, rest, again."""
@@ -400,6 +401,7 @@ def assert_loads(model: System, found: Run) -> None:
             assert np.max(np.abs(model.gap(x[: model.n])[list(closed)])) < 1e-10
 
 
+@pytest.mark.slow
 @examples(60)
 @given(st.data())
 def test_random_systems_obey_all_laws(data: st.DataObject) -> None:

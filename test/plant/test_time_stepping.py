@@ -176,6 +176,7 @@ def trusted(runs: list[list[Switching]], model: System, until: float) -> int:
     return min(len(run[:9]) for run in runs)
 
 
+@pytest.mark.slow
 def test_both_integrators_agree_on_random_systems() -> None:
     """What can be trusted, most of what happens, is told alike and within some steps."""
     step, beside, told = 2e-3, 5e-3, [0, 0]
