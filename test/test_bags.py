@@ -10,6 +10,7 @@ from impact_observer.bag.comparisons import compare_bag
 from impact_observer.bag.reader import BagReader
 from impact_observer.bag.recordings import carried_model, events_in
 from impact_observer.cli.main import main
+from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Plant, simulate
 from impact_observer.shares import shared
 
@@ -35,7 +36,7 @@ def test_a_recorded_bag_is_what_its_model_does(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPECTED)
-@pytest.mark.parametrize("law", ["open-loop", "kinematic", "geometric"])
+@pytest.mark.parametrize("law", BUILT_IN)
 def test_observers_make_of_a_recorded_bag_what_is_expected(
     name: str, law: str, tmp_path: Path
 ) -> None:
@@ -45,6 +46,10 @@ def test_observers_make_of_a_recorded_bag_what_is_expected(
     assert main(arguments) == 0
     with BagReader(output) as reader:
         comparison = compare_bag(reader, carried_model(reader).system).comparisons["/observer"]
+    if law == "minimum-variance":  # down to where the stamps' rounding stands
+        assert comparison.ratio is not None
+        assert 0 < comparison.ratio <= EXPECTED[name][law]
+        return
     assert comparison.ratio == pytest.approx(EXPECTED[name][law], rel=1e-6)
     if law != "open-loop":
         assert comparison.largest_rise() <= 1e-9

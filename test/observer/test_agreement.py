@@ -16,11 +16,14 @@ from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
 from impact_observer.observer import DEFAULT_ENSEMBLE, Observer, Uncertainty, law_named
 from impact_observer.observer.agreement import HELD
+from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
 
-LAWS = pytest.mark.parametrize("law", ["open-loop", "kinematic", "geometric"])
-CERTIFIED = pytest.mark.parametrize("law", ["geometric"])
+LAWS = pytest.mark.parametrize("law", BUILT_IN)
+ALIKE = pytest.mark.parametrize("law", [law for law in BUILT_IN if law != "minimum-variance"])
+"""Laws in which every replica is corrected by itself."""
+CERTIFIED = pytest.mark.parametrize("law", ["geometric", "unilateral"])
 LONG = 1000.0
 """A history that forgets nothing, s."""
 THREE_MASS = sample("three_mass")
@@ -77,7 +80,7 @@ def test_estimate_does_not_depend_on_the_ensemble(law: str) -> None:
 PRESSED = chain(2, contacts=[([1, 0], 0.1, 0.5), ([-1, 1], 0.1, 0.5)])
 
 
-@LAWS
+@ALIKE
 def test_replicas_together_move_as_each_alone(law: str) -> None:
     """Through impacts of one contact, of two at once, and while contacts stay closed."""
 
@@ -253,3 +256,14 @@ def test_replica_whose_impact_has_no_solution_stays_apart() -> None:
     found = watcher.estimate(EPOCH + NS_PER_S)
     assert found.u.tolist() == [0.0]
     assert found.convergence > 1e-3
+
+
+def test_ball_that_has_come_to_rest_is_known() -> None:
+    """Its energy is gone, and so is that of all differences but what stamps of 1 ns leave."""
+    ball = sample("bouncing_ball")
+    plant = run(ball.system, *ball.initial_state(), seconds=12.0, rate=1.0)
+    watcher = observer(ball.system, "geometric", [1.3, 0.2], epoch=EPOCH, history=LONG)
+    heard(watcher, plant)
+    last = watcher.estimate(int(plant.stamps[-1]))
+    assert last.closed == ("floor",)
+    assert last.synchronized

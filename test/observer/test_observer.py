@@ -25,12 +25,12 @@ from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent, Ruling
 from impact_observer.model import System
 from impact_observer.observer import Observer
-from impact_observer.observer.laws import Kinematic
+from impact_observer.observer.laws import BUILT_IN, Kinematic
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, grid
 
 Array = NDArray[np.float64]
-LAWS = ("open-loop", "kinematic", "geometric")
+LAWS = tuple(BUILT_IN)
 TWO_MASS = sample("two_mass").system
 
 
@@ -63,7 +63,7 @@ def state(watcher: Observer, seconds: float) -> list[float]:
 
 
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-@pytest.mark.parametrize("law", ["kinematic", "geometric"])
+@pytest.mark.parametrize("law", ["kinematic", "geometric", "unilateral"])
 def test_distance_to_the_plant_never_rises(name: str, law: str) -> None:
     """The paper's theorem on its kind of examples, through events rounded to 1 ns."""
     model, truth = sample(name).system, true_run(name, 30.0, rate=20.0)
