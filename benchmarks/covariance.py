@@ -1,4 +1,4 @@
-"""Is the covariance of ``minimum-variance`` honest? ``python -m benchmarks.covariance``.
+"""Is the covariance of ``minimum-variance`` honest? ``./dev bench covariance``.
 
 Three tables, no timing:
 
@@ -234,7 +234,7 @@ def print_honesty(name: str, runs: int, seconds: int) -> None:
 
 def main(args: Sequence[str] | None = None) -> int:
     """Print the three tables."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.covariance")
+    parser = argparse.ArgumentParser(prog="./dev bench covariance")
     parser.add_argument("--runs", type=int, default=500, metavar="N", help="honesty (default 500)")
     parser.add_argument("--seconds", type=int, default=30, metavar="S", help="their length")
     parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS)

@@ -1,4 +1,4 @@
-"""What each law makes of wrong initial states: ``python -m benchmarks.laws``.
+"""What each law makes of wrong initial states: ``./dev bench laws``.
 
 Two tables, both without any timing. The first has the median over 20 seeds of V over V at the
 start, just after the (2n + 2)-th impact and after 30 s. The README's sentences on how far each law
@@ -268,7 +268,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         0; 2 for wrong use.
     """
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.laws", description=__doc__)
+    parser = argparse.ArgumentParser(prog="./dev bench laws", description=__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--runs", type=int, default=67, metavar="N", help="a model (default 67)")
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="(default 60)")
