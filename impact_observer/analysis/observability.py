@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics import ImpactLaw, Phase, Phases, timescale
+from impact_observer.dynamics import ImpactLaw, Phase, Phases
 from impact_observer.errors import BagError, ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.model import System
@@ -254,7 +254,7 @@ class _Errors:
         self._system = system
         self._phases = Phases(system)
         self._newton = ImpactLaw(system)
-        self._timescale = timescale(system)
+        self._timescale = self._phases.scales.timescale
         self._t = 0.0
         self.map: Matrix = np.diag(scale)[:, scale > 0]
 

@@ -5,9 +5,9 @@ from impact_observer.dynamics.estimation import Correction, correction, product,
 from impact_observer.dynamics.flow import Flow, Motion
 from impact_observer.dynamics.impact_law import ImpactLaw
 from impact_observer.dynamics.lasting import Resting, resting
-from impact_observer.dynamics.location import DEPTH, Crossing, Search, window
+from impact_observer.dynamics.location import DEPTH, Crossing, Search
 from impact_observer.dynamics.noise import diffusion
-from impact_observer.dynamics.phase import Phase, Phases, timescale
+from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.projection import KEPT, PositionProjection
 from impact_observer.dynamics.spectral import flow_of
 from impact_observer.dynamics.switched import Expansion, Measured, Mirror, Rates
@@ -37,7 +37,5 @@ __all__ = [
     "flow_of",
     "product",
     "resting",
-    "timescale",
     "triangular",
-    "window",
 ]

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics.phase import Phase, timescale
+from impact_observer.dynamics.phase import Phase
 from impact_observer.dynamics.watched import Watched
 from impact_observer.states import Matrix, Vector
 
@@ -74,17 +74,14 @@ class Bounds:
         )
         self._work = forcing.bound(phase.inverse)
         self._force = [forcing.bound(np.outer(row, row)) for row in c] if self._of_force else []
-        self._timescale = timescale(phase.equations)
+        self._scales, self._timescale = phase.scales, phase.scales.timescale
         self._prepare_scale(phase)
 
     def _prepare_scale(self, phase: Phase) -> None:
         """What each function sees of the modes, and of forces at once, signs apart."""
         equations, watched = phase.equations, self._watched
-        _, shapes = linalg.eigh(equations.K, equations.M)
-        self._modes = equations.M @ shapes
-        self._sees_a, self._sees_b = (
-            np.abs(rows @ shapes) for rows in (watched.position, watched.velocity)
-        )
+        self._sees_a = phase.scales.seen(watched.position)
+        self._sees_b = phase.scales.seen(watched.velocity)
         pushed = linalg.solve(
             equations.M, (watched.position + watched.velocity).T, assume_a="pos"
         ).T
@@ -109,13 +106,13 @@ class Bounds:
         s = np.minimum(s[1:], self._timescale)[:, None]
         forces = np.stack([bound(0, t[:-1]) for bound in self._pushes], axis=1)
         forces += _widest(np.abs(p) @ self._stiff.T + np.abs(u) @ self._damped.T)
-        p, u = np.abs(p @ self._modes), np.abs(u @ self._modes)
-        moved = _widest((p + u * self._timescale) @ self._sees_a.T)
+        moved = _widest(self._scales.reach(p, u) @ self._sees_a.T)
         scale = np.abs(self._watched.constant) + moved
         if not self._of_velocity:
             scale += forces * s**2 / 2
         else:
-            scale += _widest(u @ self._sees_b.T) + forces * np.where(self._moving, s, s**2 / 2)
+            speeds = _widest(np.abs(u @ self._scales.modes) @ self._sees_b.T)
+            scale += speeds + forces * np.where(self._moving, s, s**2 / 2)
         if self._of_force:
             scale += self._forces(0, t[:-1])
         return np.asarray(np.maximum(scale, least))

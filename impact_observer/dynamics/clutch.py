@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 
 from impact_observer.dynamics.flow import Motion
 from impact_observer.dynamics.lasting import Resting, resting
-from impact_observer.dynamics.location import Crossing, Search, window
-from impact_observer.dynamics.phase import Phase, Phases, timescale
+from impact_observer.dynamics.location import Crossing, Search
+from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.projection import KEPT
 from impact_observer.dynamics.watched import Watched
 from impact_observer.model import System
 from impact_observer.states import Vector
 
-_ROUNDING = 1e-12
-"""Contact speed that counts as zero, relative to that of all kinetic energy in it."""
 _INSTANT = 1e-12
 """Length of a phase that counts as none, relative to the model's time scale."""
 _PATIENCE = 30
@@ -40,9 +38,8 @@ class Clutches:
         """Prepare the phases."""
         self.system = system
         self.phases = Phases(system)
-        self.window = window(system)
-        self.timescale = timescale(system)
-        self.instant = _INSTANT * self.timescale
+        self.window = self.phases.scales.window
+        self.instant = _INSTANT * self.phases.scales.timescale
         self.search = lru_cache(KEPT)(self._search)
 
     def motion(self, t: float, x: Vector, closed: tuple[int, ...], *, fix: bool) -> Motion:
@@ -99,11 +96,9 @@ class Piecewise(Motion):
         self._searched = 0.0
         self._hasty = 0
         system = clutches.system
-        contacts, u = list(closed), x[system.n :]
-        gamma = system.W[:, contacts].T @ u
-        length = np.linalg.norm(clutches.phases.B[:, contacts], axis=0)
-        slow = gamma <= _ROUNDING * length * np.sqrt(u @ system.M @ u)
-        self._parts = [self._first(x, tuple(np.array(closed)[slow].tolist()))]
+        u = x[system.n :]
+        slow = system.contact_speed(u) <= clutches.phases.still(u)
+        self._parts = [self._first(x, tuple(i for i in closed if slow[i]))]
 
     @abstractmethod
     def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:

@@ -255,7 +255,6 @@ class Holds:
         phases, n = self.clutches.phases, len(x) // 2
         system, at = phases.system, np.array([t])
         f = system.forcing.derivatives(at, _ORDERS - 1)[:, 0]
-        length = np.linalg.norm(phases.B, axis=0)
         q, u = x[:n], x[n:]
         size = float(np.sqrt(u @ system.M @ u))
         pressed: tuple[int, ...] = ()
@@ -263,7 +262,7 @@ class Holds:
         for k in range(_ORDERS):
             values = system.W.T @ u
             fixed = (*closed, *pressed)
-            support = self.joint.support(values, _ZERO * length * size, fixed, undecided)
+            support = self.joint.support(values, _ZERO * phases.length * size, fixed, undecided)
             if support is None:
                 break
             pressed, undecided = (*pressed, *support.pressed), support.undecided
@@ -333,7 +332,7 @@ class _HoldMotion(Piecewise):
     def _touching(self, x: Vector) -> tuple[int, ...]:
         """Open contacts without any gap."""
         q, u = np.split(x, 2)
-        reach = np.abs(q) + np.abs(u) * self._clutches.timescale
+        reach = np.abs(q) + np.abs(u) * self._clutches.phases.scales.timescale
         gap, most = self._clutches.system.gap(q), _TOUCH * self._holds.joint.rounding(reach)
         return tuple(i for i in self._kept if gap[i] <= most[i])
 

@@ -67,7 +67,7 @@ def resting(
         free = _without(basis, terms.sum(axis=1))
         # Nothing can be told better than the terms it is the sum of, the force's own included.
         size = max(float(np.linalg.norm(terms, axis=0).max()), float(unloaded.load(k, at)[0]))
-        length = np.linalg.norm(phases.B[:, undecided], axis=0)
+        length = phases.length[undecided]
         pushed, acceleration = _least(phases, undecided, directions / length, free)
         separating = directions.T @ acceleration / length
         motion.append(phases.unwhite(acceleration))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from impact_observer.dynamics.bounds import FACTORIALS, Bounds
-from impact_observer.dynamics.flow import Equations, Motion
-from impact_observer.dynamics.phase import Phase, fastest
+from impact_observer.dynamics.flow import Motion
+from impact_observer.dynamics.phase import Phase
 from impact_observer.dynamics.watched import Watched
 from impact_observer.states import Matrix, Vector
 
@@ -72,15 +72,6 @@ class _Suspect(NamedTuple):
     falling: NDArray[np.bool_]
     derivatives: Matrix
     scale: Vector
-
-
-def window(equations: Equations) -> float:
-    """Two periods of the fastest mode or harmonic, s; 16 s where nothing oscillates.
-
-    Held contacts only make modes slower, so one window does for all phases of a system.
-    """
-    rate = fastest(equations)
-    return float(_SAMPLES * (2 * np.pi / rate / 8 if rate > 0 else 1.0))
 
 
 class Search:

@@ -24,12 +24,15 @@ from scipy import linalg
 
 from impact_observer.dynamics.flow import Equations, Flow, Motion
 from impact_observer.dynamics.projection import KEPT, PositionProjection
+from impact_observer.dynamics.scales import Scales
 from impact_observer.dynamics.spectral import flow_of
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
 
 RANK = 1e-8
 """What others leave of a contact's direction, relative to its length, that counts as nothing."""
+_ROUNDING = 1e-12
+"""Contact speed that counts as zero, relative to that of all kinetic energy in it."""
 _CANCELLED = 1e-14
 """Stiffness that counts as zero in a reduced system, relative to the whole one's, times n."""
 
@@ -57,12 +60,14 @@ class Unloaded(NamedTuple):
         Q: ``dq/dt = Q u``, shape (n, n).
         rest: ``q = Q p + rest``, shape (n,), m.
         load: bound of ``sqrt(f^(k)^T M^-1 f^(k))``; see ``Forcing.bound``.
+        scales: of the equations.
     """
 
     equations: Equations
     Q: Matrix
     rest: Vector
     load: Callable[[int, Vector], Vector]
+    scales: Scales
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +83,7 @@ class Phase:
         flow: of (p, u).
         Q: ``dq/dt = Q u``, shape (n, n).
         rest: ``q = Q p + rest``, shape (n,), m.
+        scales: of the equations.
     """
 
     held: tuple[int, ...]
@@ -88,6 +94,7 @@ class Phase:
     flow: Flow
     Q: Matrix
     rest: Vector
+    scales: Scales
 
     def start(self, t: float, x: Vector) -> Motion:
         """The motion of (p, u) through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
@@ -131,19 +138,16 @@ class Phase:
         return np.concatenate([self.Q @ u, self.inverse @ load])
 
 
-def fastest(equations: Equations) -> float:
-    """The fastest mode or harmonic, rad/s; 0 where nothing oscillates."""
-    stiffest = float(linalg.eigh(equations.K, equations.M, eigvals_only=True)[-1])
-    return float(max([np.sqrt(max(stiffest, 0.0)), *equations.forcing.frequency]))
-
-
-def timescale(equations: Equations) -> float:
-    """The inverse of the fastest rate, at most 1 s."""
-    return 1.0 / max(fastest(equations), 1.0)
-
-
 class Phases:
-    """All phases of one system, each prepared when it is needed."""
+    """All phases of one system, each prepared when it is needed.
+
+    Attributes:
+        system: the system.
+        projection: its position jumps.
+        B: ``L^-1 W``, ``M = L L^T``: ``B^T B = G``, shape (n, m).
+        length: of the columns of ``B``, shape (m,).
+        scales: of the system where nothing is held or fixed.
+    """
 
     def __init__(self, system: System) -> None:
         """Factorise the mass matrix."""
@@ -151,8 +155,10 @@ class Phases:
         self.projection = PositionProjection(system)
         self._factor = linalg.cholesky(system.M, lower=True)
         self.B = frozen(linalg.solve_triangular(self._factor, system.W, lower=True))
+        self.length = frozen(np.linalg.norm(self.B, axis=0))
         self._prepared = lru_cache(KEPT)(self._prepare)
         self._laws = lru_cache(KEPT)(self._unloaded)
+        self.scales = self.unloaded().scales
 
     def phase(self, held: tuple[int, ...] = (), fixed: tuple[int, ...] = ()) -> Phase:
         """The phase in which ``held`` contacts, independent of each other, take loads.
@@ -200,6 +206,13 @@ class Phases:
         position = self.projection.position_after(x[:n], contacts)
         return np.concatenate([position, self.unwhite(velocity)])
 
+    def still(self, u: Vector) -> Vector:
+        """Contact speeds that count as zero at velocities ``u``, shape (m,), m/s.
+
+        Impulses spread what is rounded over all bodies.
+        """
+        return np.asarray(_ROUNDING * self.length * np.sqrt(u @ self.system.M @ u))
+
     def unloaded(self, fixed: tuple[int, ...] = ()) -> "Unloaded":
         """The law of motion while the gaps of ``fixed`` stay closed and nothing is held."""
         return self._laws(fixed)
@@ -215,7 +228,8 @@ class Phases:
             forcing = system.forcing.plus(system.K @ Z @ q_r)
             equations = Reduced(system.M, system.C, self._restricted(system.K, Q), forcing)
         inverse = linalg.cho_solve((self._factor, True), np.eye(system.n))
-        return Unloaded(equations, frozen(Q), frozen(rest), equations.forcing.bound(inverse))
+        load = equations.forcing.bound(inverse)
+        return Unloaded(equations, frozen(Q), frozen(rest), load, Scales.of(equations))
 
     def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
         if fixed and len(self.independent((*held, *fixed))) == len(held):
@@ -237,6 +251,7 @@ class Phases:
             flow=self._held_flow(held, fixed, shapes) if held else flow_of(free.equations),
             Q=free.Q,
             rest=free.rest,
+            scales=free.scales,
         )
 
     def _held_flow(self, held: tuple[int, ...], fixed: tuple[int, ...], shapes: Matrix) -> Flow:

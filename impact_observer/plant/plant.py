@@ -13,7 +13,6 @@ from impact_observer.dynamics import (
     Search,
     Watched,
     resting,
-    window,
 )
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.model import System
@@ -55,7 +54,7 @@ class Plant:
         self._rest = Rest(self._phases)
         self._accumulation = Accumulation(self._rest.shortest)
         self._hasty = 0
-        self._window = window(system)
+        self._window = self._phases.scales.window
         self._searcher = lru_cache(KEPT)(self._search_of)
         start, x = Instant(epoch), np.concatenate([q, u])
         self._begin(start, x, closed=(), held=())

@@ -21,9 +21,9 @@ without restitution.
 from collections import deque
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import optimize
 
-from impact_observer.dynamics import DEPTH, Phases, timescale
+from impact_observer.dynamics import DEPTH, Phases
 from impact_observer.stamps import Instant
 from impact_observer.states import Vector
 
@@ -36,8 +36,6 @@ OFTEN = 32
 NEGLIGIBLE = 1e-14
 """Kinetic energy that accumulation may take away, relative to the largest there was."""
 _TINY = np.finfo(np.float64).tiny
-_ROUNDING = 1e-12
-"""Contact speed that counts as zero, relative to that of all kinetic energy in it."""
 
 
 class Rest:
@@ -50,12 +48,9 @@ class Rest:
     def __init__(self, phases: Phases) -> None:
         """Prepare scales."""
         self._phases = phases
-        self._timescale = timescale(phases.system)
-        self._length = np.linalg.norm(phases.B, axis=0)
-        self.shortest = SHORT * self._timescale
-        system = phases.system
-        _, shapes = linalg.eigh(system.K, system.M)
-        self._modes, self._sees = system.M @ shapes, np.abs(system.W.T @ shapes)
+        self._length = phases.length
+        self.shortest = SHORT * phases.scales.timescale
+        self._sees = phases.scales.seen(phases.system.W.T)
 
     def after(
         self, t: float, x: Vector, contacts: tuple[int, ...], before: Vector
@@ -71,8 +66,7 @@ class Rest:
         system = self._phases.system
         q, u = x[: system.n], x[system.n :]
         gamma = system.contact_speed(u)
-        # Impulses spread what is rounded over all bodies.
-        rounding = _ROUNDING * self._length * np.sqrt(before @ system.M @ before)
+        rounding = self._phases.still(before)
         lowest = LOW * self._scale(q, u)
         free = self._phases.white(system.forcing(t) - system.C @ u - system.K @ q)
 
@@ -106,8 +100,8 @@ class Rest:
 
     def _scale(self, q: Vector, u: Vector) -> Vector:
         """What gaps are rounded against, m, shape (m,): all they see of modes, signs apart."""
-        moved = np.abs(q @ self._modes) + np.abs(u @ self._modes) * self._timescale
-        return np.asarray(np.abs(self._phases.system.q_r) + self._sees @ moved + _TINY)
+        moved = self._sees @ self._phases.scales.reach(q, u)
+        return np.asarray(np.abs(self._phases.system.q_r) + moved + _TINY)
 
     def _fall(self, free: Vector, contacts: list[int]) -> Vector:
         """Acceleration with which each contact would come back, the others held, m/s2.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 from systems import Harmonic, examples, forcing, numbers, sample, system, systems, vectors
 
-from impact_observer.dynamics import Crossing, Phases, Search, Watched, flow_of, window
+from impact_observer.dynamics import Crossing, Phases, Search, Watched, flow_of
 from impact_observer.dynamics.bounds import Bounds
 from impact_observer.model import Forcing, System
 from impact_observer.model.samples import Samples
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 def searcher(model: System) -> Search:
     """The search for the first gap that closes while no contact is held."""
     gaps = Watched.gaps(model, list(range(model.m)))
-    return Search(Phases(model).phase(), gaps, window(model))
+    return Search(Phases(model).phase(), gaps, Phases(model).scales.window)
 
 
 def search(model: System, x: Array, horizon: float, t: float = 0.0) -> Crossing | None:
@@ -229,7 +229,7 @@ def test_body_at_rest_against_its_stop_costs_little(model: System) -> None:
 
     motion.states = counted  # type: ignore[method-assign]
     assert look.first(motion, 10.0) is None
-    assert calls < 60 * (1 + 10.0 / window(model))
+    assert calls < 60 * (1 + 10.0 / Phases(model).scales.window)
 
 
 class Superposed:
@@ -317,7 +317,8 @@ def test_first_of_two_crossings_close_to_each_other_is_found(apart: float) -> No
 @pytest.mark.parametrize("at", [1e-5, 1e-3, 0.5])
 def test_dip_near_the_start_or_the_end_of_a_window_is_found(at: float) -> None:
     """A peak just after the start, and just before and after each place a window ends."""
-    for middle in (at, window(system(1, 0, 1)) - at, window(system(1, 0, 1)) + at):
+    window = Phases(system(1, 0, 1)).scales.window
+    for middle in (at, window - at, window + at):
         depth = min(1e-10, at**2 / 4)
         model = system(1, 0, 1, contacts=[([-1], 1 - depth, 0.5)])
         start = np.array([np.cos(middle), np.sin(middle)])
@@ -392,6 +393,6 @@ def test_load_that_vanishes_at_a_knot_or_on_a_ramp_is_found(hold: str, expected:
         force=Forcing.of_samples(Samples(times, force, hold)),
     )
     phase = Phases(model).phase((0,))
-    look = Search(phase, Watched.loads(phase), window(model))
+    look = Search(phase, Watched.loads(phase), Phases(model).scales.window)
     found = look.first(phase.start(0.0, np.zeros(2)), 2.0)
     assert_closing(found, expected, 0)

@@ -21,7 +21,6 @@ from impact_observer.dynamics import (
     correction,
     diffusion,
     product,
-    timescale,
     triangular,
 )
 from impact_observer.model import System
@@ -137,7 +136,7 @@ class MinimumVariance(Law):
         self.clock = math.hypot(self.uncertainty.clock_error, _STAMP)
         self._newton = ImpactLaw(system)
         self._phases = Phases(system)
-        self._short = _SHORT * timescale(system)
+        self._short = _SHORT * self._phases.scales.timescale
         self._phase = lru_cache(KEPT)(self._phase_of)
         self._rates = lru_cache(KEPT)(self._rates_of)
         self._gaps = lru_cache(KEPT)(partial(Measured.gaps, system))

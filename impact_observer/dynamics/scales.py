@@ -1,0 +1,62 @@
+"""What the motions of a system are measured against: its modes and its fastest rate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.dynamics.flow import Equations
+from impact_observer.states import Matrix
+
+_PERIODS = 2.0
+"""Length of the stretch that a search looks at together, in periods of the fastest rate."""
+_STILL = 16.0
+"""The same where nothing oscillates, s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scales:
+    """Scales of ``M du/dt = -C u - K q + f(t)``.
+
+    Attributes:
+        shapes: undamped modes, M-orthonormal, a column each, shape (n, n).
+        modes: ``M shapes``: amplitudes of the modes are ``q @ modes``.
+        fastest: the fastest mode or harmonic, rad/s; 0 where nothing oscillates.
+    """
+
+    shapes: Matrix
+    modes: Matrix
+    fastest: float
+
+    @classmethod
+    def of(cls, equations: Equations) -> "Scales":
+        """Those of ``equations``."""
+        stiffness, shapes = linalg.eigh(equations.K, equations.M)
+        rates = [np.sqrt(max(float(stiffness[-1]), 0.0)), *equations.forcing.frequency]
+        return cls(shapes, equations.M @ shapes, float(max(rates)))
+
+    @property
+    def timescale(self) -> float:
+        """The inverse of the fastest rate, at most 1 s."""
+        return 1.0 / max(self.fastest, 1.0)
+
+    @property
+    def window(self) -> float:
+        """The stretch that a search looks at together, s.
+
+        Held contacts only make modes slower, so one does for all phases of a system.
+        """
+        return _PERIODS * 2 * np.pi / self.fastest if self.fastest > 0 else _STILL
+
+    def seen(self, rows: Matrix) -> Matrix:
+        """What functions ``rows q`` see of each mode, signs apart, shape (rows, n)."""
+        return np.abs(rows @ self.shapes)
+
+    def reach(self, q: Matrix, u: Matrix) -> Matrix:
+        """How far each mode may be from rest within the time scale, signs apart.
+
+        Args:
+            q: positions, shape (..., n).
+            u: velocities, shape (..., n).
+        """
+        return np.asarray(np.abs(q @ self.modes) + np.abs(u @ self.modes) * self.timescale)
