@@ -96,10 +96,21 @@ def test_impact_leaves_no_contact_separating_before_newtons_law(data: st.DataObj
 def test_contact_that_separates_stops_and_one_that_closes_is_thrown_back() -> None:
     """By hand for two_mass: gamma = -u2, restitution 0.7."""
     law = Unilateral(sample("two_mass").system)
-    opening = law.impact(np.array([0.1, 0.2, 1.0, -2.0]), (0,), ())
+    hit = Touch(0.0, (), (0,), ())
+    opening = law.event(hit, Belief(np.array([[0.1, 0.2, 1.0, -2.0]]))).x
     np.testing.assert_allclose(opening, [0.25, 0.5, 1.0, 0.0], atol=1e-15)
-    closing = law.impact(np.array([0.1, 0.2, 1.0, 2.0]), (0,), ())
+    closing = law.event(hit, Belief(np.array([[0.1, 0.2, 1.0, 2.0]]))).x
     np.testing.assert_allclose(closing, [0.25, 0.5, 1.0, -1.4], rtol=1e-14)
+
+
+def test_of_contacts_that_hit_together_one_may_separate() -> None:
+    """A plant that was thrown from one stop into the other, at one instant, is left alone."""
+    corner = [([1, 0], 0.0, 0.5), ([1, 3], 0.0, 0.5)]
+    model = system(np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=corner)
+    x = np.array([0.0, 0.0, -1.0, 0.5])  # c1 closes, c2 was hit just before
+    both = Touch(1.0, (), (0, 1), ())
+    expected = Geometric(model).event(both, Belief(x[None])).x
+    np.testing.assert_array_equal(Unilateral(model).event(both, Belief(x[None])).x, expected)
 
 
 def test_replica_that_no_stop_is_in_the_way_of_is_the_geometric_one() -> None:

@@ -103,9 +103,16 @@ class ReplicaLaw(Law):
         bound = belief.bound
         if bound is not None:
             taken = self.taken(before[0], replicas[0], active)
-            # Below zero it is refuted: by a wrong model, or a start that was not to be expected.
-            bound = bound - taken if taken is not None and taken <= bound else None
+            bound = None if taken is None else self._less(bound, taken)
         return Belief(replicas, bound=bound)
+
+    @staticmethod
+    def _less(bound: float, taken: float) -> float | None:
+        """A bound less what was taken away; below zero it is refuted.
+
+        By a wrong model, or by a start that was not to be expected.
+        """
+        return bound - taken if taken <= bound else None
 
     def _others(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
         """The impacts of the other replicas; one without a solution stays apart, as it was."""

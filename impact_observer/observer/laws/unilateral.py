@@ -21,9 +21,11 @@ class Unilateral(Geometric):
 
     Its gaps are never negative: at an event one joint K-projection puts the replica onto
     ``{g_A = 0, g >= 0}``, its initial state onto ``{g >= 0}``, and in between a gap that would
-    turn negative is held at zero (``dynamics.holds``). And no contact that impacts is separating:
-    ``u-`` goes M-orthogonally onto ``{gamma_A <= 0}`` before Newton's law. The plant is in all of
-    these convex sets, and a projection onto them brings the replica closer.
+    turn negative is held at zero (``dynamics.holds``). And a contact that impacts alone is not
+    separating, nor is one that was closed: ``u-`` goes M-orthogonally onto ``{gamma <= 0}`` before
+    Newton's law. The plant is in all of these convex sets, and a projection onto them brings the
+    replica closer. Where several contacts hit at once one of them may be separating: thrown back
+    by an impact before, at the same instant.
     """
 
     name: ClassVar[str] = "unilateral"
@@ -39,13 +41,12 @@ class Unilateral(Geometric):
         return self._on(x, ())
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
-        """``q+`` by the joint projection, ``u+`` by Newton's law where nothing separates."""
+        """``q+`` by the joint projection, ``u+`` by Newton's law."""
         n = self.system.n
         x = self._on(x, active)
         if closed != active:  # gaps that cannot all be zero are told: those that stay count
             x = self._on(x, closed)
-        velocity = self._newton.velocity_held(self._closing(x[n:], active), active, closed)
-        return np.concatenate([x[:n], velocity])
+        return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
 
     def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
         """One after the other: each has its own stops."""
@@ -62,22 +63,29 @@ class Unilateral(Geometric):
 
     def event(self, touch: Touch, belief: Belief) -> Belief:
         """Every replica after its own impact, or where opening contacts let it go."""
-        if touch.hit or self._joint.is_possible(touch.before):
+        if touch.hit:
+            alone = touch.hit if len(touch.hit) == 1 else ()
+            return super().event(touch, self._told(belief, (*touch.before, *alone)))
+        if self._joint.is_possible(touch.before):
             return super().event(touch, belief)
         replicas = [self._on(x, touch.closed) for x in belief.replicas]
         return replace(belief, replicas=np.array(replicas))
 
     def taken(self, before: Vector, after: Vector, active: Contacts) -> float | None:
-        """What both projections take, in the energy of their jumps, where no impact raises V."""
-        del after
+        """As with geometric, where the contacts can be closed at all."""
+        return super().taken(before, after, active) if self._joint.is_possible(active) else None
+
+    def _told(self, belief: Belief, contacts: Contacts) -> Belief:
+        """No replica separates at ``contacts`` any more; the bound loses what that takes."""
         n = self.system.n
-        if not self._joint.is_possible(active):
-            return None
-        if active and not self._newton.is_nonexpansive(active):
-            return None
-        q = self._joint.position_after(before[:n], active) - before[:n]
-        u = self._closing(before[n:], active) - before[n:]
-        return float(q @ self.system.K @ q + u @ self.system.M @ u) / 2
+        replicas = belief.replicas.copy()
+        for x in replicas:
+            x[n:] = self._closing(x[n:], tuple(sorted({*contacts})))
+        u = replicas[0, n:] - belief.x[n:]
+        bound = belief.bound
+        if bound is not None:
+            bound = self._less(bound, float(u @ self.system.M @ u) / 2)
+        return replace(belief, replicas=replicas, bound=bound)
 
     def _on(self, x: Vector, active: Contacts) -> Vector:
         """The nearest state with ``g = 0`` on ``active`` and no gap negative."""
