@@ -22,7 +22,7 @@ def frozen(values: object) -> NDArray[np.float64]:
 class Estimate:
     """What an observer says at a stamp; mirrors ``impact_observer_msgs/ObserverState``.
 
-    ``bound`` alone is not in that message: it has a topic of its own.
+    ``bound`` and ``refuted`` are not in that message: there is a topic for bounds.
 
     Attributes:
         stamp: when the state holds, ns.
@@ -35,6 +35,7 @@ class Estimate:
             falls until the next one. -1 while there is only one replica.
         synchronized: whether the replicas have agreed at several events in a row.
         bound: certified upper bound of V, J; -1 where nothing is certified.
+        refuted: whether events have contradicted what was declared.
         clock_offset: estimated offset of the sensor's clock, s; 0 unless asked for.
         last_sequence: sequence number of the last event applied; 0 before the first.
         last_event: stamp of the last event applied, ns; 0 before the first.
@@ -49,6 +50,7 @@ class Estimate:
     convergence: float = -1.0
     synchronized: bool = False
     bound: float = -1.0
+    refuted: bool = False
     clock_offset: float = 0.0
     last_sequence: int = 0
     last_event: int = 0

@@ -175,6 +175,8 @@ def compare_law(
     applied = applied_in(verdicts)
     if verdicts and not applied.size:
         raise BagError(f"{law}: no event could be applied: {verdicts[0].reason}")
+    if not estimates:
+        raise BagError(f"{law}: no impact was heard, so there is no estimate to compare")
     made = np.array([each.stamp for each in estimates], dtype=np.int64)
     states = [np.concatenate([each.q, each.u]) for each in estimates]
     return compare(

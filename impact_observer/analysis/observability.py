@@ -220,7 +220,7 @@ def _heard(system: System, events: Sequence[ImpactEvent]) -> _Heard:
     if not any(moment.touch.hit for moment in moments):
         wanted, found = (", ".join(each) or "none" for each in (index, sorted(foreign)))
         raise BagError(
-            f"tells no impact of the model's contacts, {wanted}; other contacts in it: {found}"
+            f"tells no impact of the model's contacts ({wanted}); others in it: {found}"
         )
     episodes = len({(e.epoch, e.episode) for e in events})
     return _Heard(start, moments, dict(foreign), len(heard) - len(moments), episodes)

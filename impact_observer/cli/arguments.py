@@ -28,7 +28,7 @@ def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
         "--clock-error",
         metavar="S",
         type=not_negative,
-        help="standard deviation of the impacts' stamps, s (default 0: rounding to 1 ns only)",
+        help="standard deviation of the impacts' stamps, s, at most 0.1 (default 0: 1 ns)",
     )
     parser.add_argument(
         "--model-error",

@@ -52,6 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
+    if args.laws == "":
+        raise UsageError("laws: none named; expected LAW,LAW,... or all")
     options = [observer_options(args, law) for law in laws_in(args.laws or "")]
     if not options and observer_options(args, "") != observer_options(argparse.Namespace(), ""):
         raise UsageError("laws: none named, but how to run observers; name some with --laws")

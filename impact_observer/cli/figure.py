@@ -123,7 +123,9 @@ def figure(
     check_picture(output)
     read = read_model(model)
     # The ensemble is left out: no estimate depends on it.
-    observers = [Options(law, initial, ensemble=1).observer(read.system) for law in laws]
+    observers = [
+        Options(law, initial, ensemble=1, epoch=EPOCH).observer(read.system) for law in laws
+    ]
     with Progress(sys.stderr) as progress:
         done = _simulated(read, duration, rate, progress)
         comparisons = _observed(observers, done, progress)

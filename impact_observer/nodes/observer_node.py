@@ -22,7 +22,7 @@ from impact_observer.model import read_model
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
-from impact_observer.observer import Options, initial_state
+from impact_observer.observer import SURPRISING, Options, initial_state
 from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.states import Estimate
 
@@ -131,6 +131,7 @@ class ObserverNode(Node):
         latency = max(seconds_between(event.stamp, now), 0.0)
         for verdict in verdicts:
             self._counts[verdict.ruling.name.lower()] += 1
+            self._counts["surprising"] += verdict.innovation > SURPRISING
             if verdict.ruling is not Ruling.APPLIED:
                 self.get_logger().warning(
                     f"event {verdict.sequence} {verdict.contact}: {verdict.ruling.name.lower()},"
@@ -243,6 +244,7 @@ class ObserverNode(Node):
             "clock jumps back": self._counts["clock_jumps"],
             "restarts": observer.restarts,
             "largest latency [s]": f"{self._latency:.6f}",
+            "surprising events": self._counts["surprising"],
             **self._known(),
         }
         status = DiagnosticStatus(
@@ -261,10 +263,11 @@ class ObserverNode(Node):
         if self._last is None:
             return {}
         bound, apart = self._last.bound, self._last.convergence
+        without = "refuted" if self._last.refuted else "none"
         return {
             "synchronized": self._last.synchronized,
             "convergence [J]": f"{apart:.6g}" if apart >= 0 else "one replica only",
-            "certified bound of V [J]": f"{bound:.6g}" if bound >= 0 else "none",
+            "certified bound of V [J]": f"{bound:.6g}" if bound >= 0 else without,
         }
 
     def _health(self) -> tuple[bytes, str]:
@@ -280,9 +283,20 @@ class ObserverNode(Node):
         if silence > _STALE:
             ago = f"the last impact was {silence / NS_PER_S:.0f} s ago by this clock"
             return DiagnosticStatus.WARN, f"{ago}; is use_sim_time missing?"
+        return self._events_health()
+
+    def _events_health(self) -> tuple[bytes, str]:
+        """The same as far as the events tell."""
+        observer = self._observer
+        if self._last is not None and self._last.refuted:
+            return DiagnosticStatus.WARN, "events contradict the model or initial_deviation"
         judged = sum(self._counts[ruling.name.lower()] for ruling in Ruling)
         refused = judged - self._counts["applied"] + self._counts["invalid"]
-        trouble = {"are missing": observer.missing, "were not applied": refused}
+        trouble = {
+            "are missing": observer.missing,
+            "were not applied": refused,
+            "surprised the law (is clock_error too small?)": self._counts["surprising"],
+        }
         # What is old news stands among the values only.
         fresh = [f"{n} events {what}" for what, n in trouble.items() if n > self._told[what]]
         self._told = Counter(trouble)

@@ -113,10 +113,18 @@ OBSERVER = (
     Parameter("law", "geometric", "name of the observer's law"),
     Parameter("initial_state", "zero", "q1,..,qn,u1,..,un, random:SEED or zero"),
     Parameter("initial_deviation", "1", "standard deviations of that: one number, or 2n"),
-    Parameter("clock_error", 0.0, "standard deviation of the events' stamps", "s", low=0.0),
-    Parameter("model_error", 0.0, "of accelerations, as white noise", "m/s^1.5", low=0.0),
-    Parameter("ensemble", 10, "replicas run together, to see whether they agree", low=1),
-    Parameter("agreed", 1e-4, "V distance of agreement over the motion's energy", low=1e-30),
+    Parameter(
+        "clock_error", 0.0, "standard deviation of the events' stamps", "s", low=0.0, high=0.1
+    ),
+    Parameter(
+        "model_error", 0.0, "of accelerations, as white noise", "m/s^1.5", low=0.0, high=1e6
+    ),
+    Parameter(
+        "ensemble", 10, "replicas run together, to see whether they agree", low=1, high=1_000_000
+    ),
+    Parameter(
+        "agreed", 1e-4, "V distance of agreement over the motion's energy", low=1e-30, high=1.0
+    ),
     Parameter("rate", 100.0, "estimates published", "Hz", low=0.001, high=1e5),
     Parameter("epoch", 0, "stamp of t = 0; 0 to learn it from the events", "ns", low=0),
     Parameter("history", 10.0, "how late an event may be and still be applied", "s", low=0.001),

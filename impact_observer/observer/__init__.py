@@ -1,6 +1,6 @@
 """The observer: a replica of the plant, switched by nothing but impact events."""
 
-from impact_observer.observer.agreement import AGREED
+from impact_observer.observer.agreement import AGREED, SURPRISING
 from impact_observer.observer.belief import Belief, Contacts, Course, Touch
 from impact_observer.observer.initial import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
@@ -13,6 +13,7 @@ __all__ = [
     "AGREED",
     "DEFAULT_ENSEMBLE",
     "DEFAULT_HISTORY",
+    "SURPRISING",
     "Belief",
     "Contacts",
     "Course",

@@ -2,7 +2,8 @@
 
 Replicas under the same events approach each other, and the plant is like one of them. So their
 largest mutual distance tells how far the estimate may be from the plant, and the estimate's own
-gap at an impact, where the plant's is zero, how far it certainly was.
+gap at an impact, where the plant's is zero, how far it certainly was. Where events contradict what
+was declared, agreement means nothing.
 """
 
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ HELD = 3
 """Events, one after the other, at which replicas must agree."""
 AGREED = 1e-4
 """V distance that counts as agreement, relative to the energy of the estimated motion."""
+SURPRISING = 6.0
+"""Innovation, in standard deviations, that what was declared does not explain."""
 _MARGIN = 2.0
 """V between plant and estimate that is reckoned with, over the largest between replicas."""
 _RESTING = 1e-6
@@ -70,7 +73,9 @@ class Agreeing:
         largest = max(previous.largest, energy)
         energy = max(energy, _RESTING * largest)
         apart = max(_MARGIN * convergence, self._certain(before.x, touch), self._expected(belief))
-        agrees = convergence >= 0 and apart <= self.threshold * energy
+        surprised = max(belief.innovations.values(), default=0.0) > SURPRISING
+        explained = not (belief.refuted or surprised)
+        agrees = explained and convergence >= 0 and apart <= self.threshold * energy
         held = previous.held if not touch.hit else previous.held + 1
         return Agreement(convergence, energy, largest, held if agrees else 0)
 

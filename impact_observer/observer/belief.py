@@ -23,6 +23,7 @@ class Belief:
         root: a square root ``S`` of the estimate's covariance ``S S^T``, shape (2n, 2n); None for
             a law that has none.
         bound: certified upper bound of V, J; None where nothing is certified.
+        refuted: whether events have contradicted what was declared: the bound came below zero.
         innovations: of the event before it, by contact: how far the estimate's gap was from
             zero, in standard deviations.
     """
@@ -30,6 +31,7 @@ class Belief:
     replicas: Matrix
     root: Matrix | None = None
     bound: float | None = None
+    refuted: bool = False
     innovations: Mapping[int, float] = field(default_factory=dict)
 
     @property

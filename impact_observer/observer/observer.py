@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from impact_observer.errors import ImpactLawError, ImpactObserverError, UsageError
+from impact_observer.errors import DynamicsError, ImpactLawError, ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer.agreement import AGREED, HELD, Agreeing
@@ -228,6 +228,7 @@ class Observer:
             convergence=agreement.convergence,
             synchronized=self.law.hears and agreement.held >= HELD,
             bound=-1.0 if bound is None else bound,
+            refuted=entry.belief.refuted,
             last_sequence=entry.key.sequence if applied else 0,
             last_event=entry.key.stamp if applied else 0,
         )
@@ -325,6 +326,11 @@ class Observer:
             belief = self.law.event(touch, before)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
+        if not np.all(np.isfinite(belief.replicas)):
+            raise DynamicsError(
+                f"at {text(event.stamp)} s: the estimate is not finite any more; is what was"
+                " declared of its uncertainty too large, or the model another one?"
+            )
         agreement = self._agreeing.after(previous.agreement, touch, before, belief)
         return Entry(event, belief, agreement, touch.closed)
 

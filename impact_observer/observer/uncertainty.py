@@ -12,6 +12,8 @@ from impact_observer.states import Matrix, Vector, frozen
 
 DEFAULT_DEVIATION = 1.0
 """Standard deviation of every initial coordinate (m or rad) and velocity (m/s or rad/s)."""
+LARGEST = {"deviation": 1e9, "clock_error": 0.1, "model_error": 1e6}
+"""Most that may be declared, SI units: beyond it stamps tell nothing, or numbers overflow."""
 _SEED = 2014
 """Of the replicas' initial states: the same for everybody, and nobody's initial state."""
 _SYMMETRY = 1e-9
@@ -34,17 +36,17 @@ class Uncertainty:
     model_error: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check that every number is finite and not negative.
+        """Check that every number is from 0 to the most that may be declared.
 
         Raises:
             UsageError: naming what was found.
         """
         object.__setattr__(self, "deviation", frozen(self.deviation))
-        for name in ("deviation", "clock_error", "model_error"):
+        for name, most in LARGEST.items():
             values = np.asarray(getattr(self, name))
-            if not np.all(np.isfinite(values) & (values >= 0)):
+            if not np.all((values >= 0) & (values <= most)):
                 found = ",".join(f"{value:g}" for value in np.ravel(values))
-                raise UsageError(f"{name}: {found} found; expected no number below 0")
+                raise UsageError(f"{name}: {found} found; expected 0 to {most:g}")
 
     def root(self, n: int) -> Matrix:
         """A square root of the initial covariance, shape (2n, 2n).
@@ -71,9 +73,10 @@ def deviation_of(text: str, system: System) -> Vector:
         values = np.array([float(part) for part in text.split(",")])
     except ValueError:
         values = np.empty(0)
-    if values.size not in (1, size) or not np.all(np.isfinite(values) & (values >= 0)):
+    most = LARGEST["deviation"]
+    if values.size not in (1, size) or not np.all((values >= 0) & (values <= most)):
         raise UsageError(
-            f"deviation {text!r}: expected one number, not below 0, or {size} of them:"
+            f"deviation {text!r}: expected one number from 0 to {most:g}, or {size} of them:"
             " q1,..,qn,u1,..,un"
         )
     return np.asarray(np.broadcast_to(values, size), dtype=float)
@@ -86,9 +89,10 @@ def covariance_root(covariance: ArrayLike, n: int) -> Matrix:
         UsageError: it is none: of the wrong size, not finite, not symmetric, not semidefinite.
     """
     values = np.asarray(covariance, dtype=float)
-    if values.size != 4 * n * n or not np.all(np.isfinite(values)):
+    most = LARGEST["deviation"] ** 2
+    if values.size != 4 * n * n or not np.all(np.abs(values) <= most):
         raise UsageError(
-            f"covariance: {values.size} numbers; expected {4 * n * n} finite ones,"
+            f"covariance: {values.size} numbers; expected {4 * n * n} of at most {most:g},"
             f" {2 * n} x {2 * n}"
         )
     P = values.reshape(2 * n, 2 * n)

@@ -83,7 +83,7 @@ def test_laws_are_told_what_the_user_does_not_know(
     ("arguments", "code", "said"),
     [
         (["--laws", "geometric,quick"], 2, "law 'quick': not installed"),
-        (["--laws", ""], 1, "name laws with --laws"),
+        (["--laws", ""], 2, "laws: none named"),
         (["--initial", "random:1"], 2, "name some with --laws"),
         (["--laws", "geometric", "--initial", "1,2"], 2, "expected 4"),
         (["--laws", "geometric", "--epoch", "5"], 1, "geometric: no event could be applied"),

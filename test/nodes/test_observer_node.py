@@ -242,7 +242,7 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
     future = client.call_async(request)
     spinner.until(future.done)
     assert not future.result().success
-    assert "covariance: 4 numbers; expected 16" in future.result().message
+    assert "covariance: 4 numbers; expected 16 of" in future.result().message
 
     reset = probe.create_client(Trigger, "observer/reset")
     spinner.until(reset.service_is_ready)
@@ -323,3 +323,23 @@ def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str
         spinner.settle(0.5)
         heard = {name for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")}
         assert heard <= {"/impacts", "/clock", "/parameter_events"}
+
+
+def test_events_that_contradict_what_was_declared_are_a_warning(
+    ros_environment: dict[str, str],
+) -> None:
+    """A start that was declared to be certain, and is not: it is said."""
+    assert ros_environment
+    declared = {"epoch": EPOCH, "initial_deviation": "'0'"}
+    with spinning(ros_arguments({**PARAMETERS, **declared})) as spinner:
+        rig = make_rig(spinner)
+        spinner.until(lambda: rig.impacts.get_subscription_count() == 1)
+        rig.tick(EPOCH + 900_000_000)
+        rig.send(event(EPOCH + 500_000_000, 1))
+        rig.tick(EPOCH + 1_000_000_000)
+        spinner.until(lambda: any("contradict" in s.message for s in rig.diagnostics))
+        last = next(s for s in rig.diagnostics if "contradict" in s.message)
+        assert last.level == DiagnosticStatus.WARN
+        values = {each.key: each.value for each in last.values}
+        assert values["certified bound of V [J]"] == "refuted"
+        assert values["synchronized"] == "False"

@@ -1,6 +1,7 @@
 """Convergence without ground truth: an ensemble, its agreement, and a certified bound."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,10 +12,17 @@ from systems import EPOCH, Array, chain, event, examples, run, sample, systems, 
 from systems import observer as observer_of
 
 from impact_observer.analysis import lyapunov
-from impact_observer.errors import ImpactLawError
+from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
-from impact_observer.observer import DEFAULT_ENSEMBLE, Observer, Uncertainty, law_named
+from impact_observer.observer import (
+    DEFAULT_ENSEMBLE,
+    SURPRISING,
+    Observer,
+    ReplicaLaw,
+    Uncertainty,
+    law_named,
+)
 from impact_observer.observer.agreement import HELD
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Run
@@ -267,3 +275,42 @@ def test_ball_that_has_come_to_rest_is_known() -> None:
     last = watcher.estimate(int(plant.stamps[-1]))
     assert last.closed == ("floor",)
     assert last.synchronized
+
+
+def test_events_that_contradict_what_was_declared_end_the_agreement() -> None:
+    """A stiffness off by 3 %: replicas agree, and impacts come when they should not."""
+    stiffer = replace(THREE_MASS.system, K=1.03 * THREE_MASS.system.K)
+    watcher = observer(stiffer, "minimum-variance", random_start(1), epoch=EPOCH, history=LONG)
+    surprises = []
+    for each in TRUTH.events:
+        surprises += [verdict.innovation > SURPRISING for verdict in watcher.receive(each)]
+        if surprises[-1]:
+            assert not watcher.estimate(each.stamp).synchronized
+    assert sum(surprises) > 5
+
+
+def test_refuted_bound_is_no_agreement() -> None:
+    """Replicas that began too close together agree at once, and with nobody else."""
+    watcher = started(THREE_MASS.system, "geometric", random_start(5), deviation=1e-6)
+    heard(watcher)
+    last = watcher.estimate(int(TRUTH.stamps[-1]))
+    assert last.refuted
+    assert last.convergence < 1e-10
+    assert not last.synchronized
+
+
+def test_estimate_that_is_not_finite_is_refused() -> None:
+    """A law that overflows ends with one line; the event is not applied."""
+
+    class Overflowing(ReplicaLaw):
+        name = "overflowing"
+
+        def impact(self, x: Array, active: tuple[int, ...], closed: tuple[int, ...]) -> Array:
+            del active, closed
+            return np.full_like(x, np.inf)
+
+    law = Overflowing(THREE_MASS.system)
+    watcher = Observer(THREE_MASS.system, law, np.zeros(3), np.zeros(3), epoch=EPOCH)
+    with pytest.raises(DynamicsError, match="the estimate is not finite any more"):
+        watcher.receive(TRUTH.events[0])
+    assert np.all(np.isfinite(watcher.estimate(TRUTH.events[0].stamp).q))

@@ -31,6 +31,8 @@ from impact_observer.states import Matrix, Vector
 
 _STAMP = 1e-9 / math.sqrt(12)
 """Standard deviation of what rounding to 1 ns does to a stamp, s."""
+_ROUNDED = 4 * float(np.finfo(np.float64).eps)
+"""Of a state, by every jump, relative to itself."""
 _SHORT = 1e-8
 """Flights that a plant may leave out before it is at rest, relative to the model's time scale."""
 _BACK = 8.0
@@ -255,7 +257,8 @@ class MinimumVariance(Law):
         x, H, D, E = self._mirror(pressed).expanded(before, after, joint.x, self._forces(joint.t))
         mean, bent = product(joint.root, D, E)
         x = x + joint.e * (H[:, 0] + E * (joint.e / 2)) + mean
-        root = triangular(np.column_stack([H @ joint.root, bent]))
+        rounded = np.diag(_ROUNDED * np.abs(x))  # nothing is known better than that
+        root = triangular(np.column_stack([H @ joint.root, bent, rounded]))
         return Belief(x + joint.apart @ H.T, root)
 
     def _rested(self, belief: Belief, closed: Contacts, new: Contacts, left: Vector) -> Belief:

@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import special
@@ -103,16 +104,18 @@ class ReplicaLaw(Law):
         bound = belief.bound
         if bound is not None:
             taken = self.taken(before[0], replicas[0], active)
-            bound = None if taken is None else self._less(bound, taken)
-        return Belief(replicas, bound=bound)
+            bound = None if taken is None else bound - taken
+        return self._judged(Belief(replicas, bound=bound, refuted=belief.refuted))
 
     @staticmethod
-    def _less(bound: float, taken: float) -> float | None:
-        """A bound less what was taken away; below zero it is refuted.
+    def _judged(belief: Belief) -> Belief:
+        """``belief`` without a bound that has come below zero.
 
-        By a wrong model, or by a start that was not to be expected.
+        That refutes it: the model is wrong, or the start was not to be expected.
         """
-        return bound - taken if taken <= bound else None
+        if belief.bound is None or belief.bound >= 0:
+            return belief
+        return replace(belief, bound=None, refuted=True)
 
     def _others(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
         """The impacts of the other replicas; one without a solution stays apart, as it was."""
@@ -146,7 +149,7 @@ class _Apart(Course):
 
     def belief(self, s: float) -> Belief:
         replicas = np.array([motion.state(s) for motion in self._motions])
-        return Belief(replicas, bound=self._belief.bound)
+        return replace(self._belief, replicas=replicas)
 
 
 class _Together(Course):
@@ -164,4 +167,4 @@ class _Together(Course):
     def belief(self, s: float) -> Belief:
         replicas = self._apart @ self._phase.transition(s).T
         replicas += self.state(s)
-        return Belief(replicas, bound=self._belief.bound)
+        return replace(self._belief, replicas=replicas)

@@ -82,10 +82,9 @@ class Unilateral(Geometric):
         for x in replicas:
             x[n:] = self._closing(x[n:], tuple(sorted({*contacts})))
         u = replicas[0, n:] - belief.x[n:]
-        bound = belief.bound
-        if bound is not None:
-            bound = self._less(bound, float(u @ self.system.M @ u) / 2)
-        return replace(belief, replicas=replicas, bound=bound)
+        taken = float(u @ self.system.M @ u) / 2
+        bound = None if belief.bound is None else belief.bound - taken
+        return self._judged(replace(belief, replicas=replicas, bound=bound))
 
     def _on(self, x: Vector, active: Contacts) -> Vector:
         """The nearest state with ``g = 0`` on ``active`` and no gap negative."""
