@@ -181,6 +181,24 @@ def systems(
     )
 
 
+@st.composite
+def whole_numbers(draw: st.DrawFn) -> tuple[System, Array]:
+    """A system and a state of noughts and ones: whatever can vanish or coincide does."""
+    n, m = draw(st.integers(1, 4)), draw(st.integers(1, 4))
+    whole = st.lists(st.integers(-1, 1), min_size=n, max_size=n)
+    W = [draw(whole) for _ in range(m)]
+    springs = np.diag(np.abs(draw(whole)))
+    push = [draw(whole) for _ in range(3)]
+    model = system(
+        np.eye(n),
+        draw(st.sampled_from([0.0, 0.25])) * springs,
+        springs,
+        contacts=[(w if any(w) else np.eye(n)[i % n], 0.0, 0.5) for i, w in enumerate(W)],
+        force=forcing(n, push[0], [Harmonic(2.0, push[1], push[2])]),
+    )
+    return model, np.array([*draw(whole), *draw(whole)], float)
+
+
 class Step(NamedTuple):
     """One step of a switching sequence, as no plant would make it.
 

@@ -8,7 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import optimize
-from systems import Harmonic, chain, examples, forcing, numbers, system, systems, vectors
+from systems import (
+    Harmonic,
+    chain,
+    examples,
+    forcing,
+    numbers,
+    system,
+    systems,
+    vectors,
+    whole_numbers,
+)
 
 from impact_observer.dynamics import Clutches, ImpactLaw, Motion, PositionProjection
 from impact_observer.model import Forcing, System
@@ -123,20 +133,8 @@ def test_every_motion_obeys_the_complementarity_of_speeds_and_loads(
 @given(st.data())
 def test_motions_of_whole_numbers_obey_it_as_well(data: st.DataObject) -> None:
     """Loads and speeds that are zero together, equal and opposite contacts."""
-    n, m = data.draw(st.integers(1, 4)), data.draw(st.integers(1, 4))
-    whole = st.lists(st.integers(-1, 1), min_size=n, max_size=n)
-    W = [data.draw(whole) for _ in range(m)]
-    springs = np.diag(np.abs(data.draw(whole)))
-    push = [data.draw(whole) for _ in range(3)]
-    model = system(
-        np.eye(n),
-        data.draw(st.sampled_from([0.0, 0.25])) * springs,
-        springs,
-        contacts=[(w if any(w) else np.eye(n)[i % n], 0.0, 0.5) for i, w in enumerate(W)],
-        force=forcing(n, push[0], [Harmonic(2.0, push[1], push[2])]),
-    )
-    x = np.array([*data.draw(whole), *data.draw(whole)], float)
-    closed = started(model, 0.0, x, tuple(range(m)), fix=data.draw(st.booleans()))
+    model, x = data.draw(whole_numbers())
+    closed = started(model, 0.0, x, tuple(range(model.m)), fix=data.draw(st.booleans()))
     assert_is_a_motion(closed, 5.0)
 
 

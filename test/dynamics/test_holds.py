@@ -9,7 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg, optimize
-from systems import Harmonic, chain, examples, forcing, numbers, sample, system, systems, vectors
+from systems import (
+    Harmonic,
+    chain,
+    examples,
+    forcing,
+    numbers,
+    sample,
+    system,
+    systems,
+    vectors,
+    whole_numbers,
+)
 
 from impact_observer.dynamics import Clutches, ImpactLaw, Motion, PositionProjection
 from impact_observer.dynamics.holds import Holds, JointProjection
@@ -248,20 +259,8 @@ def test_every_motion_obeys_the_complementarity_of_gaps_and_reactions(
 @given(st.data())
 def test_motions_of_whole_numbers_obey_it_as_well(data: st.DataObject) -> None:
     """Gaps, rates and reactions that are zero together; equal and opposite stops."""
-    n, m = data.draw(st.integers(1, 4)), data.draw(st.integers(1, 4))
-    whole = st.lists(st.integers(-1, 1), min_size=n, max_size=n)
-    W = [data.draw(whole) for _ in range(m)]
-    springs = np.diag(np.abs(data.draw(whole)))
-    push = [data.draw(whole) for _ in range(3)]
-    model = system(
-        np.eye(n),
-        data.draw(st.sampled_from([0.0, 0.25])) * springs,
-        springs,
-        contacts=[(w if any(w) else np.eye(n)[i % n], 0.0, 0.5) for i, w in enumerate(W)],
-        force=forcing(n, push[0], [Harmonic(2.0, push[1], push[2])]),
-    )
-    x = np.array([*data.draw(whole), *data.draw(whole)], float)
-    some = data.draw(st.sets(st.integers(0, m - 1), max_size=1))
+    model, x = data.draw(whole_numbers())
+    some = data.draw(st.sets(st.integers(0, model.m - 1), max_size=1))
     held = started(model, 0.0, x, tuple(some))
     assert held is not None  # q = 0 is possible
     assert_stops_only_push(held, 5.0)
