@@ -75,6 +75,11 @@ def split(system: Equations) -> Modes | None:
     stiffness, shapes = modes_of(system.M, system.K)
     rigid = stiffness <= _RIGID * system.n * np.max(np.abs(stiffness))
     stiffness = np.where(rigid, 0.0, stiffness)
+    if np.count_nonzero(rigid) > 1:
+        # Any basis of the rigid motions will do: the one whose damping is not coupled.
+        free = shapes[:, rigid]
+        within = free.T @ system.C @ free
+        shapes[:, rigid] = free @ linalg.eigh(within + within.T)[1]
     damping = congruence(system.C, shapes)
     coupling = damping - np.diag(np.diag(damping))
     if np.max(np.abs(coupling)) <= _PROPORTIONAL * np.max(np.abs(damping)):

@@ -196,3 +196,22 @@ def test_matrix_exponential_knows_no_unit_of_time(factor: float, distance: float
     assert (split(quick) is None) == (split(model) is None)
     x = np.array([1.0, 0.5, -0.3, 0.2]) * np.repeat([1.0, factor], 2)
     assert error(quick, x, SECONDS / factor) < 1e-12
+
+
+def test_free_bodies_with_coupled_damping_keep_their_digits() -> None:
+    """No springs, weak dampers of very different size between all: any frame is a rigid one."""
+    rng = np.random.default_rng(1)
+    mass, dampers = rng.normal(size=(4, 4)), rng.normal(size=(4, 4)) * [1.0, 1e-2, 1e-3, 0.0]
+    C = 1e-2 * dampers @ dampers.T
+    model = system(mass @ mass.T + np.eye(4), C, np.zeros((4, 4)))
+    modes = split(model)
+    assert modes is not None
+    assert np.linalg.cond(modes.T) < 100
+    x = rng.normal(size=8)
+    moving = flow_of(model).start(0.0, x)
+    np.testing.assert_allclose(moving.state(0.0), x, rtol=0, atol=1e-14)
+    # Impulse: M du = -C dq holds over any time.
+    later = moving.state(50.0)
+    np.testing.assert_allclose(
+        model.M @ (later[4:] - x[4:]), -C @ (later[:4] - x[:4]), rtol=0, atol=1e-12
+    )
