@@ -68,8 +68,9 @@ def expansive(closing: ClosingSets) -> Answer:
     try:
         if pairs := test.pairs():
             return Answer(pairs, True)
-        if np.linalg.matrix_rank(closing.B) <= 2:
-            return Answer((), True)  # larger sets depend on each other
+        # Larger sets depend on each other. (numpy before 2 knows no rank of an empty matrix.)
+        if closing.B.shape[1] <= 2 or np.linalg.matrix_rank(closing.B) <= 2:
+            return Answer((), True)
         for component in test.components():
             if found := first(closing, test.fails, test.conflict, component):
                 return Answer((smallest(test.fails, found),), True)
