@@ -5,6 +5,10 @@ These mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without n
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TypeAlias
+
+Contacts: TypeAlias = tuple[int, ...]
+"""Indices of contacts in their system, ascending."""
 
 
 class Kind(IntEnum):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize, sparse
 
+from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
@@ -29,8 +30,6 @@ _INSIDE = 1e-12
 """Depth inside a stop that is rounding, relative to the largest gap in the rest position."""
 _RANK = 1e-10
 """Singular value that counts as zero, of columns of length one."""
-
-Contacts = tuple[int, ...]
 
 
 class NotDecidedError(Exception):

@@ -15,12 +15,12 @@ from impact_observer.analysis.closing import (
     LISTED,
     Answer,
     ClosingSets,
-    Contacts,
     NotDecidedError,
     circuit,
     first,
     smallest,
 )
+from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
 

@@ -27,6 +27,4 @@ def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> 
     Returns:
         Shape (...).
     """
-    kinetic = np.einsum("...i,...i->...", u @ system.M, u)
-    potential = np.einsum("...i,...i->...", q @ system.K, q)
-    return np.asarray((kinetic + potential) / 2)
+    return system.energy(q, u)

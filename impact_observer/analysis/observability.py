@@ -265,13 +265,7 @@ class _Errors:
 
     def telling(self, touch: Touch) -> Contacts:
         """The contacts that say something: those that hit, or one alone that opens by itself."""
-        if touch.hit:
-            return touch.hit
-        opened = tuple(i for i in touch.before if i not in touch.closed)
-        sampled = self._system.forcing.sampled
-        jumps = sampled is not None and sampled.hold == "previous"  # and loads with the force
-        held = self._phases.independent(touch.before)
-        return opened if len(opened) == 1 and opened[0] in held and not jumps else ()
+        return touch.telling(self._phases.independent(touch.before), self._system.forcing)
 
     def cross(self, touch: Touch) -> Matrix:
         """Go on to ``touch`` and across it.
@@ -288,7 +282,8 @@ class _Errors:
         dq, du = self.map[:n], self.map[n:]
         if touch.hit:
             rows = [self._system.W[:, list(touch.hit)].T @ dq]
-            du = self._newton.jump(self._pressed(touch)) @ du
+            pressed = touch.pressed(self._newton, -np.ones(len(touch.hit)))
+            du = self._newton.jump(pressed) @ du
         else:
             rows = [self._accelerations(phase, self.telling(touch), dq, du)]
         if touch.closed:
@@ -299,11 +294,6 @@ class _Errors:
             du = free @ self._system.M @ du
         self.map = np.vstack([dq, du])
         return np.vstack(rows)
-
-    def _pressed(self, touch: Touch) -> Contacts:
-        """The contacts that take an impulse; those that stay closed have no speed afterwards."""
-        taking = self._newton.pressed(touch.active, touch.hit, -np.ones(len(touch.hit)))
-        return tuple(sorted({*taking, *(set(touch.before) & set(touch.closed))}))
 
     def _accelerations(self, phase: Phase, opened: Contacts, dq: Matrix, du: Matrix) -> Matrix:
         """What loads would do in the time scale to the gaps of ``opened``, which they hold."""

@@ -18,7 +18,7 @@ from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.integrators import EVENT_DRIVEN
-from impact_observer.model import Model, parse_model
+from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.observer import Observer, replay
 from impact_observer.plant import Run
 from impact_observer.stamps import grid, text
@@ -101,6 +101,16 @@ def carried_model(reader: BagReader) -> Model:
     if carried is None:
         raise BagError(f"{reader.path}: carries no model; name one with --model")
     return parse_model(carried, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
+
+
+def system_of(reader: BagReader, model: str | None) -> System:
+    """The system of a model file or sample that is named, else of the model in the bag.
+
+    Raises:
+        BagError: none is named, and the bag carries none.
+        UsageError, ModelError: the model cannot be read, or is none.
+    """
+    return (carried_model(reader) if model is None else read_model(model)).system
 
 
 def events_in(reader: BagReader) -> list[ImpactEvent]:

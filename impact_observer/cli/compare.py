@@ -52,9 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
-    if args.laws == "":
-        raise UsageError("laws: none named; expected LAW,LAW,... or all")
-    options = [observer_options(args, law) for law in laws_in(args.laws or "")]
+    laws = () if args.laws is None else laws_in(args.laws)
+    options = [observer_options(args, law) for law in laws]
     if not options and observer_options(args, "") != observer_options(argparse.Namespace(), ""):
         raise UsageError("laws: none named, but how to run observers; name some with --laws")
     return compare(
@@ -68,15 +67,15 @@ def run(args: argparse.Namespace) -> int:
 
 
 def laws_in(text: str) -> tuple[str, ...]:
-    """Read ``LAW,LAW,...`` or ``all``: names of installed laws, each once; of nothing, none.
+    """Read ``LAW,LAW,...`` or ``all``: names of installed laws, each once.
 
     Raises:
-        UsageError: a law is not installed.
+        UsageError: no law is named, or one that is not installed.
     """
     from impact_observer.observer import law_named, law_names
 
     if not text:
-        return ()
+        raise UsageError("laws: none named; expected LAW,LAW,... or all")
     names = law_names() if text == "all" else [name.strip() for name in text.split(",")]
     for name in names:
         law_named(name)
@@ -132,13 +131,12 @@ def _compare_one(bag: Path, model: str | None, observers: "Sequence[Options]") -
     """Compare one bag, and show on a terminal how far that is."""
     from impact_observer.bag.comparisons import compare_bag
     from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import carried_model
+    from impact_observer.bag.recordings import system_of
     from impact_observer.cli.progress import Progress
-    from impact_observer.model import read_model
 
     with BagReader(bag) as reader, Progress(sys.stderr) as progress:
         progress.show(f"{bag}: reading")
-        system = (carried_model(reader) if model is None else read_model(model)).system
+        system = system_of(reader, model)
 
         def show(law: str, done: int, total: int) -> None:
             if done % 100 == 0:

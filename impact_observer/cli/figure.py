@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import positive
-from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
     from impact_observer.analysis.comparison import Comparison
@@ -66,13 +65,10 @@ def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
     from impact_observer.cli.compare import laws_in
 
-    laws = laws_in(args.laws)
-    if not laws:
-        raise UsageError("--laws: no law named; expected all, or LAW,LAW,...")
     return figure(
         args.model,
         args.output,
-        laws,
+        laws_in(args.laws),
         initial=args.initial,
         duration=args.duration,
         rate=args.rate,

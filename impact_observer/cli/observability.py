@@ -89,9 +89,8 @@ def observe(
     """
     from impact_observer.analysis.observability import TOLERANCE, observability
     from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import carried_model, events_in
+    from impact_observer.bag.recordings import events_in, system_of
     from impact_observer.errors import BagError
-    from impact_observer.model import read_model
     from impact_observer.observer import deviation_of
 
     if plot is not None:
@@ -99,7 +98,7 @@ def observe(
 
         check_picture(plot)
     with BagReader(bag) as reader:
-        system = (carried_model(reader) if model is None else read_model(model)).system
+        system = system_of(reader, model)
         events = events_in(reader)
     try:
         told = observability(

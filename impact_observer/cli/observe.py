@@ -71,16 +71,15 @@ def observe(
         ImpactLawError: the replica cannot follow an event.
     """
     from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import carried_model, observe_bag
+    from impact_observer.bag.recordings import observe_bag, system_of
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
     from impact_observer.events import Ruling
-    from impact_observer.model import read_model
     from impact_observer.observer import Options
 
     chosen = options or Options()
     with BagReader(bag) as reader, Progress() as progress:
-        system = (carried_model(reader) if model is None else read_model(model)).system
+        system = system_of(reader, model)
         observer = chosen.observer(system)
 
         def show(done: int, total: int) -> None:

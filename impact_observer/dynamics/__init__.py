@@ -10,12 +10,13 @@ from impact_observer.dynamics.noise import diffusion
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.projection import KEPT, PositionProjection
 from impact_observer.dynamics.spectral import flow_of
-from impact_observer.dynamics.switched import Expansion, Measured, Mirror, Rates
+from impact_observer.dynamics.switched import ROUNDING, Expansion, Measured, Mirror, Rates
 from impact_observer.dynamics.watched import Watched
 
 __all__ = [
     "DEPTH",
     "KEPT",
+    "ROUNDING",
     "Clutches",
     "Correction",
     "Crossing",

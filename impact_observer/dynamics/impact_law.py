@@ -7,17 +7,15 @@ complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics.complementarity import complementary
 from impact_observer.errors import ImpactLawError
+from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
-
-Contacts: TypeAlias = "tuple[int, ...]"
 
 _ROUNDING = 1e-12
 """Contact speed that counts as zero, relative to that of all kinetic energy in it."""

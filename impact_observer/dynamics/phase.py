@@ -130,13 +130,6 @@ class Phase:
         now = self.flow.start(t + s, x).state(-s)
         return np.asarray(x + self.flow.transition(s) @ (x - now))
 
-    def rate(self, t: float, x: Vector) -> Vector:
-        """``dx/dt`` of the state (q, u), shape (2n,), at ``t`` s since the epoch."""
-        equations, n = self.equations, self.equations.n
-        q, u = x[:n], x[n:]
-        load = equations.forcing(t) - equations.C @ u - equations.K @ q
-        return np.concatenate([self.Q @ u, self.inverse @ load])
-
 
 class Phases:
     """All phases of one system, each prepared when it is needed.

@@ -9,18 +9,17 @@ after. With ``e = g / gamma`` from the gap this is the saltation matrix (Kong, P
 Johnson, Saltation matrices, 2023), but regular where ``gamma`` is zero.
 """
 
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics.phase import Phase
+from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
-Contacts: TypeAlias = "tuple[int, ...]"
-
-_ROUNDING = 4 * float(np.finfo(np.float64).eps)
+ROUNDING = 4 * float(np.finfo(np.float64).eps)
 """Of what is measured, relative to the terms that it is the sum of."""
 _LEAST = 1e-150
 """Standard deviation of a measurement in which nothing is rounded."""
@@ -104,7 +103,7 @@ class Measured(NamedTuple):
 
     def rounding(self, x: Vector) -> Vector:
         """Standard deviation of what is rounded in it, positive, shape (k,)."""
-        return np.asarray(_ROUNDING * (np.abs(self.c) @ np.abs(x) + np.abs(self.d[0])) + _LEAST)
+        return np.asarray(ROUNDING * (np.abs(self.c) @ np.abs(x) + np.abs(self.d[0])) + _LEAST)
 
     def expanded(self, rates: Rates, y: Vector, forces: Matrix) -> Expansion:
         """Their values at the jump; ``forces`` are f, df/dt, ... at the instant of ``y``."""

@@ -1,7 +1,8 @@
 """The observer: a replica of the plant, switched by nothing but impact events."""
 
+from impact_observer.events import Contacts
 from impact_observer.observer.agreement import AGREED, SURPRISING
-from impact_observer.observer.belief import Belief, Contacts, Course, Touch
+from impact_observer.observer.belief import Belief, Course, Touch
 from impact_observer.observer.initial import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer

@@ -85,10 +85,7 @@ class Agreeing:
 
     def _energies(self, x: Matrix) -> Vector:
         """``1/2 x^T diag(K, M) x`` of each row, J."""
-        q, u = np.hsplit(x, 2)
-        found = np.einsum("si,si->s", q @ self._system.K, q)
-        found += np.einsum("si,si->s", u @ self._system.M, u)
-        return np.asarray(np.maximum(found, 0.0) / 2)
+        return np.asarray(np.maximum(self._system.energy(*np.hsplit(x, 2)), 0.0))
 
     def _diameter(self, replicas: Matrix) -> float:
         """The largest V distance of two replicas, J; of very many an upper bound."""

@@ -3,15 +3,13 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
 
-from impact_observer.events import Kind
+from impact_observer.dynamics import ImpactLaw
+from impact_observer.events import Contacts, Kind
+from impact_observer.model import Forcing
 from impact_observer.states import Matrix, Vector
-
-Contacts: TypeAlias = tuple[int, ...]
-"""Indices of contacts, ascending."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,6 +75,34 @@ class Touch:
     def active(self) -> Contacts:
         """Contacts with ``chi = 1`` at this instant: closed ones take part in every impact."""
         return tuple(sorted({*self.before, *self.hit}))
+
+    def telling(self, held: Contacts, forcing: Forcing) -> Contacts:
+        """The contacts that say something: those that hit, or one alone that opens by itself.
+
+        Its load has come down to zero, unless the force jumps.
+
+        Args:
+            held: contacts that took the loads until now.
+            forcing: of the system.
+        """
+        if self.hit:
+            return self.hit
+        opened = tuple(i for i in self.before if i not in self.closed)
+        jumps = forcing.sampled is not None and forcing.sampled.hold == "previous"
+        return opened if len(opened) == 1 and opened[0] in held and not jumps else ()
+
+    def pressed(self, newton: ImpactLaw, gamma: Vector) -> Contacts:
+        """The contacts that take an impulse; those that stay closed have no speed afterwards.
+
+        Args:
+            newton: the impact law.
+            gamma: speeds of those hit, shape (len(hit),), m/s; see ``ImpactLaw.pressed``.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        taking = newton.pressed(self.active, self.hit, gamma)
+        return tuple(sorted({*taking, *(set(self.before) & set(self.closed))}))
 
 
 class Course(ABC):

@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.errors import DynamicsError, ImpactLawError, ImpactObserverError, UsageError
-from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer.agreement import AGREED, HELD, Agreeing
-from impact_observer.observer.belief import Contacts, Course, Touch
+from impact_observer.observer.belief import Course, Touch
 from impact_observer.observer.laws import Law
 from impact_observer.observer.timeline import Entry, Key, Timeline, beginning
 from impact_observer.observer.uncertainty import covariance_root, spread

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
-from impact_observer.events import Kind
+from impact_observer.events import Contacts, Kind
 from impact_observer.observer.agreement import Agreement
-from impact_observer.observer.belief import Belief, Contacts, Course
+from impact_observer.observer.belief import Belief, Course
 
 _BEGINNING = -1
 """Sequence of the entry before any event, so that it comes first at its stamp."""

@@ -12,9 +12,10 @@ from scipy import optimize
 from systems import chain, examples, sample, system, systems
 
 from impact_observer.analysis import closing, expansion
-from impact_observer.analysis.closing import Answer, ClosingSets, Contacts
+from impact_observer.analysis.closing import Answer, ClosingSets
 from impact_observer.analysis.expansion import expansive_sets, growth, is_nonexpansive
 from impact_observer.dynamics import ImpactLaw
+from impact_observer.events import Contacts
 from impact_observer.model import System
 
 Array = NDArray[np.float64]

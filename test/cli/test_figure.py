@@ -106,7 +106,7 @@ def test_what_cannot_be_drawn_is_one_line(
         "expected a picture's name": ("two_mass", "-o", "v.gif"),
         "make it first": ("two_mass", "-o", str(tmp_path / "no" / "v.png")),
         "initial state 'here'": ("two_mass", "--initial", "here", "-o", picture),
-        "--laws: no law": ("two_mass", "--laws", "", "-o", picture),
+        "laws: none named": ("two_mass", "--laws", "", "-o", picture),
     }
     for said, arguments in wrong.items():
         assert main(["figure", *arguments]) == 2

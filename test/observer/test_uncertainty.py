@@ -1,12 +1,15 @@
 """What users declare not to know: read, checked, and spread over replicas."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from systems import sample
 
 from impact_observer.errors import UsageError
+from impact_observer.nodes.parameters import OBSERVER
 from impact_observer.observer import Options, Uncertainty, deviation_of
-from impact_observer.observer.uncertainty import covariance_root, spread
+from impact_observer.observer.uncertainty import LARGEST, covariance_root, spread
 
 SYSTEM = sample("two_mass").system
 
@@ -98,3 +101,14 @@ def test_few_replicas_are_spread_as_far() -> None:
         if count > 2:
             assert np.mean(np.sum(found[1:] ** 2, axis=1)) == pytest.approx(8.0)
     assert spread(np.zeros(8), np.eye(8), 1).shape == (1, 8)
+
+
+def test_node_and_command_mean_the_same_by_nothing_said() -> None:
+    """The node's defaults are those of the options, and its limits those of what is declared."""
+    table = {each.name: each for each in OBSERVER}
+    renamed = {"initial": "initial_state", "deviation": "initial_deviation"}
+    for option in fields(Options):
+        assert table[renamed.get(option.name, option.name)].default == option.default
+    assert {name: table[name].high for name in ("clock_error", "model_error")} == {
+        name: LARGEST[name] for name in ("clock_error", "model_error")
+    }

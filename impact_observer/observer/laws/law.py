@@ -3,8 +3,9 @@
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Contacts, Course, Touch
+from impact_observer.observer.belief import Belief, Course, Touch
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix
 

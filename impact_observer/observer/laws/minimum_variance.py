@@ -10,6 +10,7 @@ from scipy import linalg
 
 from impact_observer.dynamics import (
     KEPT,
+    ROUNDING,
     Correction,
     Expansion,
     ImpactLaw,
@@ -23,16 +24,15 @@ from impact_observer.dynamics import (
     product,
     triangular,
 )
+from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Contacts, Course, Touch
+from impact_observer.observer.belief import Belief, Course, Touch
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix, Vector
 
 _STAMP = 1e-9 / math.sqrt(12)
 """Standard deviation of what rounding to 1 ns does to a stamp, s."""
-_ROUNDED = 4 * float(np.finfo(np.float64).eps)
-"""Of a state, by every jump, relative to itself."""
 _SHORT = 1e-8
 """Flights that a plant may leave out before it is at rest, relative to the model's time scale."""
 _BACK = 8.0
@@ -183,7 +183,7 @@ class MinimumVariance(Law):
             What is believed, looked at where the event is believed to have been; and, by contact,
             how far the innovation was from zero, in standard deviations.
         """
-        contacts = self._telling(touch)
+        contacts = touch.telling(self._phase(touch.before).held, self.system.forcing)
         found = prior
         judged: dict[int, float] = {}
         for _ in range(_ROUNDS if contacts else 0):
@@ -198,19 +198,6 @@ class MinimumVariance(Law):
             if settled:
                 break
         return found, judged
-
-    def _telling(self, touch: Touch) -> Contacts:
-        """The contacts that say something: those that hit, or a single one that opens by itself.
-
-        Its load has come down to zero, unless the force jumps.
-        """
-        if touch.hit:
-            return touch.hit
-        opened = tuple(i for i in touch.before if i not in touch.closed)
-        sampled = self.system.forcing.sampled
-        jumps = sampled is not None and sampled.hold == "previous"
-        tells = len(opened) == 1 and opened[0] in self._phase(touch.before).held
-        return opened if tells and not jumps else ()
 
     def _expected(
         self, touch: Touch, contacts: Contacts, view: _Joint, about: _Joint
@@ -250,14 +237,12 @@ class MinimumVariance(Law):
         pressed: Contacts = ()
         if touch.hit:
             gamma = self.system.contact_speed(joint.x[self.system.n :])[list(touch.hit)]
-            taking = self._newton.pressed(touch.active, touch.hit, gamma)
-            staying = set(touch.before) & set(touch.closed)
-            pressed = tuple(sorted(staying | set(taking)))
+            pressed = touch.pressed(self._newton, gamma)
         before, after = self._rates(touch.before), self._rates(touch.closed)
         x, H, D, E = self._mirror(pressed).expanded(before, after, joint.x, self._forces(joint.t))
         mean, bent = product(joint.root, D, E)
         x = x + joint.e * (H[:, 0] + E * (joint.e / 2)) + mean
-        rounded = np.diag(_ROUNDED * np.abs(x))  # nothing is known better than that
+        rounded = np.diag(ROUNDING * np.abs(x))  # nothing is known better than that
         root = triangular(np.column_stack([H @ joint.root, bent, rounded]))
         return Belief(x + joint.apart @ H.T, root)
 

@@ -3,7 +3,7 @@
 from typing import ClassVar
 
 from impact_observer.dynamics import Motion, Phase
-from impact_observer.observer.belief import Contacts
+from impact_observer.events import Contacts
 from impact_observer.observer.laws.replica import ReplicaLaw
 from impact_observer.states import Vector
 

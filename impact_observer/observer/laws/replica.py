@@ -9,8 +9,9 @@ from scipy import special
 
 from impact_observer.dynamics import Clutches, Motion, Phase
 from impact_observer.errors import ImpactLawError
+from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Contacts, Course, Touch
+from impact_observer.observer.belief import Belief, Course, Touch
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix, Vector

@@ -8,8 +8,9 @@ import numpy as np
 from impact_observer.dynamics import Motion, Phase
 from impact_observer.dynamics.complementarity import complementary
 from impact_observer.dynamics.holds import Holds
+from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Contacts, Touch
+from impact_observer.observer.belief import Belief, Touch
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.replica import ReplicaLaw
 from impact_observer.observer.uncertainty import Uncertainty
