@@ -56,6 +56,7 @@ setup(
         "console_scripts": [
             "impact-observer = impact_observer.cli.main:main",
             "plant = impact_observer.nodes.plant:main",
+            "detector = impact_observer.nodes.detector:main",
             "observer = impact_observer.nodes.observer:main",
             "monitor = impact_observer.nodes.monitor:main",
         ],

@@ -4,7 +4,7 @@ These mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without n
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import TypeAlias
 
 Contacts: TypeAlias = tuple[int, ...]
@@ -60,6 +60,21 @@ class Ruling(IntEnum):
     UNKNOWN_CONTACT = 5
 
 
+class Remark(Enum):
+    """What is to be remarked of a stream of events; the values are its names in figures."""
+
+    DUPLICATE = "duplicates"
+    GAP = "sequence gaps"
+    LATE = "late events"
+    TOO_LATE = "too late"
+    DISORDER = "stamps against sequence"
+    SUPERSEDED = "superseded impacts"
+    UNKNOWN_CONTACT = "unknown contacts"
+    PAST = "of a past episode or epoch"
+    EPISODE = "new episodes"
+    EPOCH = "new epochs"
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What an observer made of one switch of an event.
@@ -69,7 +84,7 @@ class Verdict:
         ruling: what became of it.
         sequence: the event's sequence number.
         contact: the contact; empty when the verdict is on the whole event.
-        reason: why, in plain words; empty when applied.
+        reason: why, in plain words; empty when applied like any other.
         innovation: normalised innovation in standard deviations; -1 where a law has none.
     """
 

@@ -29,6 +29,8 @@ EPOCH = 1_700_000_000_123_456_789
 ARGUMENTS = {
     "demo": {"model", "laws", "duration", "realtime_factor", "initial_state", "rate", "epoch"},
     "plant": {p.name for p in TABLES["plant"]} | {"use_sim_time", "params_file", "namespace"},
+    "detector": {p.name for p in TABLES["detector"]}
+    | {"use_sim_time", "params_file", "namespace", "impacts"},
     "observer": {p.name for p in TABLES["observer"]}
     | {"use_sim_time", "params_file", "name", "namespace", "impacts", "monitor", "monitor_name"},
 }
@@ -260,6 +262,18 @@ def test_argument_beats_the_parameter_file(launcher: Launcher, name: str) -> Non
     (node,) = launcher.run(name, params_file=str(path), rate="20", namespace="rig")
     assert (node.parameters["rate"], node.parameters["model"]) == (20.0, "two_mass")
     assert (node.name, node.namespace) == (name, "/rig")
+
+
+def test_detector_launch_passes_the_sensors_and_the_topic(launcher: Launcher) -> None:
+    """Its events go where the observer of the rig listens."""
+    (detector,) = launcher.run("detector", sources="rig.yaml", impacts="/rig/impacts", epoch="5")
+    assert detector == Started(
+        "detector",
+        "detector",
+        "/",
+        {"sources": "rig.yaml", "epoch": 5},
+        {"impacts": "/rig/impacts"},
+    )
 
 
 def test_observer_launch_starts_a_monitor_on_request(launcher: Launcher) -> None:

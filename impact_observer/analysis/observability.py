@@ -26,6 +26,7 @@ from impact_observer.errors import BagError, ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.model import System
 from impact_observer.observer import Contacts, Touch, Uncertainty
+from impact_observer.observer.order import Key, Spoken, beside, read
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector, frozen
 
@@ -210,13 +211,15 @@ def _heard(system: System, events: Sequence[ImpactEvent]) -> _Heard:
         for event in last
         if (kinds := {(index[s.contact], s.kind) for s in event.switches if s.contact in index})
     ]
+    keys = [Key(*each) for each in _once(heard) if each[0] >= start]
     moments: list[_Moment] = []
     closed: Contacts = ()
-    for stamp, _, switches in _once(heard):
-        if stamp >= start:
-            touch = Touch.of(seconds_between(start, stamp), closed, switches)
-            moments.append(_Moment(stamp, touch))
-            closed = touch.closed
+    spoken: Spoken = {}
+    for i, key in enumerate(keys):
+        reading = read(key, closed, spoken, beside(i, keys))
+        touch = Touch.of(seconds_between(start, key.stamp), closed, reading.switches)
+        moments.append(_Moment(key.stamp, touch))
+        closed, spoken = touch.closed, reading.spoken
     if not any(moment.touch.hit for moment in moments):
         wanted, found = (", ".join(each) or "none" for each in (index, sorted(foreign)))
         raise BagError(

@@ -229,6 +229,17 @@ class BagReader:
         """
         return self._decoded(topic, self._topic(topic).type)
 
+    def decoder(self, topic: str) -> Callable[[bytes], object]:
+        """What makes messages of the bytes that :meth:`raw` gives for a topic.
+
+        Raises:
+            BagError: the topic is missing or its type is unknown; or, when it is called, the
+                bytes are no message of that type.
+        """
+        type_name = self._topic(topic).type
+        store = self._store_knowing(topic, type_name)
+        return lambda data: self._deserialized(store, topic, type_name, data)
+
     def events(self, topic: str = interfaces.IMPACTS.topic) -> Iterator[ImpactEvent]:
         """The events of a topic, in bag order.
 
@@ -325,6 +336,14 @@ class BagReader:
 
     def _decoded(self, topic: str, type_name: str) -> Iterator[tuple[int, object]]:
         """Log times and messages of a topic that must be of one known type."""
+        store = self._store_knowing(topic, type_name)
+        return (
+            (log_time, self._deserialized(store, topic, type_name, data))
+            for _, log_time, data in self._stream(self._connections[topic])
+        )
+
+    def _store_knowing(self, topic: str, type_name: str) -> Typestore:
+        """The types, with those of a topic that must be of one known type."""
         info = self._topic(topic)
         if info.type != type_name:
             raise BagError(f"{self.path}: {topic} is {info.type}; expected {type_name}")
@@ -345,10 +364,7 @@ class BagReader:
                 f"{self.path}: {topic} is {type_name}, which neither this package nor the bag "
                 "defines; expected a bag with message definitions, as MCAP and Jazzy write them"
             )
-        return (
-            (log_time, self._deserialized(store, topic, type_name, data))
-            for _, log_time, data in self._stream(self._connections[topic])
-        )
+        return store
 
     def _deserialized(self, store: Typestore, topic: str, type_name: str, data: bytes) -> object:
         """The message in ``data``."""

@@ -20,23 +20,29 @@ from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.observer import Observer, replay
-from impact_observer.plant import Run
+from impact_observer.plant import IDEAL, Run, Sensor, sense
 from impact_observer.stamps import grid, text
 from impact_observer.states import Estimate, Stamps
 
 _CARRIED = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
 
 
-def carried_text(model: Model, seed: int, integrator: str = EVENT_DRIVEN) -> str:
-    """The model file that a plant publishes and a bag carries: it says who made it, and how."""
-    return model.text(
-        {
-            "package": "impact_observer",
-            "version": __version__,
-            "seed": seed,
-            "integrator": integrator,
-        }
-    )
+def carried_text(
+    model: Model, seed: int, integrator: str = EVENT_DRIVEN, sensor: Sensor = IDEAL
+) -> str:
+    """The model file that a plant publishes and a bag carries: it says who made it, and how.
+
+    Of the sensor it says what was wrong with it, and nothing where nothing was.
+    """
+    provenance: dict[str, object] = {
+        "package": "impact_observer",
+        "version": __version__,
+        "seed": seed,
+        "integrator": integrator,
+    }
+    if sensor.troubles:
+        provenance["sensor"] = sensor.troubles
+    return model.text(provenance)
 
 
 @contextmanager
@@ -52,9 +58,17 @@ def _whole(path: Path) -> Iterator[BagWriter]:
 
 
 def write_run(
-    path: Path, model: Model, run: Run, *, seed: int, integrator: str = EVENT_DRIVEN
-) -> None:
-    """Write a plant's run to a bag: model, impacts, true states; log times are the stamps.
+    path: Path,
+    model: Model,
+    run: Run,
+    *,
+    seed: int,
+    integrator: str = EVENT_DRIVEN,
+    sensor: Sensor = IDEAL,
+) -> int:
+    """Write a plant's run to a bag: model, impacts as a sensor tells them, true states.
+
+    The log time of an impact is its arrival, that of a state its stamp.
 
     Args:
         path: the bag to make.
@@ -62,21 +76,29 @@ def write_run(
         run: what it did.
         seed: of everything random in it.
         integrator: what it was integrated by, in words.
+        sensor: what is wrong with the sensor.
+
+    Returns:
+        How many events the sensor told.
 
     Raises:
-        UsageError: something is at ``path`` already, or its parent is no folder.
+        UsageError: something is at ``path`` already, or its parent is no folder; or the sensor
+            cannot be one of the model.
         BagError: the bag cannot be written.
     """
     make, names = bag_messages(), model.system.coordinates
-    n = model.system.n
+    n, last = model.system.n, int(run.stamps[-1])
+    told = sense(sensor, model.system, run.switchings, epoch=run.epoch, last=last, seed=seed)
     with _whole(path) as writer:
         for each in _CARRIED:
             writer.declare(each.topic)
         start = int(run.stamps[0])
-        model_message = make.model(carried_text(model, seed, integrator))
+        model_message = make.model(carried_text(model, seed, integrator, sensor))
         writer.write(interfaces.PLANT_MODEL.topic, start, model_message)
         # At equal stamps the event comes first: the state there is the one after it.
-        events = ((e.stamp, 0, interfaces.IMPACTS.topic, make.event(e)) for e in run.events)
+        events = (
+            (each.arrival, 0, interfaces.IMPACTS.topic, make.event(each.event)) for each in told
+        )
         states = (
             (
                 stamp,
@@ -88,6 +110,7 @@ def write_run(
         )
         for stamp, _, topic, message in heapq.merge(events, states, key=lambda item: item[:2]):
             writer.write(topic, stamp, message)
+    return len(told)
 
 
 def carried_model(reader: BagReader) -> Model:

@@ -16,6 +16,7 @@ COMMANDS = {
     "check-model": "what a model means for an observer: modes, contacts, impact law",
     "observability": "what the impacts in a bag have told of the state: rank, condition, unknowns",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
+    "detect": "find the impacts in a bag of switches, accelerations, forces",
     "observe": "run an observer on the impacts in a bag",
     "compare": "estimates against the truth: V(t), errors, a picture",
     "figure": "from a model to the picture: V(t) of several laws",

@@ -1,7 +1,9 @@
 """Run a plant without ROS: its impacts and its true states go into a bag."""
 
 import argparse
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import positive, seed, stamp
 from impact_observer.errors import UsageError
@@ -12,6 +14,10 @@ from impact_observer.integrators import (
     MOREAU,
     described,
 )
+from impact_observer.troubles import TROUBLES, Trouble
+
+if TYPE_CHECKING:
+    from impact_observer.plant import Sensor
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,10 +54,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
     )
+    _add_sensor_arguments(parser)
+
+
+def _add_sensor_arguments(parser: argparse.ArgumentParser) -> None:
+    """An option for every trouble; all are off unless asked for."""
+    group = parser.add_argument_group("sensor", "what is wrong with it; nothing unless told")
+    for each in TROUBLES:
+        option = f"--{each.name.replace('_', '-')}"
+        if isinstance(each.ideal, bool):
+            group.add_argument(option, action="store_true", help=each.meaning)
+            continue
+        metavar = {"": "P", "1/s": "HZ"}.get(each.unit, each.unit.upper())
+        unit = each.unit and f", {each.unit}"
+        text = f"{each.meaning}{unit}, {each.low:g} to {each.high:g}"
+        group.add_argument(
+            option, metavar=metavar, type=_allowed(each), default=each.ideal, help=text
+        )
+
+
+def _allowed(trouble: Trouble) -> Callable[[str], float]:
+    """The type of an argument that is a value of ``trouble``."""
+
+    def value(text: str) -> float:
+        try:
+            found = float(text)
+            trouble.check(found)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text} found; expected {trouble.limits}") from None
+        return found
+
+    return value
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
+    from impact_observer.plant import Sensor
+
     return simulate(
         args.model,
         args.output,
@@ -61,6 +100,7 @@ def run(args: argparse.Namespace) -> int:
         epoch=args.epoch,
         integrator=args.integrator,
         step=args.step,
+        sensor=Sensor(**{each.name: getattr(args, each.name) for each in TROUBLES}),
     )
 
 
@@ -74,6 +114,7 @@ def simulate(
     epoch: int = 1_000_000_000,
     integrator: str = EVENT_DRIVEN,
     step: float | None = None,
+    sensor: "Sensor | None" = None,
 ) -> int:
     """Simulate a plant and write its bag.
 
@@ -82,10 +123,11 @@ def simulate(
         output: the bag to make.
         duration: s.
         rate: of the true states, Hz.
-        seed: recorded in the bag; an ideal plant draws nothing at random.
+        seed: of the sensor, recorded in the bag; the plant itself draws nothing at random.
         epoch: stamp of ``t = 0``, ns.
         integrator: ``event-driven`` or ``moreau``.
         step: length of the steps of ``moreau``, s; None for the default.
+        sensor: what is wrong with the sensor; None for nothing.
 
     Returns:
         0.
@@ -107,7 +149,9 @@ def simulate(
     if step is not None and integrator != MOREAU:
         raise UsageError(f"step: {step:g} s given; only the integrator {MOREAU} takes steps")
     step = DEFAULT_STEP if step is None else step
+    sensor = sensor or plant.IDEAL
     read = read_model(model)
+    sensor.check(read.system)
     stamps = grid(epoch, epoch + from_seconds(duration), rate)
     with Progress() as progress:
 
@@ -119,9 +163,11 @@ def simulate(
         )
         done = plant.simulate(master, stamps, progress=show)
         progress.show(f"writing {output}")
-        write_run(output, read, done, seed=seed, integrator=described(integrator, step))
+        how = described(integrator, step)
+        told = write_run(output, read, done, seed=seed, integrator=how, sensor=sensor)
+        sensed = f", {told} events of a sensor with {', '.join(sensor.troubles)}"
         progress.line(
             f"{output}: {read.system.name}, {duration:g} s, {len(done.impacts)} impacts,"
-            f" {stamps.size} true states"
+            f" {stamps.size} true states{sensed if sensor.troubles else ''}"
         )
     return 0

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from impact_observer_msgs.srv import SetState
@@ -17,13 +18,13 @@ from impact_observer.bag import interfaces
 from impact_observer.bag.interfaces import Quality
 from impact_observer.bag.messages import EventMessage, JointState, MessageError, read_event
 from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.events import ImpactEvent, Ruling, Verdict
+from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
 from impact_observer.model import read_model
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
 from impact_observer.observer import SURPRISING, Options, initial_state
-from impact_observer.stamps import NS_PER_S, seconds_between
+from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
 
 _BACKLOG = 20
@@ -32,8 +33,6 @@ _BURST = 8
 """Estimates that fit into the history of their topics, of 10, before somebody must hear them."""
 _PATIENCE = Duration(seconds=0.01)
 """How long a burst waits to be heard."""
-_FUTURE = NS_PER_S
-"""How far ahead of the clock an event's stamp may be, ns."""
 _STALE = 60 * NS_PER_S
 """Silence after which the diagnostics suspect that stamps and clock disagree, ns."""
 
@@ -41,13 +40,18 @@ _STALE = 60 * NS_PER_S
 class ObserverNode(Node):
     """Runs one observer; every estimate is stamped ``epoch + k / rate``.
 
-    When an event arrives after an estimate that should contain it, that estimate is published
-    again, corrected, at once. Ground truth is never subscribed to.
+    Estimates are published when the clock is ``lag`` past their stamps. When an event arrives
+    after an estimate that should contain it, that estimate is published again, corrected, at
+    once. Ground truth is never subscribed to.
     """
 
     def __init__(self) -> None:
         super().__init__("observer")
         values = parameters.declare(self, parameters.OBSERVER)
+        lag, history = values.number("lag"), values.number("history")
+        if lag > history:
+            found = f"parameter lag: {lag:g} found"
+            raise UsageError(f"{found}; expected at most history, {history:g}")
         system = read_model(values.text("model")).system
         self._initial = initial_state(values.text("initial_state"), system)
         self._observer = Options(
@@ -59,10 +63,12 @@ class ObserverNode(Node):
             ensemble=values.integer("ensemble"),
             agreed=values.number("agreed"),
             epoch=values.integer("epoch"),
-            history=values.number("history"),
+            history=history,
         ).observer(system)
         self._names = system.coordinates
         self._rate = values.number("rate")
+        self._lag = from_seconds(lag)
+        self._future = from_seconds(values.number("future"))
         self._make = ros_messages()
         self._states = self._publisher(interfaces.OBSERVER_STATES)
         self._joint_states = self._publisher(interfaces.OBSERVER_JOINT_STATES)
@@ -127,28 +133,43 @@ class ObserverNode(Node):
             self.get_logger().warning(
                 f"the plant began again: episode {event.episode}, epoch {event.epoch} ns"
             )
-        now = self._now()
-        latency = max(seconds_between(event.stamp, now), 0.0)
-        for verdict in verdicts:
+        latency = max(seconds_between(event.stamp, self._now()), 0.0)
+        late = event.stamp <= self._last_stamp
+        for verdict in self._beside_lag(verdicts) if late else verdicts:
             self._counts[verdict.ruling.name.lower()] += 1
             self._counts["surprising"] += verdict.innovation > SURPRISING
-            if verdict.ruling is not Ruling.APPLIED:
-                self.get_logger().warning(
-                    f"event {verdict.sequence} {verdict.contact}: {verdict.ruling.name.lower()},"
-                    f" {verdict.reason}"
-                )
+            self._log(verdict)
             self._verdicts.publish(self._make.verdict(verdict, latency))
         if any(verdict.ruling is Ruling.APPLIED for verdict in verdicts):
             self._latency = max(self._latency, latency)
-            if event.stamp <= self._last_stamp:
+            if late:
+                self._counts["corrected"] += 1
                 self._publish(self._last_stamp)
+
+    def _log(self, verdict: Verdict) -> None:
+        """Tell what is not as usual."""
+        ruling = verdict.ruling.name.lower()
+        line = f"event {verdict.sequence} {verdict.contact}: {ruling}, {verdict.reason}"
+        if verdict.ruling is not Ruling.APPLIED:
+            self.get_logger().warning(line)
+        elif verdict.reason:
+            self.get_logger().info(line)
+
+    def _beside_lag(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
+        """``verdicts`` on an event that is late; without a lag every event is."""
+        first, *others = verdicts
+        if not self._lag or first.ruling is not Ruling.APPLIED:
+            return verdicts
+        later = "later than lag: the last estimate is published again"
+        return (replace(first, reason="; ".join(filter(None, (first.reason, later)))), *others)
 
     def _judge(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """What the observer makes of an event, unless its stamp or epoch cannot be used."""
         now = self._now()
-        if now and event.stamp > now + _FUTURE:
-            ahead = seconds_between(now, event.stamp)
-            reason = f"stamped {ahead:.3f} s after the clock"
+        if now and event.stamp > now + self._future:
+            self._counts["future"] += 1
+            ahead, most = seconds_between(now, event.stamp), self._future / NS_PER_S
+            reason = f"stamped {ahead:.3f} s after the clock; future allows {most:g} s"
         else:
             try:
                 return self._observer.receive(event)
@@ -157,8 +178,8 @@ class ObserverNode(Node):
         return (Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason),)
 
     def _on_timer(self) -> None:
-        """Publish the estimates whose stamps have come."""
-        start, now = self._observer.start, self._now()
+        """Publish the estimates whose stamps are ``lag`` ago."""
+        start, now = self._observer.start, self._now() - self._lag
         if start is None or now < start:
             return
         epoch = self._observer.epoch or start
@@ -171,7 +192,9 @@ class ObserverNode(Node):
             if stamp > now:
                 break
             self._last_sample = k
-            if stamp >= start:
+            if stamp < start:
+                self._counts["passed_over"] += 1
+            else:
                 self._last_stamp = stamp
                 self._publish(stamp)
             if (k - first) % _BURST == _BURST - 1:
@@ -189,19 +212,19 @@ class ObserverNode(Node):
 
     def _on_clock_back(self, _: TimeJump) -> None:
         """The clock jumped back (a bag loop, say): begin again."""
-        self._observer.restart()
+        self._observer.restart("the clock jumped back")
         self._forget()
         self._counts["clock_jumps"] += 1
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Put the replica back to its initial state, now."""
+        """Put the replica back to its initial state, at the last estimate."""
         response.success, response.message = self._set_state(*self._initial)
         return response
 
     def _on_set_state(
         self, request: SetState.Request, response: SetState.Response
     ) -> SetState.Response:
-        """Put the replica into a state, now."""
+        """Put the replica into a state, at the last estimate."""
         response.success, response.message = self._set_state(
             request.position, request.velocity, request.covariance
         )
@@ -210,14 +233,18 @@ class ObserverNode(Node):
     def _set_state(
         self, position: ArrayLike, velocity: ArrayLike, covariance: Sequence[float] = ()
     ) -> tuple[bool, str]:
-        """The state holds from the last estimate's stamp on, or as the initial one."""
+        """The state holds from the last estimate's stamp on, or as the initial one.
+
+        Events since then act on it: with a lag those are already known that estimates still to
+        come must contain.
+        """
         try:
-            stamp = max(self._last_stamp, self._observer.last_event)
             given = covariance if len(covariance) else None
-            self._observer.set_state(stamp, position, velocity, given)
+            self._observer.set_state(self._last_stamp, position, velocity, given)
         except ImpactObserverError as error:
             return False, str(error)
-        return True, f"holds at {stamp} ns" if stamp else "holds at the start"
+        start = self._observer.start
+        return True, "holds at the start" if start is None else f"holds at {start} ns"
 
     def _on_mismatch(self, info: QoSRequestedIncompatibleQoSInfo) -> None:
         """A publisher of impacts will never be heard."""
@@ -235,11 +262,11 @@ class ObserverNode(Node):
             "law": observer.law.name,
             "events applied": self._counts["applied"],
             "events rejected": self._counts["rejected"],
-            "duplicates": self._counts["duplicate"],
-            "too late": self._counts["too_late"],
-            "unknown contacts": self._counts["unknown_contact"],
+            **{remark.value: observer.remarks[remark] for remark in Remark},
+            "from the future": self._counts["future"],
             "invalid messages": self._counts["invalid"],
             "missing sequence numbers": observer.missing,
+            "estimates corrected": self._counts["corrected"],
             "estimates passed over": self._counts["passed_over"],
             "clock jumps back": self._counts["clock_jumps"],
             "restarts": observer.restarts,

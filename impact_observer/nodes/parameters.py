@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
+from impact_observer.troubles import TROUBLES, Trouble
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -87,6 +88,15 @@ _MODEL = Parameter("model", "", "a model file or a sample's name", required=True
 _LARGEST = 2**63 - 1
 """The largest int that a ROS parameter can hold."""
 
+
+def _of_sensor(trouble: Trouble) -> Parameter:
+    """What may be wrong with the plant's sensor, as a parameter."""
+    flag = isinstance(trouble.ideal, bool)
+    low, high = (None, None) if flag else (trouble.low, trouble.high)
+    name = f"sensor.{trouble.name}"
+    return Parameter(name, trouble.ideal, trouble.meaning, trouble.unit, low=low, high=high)
+
+
 PLANT = (
     _MODEL,
     Parameter("rate", 100.0, "true states published", "Hz", low=0.001, high=1e5),
@@ -107,6 +117,7 @@ PLANT = (
     ),
     Parameter("wait_for_subscribers", 0, "begin when each topic has so many", low=0, high=1000),
     Parameter("seed", 0, "of everything random, recorded with the model", low=0),
+    *map(_of_sensor, TROUBLES),
 )
 OBSERVER = (
     _MODEL,
@@ -128,6 +139,8 @@ OBSERVER = (
     Parameter("rate", 100.0, "estimates published", "Hz", low=0.001, high=1e5),
     Parameter("epoch", 0, "stamp of t = 0; 0 to learn it from the events", "ns", low=0),
     Parameter("history", 10.0, "how late an event may be and still be applied", "s", low=0.001),
+    Parameter("lag", 0.0, "estimates are of so long ago; at most history", "s", low=0.0, high=1e9),
+    Parameter("future", 1.0, "how far ahead of the clock a stamp may be", "s", low=0.0, high=1e9),
     Parameter(
         "events_durability",
         "volatile",
@@ -135,12 +148,17 @@ OBSERVER = (
         choices=("volatile", "transient_local"),
     ),
 )
+DETECTOR = (
+    Parameter("sources", "", "a file of sensors, or a sample's name", required=True),
+    Parameter("epoch", 0, "stamp of t = 0 that events carry; 0 for unknown", "ns", low=0),
+)
 MONITOR = (
     _MODEL,
     Parameter("law", "", "named in the messages; empty for the observer's topic"),
 )
 TABLES: Mapping[str, tuple[Parameter, ...]] = {
     "plant": PLANT,
+    "detector": DETECTOR,
     "observer": OBSERVER,
     "monitor": MONITOR,
 }
@@ -151,6 +169,10 @@ class Values:
 
     def __init__(self, values: Mapping[str, Value]) -> None:
         self._values = values
+
+    def value(self, name: str) -> Value:
+        """A parameter as it is."""
+        return self._values[name]
 
     def text(self, name: str) -> str:
         """A string parameter."""

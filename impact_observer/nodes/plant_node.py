@@ -1,6 +1,8 @@
 """The plant node: simulates the impacting system and publishes its impact times."""
 
 import time
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -18,8 +20,9 @@ from impact_observer.model import read_model
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
-from impact_observer.plant import Master, Switching, event_of, make_plant
-from impact_observer.stamps import NS_PER_S, from_seconds
+from impact_observer.plant import Master, Sensing, Sensor, make_plant
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
+from impact_observer.troubles import TROUBLES
 
 _LOOK_AHEAD = NS_PER_S
 """How far beyond the present a switching is looked for, ns."""
@@ -33,6 +36,9 @@ _SETTLE = 0.2
 
 class PlantNode(Node):
     """Publishes ``impacts``, true states and the model; owns ``/clock`` on request.
+
+    What its sensor tells is published when it arrives, and what is under way at the end of the
+    duration still is; a reset begins with a new sensor, and what is under way is lost.
 
     Attributes:
         done: whether the duration is over.
@@ -52,11 +58,14 @@ class PlantNode(Node):
         self._clock_period = from_seconds(1.0 / values.number("clock_rate"))
         self._wanted_subscribers = values.integer("wait_for_subscribers")
         self._wanted_epoch = values.integer("epoch")
+        self._seed = values.integer("seed")
+        troubles: dict[str, Any] = {t.name: values.value(f"sensor.{t.name}") for t in TROUBLES}
+        self._sensor = Sensor(**troubles)
+        self._sensor.check(self._model.system)
         self._check_time_source()
         self._make = ros_messages()
-        model_text = carried_text(
-            self._model, values.integer("seed"), described(self._integrator, self._step)
-        )
+        how = described(self._integrator, self._step)
+        model_text = carried_text(self._model, self._seed, how, self._sensor)
         self._impacts = self._publisher(interfaces.IMPACTS, "impacts")
         self._states = self._publisher(interfaces.PLANT_JOINT_STATES, "~/joint_states")
         self._model_topic = self._publisher(interfaces.PLANT_MODEL, "~/model")
@@ -94,9 +103,8 @@ class PlantNode(Node):
         if self._plant is None and not self._begins():
             return
         now = self._now()
-        end = self._epoch + self._duration if self._duration else None
-        self._publish_until(now if end is None else min(now, end))
-        if end is not None and now >= end:
+        self._publish_until(now)
+        if now >= self._end and self._sensing.next_stamp is None:
             self.get_logger().info(f"{self._duration / NS_PER_S:g} s are over")
             for publisher in (self._impacts, self._states):
                 publisher.wait_for_all_acked(_LAST_WORDS)
@@ -136,9 +144,17 @@ class PlantNode(Node):
             step=self._step,
         )
         self._plant.next_switching(epoch + _LOOK_AHEAD)
+        self._end = epoch + self._duration if self._duration else MAX_STAMP
+        self._sensing = Sensing(
+            self._sensor,
+            self._model.system,
+            epoch=epoch,
+            last=self._end,
+            seed=self._seed,
+            episode=self._episode,
+        )
         self._epoch = epoch
         self._started = time.monotonic_ns()  # last: the first use of everything takes its time
-        self._sequence = 0
         self._next_sample = 0
         self._next_clock = epoch
         name = self._model.system.name
@@ -156,51 +172,61 @@ class PlantNode(Node):
         return self._epoch + round(k * NS_PER_S / self._rate)
 
     def _publish_until(self, now: int) -> None:
-        """Events and states up to ``now``: at equal stamps the event first, the clock last."""
+        """What is due: at equal stamps the event first, the clock last.
+
+        After the end only events that are still under way are, and the clock that they need.
+        """
         assert self._plant is not None
-        while (switching := self._plant.next_switching(now)) is not None:
-            self._publish_states(switching.instant.stamp - 1)
-            self._publish_event(switching)
+        last = min(now, self._end)
+        while (switching := self._plant.next_switching(last)) is not None:
+            self._publish_present(switching.instant.stamp - 1)
+            self._sensing.feel(switching)
             self._plant.cross(switching)
-        self._publish_states(now)
-        if self._clock_topic is not None and now >= self._next_clock:
-            self._clock_topic.publish(self._make.clock(now))
-            late = max(now - self._next_clock, 0) // self._clock_period
+        self._publish_present(now)
+        shown = last if self._sensing.next_stamp is None else now
+        if self._clock_topic is not None and shown >= self._next_clock:
+            self._clock_topic.publish(self._make.clock(shown))
+            late = max(shown - self._next_clock, 0) // self._clock_period
             self._next_clock += (late + 1) * self._clock_period
 
+    def _publish_present(self, last: int) -> None:
+        """Events that arrive and true states up to ``last``, all of the present phase."""
+        for event, arrival in self._sensing.due(last):
+            self._publish_states(arrival - 1)
+            self._impacts.publish(self._make.event(event))
+        self._publish_states(last)
+
     def _publish_states(self, last: int) -> None:
-        """True states of the present phase up to the stamp ``last``."""
+        """True states of the present phase up to the stamp ``last``, none after the end."""
         assert self._plant is not None
         n, names = self._model.system.n, self._model.system.coordinates
+        last = min(last, self._end)
         while (stamp := self._sample_stamp(self._next_sample)) <= last:
             x = self._plant.states(np.array([stamp]))[0]
             state = JointState(stamp, names, x[:n], x[n:])
             self._states.publish(self._make.joint_state(state))
             self._next_sample += 1
 
-    def _publish_event(self, switching: Switching) -> None:
-        if not switching.switches:
-            return
-        self._sequence += 1
-        event = event_of(
-            switching, sequence=self._sequence, episode=self._episode, epoch=self._epoch
-        )
-        self._impacts.publish(self._make.event(event))
-
     def _sleep_from(self, now: int) -> None:
         """Set the timer to the next thing that is due."""
-        assert self._plant is not None
-        due = self._sample_stamp(self._next_sample)
-        if self._owns_clock:
-            due = min(due, self._next_clock)
-        switching = self._plant.next_switching(now + _LOOK_AHEAD)
-        if switching is not None:
-            due = min(due, switching.instant.stamp)
-        wait = max(due - now, 0) / self._factor
+        wait = max(min(self._coming(now)) - now, 0) / self._factor
         if not self._owns_clock:
             wait = min(wait, _LONGEST_SLEEP * NS_PER_S)
         self._timer.timer_period_ns = max(int(wait), 1000)
         self._timer.reset()
+
+    def _coming(self, now: int) -> Iterator[int]:
+        """Stamps of what is due next: one at least, or all would be over."""
+        assert self._plant is not None
+        if (heard := self._sensing.next_stamp) is not None:
+            yield heard
+        if self._owns_clock:
+            yield self._next_clock
+        if now < self._end:
+            yield self._sample_stamp(self._next_sample)
+            switching = self._plant.next_switching(now + _LOOK_AHEAD)
+            if switching is not None:
+                yield switching.instant.stamp
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Begin again from the initial state, as a new episode whose epoch is now."""

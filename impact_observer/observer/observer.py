@@ -1,17 +1,20 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
-from dataclasses import replace
+from collections import Counter
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.errors import DynamicsError, ImpactLawError, ImpactObserverError, UsageError
-from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer.agreement import AGREED, HELD, Agreeing
 from impact_observer.observer.belief import Course, Touch
+from impact_observer.observer.judging import because, judged
 from impact_observer.observer.laws import Law
-from impact_observer.observer.timeline import Entry, Key, Timeline, beginning
+from impact_observer.observer.numbering import Numbering
+from impact_observer.observer.order import Key, Reading, Spoken
+from impact_observer.observer.timeline import Entry, Placed, Timeline, beginning
 from impact_observer.observer.uncertainty import covariance_root, spread
 from impact_observer.stamps import from_seconds, seconds_between, text
 from impact_observer.states import Estimate, Matrix, Vector, frozen
@@ -35,7 +38,7 @@ class Observer:
     Attributes:
         system: the system that plant and replica share.
         law: what the replica does at an event.
-        restarts: how often a new episode or epoch made the replica begin again.
+        remarks: how often the stream was not as it should be, and how.
     """
 
     def __init__(
@@ -80,17 +83,24 @@ class Observer:
         self._history = from_seconds(history)
         self._index = {name: i for i, name in enumerate(system.contact_names)}
         self._given_epoch = epoch
-        self.restarts = 0
+        self.remarks: Counter[Remark] = Counter()
+        self._news: list[str] = []
         self.restart()
 
-    def restart(self) -> None:
-        """Forget everything, as if just made: for a clock that jumped back, or a new plant."""
+    def restart(self, reason: str = "") -> None:
+        """Forget everything, as if just made: for a clock that jumped back, or a new plant.
+
+        Args:
+            reason: why, for the next verdict.
+        """
+        if reason:
+            self._news = [*self._news, f"{reason}: everything begins again"]
         self._epoch = self._given_epoch
         self._episode: int | None = None
         self._timeline: Timeline | None = None
         self._placed = False
-        self._seen: dict[int, int] = {}
-        self._numbered = self._first = self._earliest = self._forgotten = 0
+        self._numbers = Numbering()
+        self._earliest = 0
         if self._epoch:
             self._timeline = Timeline(self._beginning(self._epoch))
 
@@ -103,7 +113,8 @@ class Observer:
     ) -> None:
         """Forget the past: from ``stamp`` (ns) on the replica moves from the given state.
 
-        Before anything is known of the plant, this becomes the initial state.
+        It holds after the known events of its stamp; those that are known to have come later
+        act on it. Before anything is known of the plant, it becomes the initial state.
 
         Args:
             stamp: ns.
@@ -122,22 +133,26 @@ class Observer:
             self._initial, self._root = x, root
         else:
             stamp = max(stamp, self._timeline.start.stamp)
-            closed = self._timeline.at(stamp).closed
-            self._timeline = Timeline(self._beginning(stamp, x, root, closed))
+            now = self._timeline.at(stamp)
+            first = self._about(x, root, stamp, now.closed, now.spoken)
+            self._timeline.begin_after(first, self._step)
             self._placed = True
 
-    def _beginning(
+    def _beginning(self, stamp: int) -> Entry:
+        """Replicas at ``stamp`` (ns) about the initial state, before any event."""
+        return self._about(self._initial, self._root, stamp)
+
+    def _about(
         self,
+        x: Vector,
+        root: Matrix,
         stamp: int,
-        x: Vector | None = None,
-        root: Matrix | None = None,
         closed: Contacts = (),
+        spoken: Spoken | None = None,
     ) -> Entry:
-        """Replicas at ``stamp`` (ns) about ``x`` or the initial state, before any event."""
-        x = self._initial if x is None else x
-        root = self._root if root is None else root
+        """Replicas at ``stamp`` (ns) about ``x``, before any other event."""
         belief = self.law.begin(spread(x, root, self._ensemble), root, closed)
-        return beginning(stamp, belief, self._agreeing.at_first(belief), closed)
+        return beginning(stamp, belief, self._agreeing.at_first(belief), closed, spoken)
 
     @property
     def start(self) -> int | None:
@@ -158,7 +173,12 @@ class Observer:
     @property
     def missing(self) -> int:
         """Events that the sender numbered and that have not come in time, since the first seen."""
-        return max(self._seen) - self._first + 1 - self._numbered if self._seen else 0
+        return self._numbers.missing
+
+    @property
+    def restarts(self) -> int:
+        """How often a new episode or epoch made the replica begin again."""
+        return self.remarks[Remark.EPISODE] + self.remarks[Remark.EPOCH]
 
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """Apply ``event`` at its own stamp, whenever it arrives.
@@ -172,29 +192,33 @@ class Observer:
             UsageError: the forcing depends on time and nobody has said when it began.
         """
         if (reason := self._outdated(event)) is not None:
-            return (self._refuse(event, Ruling.REJECTED, reason),)
+            return self._refused(event, Ruling.REJECTED, reason, Remark.PAST)
         self._meet(event)
         self._require_epoch()
-        if event.sequence and event.sequence in self._seen:
-            return (self._refuse(event, Ruling.DUPLICATE, "this sequence number was seen"),)
+        if event.sequence in self._numbers:
+            reason = "this sequence number was seen"
+            return self._refused(event, Ruling.DUPLICATE, reason, Remark.DUPLICATE)
         verdicts, switches = self._sorted_out(event)
+        news = self._news
         self._remember(event)
-        timeline = self._begun()
-        if not switches:
-            return verdicts
-        key = Key(event.stamp, event.sequence, switches)
-        if key < timeline.start:
-            reason = f"older than {text(timeline.start.stamp)} s, where the known past begins"
-            return (self._refuse(event, Ruling.TOO_LATE, reason),)
-        if key in timeline:
-            return (self._refuse(event, Ruling.DUPLICATE, "the same event was seen"),)
         try:
-            entry = timeline.insert(key, self._step)
+            timeline = self._begun()
+            key = Key(event.stamp, event.sequence, switches)
+            if not switches:
+                return self._with_news(verdicts)
+            if not timeline.reaches(key):
+                reason = f"older than {text(timeline.start.stamp)} s, where the known past begins"
+                return self._refused(event, Ruling.TOO_LATE, reason, Remark.TOO_LATE)
+            if key in timeline:
+                reason = "the same event was seen"
+                return self._refused(event, Ruling.DUPLICATE, reason, Remark.DUPLICATE)
+            placed = timeline.insert(key, self._step)
         except ImpactObserverError:
-            self._disremember(event)
+            self._numbers.undo(event.sequence)
+            self._news = news
             raise
         self._forget(timeline)
-        return tuple(self._measured(verdict, entry) for verdict in verdicts)
+        return self._judged(verdicts, placed)
 
     def estimate(self, stamp: int) -> Estimate:
         """The state at ``stamp`` (ns) after all known events at or before it.
@@ -212,7 +236,7 @@ class Observer:
             raise UsageError(f"estimate at {text(stamp)} s: {known}")
         self._require_epoch()
         entry, n = self._timeline.at(stamp), self.system.n
-        course, s = self._course(entry), seconds_between(entry.key.stamp, stamp)
+        course, s = self._course(entry), seconds_between(entry.since, stamp)
         x, root = (
             (course.state(s), course.root(s)) if s > 0 else (entry.belief.x, entry.belief.root)
         )
@@ -253,8 +277,9 @@ class Observer:
         moved = bool(event.epoch and self._epoch and event.epoch != self._epoch)
         newer = self._episode is not None and event.episode > self._episode
         if moved or newer:
-            self.restart()
-            self.restarts += 1
+            name = f"episode {event.episode}" if newer else f"epoch {text(event.epoch)} s"
+            self.restart(f"{name} is new")
+            self.remarks[Remark.EPISODE if newer else Remark.EPOCH] += 1
             self._timeline = None
         self._episode = event.episode
         self._epoch = event.epoch or self._epoch
@@ -263,6 +288,8 @@ class Observer:
         self, event: ImpactEvent
     ) -> tuple[tuple[Verdict, ...], tuple[tuple[int, Kind], ...]]:
         """A verdict for each switch, and the switches to apply: of one contact, OPEN last."""
+        if not event.switches:
+            return (self._verdict(event, Ruling.REJECTED, "it names no contact"),), ()
         verdicts: list[Verdict] = []
         switches: set[tuple[int, Kind]] = set()
         for switch in event.switches:
@@ -270,6 +297,7 @@ class Observer:
             if switch.contact in self._index:
                 switches.add((self._index[switch.contact], switch.kind))
             else:
+                self.remarks[Remark.UNKNOWN_CONTACT] += 1
                 known = ", ".join(self._index) or "none"
                 ruling, reason = Ruling.UNKNOWN_CONTACT, f"the model's contacts are {known}"
             verdicts.append(Verdict(event.stamp, ruling, event.sequence, switch.contact, reason))
@@ -284,7 +312,7 @@ class Observer:
 
     def _begun(self) -> Timeline:
         """The timeline, begun where all events seen so far, in any order, say it begins."""
-        start = self._epoch if self._epoch and self._first <= 1 else self._earliest
+        start = self._epoch if self._epoch and self._numbers.first <= 1 else self._earliest
         if self._timeline is None:
             self._timeline = Timeline(self._beginning(start))
         elif self._timeline.whole and not self._placed and self._timeline.start.stamp != start:
@@ -294,54 +322,82 @@ class Observer:
     def _remember(self, event: ImpactEvent) -> None:
         """Note an event, to know it when it comes twice and to miss the others."""
         self._earliest = min(self._earliest or event.stamp, event.stamp)
-        if event.sequence > self._forgotten:
-            self._first = min(self._first or event.sequence, event.sequence)
-            self._numbered += 1
-            self._seen[event.sequence] = event.stamp
-
-    def _disremember(self, event: ImpactEvent) -> None:
-        """An event that could not be applied has not been received."""
-        if self._seen.pop(event.sequence, None) is not None:
-            self._numbered -= 1
+        if gap := self._numbers.gap(event.sequence):
+            self.remarks[Remark.GAP] += 1
+            self._news = [*self._news, gap]
+        self._numbers.note(event.sequence, event.stamp)
 
     def _forget(self, timeline: Timeline) -> None:
         """Keep the past bounded: what is older than the history is too late anyway."""
         timeline.forget_before(timeline.newest.stamp - self._history)
-        if len(self._seen) > 2 * len(timeline.entries) + 64:
-            oldest, newest = timeline.start.stamp, max(self._seen)
-            old = {k for k, stamp in self._seen.items() if stamp < oldest and k != newest}
-            self._forgotten = max(old, default=self._forgotten)
-            self._seen = {k: stamp for k, stamp in self._seen.items() if k not in old}
+        if len(self._numbers) > 2 * len(timeline.entries) + 64:
+            self._numbers.forget_before(timeline.start.stamp)
 
-    def _refuse(self, event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
+    def _refused(
+        self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark
+    ) -> tuple[Verdict, ...]:
+        """The verdict on a whole event."""
+        self.remarks[remark] += 1
+        return self._with_news((self._verdict(event, ruling, reason),))
+
+    @staticmethod
+    def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
         return Verdict(event.stamp, ruling, event.sequence, reason=reason)
 
-    def _step(self, previous: Entry, event: Key) -> Entry:
+    def _with_news(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
+        """``verdicts``, the first of them with what there is to say of the stream."""
+        if not self._news:
+            return verdicts
+        news, self._news = self._news, []
+        first, *others = verdicts
+        return (because(first, news), *others)
+
+    def _judged(self, verdicts: tuple[Verdict, ...], placed: Placed) -> tuple[Verdict, ...]:
+        """``verdicts`` with what became of each switch."""
+        sequence, again = placed.entry.key.sequence, placed.again
+        own, others = placed.entry.overruled, placed.overrules
+        if again or 0 < sequence < self._numbers.highest:
+            self.remarks[Remark.LATE] += 1
+            late = f"late: {again} event{'s' * (again != 1)} run again"
+            self._news = [*self._news, late]
+        if own or others:
+            superseded = [each.is_superseded for each in (*own, *(each for _, each in others))]
+            self.remarks[Remark.SUPERSEDED] += sum(superseded)
+            self.remarks[Remark.DISORDER] += not all(superseded)
+        index = self._index
+        return self._with_news(
+            tuple(judged(each, index.get(each.contact, -1), placed) for each in verdicts)
+        )
+
+    def _step(self, previous: Entry, event: Key, reading: Reading) -> Entry:
         """The entry of ``event``, from the one before it."""
-        s = seconds_between(previous.key.stamp, event.stamp)
+        s = seconds_between(previous.since, event.stamp)
         before = self._course(previous).belief(s) if s > 0 else previous.belief
         t = seconds_between(self._epoch or event.stamp, event.stamp)
-        touch = Touch.of(t, previous.closed, event.switches)
+        touch = Touch.of(t, previous.closed, reading.switches)
         try:
             belief = self.law.event(touch, before)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
-        if not np.all(np.isfinite(belief.replicas)):
+        if not np.isfinite(belief.replicas).all():
             raise DynamicsError(
                 f"at {text(event.stamp)} s: the estimate is not finite any more; is what was"
                 " declared of its uncertainty too large, or the model another one?"
             )
         agreement = self._agreeing.after(previous.agreement, touch, before, belief)
-        return Entry(event, belief, agreement, touch.closed)
+        return Entry(
+            event,
+            event.stamp,
+            belief,
+            agreement,
+            touch.closed,
+            reading.spoken,
+            reading.overruled,
+        )
 
     def _course(self, entry: Entry) -> Course:
         """How the belief of ``entry`` goes on: one exact motion from just after it."""
         if entry.course is None:
-            t = seconds_between(self._epoch or entry.key.stamp, entry.key.stamp)
+            t = seconds_between(self._epoch or entry.since, entry.since)
             entry.course = self.law.course(t, entry.belief, entry.closed)
         return entry.course
-
-    def _measured(self, verdict: Verdict, entry: Entry) -> Verdict:
-        """``verdict`` with the innovation that its contact had."""
-        i = self._index.get(verdict.contact, -1)
-        return replace(verdict, innovation=entry.belief.innovations.get(i, -1.0))

@@ -6,33 +6,20 @@ and the replica is run again from there.
 """
 
 from bisect import bisect_right
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import Contacts, Kind
 from impact_observer.observer.agreement import Agreement
 from impact_observer.observer.belief import Belief, Course
+from impact_observer.observer.order import Key, Overruled, Reading, Spoken, beside, read
 
 _BEGINNING = -1
 """Sequence of the entry before any event, so that it comes first at its stamp."""
 
-Step: TypeAlias = "Callable[[Entry, Key], Entry]"
-"""The entry of an event, from the entry before it and the event."""
-
-
-class Key(NamedTuple):
-    """The order of events: by stamp, then by sequence, then by contact for unnumbered ones.
-
-    Attributes:
-        stamp: ns.
-        sequence: of the event.
-        switches: index of a contact and how it switches, in the event's order.
-    """
-
-    stamp: int
-    sequence: int
-    switches: tuple[tuple[int, Kind], ...]
+Step: TypeAlias = "Callable[[Entry, Key, Reading], Entry]"
+"""The entry of an event, from the entry before it, the event and what it means."""
 
 
 @dataclass(slots=True, eq=False)
@@ -41,22 +28,49 @@ class Entry:
 
     Attributes:
         key: its place.
+        since: stamp of the instant at which ``belief`` holds, ns; that of ``key``, or an earlier
+            one where the event does nothing.
         belief: after it.
         agreement: of the replicas since then.
         closed: indices of the contacts with ``chi = 1`` after it, ascending.
+        spoken: numbers of the events that have said so.
+        overruled: those of its switches that another event has a say in.
         course: how the belief goes on, once somebody has asked for it.
     """
 
     key: Key
+    since: int
     belief: Belief = field(repr=False)
     agreement: Agreement
     closed: Contacts = ()
+    spoken: Spoken = field(default_factory=dict)
+    overruled: tuple[Overruled, ...] = ()
     course: Course | None = field(default=None, repr=False)
 
 
-def beginning(start: int, belief: Belief, agreement: Agreement, closed: Contacts = ()) -> Entry:
+class Placed(NamedTuple):
+    """What an event did that was put in its place.
+
+    Attributes:
+        entry: its own.
+        again: how many events after it were run again.
+        overrules: switches of others that it has a say in, with their events.
+    """
+
+    entry: Entry
+    again: int
+    overrules: tuple[tuple[Key, Overruled], ...] = ()
+
+
+def beginning(
+    start: int,
+    belief: Belief,
+    agreement: Agreement,
+    closed: Contacts = (),
+    spoken: Spoken | None = None,
+) -> Entry:
     """The entry at stamp ``start`` (ns), before any event of that stamp."""
-    return Entry(Key(start, _BEGINNING, ()), belief, agreement, closed)
+    return Entry(Key(start, _BEGINNING, ()), start, belief, agreement, closed, spoken or {})
 
 
 class Timeline:
@@ -87,8 +101,16 @@ class Timeline:
 
     def __contains__(self, key: Key) -> bool:
         """Whether the very event is there already."""
-        at = bisect_right(self.entries, key, key=_key)
+        if self.newest < key:
+            return False
+        at = self._place(key)
         return at > 0 and self.entries[at - 1].key == key
+
+    def _place(self, key: Key) -> int:
+        """Where an event comes that is not there."""
+        if self.newest < key:
+            return len(self.entries)
+        return bisect_right(self.entries, key, key=_key)
 
     def at(self, stamp: int) -> Entry:
         """The last entry at or before ``stamp``."""
@@ -97,33 +119,72 @@ class Timeline:
             return entry
         return self.entries[max(bisect_right(self.entries, stamp, key=_stamp), 1) - 1]
 
+    def reaches(self, key: Key) -> bool:
+        """Whether there is a past to put an event into.
+
+        Where the past was forgotten, an event at the very start of the rest is too late: what it
+        might supersede cannot be undone any more.
+        """
+        start = self.start
+        return key.stamp > start.stamp or (key.stamp == start.stamp and self.whole)
+
     def begin(self, first: Entry, step: Step) -> None:
         """Begin elsewhere, with the entry of another ``beginning``, and redo what follows."""
         events = [entry.key for entry in self.entries[1:] if entry.key > first.key]
         self.entries = [first, *_redone(first, events, step)]
 
-    def insert(self, key: Key, step: Step) -> Entry:
-        """Put an event, not before ``start``, in its place and redo everything after it."""
-        at = bisect_right(self.entries, key, key=_key)
-        events = [key, *(entry.key for entry in self.entries[at:])]
+    def begin_after(self, first: Entry, step: Step) -> None:
+        """``begin`` with what holds after all known events of its own stamp."""
+        at = bisect_right(self.entries, first.key.stamp, key=_stamp)
+        events = [entry.key for entry in self.entries[at:]]
+        self.entries = [first, *_redone(first, events, step)]
+
+    def insert(self, key: Key, step: Step) -> Placed:
+        """Put an event that it ``reaches`` in its place and redo everything after it."""
+        at = first = self._place(key)
+        if not key.sequence or any(kind is Kind.CLOSE for _, kind in key.switches):
+            while first > 1 and self.entries[first - 1].key.stamp == key.stamp:
+                first -= 1  # it may supersede those of its stamp, or be superseded
+        again = [entry.key for entry in self.entries[at:]]
+        events = [*(entry.key for entry in self.entries[first:at]), key, *again]
         # Only when every step has succeeded does the past change.
-        self.entries[at:] = _redone(self.entries[at - 1], events, step)
-        return self.entries[at]
+        fresh = _redone(self.entries[first - 1], events, step)
+        self.entries[first:] = fresh
+        overrules = _overrules(key, fresh) if len(fresh) > 1 else ()
+        return Placed(fresh[at - first], len(again), overrules)
 
     def forget_before(self, stamp: int) -> None:
         """Drop what lies before ``stamp`` except the state there."""
-        keep = bisect_right(self.entries, stamp, key=_stamp) - 1
-        if keep > 0:
-            del self.entries[:keep]
+        if len(self.entries) < 2 or self.entries[1].key.stamp > stamp:
+            return
+        del self.entries[: bisect_right(self.entries, stamp, key=_stamp) - 1]
 
 
-def _redone(previous: Entry, events: list[Key], step: Step) -> list[Entry]:
+def _redone(previous: Entry, events: Sequence[Key], step: Step) -> list[Entry]:
     """An entry for each of ``events``, one after the other."""
     entries = []
-    for event in events:
-        previous = step(previous, event)
+    for i, event in enumerate(events):
+        others = beside(i, events) if len(events) > 1 else ()
+        reading = read(event, previous.closed, previous.spoken, others)
+        if reading.switches:
+            previous = step(previous, event, reading)
+        else:
+            previous = replace(
+                previous, key=event, spoken=reading.spoken, overruled=reading.overruled
+            )
         entries.append(previous)
     return entries
+
+
+def _overrules(key: Key, entries: Sequence[Entry]) -> tuple[tuple[Key, Overruled], ...]:
+    """The switches in ``entries`` that the event ``key`` has a say in."""
+    return tuple(
+        (entry.key, each)
+        for entry in entries
+        if entry.overruled and entry.key != key
+        for each in entry.overruled
+        if each.by == key.sequence and (key.sequence or entry.key.stamp == key.stamp)
+    )
 
 
 def _key(entry: Entry) -> Key:

@@ -2,17 +2,23 @@
 
 from impact_observer.plant.master import Master, make_plant
 from impact_observer.plant.plant import Plant
+from impact_observer.plant.sensor import IDEAL, Sensed, Sensing, Sensor, sense
 from impact_observer.plant.simulation import Run, simulate
 from impact_observer.plant.switching import Switching, event_of
 from impact_observer.plant.time_stepping import TimeSteppingPlant
 
 __all__ = [
+    "IDEAL",
     "Master",
     "Plant",
     "Run",
+    "Sensed",
+    "Sensing",
+    "Sensor",
     "Switching",
     "TimeSteppingPlant",
     "event_of",
     "make_plant",
+    "sense",
     "simulate",
 ]

@@ -16,12 +16,14 @@ class Run:
     """What a plant did.
 
     Attributes:
+        epoch: stamp of ``t = 0``, ns.
         stamps: ns, shape (samples,).
         states: true states (q, u), shape (samples, 2n); at a switching's stamp after it.
         switchings: everything that its contacts did up to the last stamp.
-        events: what an ideal sensor tells of it.
+        events: what an ideal sensor tells of it; ``sense`` has what a real one tells.
     """
 
+    epoch: int
     stamps: Stamps
     states: Vector
     switchings: tuple[Switching, ...]
@@ -63,4 +65,4 @@ def simulate(
             events.append(event_of(switching, sequence=sequence, episode=0, epoch=plant.epoch))
         progress(switching.instant.stamp)
     states[done:] = plant.states(stamps[done:])
-    return Run(stamps, states, tuple(switchings), tuple(events))
+    return Run(plant.epoch, stamps, states, tuple(switchings), tuple(events))

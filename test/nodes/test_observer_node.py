@@ -1,6 +1,7 @@
 """The observer node: estimates on topics, verdicts, services, diagnostics."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,8 +20,9 @@ from std_srvs.srv import Trigger
 
 from impact_observer.bag.interfaces import EVENTS, STATES, Quality
 from impact_observer.bag.messages import read_estimate
+from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent as Event
-from impact_observer.events import Kind, Ruling, Switch
+from impact_observer.events import Kind, Remark, Ruling, Switch
 from impact_observer.model import read_model
 from impact_observer.nodes.messages import ros_messages
 from impact_observer.nodes.observer_node import ObserverNode
@@ -70,6 +72,12 @@ class Rig:
         self.spinner.until(lambda: self.node.get_clock().now().nanoseconds == stamp)
         self.spinner.settle(0.1)
 
+    def figures(self) -> dict[str, str]:
+        """The values of the next diagnostics."""
+        before = len(self.diagnostics)
+        self.spinner.until(lambda: len(self.diagnostics) > before)
+        return {each.key: each.value for each in self.diagnostics[-1].values}
+
     def estimates(self) -> list[Estimate]:
         """All estimates heard so far."""
         return [read_estimate(message)[1] for message in self.states]
@@ -99,7 +107,14 @@ def make_rig(spinner: Spinner, quality: Quality = EVENTS) -> Rig:
 def rig(ros_environment: dict[str, str]) -> Iterator[Rig]:
     """A rig that knows the epoch from the start."""
     assert ros_environment
-    with spinning(ros_arguments({**PARAMETERS, "epoch": EPOCH})) as spinner:
+    with rig_with() as made:
+        yield made
+
+
+@contextmanager
+def rig_with(**parameters: float) -> Iterator[Rig]:
+    """A rig that knows the epoch, whose observer has other parameters too."""
+    with spinning(ros_arguments({**PARAMETERS, "epoch": EPOCH, **parameters})) as spinner:
         made = make_rig(spinner)
         spinner.until(lambda: made.impacts.get_subscription_count() == 1)
         yield made
@@ -210,6 +225,116 @@ def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
     good = event(EPOCH + 20_000_000, 2)
     rig.send(good)
     assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+
+
+def test_how_far_ahead_a_stamp_may_be_is_a_parameter(ros_environment: dict[str, str]) -> None:
+    """Up to ``future`` it is applied at its stamp; beyond it is rejected and counted."""
+    assert ros_environment
+    with rig_with(future=0.05) as rig:
+        rig.tick(EPOCH + 10_000_000)
+        rig.send(event(EPOCH + 60_000_001, 1))
+        assert Ruling(rig.verdicts[-1].verdict) is Ruling.REJECTED
+        assert rig.verdicts[-1].reason == "stamped 0.050 s after the clock; future allows 0.05 s"
+        ahead = event(EPOCH + 55_000_000, 2)
+        rig.send(ahead)
+        assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+        rig.tick(EPOCH + 60_000_000)
+        assert_same(rig.estimates()[-1], replica(ahead).estimate(EPOCH + 60_000_000))
+        assert rig.figures()["from the future"] == "1"
+
+
+def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
+    ros_environment: dict[str, str],
+) -> None:
+    """What comes later than that is repaired, told and counted."""
+    assert ros_environment
+    with rig_with(lag=0.03) as rig:
+        rig.tick(EPOCH + 29_000_000)
+        assert not rig.states
+        rig.tick(EPOCH + 50_000_000)
+        intime, late = event(EPOCH + 25_000_000, 1), event(EPOCH + 35_000_000, 2)
+        rig.send(intime)
+        assert rig.verdicts[-1].reason == ""
+        rig.tick(EPOCH + 70_000_000)
+        heard = rig.estimates()
+        stamps = [0, 10_000_000, 20_000_000, 30_000_000, 40_000_000]
+        assert [each.stamp - EPOCH for each in heard] == stamps, "each once"
+        for each in heard:
+            assert_same(each, replica(intime).estimate(each.stamp))
+        rig.send(late)
+        assert rig.verdicts[-1].reason == "later than lag: the last estimate is published again"
+        rig.spinner.until(lambda: len(rig.states) > len(heard))
+        last = rig.estimates()[-1]
+        assert_same(last, replica(intime, late).estimate(EPOCH + 40_000_000))
+        assert rig.figures()["estimates corrected"] == "1"
+
+
+def test_a_state_set_behind_a_lag_obeys_events_that_are_known_already(
+    ros_environment: dict[str, str],
+) -> None:
+    """It holds from the last estimate on; the event after that acts on it."""
+    assert ros_environment
+    with rig_with(lag=0.03) as rig:
+        rig.tick(EPOCH + 50_000_000)
+        known = event(EPOCH + 45_000_000, 1)
+        rig.send(known)
+        probe, spinner = rig.spinner.probe, rig.spinner
+        client = probe.create_client(SetState, "observer/set_state")
+        spinner.until(client.service_is_ready)
+        future = client.call_async(SetState.Request(position=[0.1, 0.2], velocity=[0.3, 0.4]))
+        spinner.until(future.done)
+        assert future.result().message == f"holds at {EPOCH + 20_000_000} ns"
+        rig.tick(EPOCH + 90_000_000)
+        wanted = replica()
+        wanted.set_state(EPOCH + 20_000_000, [0.1, 0.2], [0.3, 0.4])
+        wanted.receive(known)
+        heard = rig.estimates()
+        assert [each.stamp - EPOCH for each in heard] == [k * 10_000_000 for k in range(7)]
+        for each in heard[3:]:
+            assert_same(each, wanted.estimate(each.stamp))
+        assert heard[-1].last_sequence == 1
+
+
+def test_a_lag_beyond_the_history_is_refused(ros_environment: dict[str, str]) -> None:
+    """There is no state so long ago."""
+    assert ros_environment
+    wanted = "parameter lag: 3 found; expected at most history, 2"
+    with (
+        spinning(ros_arguments({**PARAMETERS, "lag": 3.0, "history": 2.0})),
+        pytest.raises(UsageError, match=wanted),
+    ):
+        ObserverNode()
+
+
+def test_every_trouble_is_told_and_counted(rig: Rig) -> None:
+    """On the verdicts by its reason, in the diagnostics by its name."""
+    rig.tick(EPOCH + 90_000_000)
+    closing = Event(EPOCH + 10_000_000, (Switch("stop", Kind.CLOSE),), 5, epoch=EPOCH)
+    for each in (
+        event(EPOCH + 10_000_000, 1),
+        event(EPOCH + 30_000_000, 4),
+        event(EPOCH + 20_000_000, 3),
+        closing,
+        closing,
+    ):
+        rig.send(each)
+    assert [verdict.reason for verdict in rig.verdicts[:2]] == [
+        "",
+        "events 2 to 3 before it are missing",
+    ]
+    assert rig.verdicts[2].reason == "late: 1 event run again"
+    assert "supersedes the IMPACT of event 1" in rig.verdicts[3].reason
+    assert Ruling(rig.verdicts[4].verdict) is Ruling.DUPLICATE
+    rig.tick(EPOCH + 1)
+    rig.tick(EPOCH + 50_000_000)
+    rig.send(event(EPOCH + 10_000_000, 1))
+    assert rig.verdicts[-1].reason == "the clock jumped back: everything begins again"
+    figures = rig.figures()
+    assert {remark.value for remark in Remark} <= set(figures)
+    counted = {name: int(figures[name]) for name in ("sequence gaps", "late events", "duplicates")}
+    assert counted == {"sequence gaps": 1, "late events": 2, "duplicates": 1}
+    assert figures["stamps against sequence"] == figures["superseded impacts"] == "1"
+    assert figures["clock jumps back"] == "1"
 
 
 def test_services_set_and_reset_the_state(rig: Rig) -> None:

@@ -6,7 +6,8 @@ import pytest
 from impact_observer.events import Kind
 from impact_observer.observer import Belief
 from impact_observer.observer.agreement import Agreement
-from impact_observer.observer.timeline import Entry, Key, Timeline, beginning
+from impact_observer.observer.order import Key, Reading
+from impact_observer.observer.timeline import Entry, Timeline, beginning
 
 NONE = Agreement(-1.0, 0.0)
 
@@ -16,9 +17,10 @@ def first(stamp: int, x: float) -> Entry:
     return beginning(stamp, Belief(np.array([[x]])), NONE)
 
 
-def step(previous: Entry, event: Key) -> Entry:
+def step(previous: Entry, event: Key, reading: Reading) -> Entry:
     """A state that tells the whole way to it: digits of the events' stamps."""
-    return Entry(event, Belief(previous.belief.replicas * 10 + event.stamp), NONE)
+    belief = Belief(previous.belief.replicas * 10 + event.stamp)
+    return Entry(event, event.stamp, belief, NONE, (), reading.spoken)
 
 
 def key(stamp: int, sequence: int = 0, contact: int = 0) -> Key:
@@ -102,10 +104,10 @@ def test_step_that_fails_leaves_the_past_as_it_was() -> None:
     timeline = filled(key(1), key(3))
     kept = states(timeline)
 
-    def failing(previous: Entry, event: Key) -> Entry:
+    def failing(previous: Entry, event: Key, reading: Reading) -> Entry:
         if event.stamp == 3:
             raise ArithmeticError
-        return step(previous, event)
+        return step(previous, event, reading)
 
     with pytest.raises(ArithmeticError):
         timeline.insert(key(2), failing)

@@ -1,0 +1,140 @@
+"""Find the impacts in a bag of sensors: switches, accelerations, forces, or any messages.
+
+The sensors stand in a file, --sources, or there is one and --contact and --topic name it:
+
+    impact-observer detect BAG --contact stop --topic /switch -o OUT
+    impact-observer detect BAG --contact stop --topic /imu --threshold 30 -o OUT
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from impact_observer.cli.arguments import stamp
+
+if TYPE_CHECKING:
+    from impact_observer.detector import Source, Tally
+
+_TEXTS = {
+    "contact": "name of the contact in the model",
+    "topic": "where its sensor publishes",
+    "kind": "switch, peak or arrival (default: as the type of the topic says)",
+    "field": "path in the message, such as wrench.force.z or data[3]",
+    "direction": "of peaks: both (default), up or down",
+    "stamp": "header or receive (default: the header's where there is one)",
+}
+_NUMBERS = {
+    "threshold": "closed, or a peak, from here on; in the field's own unit",
+    "hysteresis": "how far below that it opens, or a peak ends",
+    "baseline": "time constant of the mean that is subtracted, s",
+    "dead_time": "after an event, without another, s",
+    "latency": "known delay of the stamps, s",
+    "min_contact_duration": "after which a closed switch is lasting contact, s (default 0.05)",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag of sensors")
+    parser.add_argument(
+        "--sources", metavar="FILE", type=Path, help="the sensors, docs/detector.md"
+    )
+    for name, meaning in _TEXTS.items():
+        parser.add_argument(_option(name), metavar=name.upper(), help=meaning)
+    for name, meaning in _NUMBERS.items():
+        parser.add_argument(_option(name), metavar="X", type=float, help=meaning)
+    parser.add_argument(
+        "--inverted", action="store_true", default=None, help="the switch is closed when low"
+    )
+    parser.add_argument(
+        "--model", metavar="MODEL", help="a model file or a sample, to be put into the bag"
+    )
+    parser.add_argument(
+        "--epoch", metavar="S", type=stamp, help="stamp of t = 0 (default: unknown)"
+    )
+    parser.add_argument(
+        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
+    )
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    return detect(args.bag, args.output, _sources(args), model=args.model, epoch=args.epoch or 0)
+
+
+def _sources(args: argparse.Namespace) -> "tuple[Source, ...]":
+    """The sensors of a file, or the one that the options declare.
+
+    Raises:
+        UsageError: there is neither a file nor a contact with its topic, or both.
+    """
+    from impact_observer.detector import Source, read_sources
+    from impact_observer.errors import UsageError
+
+    names = (*_TEXTS, *_NUMBERS, "inverted")
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    if args.sources is not None:
+        if given:
+            option = _option(next(iter(given)))
+            raise UsageError(f"{option}: given beside --sources; write it into {args.sources}")
+        return read_sources(args.sources)
+    if args.contact is None or args.topic is None:
+        raise UsageError("no sensor named; give --sources, or --contact and --topic")
+    return (Source(**given),)
+
+
+def detect(
+    bag: Path,
+    output: Path,
+    sources: "Sequence[Source]",
+    *,
+    model: str | None = None,
+    epoch: int = 0,
+) -> int:
+    """Detect the impacts in a bag, and write one that has them.
+
+    Args:
+        bag: has the sensors' topics; everything in it is carried along.
+        output: the bag to make.
+        sources: the sensors.
+        model: a model file or a sample's name, to be put into the bag; None for none.
+        epoch: stamp of ``t = 0`` of the forcing, ns; 0 for unknown.
+
+    Returns:
+        0.
+
+    Raises:
+        UsageError, ModelError: the arguments cannot be used.
+        BagError: a bag cannot be read or written, or there is no impact in it.
+    """
+    from impact_observer.bag.detection import detect_bag
+    from impact_observer.bag.reader import BagReader
+    from impact_observer.cli.progress import Progress
+    from impact_observer.model import read_model
+
+    read = None if model is None else read_model(model)
+    with BagReader(bag) as reader, Progress() as progress:
+
+        def show(done: int, total: int) -> None:
+            if done % 1000 == 0:
+                progress.show(f"{done} of {total} messages")
+
+        result = detect_bag(reader, sources, output, model=read, epoch=epoch, progress=show)
+        for source, tally in zip(result.sources, result.tallies, strict=True):
+            found = _found(tally)
+            progress.line(f"{source.contact}: {found} ({source.topic}, {source.kind})")
+        progress.line(f"{output}: {result.events} events")
+        if result.trouble:
+            progress.line(f"note: {'; '.join(result.trouble)}")
+    return 0
+
+
+def _found(tally: "Tally") -> str:
+    """What a source has told, in words."""
+    hits = f"{tally.hits} impact{'' if tally.hits == 1 else 's'}"
+    return f"{hits}, {tally.lasting} of them lasting" if tally.lasting else hits

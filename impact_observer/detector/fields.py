@@ -1,0 +1,89 @@
+"""What a message holds: numbers by the path of a field, and the header's stamp.
+
+Messages of ``rosbags`` and of ``rclpy`` have the same attributes; nothing else is looked at.
+"""
+
+import re
+from collections.abc import Iterable, Sequence, Sized
+from typing import TypeAlias
+
+import numpy as np
+
+from impact_observer.stamps import NS_PER_S
+
+Path: TypeAlias = tuple[str | int, ...]
+"""Names and indices, outermost first."""
+
+_PATH = re.compile(r"[A-Za-z]\w*(\[\d+\])*(\.[A-Za-z]\w*(\[\d+\])*)*", re.ASCII)
+_PART = re.compile(r"[A-Za-z]\w*|\d+", re.ASCII)
+_AXES = ("x", "y", "z")
+
+
+def parse_path(text: str) -> Path:
+    """The parts of a path such as ``wrench.force.z`` or ``data[3]``.
+
+    Raises:
+        ValueError: it is none; the message goes behind the key.
+    """
+    if not _PATH.fullmatch(text):
+        raise ValueError(f"{text!r} found; expected a path such as wrench.force.z or data[3]")
+    return tuple(int(part) if part.isdigit() else part for part in _PART.findall(text))
+
+
+def numbers_at(message: object, path: Path) -> tuple[float, ...]:
+    """The number at ``path``, as the one part of a tuple; the parts of a vector or an array.
+
+    Raises:
+        ValueError: there is no such field, or it holds no numbers; the message goes behind the
+            key.
+    """
+    value = message
+    for depth, part in enumerate(path):
+        value = _part(value, part, shown(path[:depth]) or "the message")
+    if hasattr(value, "x") and hasattr(value, "y"):
+        value = [getattr(value, axis) for axis in _AXES if hasattr(value, axis)]
+    numbers = np.asarray(value).ravel() if not isinstance(value, str) else np.empty(0)
+    if numbers.dtype.kind not in "biuf" or not numbers.size:
+        raise ValueError(f"{shown(path)} holds no number{_offers(value)}")
+    return tuple(float(number) for number in numbers.tolist())
+
+
+def shown(path: Path) -> str:
+    """``path`` as text."""
+    parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
+    return "".join(parts).lstrip(".")
+
+
+def header_stamp(message: object) -> int | None:
+    """The stamp (ns) of a message's header, or of a header; None without one, or where it is 0."""
+    header = getattr(message, "header", message)
+    time = getattr(header, "stamp", None)
+    if time is None or not (hasattr(time, "sec") and hasattr(time, "nanosec")):
+        return None
+    stamp = int(time.sec) * NS_PER_S + int(time.nanosec)
+    return stamp if stamp > 0 else None
+
+
+def _part(value: object, part: str | int, where: str) -> object:
+    """A field by its name, or a member by its index."""
+    if isinstance(part, str):
+        if part not in _names(value):
+            raise ValueError(f"{where} has no {part}{_offers(value)}")
+        return getattr(value, part)
+    if isinstance(value, (Sequence, np.ndarray)) and part < len(value):
+        return value[part]
+    found = f"{len(value)} members" if isinstance(value, Sized) else "no members"
+    raise ValueError(f"{where} has {found}, so it has no [{part}]")
+
+
+def _names(message: object) -> list[str]:
+    """Names of a message's fields."""
+    told = getattr(message, "get_fields_and_field_types", None)
+    names: Iterable[str] = told() if told else getattr(message, "__dataclass_fields__", ())
+    return [name for name in names if not name.startswith("_")]
+
+
+def _offers(message: object) -> str:
+    """Which fields there are, to be appended."""
+    names = _names(message)
+    return f"; its fields: {', '.join(names)}" if names else ""

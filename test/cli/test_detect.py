@@ -1,0 +1,242 @@
+"""detect: from a bag of sensors to one with impacts, and on to an estimate."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+
+from impact_observer.bag import BagReader, BagWriter, JointState, Quality
+from impact_observer.bag.messages import bag_messages
+from impact_observer.bag.recordings import carried_model, events_in
+from impact_observer.bag.typestores import typestore
+from impact_observer.cli.main import main
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.model import read_model
+from impact_observer.plant import Plant, Run, simulate
+from impact_observer.stamps import grid
+
+MS = 1_000_000
+EPOCH = 1_000_000_000
+TYPES = cast("dict[str, Callable[..., object]]", typestore().types)
+BOOL, FLOAT, IMU = "std_msgs/msg/Bool", "std_msgs/msg/Float64", "sensor_msgs/msg/Imu"
+
+
+def scalar(type_name: str, value: float) -> object:
+    """A Bool or a Float64."""
+    return TYPES[type_name](data=bool(value) if type_name == BOOL else value)
+
+
+def imu(stamp: int, acceleration: tuple[float, float, float]) -> object:
+    """An Imu that knows its acceleration only."""
+    zero = np.zeros(9)
+    vector = TYPES["geometry_msgs/msg/Vector3"]
+    return TYPES[IMU](
+        header=TYPES["std_msgs/msg/Header"](stamp=bag_messages().time(stamp), frame_id=""),
+        orientation=TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=zero,
+        angular_velocity=vector(x=0.0, y=0.0, z=0.0),
+        angular_velocity_covariance=zero,
+        linear_acceleration=vector(*acceleration),
+        linear_acceleration_covariance=zero,
+    )
+
+
+@dataclass
+class Recording:
+    """Messages to be recorded, by topic."""
+
+    types: dict[str, str] = field(default_factory=dict)
+    messages: list[tuple[int, str, object]] = field(default_factory=list)
+
+    def add(self, topic: str, type_name: str, log_time: int, message: object) -> None:
+        """One more message, of any time."""
+        self.types[topic] = type_name
+        self.messages.append((log_time, topic, message))
+
+    def write(self, path: Path) -> Path:
+        """Write the bag, in order of time."""
+        with BagWriter(path) as writer:
+            for topic, type_name in self.types.items():
+                writer.declare(topic, type_name=type_name, quality=Quality(reliable=False))
+            for log_time, topic, message in sorted(self.messages, key=lambda item: item[:2]):
+                writer.write(topic, log_time, message)
+        return path
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    """Ten seconds of two_mass."""
+    model = read_model("two_mass")
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    return simulate(plant, grid(EPOCH, EPOCH + 10_000 * MS, 100.0))
+
+
+@pytest.fixture(scope="module")
+def rig_bag(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same felt by a switch (5 ms late), a force at 2 kHz and an accelerometer at 1 kHz."""
+    recording = Recording()
+    hits = np.array([event.stamp for event in run.events])
+    for hit in hits.tolist():
+        for delay, value in ((5, 1.0), (10, 0.0)):
+            recording.add("/switch", BOOL, hit + delay * MS, scalar(BOOL, value))
+    for topic, rate in (("/force", 2000.0), ("/imu", 1000.0)):
+        stamps = grid(EPOCH, EPOCH + 10_100 * MS, rate)
+        since = (stamps[:, None] - hits) * 1e-9
+        pulse = np.where(np.abs(since) < 0.005, np.cos(since * np.pi / 0.01), 0.0).sum(axis=1)
+        for stamp, value in zip(stamps.tolist(), pulse.tolist(), strict=True):
+            if topic == "/force":
+                recording.add(topic, FLOAT, stamp, scalar(FLOAT, -80.0 * value))
+            else:
+                recording.add(topic, IMU, stamp + 2 * MS, imu(stamp, (50.0 * value, 0.0, -9.81)))
+    make, names = bag_messages(), read_model("two_mass").system.coordinates
+    for stamp, x in zip(run.stamps.tolist(), run.states, strict=True):
+        state = make.joint_state(JointState(stamp, names, x[:2], x[2:]))
+        recording.add("/plant/joint_states", "sensor_msgs/msg/JointState", stamp, state)
+    return recording.write(tmp_path_factory.mktemp("rig") / "rig")
+
+
+def detected(bag: Path, output: Path, *arguments: str) -> list[ImpactEvent]:
+    """The events that the command finds."""
+    assert main(["detect", str(bag), *arguments, "-o", str(output)]) == 0
+    with BagReader(output) as reader:
+        return events_in(reader)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["--topic", "/switch", "--latency", "0.005"], 0),
+        (["--topic", "/force", "--threshold", "20"], 0.01 * 0.5 * MS),
+        (["--topic", "imu", "--threshold", "20"], 0.01 * MS),
+        (["--topic", "/imu", "--field", "linear_acceleration.x", "--threshold", "20"], 0.01 * MS),
+    ],
+    ids=["switch", "force", "imu", "axis"],
+)
+def test_every_kind_of_sensor_gives_the_impacts_of_the_plant(
+    rig_bag: Path, run: Run, tmp_path: Path, arguments: list[str], error: float
+) -> None:
+    """Switches to the nanosecond, forces and accelerations to a hundredth of a sample."""
+    given = ["--contact", "stop", "--epoch", "1", *arguments]
+    events = detected(rig_bag, tmp_path / "out", *given)
+    assert [e.sequence for e in events] == list(range(1, len(run.events) + 1))
+    assert {e.switches for e in events} == {(Switch("stop"),)}
+    assert {e.epoch for e in events} == {EPOCH}
+    late = [found.stamp - true.stamp for found, true in zip(events, run.events, strict=True)]
+    assert np.abs(late).max() <= error
+
+
+def test_what_is_found_can_be_observed_without_naming_a_model(
+    rig_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Truth and sensors are carried along, the model is put in; the estimate converges."""
+    bag, output = tmp_path / "detected", tmp_path / "observed"
+    given = ["--contact", "stop", "--topic", "/switch", "--latency", "0.005"]
+    events = detected(rig_bag, bag, *given, "--model", "two_mass", "--epoch", "1")
+    assert f"stop: {len(events)} impacts (/switch, switch)" in capsys.readouterr().out
+    with BagReader(bag) as reader, BagReader(rig_bag) as source:
+        assert carried_model(reader).system.name == "two_mass"
+        assert set(reader.topics) == {*source.topics, "/impacts", "/plant/model"}
+        assert list(reader.raw(source.topics)) == list(source.raw())
+        assert reader.topics["/imu"].quality == Quality(reliable=False)
+        assert [m.log_time for m in reader.raw(["/impacts"])] == [e.stamp + 5 * MS for e in events]
+    assert main(["observe", str(bag), "--initial", "random:1", "-o", str(output)]) == 0
+    with BagReader(output) as reader:
+        states = reader.observer_states("/observer/state")
+        truth = reader.joint_states("/plant/joint_states")
+    apart = np.abs(states.q - truth.q).max(axis=1)
+    assert apart[-1] < 0.2 * apart[0]
+
+
+def test_a_file_declares_several_sensors_and_what_lacks_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A contact that lasts to the end, one that is silent, one that is not there."""
+    recording = Recording()
+    for t, value in ((100, 1.0), (400, 0.0), (500, 1.0)):
+        recording.add("/floor", BOOL, EPOCH + t * MS, scalar(BOOL, value))
+    recording.add("/weak", FLOAT, EPOCH + 30 * MS, scalar(FLOAT, 0.25))
+    recording.add("/weak", FLOAT, EPOCH + 900 * MS, scalar(FLOAT, -0.5))
+    sources = tmp_path / "rig.yaml"
+    sources.write_text(
+        "sources:\n- {contact: floor, topic: floor}\n"
+        "- {contact: wall, topic: /weak, threshold: 2}\n- {contact: roof, topic: /none}\n",
+        encoding="utf-8",
+    )
+    bag = recording.write(tmp_path / "bag")
+    events = detected(bag, tmp_path / "out", "--sources", str(sources))
+    told = [(e.sequence, (e.stamp - EPOCH) // MS, e.switches[0].kind) for e in events]
+    assert sorted(told) == [
+        (1, 100, Kind.IMPACT),
+        (2, 100, Kind.CLOSE),
+        (3, 400, Kind.OPEN),
+        (4, 500, Kind.IMPACT),
+        (5, 500, Kind.CLOSE),
+    ]
+    lines = capsys.readouterr().out.splitlines()
+    weak = "no impact in 2 messages on /weak, at most 0.5 of the threshold 2"
+    assert lines == [
+        "floor: 2 impacts, 2 of them lasting (/floor, switch)",
+        "wall: 0 impacts (/weak, peak)",
+        f"{tmp_path / 'out'}: 5 events",
+        f"note: roof: no topic /none; wall: {weak}",
+    ]
+
+
+def test_impacts_of_the_bag_make_way_for_those_that_are_found(
+    sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Any message may be an impact: here each true state, but for the dead time."""
+    given = ["--contact", "stop", "--topic", "/plant/joint_states", "--kind", "arrival"]
+    events = detected(sample_bag, tmp_path / "out", *given, "--dead-time", "0.1")
+    assert [(e.stamp - EPOCH) // MS for e in events] == [0, 100, 200, 300, 400, 500]
+    assert "/impacts of the bag is left out for the one found" in capsys.readouterr().out
+    with BagReader(tmp_path / "out") as reader:
+        assert carried_model(reader).provenance["seed"] == 7
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "expected"),
+    [
+        ([], 2, "no sensor named; give --sources, or --contact and --topic"),
+        (["--contact", "stop"], 2, "no sensor named"),
+        (["--sources", "switch", "--field", "x"], 2, "--field: given beside --sources; write it"),
+        (["--sources", "no.yaml"], 2, "no.yaml: no such file; expected a file of sensors"),
+        (["--contact", "stop", "--topic", "/none"], 1, "stop: no topic /none; topics in the bag:"),
+        (["--contact", "stop", "--topic", "/force"], 2, "kind: is missing, as /force is std_msgs"),
+        (["--contact", "stop", "--topic", "/imu"], 2, "threshold: is missing; expected a number"),
+        (
+            ["--contact", "roof", "--topic", "/switch", "--model", "two_mass"],
+            2,
+            "contact: 'roof' is none of the model two_mass; expected one of stop",
+        ),
+        (
+            ["--contact", "stop", "--topic", "/force", "--threshold", "500"],
+            1,
+            "no impact found; stop: no impact in 20201 messages on /force, at most 80 of",
+        ),
+        (
+            ["--contact", "stop", "--topic", "/imu", "--field", "force", "--threshold", "1"],
+            2,
+            "field: /imu: the message has no force; its fields: header, orientation,",
+        ),
+    ],
+)
+def test_what_cannot_be_detected_is_one_line_and_leaves_no_bag(
+    rig_bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    arguments: list[str],
+    code: int,
+    expected: str,
+) -> None:
+    """What was found, and what is wanted."""
+    output = tmp_path / "out"
+    assert main(["detect", str(rig_bag), *arguments, "-o", str(output)]) == code
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert len(errors) == 1
+    assert expected in errors[0]
+    assert not output.exists()

@@ -1,0 +1,113 @@
+"""simulate with a sensor that is not ideal: what the bag holds, and what is refused."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from impact_observer.bag.interfaces import IMPACTS
+from impact_observer.bag.reader import BagReader
+from impact_observer.bag.recordings import carried_model, events_in
+from impact_observer.cli.main import main
+from impact_observer.plant import Plant, Sensor, sense, simulate
+from impact_observer.stamps import grid
+from impact_observer.troubles import TROUBLES
+
+EPOCH = 1_000_000_000
+LAST = 11 * EPOCH
+TROUBLED: dict[str, Any] = {
+    "delay": 0.01,
+    "jitter": 0.002,
+    "quantisation": 1e-4,
+    "dead_time": 0.05,
+    "missed": 0.1,
+    "spurious": 1.5,
+    "mislabelled": 0.2,
+    "clock_offset": -0.02,
+    "clock_drift": 1e-5,
+    "threshold": 0.01,
+    "impacts_only": True,
+    "transport": 0.5,
+}
+
+
+def options(troubles: dict[str, Any]) -> list[str]:
+    """As on the command line."""
+    given = []
+    for name, value in troubles.items():
+        option = f"--{name.replace('_', '-')}"
+        given += [option] if value is True else [option, str(value)]
+    return given
+
+
+def test_bag_holds_what_the_sensor_tells_when_it_arrives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Events are those of ``sense`` for the seed; log times are arrivals, truth stays true."""
+    bag = tmp_path / "bag"
+    arguments = ["simulate", "three_mass", "--duration", "10", "--seed", "5", "-o", str(bag)]
+    assert main([*arguments, *options(TROUBLED)]) == 0
+    said = capsys.readouterr()
+    with BagReader(bag) as reader:
+        model = carried_model(reader)
+        arrivals = [raw.log_time for raw in reader.raw([IMPACTS.topic])]
+        events = list(reader.events(IMPACTS.topic))
+        truth = reader.joint_states("/plant/joint_states")
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    run = simulate(plant, grid(EPOCH, LAST, 100.0))
+    sensor = Sensor(**TROUBLED)
+    told = sense(sensor, model.system, run.switchings, epoch=EPOCH, last=LAST, seed=5)
+    assert events == [each.event for each in told]
+    assert arrivals == [each.arrival for each in told]
+    assert arrivals != [each.stamp for each in events]
+    assert (truth.stamps == run.stamps).all()
+    assert model.provenance["sensor"] == TROUBLED
+    assert f"{len(told)} events of a sensor with delay, jitter" in said.out + said.err
+
+
+def test_ideal_sensor_is_not_spoken_of(tmp_path: Path) -> None:
+    """Nothing is wrong unless asked for, and provenance names what was only."""
+    bag = tmp_path / "bag"
+    assert main(["simulate", "two_mass", "--duration", "5", "-o", str(bag)]) == 0
+    with BagReader(bag) as reader:
+        model = carried_model(reader)
+        arrivals = [raw.log_time for raw in reader.raw([IMPACTS.topic])]
+        stamps = [event.stamp for event in events_in(reader)]
+    assert "sensor" not in model.provenance
+    assert arrivals == stamps
+    assert stamps
+
+
+def test_help_lists_every_trouble_in_a_group(capsys: pytest.CaptureFixture[str]) -> None:
+    """Under "sensor", with what each means."""
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    group = " ".join(capsys.readouterr().out.partition("\nsensor:\n")[2].split())
+    for each in TROUBLES:
+        assert f"--{each.name.replace('_', '-')} " in group
+        assert each.meaning in group
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (["--missed", "1.5"], "1.5 found; expected 0 to 1"),
+        (["--jitter", "-1"], "-1 found; expected 0 to 1 s"),
+        (["--delay", "nan"], "nan found; expected 0 to 10 s"),
+        (["--spurious", "often"], "often found; expected 0 to 10000 1/s"),
+        (["--mislabelled", "0.1"], "a model with 2 contacts or more: two_mass has 1"),
+    ],
+)
+def test_sensor_that_cannot_be_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
+) -> None:
+    """Exit code 2, and no bag."""
+    bag = tmp_path / "bag"
+    try:
+        code: object = main(["simulate", "two_mass", *arguments, "-o", str(bag)])
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    errors = capsys.readouterr().err.strip().splitlines()
+    assert expected in errors[-1]
+    assert not bag.exists()

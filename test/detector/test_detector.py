@@ -1,0 +1,304 @@
+"""All sensors together: numbering, stamps, latency, what is passed over; and their declaration."""
+
+import pickle
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from signals import (
+    BOOL,
+    FLOAT,
+    MS,
+    START,
+    Scalar,
+    Stamped,
+    Vector3,
+    detections,
+    events,
+    header,
+    peak,
+    switch,
+)
+
+from impact_observer.detector import Detector, Source, parse_sources, read_sources
+from impact_observer.detector.fields import header_stamp, numbers_at, parse_path
+from impact_observer.detector.source import IMU
+from impact_observer.errors import UsageError
+from impact_observer.events import ImpactEvent, Kind, Switch
+
+
+def two_switches(epoch: int = 0) -> Detector:
+    """Floor and ceiling."""
+    declared = (Source("floor", "/a"), Source("ceiling", "/b", min_contact_duration=0.03))
+    return Detector([each.complete(BOOL) for each in declared], epoch=epoch)
+
+
+def test_events_of_all_sensors_are_numbered_in_one_row() -> None:
+    """Contacts that last are told in the order in which they were known."""
+    detector = two_switches(epoch=7)
+    told = detector.hear(0, Scalar(1.0), START)
+    told += detector.hear(1, Scalar(1.0), START + 10 * MS)
+    told += detector.advance(START + 500 * MS)
+    assert [d.event for d in told] == [
+        ImpactEvent(START, (Switch("floor"),), 1, 0, 7),
+        ImpactEvent(START + 10 * MS, (Switch("ceiling"),), 2, 0, 7),
+        ImpactEvent(START + 10 * MS, (Switch("ceiling", Kind.CLOSE),), 3, 0, 7),
+        ImpactEvent(START, (Switch("floor", Kind.CLOSE),), 4, 0, 7),
+    ]
+    assert [d.at for d in told] == sorted(d.at for d in told)
+
+
+def test_a_restart_is_a_new_episode_that_remembers_nothing() -> None:
+    """The contact that was closed is open; the numbers begin again."""
+    detector = two_switches()
+    detector.hear(0, Scalar(1.0), START)
+    detector.restart()
+    assert detector.advance(START + 500 * MS) == []
+    (told,) = detector.hear(0, Scalar(1.0), 5)
+    assert told.event == ImpactEvent(5, (Switch("floor"),), 1, 1)
+
+
+def test_the_latency_is_subtracted_from_stamps_and_not_from_durations() -> None:
+    """All three events of a closure are early by it."""
+    signal = [(START, 1.0), (START + 60 * MS, 1.0), (START + 70 * MS, 0.0)]
+    plain = detections(switch(), signal)
+    early = detections(switch(latency=0.0123), signal)
+    assert [d.at for d in early] == [d.at for d in plain]
+    moved = [(stamp - 12_300_000, kind) for stamp, kind in events(plain)]
+    assert events(early) == moved
+
+
+def test_stamps_are_those_of_headers_unless_told_otherwise() -> None:
+    """A header that was never stamped does not count."""
+    for given, sent, wanted in (
+        (None, START, START),
+        (None, 0, START + 5 * MS),
+        ("receive", START, START + 5 * MS),
+    ):
+        source = Source("stop", "/hit", kind="arrival", stamp=given).complete("x/msg/Y")
+        (told,) = Detector([source]).hear(0, Stamped(header(sent)), START + 5 * MS)
+        assert told.event.stamp == wanted
+    source = Source("stop", "/hit", kind="arrival", stamp="header").complete("x/msg/Y")
+    with pytest.raises(UsageError, match="stamp: header found, but a message of /hit has no"):
+        Detector([source]).hear(0, Stamped(header(0)), START)
+
+
+def test_late_messages_of_a_switch_are_judged_by_their_own_stamps() -> None:
+    """A closure of 10 ms whose end comes 60 ms later is short, one of 60 ms is not."""
+    source = Source("stop", "/s", kind="switch", field="data[0]").complete("x/msg/Y")
+
+    def told(length: int, delay: int) -> list[Kind]:
+        detector = Detector([source])
+        first = detector.hear(0, Stamped(header(START), data=[1]), START)
+        end = START + length * MS
+        last = detector.hear(0, Stamped(header(end), data=[0]), end + delay * MS)
+        return [kind for _, kind in events(first + last)]
+
+    assert told(10, 55) == [Kind.IMPACT]
+    assert told(60, 1) == [Kind.IMPACT, Kind.CLOSE, Kind.OPEN]
+
+
+def test_what_cannot_be_used_is_counted_and_said() -> None:
+    """Not-a-number, stamps that go back, and events before the beginning of time."""
+    detector = Detector([peak(10.0, latency=5.0)])
+    values = [(2, 0.0), (3, float("nan")), (4, 50.0), (5, 0.0), (1, 0.0)]
+    told = [d for s, v in values for d in detector.hear(0, Scalar(v), s * 1_000_000_000)]
+    assert told == []
+    tally = detector.tallies[0]
+    assert (tally.messages, tally.invalid, tally.disordered, tally.hits) == (5, 2, 1, 0)
+    stamped = Detector([Source("stop", "/hit", kind="arrival").complete("x/msg/Y")])
+    for stamp in (START, START - 1, START):
+        stamped.hear(0, Stamped(header(stamp)), START)
+    assert stamped.tallies[0].disordered == 1
+    assert stamped.shortfall(0) == "stop: 1 stamps out of order"
+
+
+def test_an_array_that_is_too_short_now_and_then_is_passed_over() -> None:
+    """Only where no message ever had the member it is a mistake of the file."""
+    source = Source("stop", "/t", field="data[1]", threshold=1.0).complete("x/msg/Y")
+    detector = Detector([source])
+    for k, data in enumerate(([0.0, 0.0], [0.0], [0.0, 0.0])):
+        detector.hear(0, Stamped(header(START + k), data=data), START + k)
+    assert (detector.tallies[0].messages, detector.tallies[0].invalid) == (3, 1)
+
+
+def test_the_memory_of_a_detector_does_not_grow() -> None:
+    """After a hundred hits it weighs what it weighed after ten."""
+    sizes = []
+    detector = Detector([switch(), replace(peak(10.0, baseline=1.0), contact="wall")])
+    for k in range(4000):
+        stamp = START + k * 5 * MS
+        for index in (0, 1):
+            detector.hear(index, Scalar(20.0 * (k % 40 == 20)), stamp)
+        if k in {400, 3999}:
+            sizes.append(len(pickle.dumps(detector)))
+    assert [tally.hits for tally in detector.tallies] == [100, 100]
+    assert sizes[1] <= sizes[0] + 16
+
+
+def test_a_sensor_without_impacts_says_how_far_it_was_from_one() -> None:
+    """So that a threshold can be chosen."""
+    detector = Detector([peak(10.0)])
+    assert detector.shortfall(0) == "stop: no message on /force"
+    detector.hear(0, Scalar(-7.5), START)
+    assert detector.shortfall(0) == (
+        "stop: no impact in 1 messages on /force, at most 7.5 of the threshold 10"
+    )
+
+
+def test_fields_are_named_by_paths() -> None:
+    """Numbers, vectors and arrays, of lists and of numpy."""
+    message = Stamped(header(START), Vector3(1.0, 2.0, 3.0), np.array([4.0, 5.0]))
+    for text, wanted in (
+        ("force.z", (3.0,)),
+        ("force", (1.0, 2.0, 3.0)),
+        ("data[1]", (5.0,)),
+        ("data", (4.0, 5.0)),
+        ("header.stamp.sec", (1.0,)),
+    ):
+        assert numbers_at(message, parse_path(text)) == wanted
+    assert numbers_at(Scalar(True), parse_path("data")) == (1.0,)
+    assert header_stamp(message) == header_stamp(message.header) == START
+    assert header_stamp(Scalar(1.0)) is None
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        ("torque", "the message has no torque; its fields: header, force, data, label"),
+        ("force.w", "force has no w; its fields: x, y, z"),
+        ("data[2]", r"data has 2 members, so it has no \[2\]"),
+        ("force[0]", r"force has no members, so it has no \[0\]"),
+        ("label", "label holds no number"),
+        ("header", "header holds no number; its fields: stamp, frame_id"),
+    ],
+)
+def test_a_field_that_is_not_there_is_named_with_those_that_are(path: str, expected: str) -> None:
+    """One line with the topic."""
+    source = Source("stop", "/w", field=path, threshold=1.0, origin="rig.yaml: sources[0].")
+    detector = Detector([source.complete("x/msg/Y")])
+    message = Stamped(header(START), data=[1.0, 2.0])
+    with pytest.raises(UsageError, match=rf"rig\.yaml: sources\[0\]\.field: /w: {expected}"):
+        detector.hear(0, message, START)
+
+
+@pytest.mark.parametrize(
+    ("declared", "type_name", "kind"),
+    [
+        ({}, BOOL, "switch"),
+        ({"threshold": 5.0}, IMU, "peak"),
+        ({"threshold": 5.0}, FLOAT, "peak"),
+        ({}, "std_msgs/msg/Empty", "arrival"),
+        ({}, "std_msgs/msg/Header", "arrival"),
+        ({"kind": "arrival"}, IMU, "arrival"),
+    ],
+)
+def test_the_kind_is_guessed_from_the_type(
+    declared: dict[str, object], type_name: str, kind: str
+) -> None:
+    """Where it can be."""
+    source = Source("stop", "/t", **declared).complete(type_name)  # type: ignore[arg-type]
+    assert source.kind == kind
+
+
+MISTAKES: list[tuple[str, str, str]] = [
+    ("sources: []", FLOAT, "sources: is missing or empty; expected a list of sensors"),
+    ("[1, 2]", FLOAT, "is no list of sensors: expected a YAML mapping with sources"),
+    ("sources: {", FLOAT, "is not YAML at line"),
+    ("sources: [{topic: t}]", FLOAT, "sources[0].contact: is missing"),
+    ("sources: [{contact: c}]", FLOAT, "sources[0].topic: is missing"),
+    ("sources: [{contact: c, topic: 3}]", FLOAT, "sources[0].topic: 3 found; expected a name"),
+    ("sources: [{contact: c, topic: a b}]", BOOL, "sources[0].topic: 'a b' found; expected a"),
+    ("sources: [{contact: c, topic: t, x: 1}]", FLOAT, "sources[0].x: is not known here"),
+    ("sources: [{contact: c, topic: t}]", FLOAT, "sources[0].kind: is missing, as t is std_msgs"),
+    ("sources: [{contact: c, topic: t}]", IMU, "sources[0].threshold: is missing; expected"),
+    *(
+        (f"sources: [{{contact: c, topic: t, {given}}}]", BOOL, f"sources[0].{expected}")
+        for given, expected in (
+            ("kind: magic", "kind: 'magic' found; expected one of switch, peak, arrival"),
+            ("stamp: now", "stamp: 'now' found; expected one of header, receive"),
+            ("inverted: 1", "inverted: 1 found; expected true or false"),
+            ("latency: -1", "latency: -1 found; expected 0 to 10 s"),
+            ("dead_time: 11", "dead_time: 11 found; expected 0 to 10 s"),
+            ("latency: .nan", "latency: is not finite; expected a number"),
+            ("dead_time: soon", "dead_time: 'soon' found; expected a number"),
+            ("hysteresis: -1", "hysteresis: -1 found; expected 0 or more"),
+            ("field: a..b", "field: 'a..b' found; expected a path such as"),
+            ("direction: up", "direction: does not go with kind switch; leave it out"),
+            ("kind: arrival, field: x", "field: does not go with kind arrival"),
+            ("kind: peak, threshold: 0", "threshold: 0 found; of a peak it is above 0"),
+            (
+                "kind: peak, threshold: 1, hysteresis: 1",
+                "hysteresis: 1 found; expected less than the threshold, 1",
+            ),
+            (
+                "min_contact_duration: 0.001",
+                "min_contact_duration: 0.001 found; expected 0, or at least the dead time, 0.005",
+            ),
+        )
+    ),
+    (
+        "sources: [{contact: c, topic: t}, {contact: c, topic: s}]",
+        BOOL,
+        "sources[1].contact: 'c' has two sensors, t and s; expected one a contact",
+    ),
+]
+
+
+@pytest.mark.parametrize(("text", "type_name", "expected"), MISTAKES)
+def test_a_mistake_in_a_file_is_one_line_that_names_it(
+    text: str, type_name: str, expected: str
+) -> None:
+    """File, key, what was found, what is wanted."""
+    with pytest.raises(UsageError) as caught:
+        [source.complete(type_name) for source in parse_sources(text, "rig.yaml")]
+    assert str(caught.value).startswith(f"rig.yaml: {expected}")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_the_sample_file_is_a_switch_at_its_defaults(tmp_path: Path) -> None:
+    """What it says is what is taken where nothing is said."""
+    (source,) = read_sources("switch")
+    plain = Source("stop", "switch").complete(BOOL)
+    assert source.complete(BOOL) == plain
+    copied = tmp_path / "mine.yaml"
+    copied.write_text("sources: [{contact: stop, topic: switch}]", encoding="utf-8")
+    assert read_sources(copied)[0].complete(BOOL) == plain
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        (
+            lambda folder: folder / "no.yaml",
+            "no such file; expected a file of sensors, or a sample",
+        ),
+        (lambda folder: folder, "a folder; expected"),
+    ],
+    ids=["missing", "folder"],
+)
+def test_a_file_that_is_not_there_is_one_line(
+    tmp_path: Path, name: Callable[[Path], Path], expected: str
+) -> None:
+    """It names the samples."""
+    with pytest.raises(
+        UsageError, match=f"{expected}.*switch$" if "sample" in expected else expected
+    ):
+        read_sources(name(tmp_path))
+
+
+def test_the_documentation_has_a_file_and_all_keys() -> None:
+    """The example can be copied, each key stands in the table with its default."""
+    document = (Path(__file__).parents[2] / "docs" / "detector.md").read_text(encoding="utf-8")
+    sources = parse_sources(document.split("```yaml\n")[1].split("```")[0], "docs")
+    types = (BOOL, IMU, "geometry_msgs/msg/WrenchStamped", "x/msg/Y")
+    whole = [source.complete(name) for source, name in zip(sources, types, strict=True)]
+    assert [source.kind for source in whole] == ["switch", "peak", "peak", "arrival"]
+    keys = {each.name for each in fields(Source)} - {"origin"}
+    assert all(f"\n| `{key}` |" in document for key in keys)
+    assert "| `min_contact_duration` | switch | 0.05 s |" in document
+    assert whole[0].min_contact_duration == 0.05
+    assert (whole[0].dead_time, whole[1].dead_time, whole[3].dead_time) == (0.005, 0.02, 0.0)
+    assert "switch 0.005 s, peak 0.02 s, arrival 0 |" in document

@@ -1,0 +1,193 @@
+"""Peaks of a signal: where they are, to better than a sample, and which of them are impacts."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike
+from signals import MS, START, Stamped, Vector3, detections, events, every, header, peak, sampled
+from systems import examples
+
+from impact_observer.detector import Detector, Source
+from impact_observer.detector.peak import vertex
+from impact_observer.detector.sensors import PATIENCE
+from impact_observer.detector.source import IMU
+from impact_observer.errors import UsageError
+from impact_observer.events import Kind
+from impact_observer.states import Stamps, Vector
+
+S = 1_000_000_000
+
+
+def half_sines(stamps: Stamps, tops: ArrayLike, length: float, height: float = 100.0) -> Vector:
+    """A pulse of ``length`` (s) about each of ``tops`` (s after START): contact of a spring."""
+    t = (stamps - START)[:, None] * 1e-9 - np.asarray(tops)
+    pulse = np.cos(math.pi * t / length)
+    return np.asarray(np.where(np.abs(t) < length / 2, height * pulse, 0.0).sum(axis=1))
+
+
+@pytest.mark.parametrize("rate", [100, 1000, 10_000])
+@pytest.mark.parametrize("samples", [6, 10, 40])
+def test_the_top_of_a_half_sine_is_found_to_better_than_a_hundredth_of_a_sample(
+    rate: int, samples: int
+) -> None:
+    """The error is at most w^2 h^2 / 62 of a sample, the parabola's own for a cosine."""
+    period = S // rate
+    length = samples / rate
+    tops = 0.5 + np.arange(200.0) * (3 * length + 0.00371 / rate) + 0.0137 / rate
+    stamps = every(period, int((tops[-1] + 2 * length) * rate))
+    source = peak(50.0, dead_time=length)
+    told = events(detections(source, sampled(stamps, half_sines(stamps, tops, length))))
+    assert len(told) == len(tops)
+    error = np.array([stamp for stamp, _ in told]) - START - tops * 1e9
+    bound = (math.pi / samples) ** 2 / 62
+    assert np.abs(error).max() <= bound * 1.05 * period + 1
+    assert np.abs(error).max() <= 0.01 * period
+    assert np.abs(error).max() >= 0.5 * bound * period - 1, "the bound is sharp"
+
+
+@examples(200)
+@given(st.floats(-0.4, 0.4), st.floats(0.5, 3.0), st.floats(0.5, 3.0), st.floats(0.1, 1e4))
+def test_the_top_of_a_parabola_is_exact_for_uneven_samples(
+    top: float, left: float, right: float, height: float
+) -> None:
+    """Whatever the distances, as long as the middle sample is the highest."""
+    scale = 1e6
+
+    def point(t: float) -> tuple[int, float]:
+        stamp = START + round(t * scale)
+        return stamp, -height * ((stamp - START) / scale - top) ** 2
+
+    points = point(-left), point(0.0), point(right)
+    if points[1][1] >= max(points[0][1], points[2][1]):
+        assert vertex(*points) == pytest.approx(top * scale, abs=0.6 + 1e-6 * scale)
+
+
+@examples(40)
+@given(
+    st.lists(st.floats(0.03, 0.2), min_size=1, max_size=20),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1000, 4000]),
+)
+def test_noise_neither_hides_nor_invents_a_peak(gaps: list[float], seed: int, rate: int) -> None:
+    """Half-sines of 8 ms with a tenth of noise: each is found once, to within a millisecond."""
+    tops = 0.05 + np.cumsum(gaps)
+    stamps = every(S // rate, int((tops[-1] + 0.1) * rate))
+    noise = np.random.default_rng(seed).normal(0.0, 2.0, stamps.size).clip(-10, 10)
+    signal = half_sines(stamps, tops, 0.008) + noise
+    told = events(detections(peak(50.0), sampled(stamps, signal)))
+    assert [kind for _, kind in told] == [Kind.IMPACT] * len(tops)
+    error = np.array([stamp for stamp, _ in told]) * 1e-9 - START * 1e-9 - tops
+    assert np.abs(error).max() < 1e-3
+
+
+def test_a_structure_that_rings_after_a_hit_is_one_impact() -> None:
+    """400 Hz that fades within 10 ms: the first peak, at its closed form."""
+    rate, w, fading = 10_000, 2 * math.pi * 400, 1 / 0.004
+    stamps = every(S // rate, 3000)
+    t = (stamps - START) * 1e-9 - 0.1
+    ringing = np.where(t > 0, 100 * np.exp(-fading * t.clip(0)) * np.sin(w * t), 0.0)
+    told = events(detections(peak(20.0), sampled(stamps, ringing)))
+    first = 0.1 + math.atan(w / fading) / w
+    assert [kind for _, kind in told] == [Kind.IMPACT]
+    assert told[0][0] == pytest.approx(START + first * 1e9, abs=0.02 * S / rate)
+
+
+def test_a_sensor_at_its_limit_gives_the_middle_of_what_is_cut_off() -> None:
+    """A plateau of equal samples, to half a sample."""
+    stamps = every(MS, 200)
+    signal = half_sines(stamps, np.array([0.1003]), 0.03).clip(0, 60)
+    told = events(detections(peak(50.0, dead_time=0.04), sampled(stamps, signal)))
+    assert len(told) == 1
+    assert told[0][0] == pytest.approx(START + 100.3 * MS, abs=0.5 * MS)
+
+
+def test_a_signal_that_trembles_about_the_threshold_is_one_peak() -> None:
+    """It has to fall by the hysteresis before another one can begin."""
+    signal = np.array([0, 9.9, 10.1, 9.9, 10.2, 9.8, 10.1, 6.0, 4.9, 0, 12, 0.0])
+    stamps = every(MS, signal.size)
+    told = events(detections(peak(10.0, hysteresis=5.0, dead_time=0.0), sampled(stamps, signal)))
+    assert [round((stamp - START) / MS) for stamp, _ in told] == [4, 10]
+
+
+def test_a_signal_that_stays_high_is_one_peak_told_after_the_dead_time() -> None:
+    """By the next sample, or by silence; it must fall before there is another."""
+    stamps = every(MS, 100)
+    signal = np.where(np.arange(100) < 10, 0.0, 20.0)
+    signal[12] = 30.0
+    told = detections(peak(10.0), sampled(stamps, signal))
+    assert events(told) == [(told[0].event.stamp, Kind.IMPACT)]
+    assert told[0].event.stamp == pytest.approx(START + 12 * MS, abs=0.5 * MS)
+    assert told[0].at == START + 30 * MS
+    silent = detections(peak(10.0), sampled(stamps, signal)[:14], START + 100 * MS)
+    assert [(d.event, d.at) for d in silent] == [(told[0].event, START + 30 * MS + PATIENCE)]
+
+
+def test_a_signal_that_begins_high_has_no_peak_until_it_has_fallen() -> None:
+    """Nobody knows when it rose."""
+    signal = np.array([20.0, 30.0, 20.0, 0.0, 20.0, 0.0])
+    told = events(detections(peak(10.0), sampled(every(10 * MS, 6), signal)))
+    assert told == [(START + 40 * MS, Kind.IMPACT)]
+
+
+@pytest.mark.parametrize(
+    ("direction", "times"), [("both", [10, 50]), ("up", [10]), ("down", [50])]
+)
+def test_peaks_have_a_direction(direction: str, times: list[int]) -> None:
+    """A force that pushes, one that pulls, or either."""
+    signal = np.zeros(80)
+    signal[10], signal[50] = 20.0, -20.0
+    told = events(detections(peak(10.0, direction=direction), sampled(every(MS, 80), signal)))
+    assert [(stamp - START) // MS for stamp, _ in told] == times
+
+
+def test_gravity_is_taken_from_an_accelerometer_however_it_lies() -> None:
+    """30 m/s^2 across gravity is found; gravity that slowly turns is not."""
+    source = Source("stop", "/imu", threshold=15.0, field="force").complete(IMU)
+    detector = Detector([source])
+    told = []
+    for k in range(20_000):
+        angle = 0.2 * k / 1000
+        hit = 30.0 if k % 5000 == 2500 else 0.0
+        force = Vector3(9.81 * math.sin(angle) + hit, 0.0, 9.81 * math.cos(angle))
+        stamp = START + k * MS
+        told += detector.hear(0, Stamped(header(stamp), force), stamp + 3 * MS)
+    wanted = [START + k * 5000 * MS + 2500 * MS for k in range(4)]
+    np.testing.assert_allclose([s for s, _ in events(told)], wanted, rtol=0, atol=0.02 * MS)
+    assert 25 < detector.tallies[0].highest < 35
+
+
+def test_a_vector_has_no_direction() -> None:
+    """Nor is it open or closed: the line says to name one of its numbers."""
+    up = Source("stop", "/t", field="force", threshold=1.0, direction="up")
+    for source in (up, Source("stop", "/t", field="force", kind="switch")):
+        detector = Detector([source.complete("x/msg/Y")])
+        with pytest.raises(UsageError, match="field: force found, a vector of 3; name one of its"):
+            detector.hear(0, Stamped(header(START)), START)
+
+
+def test_an_arrival_is_an_impact_but_for_those_in_the_dead_time() -> None:
+    """By the header's stamp, whenever it comes."""
+    source = Source("stop", "/hit", kind="arrival", dead_time=0.01).complete("x/msg/Y")
+    detector = Detector([source])
+    stamps = [START + k * MS for k in (0, 5, 10, 12, 30)]
+    told = [d for s in stamps for d in detector.hear(0, Stamped(header(s)), s + 7 * MS)]
+    assert events(told) == [(START + k * MS, Kind.IMPACT) for k in (0, 10, 30)]
+
+
+def test_noise_moves_a_top_by_what_the_documentation_says() -> None:
+    """On average its deviation over the sum of the two differences beside the top, in samples."""
+    w, deviation = math.pi / 10, 0.3
+    tops = 0.1 + np.arange(400.0) * 0.0500137
+    stamps = every(MS, int(tops[-1] * 1000) + 100)
+    noise = np.random.default_rng(1).normal(0.0, deviation, stamps.size)
+    signal = half_sines(stamps, tops, 0.01) + noise
+    told = events(detections(peak(50.0), sampled(stamps, signal)))
+    error = (np.array([stamp for stamp, _ in told]) - START) / MS - tops * 1e3
+    off = tops * 1e3 - np.rint(tops * 1e3)
+    beside = 200 * (1 - math.cos(w)) * np.cos(w * off)
+    wanted = deviation * math.sqrt(np.mean((0.5 + 6 * off**2) / beside**2))
+    assert np.std(error) == pytest.approx(wanted, rel=0.1)
+    assert wanted == pytest.approx(deviation * np.mean(1 / beside), rel=0.05)

@@ -1,0 +1,59 @@
+"""What an observer makes of a switch: as good as an ideal sensor, to the last bit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from signals import MS, START, Scalar, switch
+from systems import Harmonic, forcing, system
+
+from impact_observer.detector import Detector
+from impact_observer.events import ImpactEvent, Kind
+from impact_observer.observer import Options
+from impact_observer.plant import Plant, simulate
+from impact_observer.stamps import grid
+
+
+def signal_of(events: tuple[ImpactEvent, ...]) -> list[tuple[int, float]]:
+    """A switch that closes for 5 ms at each hit, and while the contact lasts."""
+    signal = []
+    for event in events:
+        kind = event.switches[0].kind
+        signal.append((event.stamp, float(kind is not Kind.OPEN)))
+        if kind is Kind.IMPACT:
+            signal.append((event.stamp + 5 * MS, 0.0))
+    return signal
+
+
+@pytest.mark.parametrize(
+    ("eps", "law"),
+    [(0.0, "kinematic"), (0.0, "geometric"), (0.0, "minimum-variance"), (0.6, "geometric")],
+)
+def test_a_switch_is_as_good_as_an_ideal_sensor(eps: float, law: str) -> None:
+    """Hits, and contacts that close and open: superseded impacts leave nothing behind."""
+    force = forcing(2, np.array([0.0, 1.0]), [Harmonic(2.0, [0.0, 6.0], [0.0, 0.0])])
+    model = system(
+        np.eye(2),
+        0.1 * np.eye(2),
+        np.array([[20.0, -10.0], [-10.0, 10.0]]),
+        contacts=[([0, -1], 0.3, eps)],
+        force=force,
+    )
+    plant = Plant(model, np.zeros(2), np.zeros(2), epoch=START)
+    run = simulate(plant, grid(START, START + 7000 * MS, 10.0))
+    detector = Detector([replace(switch(), contact=model.contact_names[0])], epoch=START)
+    told = [d.event for s, v in signal_of(run.events) for d in detector.hear(0, Scalar(v), s)]
+    told += [d.event for d in detector.advance(START + 8000 * MS)]
+    kinds = {event.switches[0].kind for event in told}
+    assert kinds == ({Kind.IMPACT} if eps else set(Kind))
+    options = Options(law=law, initial="random:1", ensemble=1, epoch=START)
+    ideal, real = options.observer(model), options.observer(model)
+    for event in run.events:
+        ideal.receive(event)
+    for event in told:
+        real.receive(event)
+    for stamp in run.stamps.tolist():
+        wanted, found = ideal.estimate(stamp), real.estimate(stamp)
+        assert found.q.tobytes() == wanted.q.tobytes()
+        assert found.u.tobytes() == wanted.u.tobytes()
+        assert found.closed == wanted.closed

@@ -1,0 +1,419 @@
+"""Streams as real sensors give them: late, twice, with gaps, with stamps against their numbers."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from systems import EPOCH, Harmonic, chain, event, examples, forcing, observer, system
+
+from impact_observer.errors import ImpactLawError
+from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
+from impact_observer.observer import Observer
+from impact_observer.observer.laws import BUILT_IN
+from impact_observer.observer.numbering import Numbering
+from impact_observer.stamps import NS_PER_S
+
+Array = NDArray[np.float64]
+LAWS = pytest.mark.parametrize("law", BUILT_IN)
+MODEL = chain(
+    2,
+    damping=0.3,
+    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
+    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
+)
+START = [0.3, -0.4, 1.0, -2.0]
+TICK = NS_PER_S // 64
+SPAN = 2 * 64
+"""Length of a stream, in ticks."""
+STAMPS = EPOCH + np.arange(0, SPAN + 40, 12) * TICK + 1
+
+
+def told(*switches: tuple[str, Kind], seconds: float, sequence: int = 0) -> ImpactEvent:
+    """An event of any kinds at ``seconds`` since ``EPOCH``."""
+    stamp = EPOCH + round(seconds * NS_PER_S)
+    return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), sequence, 0, EPOCH)
+
+
+def watcher_of(law: str, events: Iterable[ImpactEvent] = (), **options: float) -> Observer:
+    """An observer of ``MODEL`` that has received ``events``, in that order."""
+    given = {"ensemble": 2, "history": 60.0, "epoch": EPOCH, **options}
+    watcher = observer(MODEL, law, START, **given)
+    for each in events:
+        watcher.receive(each)
+    return watcher
+
+
+def known(watcher: Observer, stamps: Sequence[int] = STAMPS.tolist()) -> list[object]:
+    """Everything that estimates at ``stamps`` tell, by its bits, but numbers of events."""
+    found = [watcher.estimate(each) for each in stamps if each >= (watcher.start or 0)]
+    told = [(e.closed, e.convergence, e.synchronized, e.bound, e.refuted) for e in found]
+    bits = [[x.tobytes() for x in (e.q, e.u, e.covariance)] for e in found]
+    return [watcher.start, told, bits]
+
+
+def state_of_knowledge(watcher: Observer) -> list[object]:
+    """What an observer keeps from the events: all that its future depends on."""
+    timeline = watcher._timeline
+    assert timeline is not None
+    entries = timeline.entries
+    events = [(e.key, e.since, e.closed, dict(e.spoken), e.overruled) for e in entries]
+    beliefs = [(e.belief.replicas.tobytes(), dict(e.belief.innovations)) for e in entries]
+    agreements = [each.agreement for each in entries]
+    whole = [watcher.start, watcher.last_event, watcher.missing, watcher.epoch]
+    return [whole, events, beliefs, agreements]
+
+
+@st.composite
+def streams(draw: st.DrawFn, *, numbered: bool = True) -> list[ImpactEvent]:
+    """Messages by number: any kinds, stamps that contradict the numbers, some of them lost.
+
+    Now and then a CLOSE comes with the stamp and contact of an IMPACT before it.
+    """
+    events: list[ImpactEvent] = []
+    true = 8
+    for sequence in range(1, draw(st.integers(3, 8)) + 1):
+        true += draw(st.integers(0, 12))
+        stamp = EPOCH + (true + draw(st.integers(-6, 6))) * TICK
+        contacts = draw(st.sampled_from([("c1",), ("c2",), ("c1",), ("c1", "c2")]))
+        switches = tuple(Switch(each, draw(st.sampled_from(Kind))) for each in contacts)
+        edges = [(e.stamp, s) for e in events for s in e.switches if s.kind is Kind.IMPACT]
+        if draw(st.booleans()) and edges:
+            stamp, edge = draw(st.sampled_from(edges))
+            switches = (replace(edge, kind=Kind.CLOSE),)
+        events.append(ImpactEvent(stamp, switches, sequence * numbered, 0, EPOCH))
+    lost = draw(st.sets(st.integers(0, len(events) - 1), max_size=2))
+    return [each for i, each in enumerate(events) if i not in lost]
+
+
+@st.composite
+def arrivals(draw: st.DrawFn, events: list[ImpactEvent]) -> list[ImpactEvent]:
+    """``events`` in any order, some of them several times."""
+    twice = draw(st.lists(st.sampled_from(events), max_size=3))
+    return draw(st.permutations([*events, *twice]))
+
+
+def acting(events: list[ImpactEvent]) -> list[ImpactEvent]:
+    """The stream without contradictions that ``events``, all numbered, mean."""
+    ordered = sorted(events, key=lambda e: (e.stamp, e.sequence))
+    first = min(each.sequence for each in events)
+    plain: list[ImpactEvent] = []
+    for i, each in enumerate(ordered):
+        kinds = [meant(ordered[: i + 1], switch, ordered[i + 1 :]) for switch in each.switches]
+        switches = tuple(
+            Switch(switch.contact, kind)
+            for switch, kind in zip(each.switches, kinds, strict=True)
+            if kind is not None
+        )
+        if switches:
+            plain.append(replace(each, switches=switches, sequence=first + len(plain)))
+    return plain
+
+
+def meant(upto: list[ImpactEvent], switch: Switch, later: list[ImpactEvent]) -> Kind | None:
+    """How a switch of the last of ``upto`` acts, by the rules of docs/events.md."""
+    closing = Switch(switch.contact, Kind.CLOSE)
+    if switch.kind is Kind.IMPACT and any(
+        e.stamp == upto[-1].stamp and closing in e.switches for e in later
+    ):
+        return None
+    spoken = [(e.sequence, s) for e in upto for s in e.switches if s.contact == switch.contact]
+    number, newest = max(spoken, key=lambda each: each[0])
+    if number == upto[-1].sequence:
+        return switch.kind
+    if switch.kind is Kind.OPEN:
+        return None
+    return Kind.CLOSE if newest.kind is Kind.CLOSE else Kind.IMPACT
+
+
+@LAWS
+@examples(10)
+@given(data=st.data())
+def test_order_of_arrival_and_duplicates_change_no_bit(law: str, data: st.DataObject) -> None:
+    """Any permutation, duplicates thrown in: equal estimates and equal knowledge."""
+    events = data.draw(streams(numbered=data.draw(st.booleans())))
+    if not events[0].sequence:
+        events = [each for i, each in enumerate(events) if each not in events[:i]]
+    ordered = watcher_of(law, events)
+    shuffled = watcher_of(law)
+    rulings = [v.ruling for e in data.draw(arrivals(events)) for v in shuffled.receive(e)]
+    assert set(rulings) <= {Ruling.APPLIED, Ruling.REJECTED, Ruling.DUPLICATE}
+    assert known(shuffled) == known(ordered)
+    assert state_of_knowledge(shuffled) == state_of_knowledge(ordered)
+
+
+@LAWS
+@examples(10)
+@given(data=st.data())
+def test_stream_that_contradicts_itself_acts_like_the_plain_one_it_means(
+    law: str, data: st.DataObject
+) -> None:
+    """To the last bit: what is void leaves no trace, what is stale is another kind of hit."""
+    events = data.draw(streams())
+    plain = watcher_of(law, acting(events))
+    assert known(watcher_of(law, data.draw(arrivals(events)))) == known(plain)
+
+
+@examples(30)
+@given(data=st.data())
+def test_chi_is_what_the_highest_number_so_far_has_said(data: st.DataObject) -> None:
+    """At every instant, and after the last event for good."""
+    events = data.draw(streams())
+    watcher = watcher_of("open-loop", data.draw(arrivals(events)), ensemble=1)
+    stamps = [*STAMPS.tolist(), EPOCH + 100 * NS_PER_S]
+    for stamp in [each for each in stamps if each >= (watcher.start or 0)]:
+        said = {"c1": (0, Kind.OPEN), "c2": (0, Kind.OPEN)}
+        for each in events:
+            for switch in each.switches if each.stamp <= stamp else ():
+                said[switch.contact] = max(said[switch.contact], (each.sequence, switch.kind))
+        closed = tuple(contact for contact, (_, kind) in said.items() if kind is Kind.CLOSE)
+        assert watcher.estimate(stamp).closed == closed
+
+
+CLOSE_8 = told(("c1", Kind.CLOSE), seconds=0.5, sequence=8)
+
+
+def reasons(verdicts: Sequence[Verdict]) -> list[tuple[Ruling, str]]:
+    """What became of the switches of an event."""
+    return [(each.ruling, each.reason) for each in verdicts]
+
+
+@pytest.mark.parametrize(
+    ("early", "late", "effect", "acts"),
+    [
+        (Kind.CLOSE, Kind.IMPACT, "a hit, and it stays closed", Kind.CLOSE),
+        (Kind.OPEN, Kind.CLOSE, "a hit, and it stays open", Kind.IMPACT),
+        (Kind.IMPACT, Kind.IMPACT, "a hit, and it stays open", Kind.IMPACT),
+        (Kind.CLOSE, Kind.OPEN, "its OPEN does nothing", None),
+    ],
+)
+def test_stamps_against_numbers_are_told_in_both_orders(
+    early: Kind, late: Kind, effect: str, acts: Kind | None
+) -> None:
+    """Whichever comes second says so; numbers 8 and 9, stamped the other way round."""
+    eight = told(("c1", late), seconds=1.001, sequence=8)
+    nine = told(("c1", early), seconds=1.0, sequence=9)
+    before = told(("c2", Kind.OPEN), seconds=0.0, sequence=1)
+    plain = [before, nine]
+    if acts is not None:
+        plain.append(told(("c1", acts), seconds=1.001, sequence=10))
+    forth, back = (watcher_of("geometric", [before]) for _ in range(2))
+    forth.receive(eight)
+    assert reasons(forth.receive(nine)) == [
+        (
+            Ruling.APPLIED,
+            f"event 8, which it follows, is stamped after it: {effect}; late: 1 event run again",
+        )
+    ]
+    back.receive(nine)
+    assert reasons(back.receive(eight)) == [
+        (
+            Ruling.APPLIED,
+            f"stamped after event 9, which follows it: {effect}; late: 0 events run again",
+        )
+    ]
+    assert known(forth) == known(back) == known(watcher_of("geometric", plain))
+    assert forth.remarks[Remark.DISORDER] == back.remarks[Remark.DISORDER] == 1
+
+
+def test_events_without_a_number_go_by_their_stamps() -> None:
+    """Nothing is stale, not even beside events that are numbered."""
+    watcher = watcher_of("geometric", [told(("c1", Kind.CLOSE), seconds=1.0, sequence=1)])
+    assert reasons(watcher.receive(told(("c1", Kind.OPEN), seconds=1.5))) == [(Ruling.APPLIED, "")]
+    late = told(("c1", Kind.CLOSE), seconds=1.2)
+    assert reasons(watcher.receive(late)) == [(Ruling.APPLIED, "late: 1 event run again")]
+    assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ()
+    assert not watcher.remarks[Remark.DISORDER]
+
+
+@LAWS
+@pytest.mark.parametrize("numbered", [True, False])
+def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -> None:
+    """In either order, as if there had been no IMPACT; another of that stamp is left."""
+    first = told(("c1", Kind.IMPACT), seconds=0.5, sequence=1 * numbered)
+    edge = told(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2 * numbered)
+    between = told(("c1", Kind.IMPACT), seconds=1.3, sequence=3 * numbered)
+    closing = told(("c2", Kind.CLOSE), seconds=1.0, sequence=4 * numbered)
+    which = ("event 2", "event 4") if numbered else ("its stamp", "its stamp")
+    forth, back = watcher_of(law, [first, edge, between]), watcher_of(law, [first, closing])
+    assert reasons(forth.receive(closing)) == [
+        (Ruling.APPLIED, f"supersedes the IMPACT of {which[0]}; late: 1 event run again")
+    ]
+    other, void = back.receive(edge)
+    assert (other.ruling, void.ruling) == (Ruling.APPLIED, Ruling.REJECTED)
+    assert void.reason == f"superseded by the CLOSE of {which[1]}"
+    assert void.innovation == -1.0
+    back.receive(between)
+    plain = watcher_of(law, [first, told(("c1", Kind.IMPACT), seconds=1.0), closing, between])
+    assert known(forth) == known(back) == known(plain)
+    assert forth.remarks[Remark.SUPERSEDED] == back.remarks[Remark.SUPERSEDED] == 1
+    assert forth.estimate(EPOCH + 2 * NS_PER_S).closed == ("c2",)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_close_of_several_contacts_supersedes_without_numbers_too(*, turned: bool) -> None:
+    """Though by its contacts it comes before the IMPACT."""
+    closing = told(("c1", Kind.CLOSE), ("c2", Kind.CLOSE), seconds=1.0)
+    events = [told(("c2", Kind.IMPACT), seconds=1.0), closing]
+    watcher = watcher_of("geometric", events[::-1] if turned else events)
+    assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ("c1", "c2")
+    assert known(watcher) == known(watcher_of("geometric", [closing]))
+
+
+def test_superseding_at_once_has_nothing_else_to_say() -> None:
+    """The two messages in a row: only that; of a plant that says both at one rounded stamp too."""
+    watcher = watcher_of("geometric", [event(1.0, "c1", sequence=5)], epoch=0)
+    closing = told(("c1", Kind.CLOSE), seconds=1.0, sequence=6)
+    wanted = [(Ruling.APPLIED, "supersedes the IMPACT of event 5")]
+    assert reasons(watcher.receive(closing)) == wanted
+    assert watcher.receive(closing)[0].ruling is Ruling.DUPLICATE
+    assert not watcher.remarks[Remark.LATE]
+
+
+def test_impact_that_was_forgotten_cannot_be_superseded() -> None:
+    """Its CLOSE is too late: the state before the IMPACT is gone."""
+    watcher = watcher_of("geometric", history=1.0)
+    for k, seconds in enumerate((0.5, 1.0, 2.1)):
+        watcher.receive(event(seconds, "c1", sequence=k + 1))
+    before = known(watcher, [EPOCH + 3 * NS_PER_S])
+    verdict = watcher.receive(told(("c1", Kind.CLOSE), seconds=1.0, sequence=4))[0]
+    assert verdict.ruling is Ruling.TOO_LATE
+    assert known(watcher, [EPOCH + 3 * NS_PER_S]) == before
+
+
+def test_gaps_in_the_numbers_are_told_by_what_reveals_them() -> None:
+    """And what comes late says how late it was."""
+    watcher = watcher_of("geometric", [event(0.6, "c1", sequence=6)])
+    found = []
+    for sequence in (9, 8, 11, 3, 12):
+        found += reasons(watcher.receive(event(0.1 * sequence, "c1", sequence=sequence)))
+    assert found == [
+        (Ruling.APPLIED, "events 7 to 8 before it are missing"),
+        (Ruling.APPLIED, "late: 1 event run again"),
+        (Ruling.APPLIED, "event 10 before it is missing"),
+        (Ruling.APPLIED, "events 4 to 5 after it are missing; late: 4 events run again"),
+        (Ruling.APPLIED, ""),
+    ]
+    assert watcher.missing == 4
+    assert (watcher.remarks[Remark.GAP], watcher.remarks[Remark.LATE]) == (3, 2)
+
+
+def test_everything_that_is_refused_is_counted() -> None:
+    """Each once, whatever its verdict says."""
+    watcher = watcher_of("geometric", [replace(event(1.0, "c1", sequence=1), episode=1)])
+    for stray in (
+        event(1.0, "c1", sequence=1, episode=1),
+        event(-1.0, "c1", sequence=2, episode=1),
+        event(2.0, "wall", sequence=3, episode=1),
+        event(2.0, "c1", sequence=4, episode=0),
+        event(2.0, sequence=4, episode=1),
+    ):
+        before = known(watcher)
+        (verdict,) = watcher.receive(stray)
+        assert verdict.ruling is not Ruling.APPLIED
+        assert verdict.reason
+        assert known(watcher) == before
+    kinds = Remark.DUPLICATE, Remark.TOO_LATE, Remark.UNKNOWN_CONTACT, Remark.PAST
+    assert [watcher.remarks[each] for each in kinds] == [1, 1, 1, 1]
+    assert watcher.missing == 0
+
+
+def test_new_beginnings_are_told_by_the_first_verdict() -> None:
+    """Of a new episode, a new epoch and a clock that went back; once each."""
+    watcher = watcher_of("geometric", [event(1.0, "c1", sequence=1)])
+    again = event(2.0, "wall", "c1", sequence=1, episode=1, epoch=EPOCH + 5)
+    unknown = "the model's contacts are c1, c2"
+    assert reasons(watcher.receive(again)) == [
+        (Ruling.UNKNOWN_CONTACT, f"{unknown}; episode 1 is new: everything begins again"),
+        (Ruling.APPLIED, ""),
+    ]
+    moved = event(3.0, "c1", sequence=1, epoch=EPOCH + NS_PER_S)
+    new = "epoch 6.000000000 s is new: everything begins again"
+    assert reasons(watcher.receive(moved)) == [(Ruling.APPLIED, new)]
+    watcher.restart("the clock jumped back")
+    jumped = "the clock jumped back: everything begins again"
+    assert reasons(watcher.receive(event(0.5, "c1", sequence=1))) == [(Ruling.APPLIED, jumped)]
+    assert reasons(watcher.receive(event(0.7, "c1", sequence=2))) == [(Ruling.APPLIED, "")]
+    assert (watcher.remarks[Remark.EPISODE], watcher.remarks[Remark.EPOCH]) == (1, 1)
+    assert watcher.restarts == 2
+
+
+def test_event_that_fails_tells_its_gap_to_nobody_else() -> None:
+    """What is said of an event that is not applied is not said of the next."""
+    jammed = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
+    watcher = observer(jammed, "geometric", [0.0, -1.0], epoch=EPOCH)
+    watcher.receive(event(0.0, "c1", sequence=1))
+    watcher.set_state(EPOCH, [0.0], [-1.0])
+    with pytest.raises(ImpactLawError):
+        watcher.receive(event(0.0, "c1", "c2", sequence=3))
+    assert watcher.missing == 2
+    assert reasons(watcher.receive(event(0.5, "c1", sequence=4))) == [(Ruling.APPLIED, "")]
+
+
+@LAWS
+def test_given_state_holds_while_later_events_act_on_it(law: str) -> None:
+    """Known ones as well as those to come; chi and its numbers are the plant's."""
+    early = told(("c1", Kind.CLOSE), seconds=0.5, sequence=3)
+    later = told(("c2", Kind.IMPACT), seconds=1.5, sequence=4)
+    stale = told(("c1", Kind.OPEN), seconds=1.2, sequence=2)
+    given = (EPOCH + NS_PER_S, [0.2, -0.1], [0.3, 0.0])
+    first, last = watcher_of(law, [early, later]), watcher_of(law, [early])
+    first.set_state(*given)
+    last.set_state(*given)
+    last.receive(later)
+    for watcher in (first, last):
+        assert "does nothing" in watcher.receive(stale)[0].reason
+        assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ("c1",)
+    assert first.start == given[0]
+    stamps = [given[0], given[0] + NS_PER_S]
+    assert known(first, stamps) == known(last, stamps)
+
+
+@pytest.mark.parametrize("law", ["open-loop", "minimum-variance"])
+def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
+    """Many events, each late by up to four others, every third twice: equal bits."""
+    random, count = np.random.default_rng(7), 250
+    kinds = random.choice([Kind.IMPACT, Kind.CLOSE, Kind.OPEN], count)
+    jitter = random.normal(0.0, 0.02, count)
+    events = [
+        told((f"c{1 + k % 2}", Kind(kind)), seconds=0.05 * (k + 2) + shift, sequence=k + 1)
+        for k, (kind, shift) in enumerate(zip(kinds.tolist(), jitter.tolist(), strict=True))
+    ]
+    order = np.argsort(np.arange(count) + random.uniform(0, 4, count)).tolist()
+    ordered, shuffled = (watcher_of(law, history=1.0, ensemble=1) for _ in range(2))
+    most = 0
+    for k, i in enumerate(order):
+        ordered.receive(events[k])
+        for again in range(1 + (k % 3 == 0)):
+            verdict = shuffled.receive(events[i])[0]
+            assert verdict.ruling is (Ruling.DUPLICATE if again else Ruling.APPLIED)
+        timeline = shuffled._timeline
+        assert timeline is not None
+        most = max(most, len(timeline.entries) + len(shuffled._numbers))
+    assert most < 130
+    end = max(each.stamp for each in events)
+    stamps = list(range(end - NS_PER_S // 2, end + NS_PER_S, NS_PER_S // 10))
+    assert known(shuffled, stamps) == known(ordered, stamps)
+    assert shuffled.missing == ordered.missing == 0
+
+
+def test_numbers_that_are_forgotten_are_neither_new_nor_missing() -> None:
+    """Whether they come again or not."""
+    numbers = Numbering()
+    for k in (1, 2, 3, 5):
+        numbers.note(k, 10 * k)
+    numbers.forget_before(40)
+    assert len(numbers) == 1
+    numbers.note(2, 20)
+    assert numbers.missing == 1
+    assert numbers.gap(7) == "event 6 before it is missing"
+
+
+def test_page_of_events_names_everything_that_is_counted() -> None:
+    """docs/events.md tells the effect of each."""
+    page = (Path(__file__).parents[2] / "docs" / "events.md").read_text()
+    assert [remark.value for remark in Remark if f"`{remark.value}`" not in page] == []
