@@ -73,6 +73,7 @@ class Remark(Enum):
     PAST = "of a past episode or epoch"
     EPISODE = "new episodes"
     EPOCH = "new epochs"
+    SECOND_THOUGHT = "second thoughts"
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +87,7 @@ class Verdict:
         contact: the contact; empty when the verdict is on the whole event.
         reason: why, in plain words; empty when applied like any other.
         innovation: normalised innovation in standard deviations; -1 where a law has none.
+        revises: whether it takes back an earlier verdict.
     """
 
     stamp: int
@@ -94,3 +96,4 @@ class Verdict:
     contact: str = ""
     reason: str = ""
     innovation: float = -1.0
+    revises: bool = False

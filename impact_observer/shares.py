@@ -29,3 +29,30 @@ def shared(relative: str) -> Path:
         if (path := root / relative).exists():
             return path
     raise UsageError(f"{relative}: not among the package's shared files; reinstall the package")
+
+
+def read_declared(source: str | Path, folder: str, wanted: str) -> tuple[Path, str]:
+    """A file's path and text; or those of a sample, by its name.
+
+    Args:
+        source: the file, or the name.
+        folder: of the samples, such as ``config``.
+        wanted: what errors say is expected.
+
+    Raises:
+        UsageError: there is no such file, or it is no text.
+    """
+    path = Path(source)
+    if not path.is_file():
+        samples = shared(folder)
+        sample = samples / f"{path.name}.yaml"
+        if path.parent != Path() or not sample.is_file():
+            names = ", ".join(sorted(each.stem for each in samples.glob("*.yaml")))
+            what = "a folder" if path.is_dir() else "no such file"
+            raise UsageError(f"{source}: {what}; expected {wanted}: {names}")
+        path = sample
+    try:
+        return path, path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"{path}: cannot be read as text: {reason}") from None

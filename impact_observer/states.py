@@ -37,6 +37,7 @@ class Estimate:
         bound: certified upper bound of V, J; -1 where nothing is certified.
         refuted: whether events have contradicted what was declared.
         clock_offset: estimated offset of the sensor's clock, s; 0 unless asked for.
+        learnt: what was learnt besides the state: name, value, standard deviation, SI units.
         last_sequence: sequence number of the last event applied; 0 before the first.
         last_event: stamp of the last event applied, ns; 0 before the first.
     """
@@ -52,5 +53,6 @@ class Estimate:
     bound: float = -1.0
     refuted: bool = False
     clock_offset: float = 0.0
+    learnt: tuple[tuple[str, float, float], ...] = ()
     last_sequence: int = 0
     last_event: int = 0

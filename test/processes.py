@@ -47,6 +47,22 @@ def running(
         process.communicate()
 
 
+def refusal(module: str, arguments: list[str], environment: Mapping[str, str]) -> str:
+    """The one line that a process says that ends with exit code 2."""
+    done = subprocess.run(
+        [sys.executable, "-m", module, *arguments],
+        env=dict(environment),
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert done.returncode == 2
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    return lines[0]
+
+
 def interrupt(process: "subprocess.Popen[str]", how: int = signal.SIGINT) -> tuple[int, str]:
     """Send a signal; the exit code and what was written to stderr."""
     process.send_signal(how)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.model import Contact, Forcing, Model, System, read_model
-from impact_observer.observer import Observer, law_named
+from impact_observer.observer import Observer, Uncertainty, law_named
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -228,13 +228,20 @@ def run(
     return simulate(plant, grid(EPOCH, EPOCH + round(seconds * NS_PER_S), rate))
 
 
+def believing(**declared: object) -> Uncertainty:
+    """What is declared of a sensor that is right but for its clock: every event is believed."""
+    right = {"clock_error": 0.0, "missed": 0.0, "invented": 0.0, "mislabelled": 0.0}
+    return Uncertainty(**{**right, **declared})  # type: ignore[arg-type]
+
+
 def observer(model: System, law: str, x: ArrayLike, **options: object) -> Observer:
-    """An observer that starts at ``x`` = (q, u), of one replica unless told else."""
+    """An observer that starts at ``x``, of one replica and ``believing`` unless told else."""
     start = np.asarray(x, float)
     options = {"ensemble": 1, **options}
+    declared = options.pop("uncertainty", None) or believing()
     return Observer(
         model,
-        law_named(law)(model),
+        law_named(law)(model, declared),  # type: ignore[arg-type]
         start[: model.n],
         start[model.n :],
         **options,  # type: ignore[arg-type]

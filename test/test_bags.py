@@ -1,20 +1,44 @@
 """The recorded bags: what they hold, what comes out of them, fed offline and live."""
 
+import re
+from collections import Counter
+from collections.abc import Callable
+from operator import attrgetter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from rigs import accelerometer_bag, switch_bag
 from ruamel.yaml import YAML
 
+from impact_observer.analysis.comparison import Comparison
 from impact_observer.bag.comparisons import compare_bag
 from impact_observer.bag.reader import BagReader
 from impact_observer.bag.recordings import carried_model, events_in
 from impact_observer.cli.main import main
+from impact_observer.events import Kind, Ruling, Verdict
+from impact_observer.model import read_model
+from impact_observer.observer import Options
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Plant, simulate
 from impact_observer.shares import shared
+from impact_observer.troubles import TROUBLES
 
-EXPECTED = YAML(typ="safe").load(shared("bags/expected.yaml"))
+BAGS = shared("bags")
+FIGURES = YAML(typ="safe").load(shared("bags/expected.yaml"))
+EXPECTED, TROUBLED = FIGURES["ideal"], FIGURES["troubled"]
+ROWS = re.findall(
+    r"^\| `(\w+)` .*?`impact-observer ([^`]*)`", (BAGS / "README.md").read_text(), re.M
+)
+COMMANDS = {name: command.split() for name, command in ROWS if name not in EXPECTED}
+SENSED = [name for name, command in COMMANDS.items() if command[0] == "simulate"]
+_AXES = "linear_acceleration.x linear_acceleration.y linear_acceleration.z"
+RIGS: dict[str, tuple[Callable[[Path], Path], str, str]] = {
+    "switch": (switch_bag, "/switch", "data"),
+    "accelerometer": (accelerometer_bag, "/imu", _AXES),
+}
+JUDGED = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
@@ -34,6 +58,15 @@ def test_a_recorded_bag_is_what_its_model_does(name: str) -> None:
     np.testing.assert_allclose(np.hstack([truth.q, truth.u]), run.states, rtol=0, atol=1e-9)
 
 
+def observed(bag: Path, law: str, options: str, output: Path) -> tuple[Comparison, list[Verdict]]:
+    """What an observer makes of a bag, as a user runs it."""
+    arguments = ["observe", str(bag), "--law", law, "--initial", "random:1", *options.split()]
+    assert main([*arguments, "-o", str(output)]) == 0
+    with BagReader(output) as reader:
+        comparison = compare_bag(reader, carried_model(reader).system).comparisons["/observer"]
+        return comparison, list(reader.verdicts("/observer/verdicts"))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPECTED)
 @pytest.mark.parametrize("law", BUILT_IN)
@@ -41,11 +74,7 @@ def test_observers_make_of_a_recorded_bag_what_is_expected(
     name: str, law: str, tmp_path: Path
 ) -> None:
     """V at the end over V at the start, for every law."""
-    bag, output = shared(f"bags/{name}"), tmp_path / "out"
-    arguments = ["observe", str(bag), "--law", law, "--initial", "random:1", "-o", str(output)]
-    assert main(arguments) == 0
-    with BagReader(output) as reader:
-        comparison = compare_bag(reader, carried_model(reader).system).comparisons["/observer"]
+    comparison, _ = observed(BAGS / name, law, "", tmp_path / "out")
     if law == "minimum-variance":  # down to where the stamps' rounding stands
         assert comparison.ratio is not None
         assert 0 < comparison.ratio <= EXPECTED[name][law]
@@ -53,6 +82,125 @@ def test_observers_make_of_a_recorded_bag_what_is_expected(
     assert comparison.ratio == pytest.approx(EXPECTED[name][law], rel=1e-6)
     if law != "open-loop":
         assert comparison.largest_rise() <= 1e-9
+
+
+def test_there_is_a_bag_for_every_trouble() -> None:
+    """The table has a command for each bag, and each bag its figures."""
+    folders = {path.name for path in BAGS.iterdir() if path.is_dir()}
+    assert folders == {*EXPECTED, *TROUBLED}
+    assert COMMANDS.keys() == TROUBLED.keys()
+    assert {*SENSED, *RIGS} == TROUBLED.keys()
+    options = {word for command in COMMANDS.values() for word in command}
+    assert {f"--{each.name.replace('_', '-')}" for each in TROUBLES} <= options
+
+
+@pytest.mark.parametrize("name", SENSED)
+def test_a_bag_of_a_troubled_sensor_is_what_its_command_makes(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Events bit for bit and when they arrived, the true states, and what was wrong."""
+    monkeypatch.chdir(BAGS)
+    given = ["--duration", "30", "--rate", "2", "--seed", "1", "-o", str(tmp_path / "bag")]
+    assert main([*COMMANDS[name], *given]) == 0
+    with BagReader(BAGS / name) as recorded, BagReader(tmp_path / "bag") as made:
+        assert list(recorded.raw(["/impacts"])) == list(made.raw(["/impacts"]))
+        model, anew = carried_model(recorded), carried_model(made)
+        states, truth = (each.joint_states("/plant/joint_states") for each in (recorded, made))
+    assert model.provenance["version"] == "0.1.0"
+    assert model.provenance["seed"] == 1
+    assert model.provenance["sensor"] == anew.provenance["sensor"]
+    assert model.system.name == anew.system.name
+    assert (states.stamps == truth.stamps).all()
+    np.testing.assert_allclose(states.q, truth.q, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(states.u, truth.u, rtol=0, atol=1e-9)
+
+
+def recorded(path: Path, topic: str, field: str) -> tuple[list[int], Any]:
+    """Log times of a rig's messages, and what its sensor says, (messages, any)."""
+    with BagReader(path) as reader:
+        read, get = reader.decoder(topic), attrgetter(*field.split())
+        raw = list(reader.raw([topic]))
+    return [each.log_time for each in raw], np.array([get(read(each.data)) for each in raw])
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_a_bag_of_a_rig_is_what_its_sensor_records(name: str, tmp_path: Path) -> None:
+    """The very messages at the very times; accelerations but for rounding."""
+    make, topic, field = RIGS[name]
+    times, values = recorded(BAGS / name, topic, field)
+    times_anew, values_anew = recorded(make(tmp_path / "bag"), topic, field)
+    assert len(times) >= 4 * EXPECTED["two_mass"]["impacts"]
+    assert times == times_anew
+    np.testing.assert_allclose(values, values_anew, rtol=0, atol=1e-6)
+
+
+def detected(name: str, path: Path) -> Path:
+    """The bag that ``detect`` makes of a rig's, by the command in the table."""
+    command, _, *options = COMMANDS[name]
+    assert main([command, str(BAGS / name), *options, "-o", str(path)]) == 0
+    return path
+
+
+@pytest.mark.parametrize(("name", "late"), [("switch", 0), ("accelerometer", 20_000)])
+def test_every_impact_is_detected_in_the_bag_of_a_rig(
+    name: str, late: int, tmp_path: Path
+) -> None:
+    """As impacts and never as lasting contact: to the nanosecond, or to 20 us of a 1 kHz signal."""
+    with (
+        BagReader(BAGS / "two_mass") as ideal,
+        BagReader(detected(name, tmp_path / "bag")) as reader,
+    ):
+        true, events = events_in(ideal), events_in(reader)
+    assert [e.switches for e in events] == [e.switches for e in true]
+    assert {e.switches[0].kind for e in events} == {Kind.IMPACT}
+    assert max(abs(a.stamp - b.stamp) for a, b in zip(events, true, strict=True)) <= late
+
+
+def test_events_that_arrive_late_and_out_of_order_change_nothing() -> None:
+    """Fed as they arrive, the observer ends bit for bit where it ends with a perfect link."""
+    ends = []
+    for name in ("transport", "two_mass"):
+        with BagReader(BAGS / name) as reader:
+            events = list(reader.events())
+        observer = Options(initial="random:1").observer(read_model("two_mass").system)
+        for event in events:
+            observer.receive(event)
+        ends.append(([e.sequence for e in events], observer.estimate(31_000_000_000)))
+    (late, found), (ordered, wanted) = ends
+    assert late != ordered == sorted(late)
+    assert found.q.tobytes() == wanted.q.tobytes()
+    assert found.u.tobytes() == wanted.u.tobytes()
+
+
+def rulings(verdicts: list[Verdict]) -> Counter[Ruling]:
+    """What became of the events in the end, and what was inserted and not taken back."""
+    last = {(v.stamp, v.sequence, v.contact): v.ruling for v in verdicts}
+    return Counter(
+        ruling
+        for (_, sequence, _), ruling in last.items()
+        if sequence or ruling == Ruling.INSERTED
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TROUBLED)
+@pytest.mark.parametrize("law", ["geometric", "minimum-variance"])
+def test_observers_make_of_a_troubled_bag_what_is_expected(
+    name: str, law: str, tmp_path: Path
+) -> None:
+    """V at the end over V at the start; what became of the events, and what was inserted."""
+    figures = TROUBLED[name]
+    bag = detected(name, tmp_path / "bag") if name in RIGS else BAGS / name
+    comparison, verdicts = observed(bag, law, figures["observe"], tmp_path / "out")
+    ratio, counts = comparison.ratio, rulings(verdicts)
+    if law == "geometric":  # it believes everything
+        assert ratio == pytest.approx(figures[law], rel=1e-6)
+        assert counts == {Ruling.APPLIED: len(verdicts)}
+        return
+    assert ratio is not None
+    assert 0 < ratio <= figures[law]
+    assert comparison.V.max() <= 10 * comparison.V[0]
+    assert [counts[each] for each in JUDGED] == [figures[each.name.lower()] for each in JUDGED]
 
 
 @pytest.mark.ros

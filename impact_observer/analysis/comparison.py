@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from impact_observer.analysis.lyapunov import distance
 from impact_observer.errors import BagError
-from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay
+from impact_observer.observer.order import hits
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Estimate, Stamps, Vector
 
@@ -190,18 +191,20 @@ def compare_law(
 
 
 def applied_in(verdicts: Iterable[Verdict]) -> Stamps:
-    """Stamps of the events that an observer applied, by its verdicts, ns, shape (events,)."""
-    used = (Ruling.APPLIED, Ruling.INSERTED)
-    stamps = [verdict.stamp for verdict in verdicts if verdict.ruling in used]
-    return np.unique(np.array(stamps, dtype=np.int64))
+    """Stamps of the events that an observer applied in the end, ns, shape (events,)."""
+    used, last = (Ruling.APPLIED, Ruling.INSERTED), {}
+    for each in verdicts:
+        if each.ruling in (*used, Ruling.REJECTED):
+            last[each.stamp, each.sequence, each.contact] = each.ruling
+    stamps = {stamp for (stamp, _, _), ruling in last.items() if ruling in used}
+    return np.array(sorted(stamps), dtype=np.int64)
 
 
 def impacts_in(events: Iterable[ImpactEvent]) -> dict[str, Stamps]:
-    """Stamps of the impacts (ns), by contact; a closing is one too."""
+    """Stamps of the impacts (ns), by contact; a closing is one too, what it supersedes is none."""
     by_contact: dict[str, list[int]] = {}
-    for event in events:
-        for switch in (each for each in event.switches if each.kind is not Kind.OPEN):
-            by_contact.setdefault(switch.contact, []).append(event.stamp)
+    for stamp, contact, _ in hits(events):
+        by_contact.setdefault(contact, []).append(stamp)
     return {name: np.array(stamps, dtype=np.int64) for name, stamps in sorted(by_contact.items())}
 
 

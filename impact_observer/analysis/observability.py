@@ -15,7 +15,7 @@ An instant with several impacts counts as if all of them were equally fast. What
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,17 +23,12 @@ from scipy import linalg
 
 from impact_observer.dynamics import ImpactLaw, Phase, Phases
 from impact_observer.errors import BagError, ImpactLawError, UsageError
-from impact_observer.events import ImpactEvent, Kind
+from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.observer import Contacts, Touch, Uncertainty
-from impact_observer.observer.order import Key, Spoken, beside, read
+from impact_observer.observer.order import Key, once, readings
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector, frozen
-
-_Switches: TypeAlias = tuple[tuple[int, Kind], ...]
-"""Index of a contact and how it switches, ascending."""
-_Told: TypeAlias = tuple[int, int, _Switches]
-"""Stamp and sequence of an event, and what it switches: the order of events."""
 
 TOLERANCE = 1e-9
 """Singular value that counts as none, relative to the largest: what stamps of 1 ns could tell."""
@@ -207,19 +202,15 @@ def _heard(system: System, events: Sequence[ImpactEvent]) -> _Heard:
     first = min((e.sequence for e in last if e.sequence), default=0)
     start = epoch if epoch and first <= 1 else min((e.stamp for e in last), default=0)
     heard = [
-        (event.stamp, event.sequence, tuple(sorted(kinds)))
+        Key(event.stamp, event.sequence, tuple(sorted(kinds)))
         for event in last
         if (kinds := {(index[s.contact], s.kind) for s in event.switches if s.contact in index})
     ]
-    keys = [Key(*each) for each in _once(heard) if each[0] >= start]
-    moments: list[_Moment] = []
-    closed: Contacts = ()
-    spoken: Spoken = {}
-    for i, key in enumerate(keys):
-        reading = read(key, closed, spoken, beside(i, keys))
-        touch = Touch.of(seconds_between(start, key.stamp), closed, reading.switches)
-        moments.append(_Moment(key.stamp, touch))
-        closed, spoken = touch.closed, reading.spoken
+    keys = [key for key in once(heard) if key.stamp >= start]
+    moments = [
+        _Moment(key.stamp, Touch.of(seconds_between(start, key.stamp), closed, reading.switches))
+        for key, (closed, reading) in zip(keys, readings(keys), strict=True)
+    ]
     if not any(moment.touch.hit for moment in moments):
         wanted, found = (", ".join(each) or "none" for each in (index, sorted(foreign)))
         raise BagError(
@@ -235,14 +226,6 @@ def _last_episode(events: Sequence[ImpactEvent]) -> list[ImpactEvent]:
     of_epoch = [e for e in events if e.epoch in {0, epoch}]
     episode = max((e.episode for e in of_epoch), default=0)
     return [e for e in of_epoch if e.episode == episode]
-
-
-def _once(heard: list[_Told]) -> list[_Told]:
-    """Events in their order, without those that have come before: by sequence, or in all."""
-    found: dict[object, _Told] = {}
-    for each in heard:
-        found.setdefault(each[1] or each, each)
-    return sorted(found.values())
 
 
 class _Errors:

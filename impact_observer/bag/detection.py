@@ -8,7 +8,7 @@ from impact_observer import __version__
 from impact_observer.bag import interfaces
 from impact_observer.bag.messages import bag_messages
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import _whole, carried_model
+from impact_observer.bag.recordings import all_or_nothing, carried_model
 from impact_observer.bag.writer import BagWriter
 from impact_observer.detector import Detection, Detector, Source, Tally
 from impact_observer.detector.sensors import PATIENCE
@@ -64,7 +64,7 @@ def detect_bag(
     _check_contacts(reader, model, found)
     detector = Detector(found, epoch=epoch)
     result = Detected(detector.sources, detector.tallies, trouble=missing)
-    with _whole(output) as writer:
+    with all_or_nothing(output) as writer:
         carried = _declared(reader, writer, model, result.trouble)
         _run(reader, writer, detector, carried=carried, progress=progress)
         result.events = sum(t.hits + t.lasting + t.openings for t in detector.tallies)

@@ -46,7 +46,7 @@ def carried_text(
 
 
 @contextmanager
-def _whole(path: Path) -> Iterator[BagWriter]:
+def all_or_nothing(path: Path) -> Iterator[BagWriter]:
     """A writer whose bag stays only when everything has come into it."""
     with BagWriter(path) as writer:
         try:
@@ -89,7 +89,7 @@ def write_run(
     make, names = bag_messages(), model.system.coordinates
     n, last = model.system.n, int(run.stamps[-1])
     told = sense(sensor, model.system, run.switchings, epoch=run.epoch, last=last, seed=seed)
-    with _whole(path) as writer:
+    with all_or_nothing(path) as writer:
         for each in _CARRIED:
             writer.declare(each.topic)
         start = int(run.stamps[0])
@@ -209,7 +209,7 @@ def observe_bag(
     carried = [topic for each in _CARRIED if (topic := reader.find(each)) is not None]
     count, rulings = 0, Counter[Ruling]()
     bound, make = -1.0, bag_messages()
-    with _whole(output) as writer:
+    with all_or_nothing(output) as writer:
         for topic in carried:
             info = reader.topics[topic]
             writer.declare(topic, type_name=info.type, quality=info.quality)

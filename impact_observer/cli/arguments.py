@@ -28,8 +28,23 @@ def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
         "--clock-error",
         metavar="S",
         type=not_negative,
-        help="standard deviation of the impacts' stamps, s, at most 0.1 (default 0: 1 ns)",
+        help="standard deviation of the impacts' stamps, s, at most 0.1; 0 for 1 ns"
+        " (default: learnt from them)",
     )
+    parser.add_argument(
+        "--clock-offset-error",
+        metavar="S",
+        type=not_negative,
+        help="standard deviation of what all stamps are late by, s: it is estimated (default 0)",
+    )
+    for name, meaning in (
+        ("missed", "of an impact that it is not heard (default 0.1)"),
+        ("invented", "of an event that nothing has happened (default 0.1)"),
+        ("mislabelled", "of an impact that it was another contact's (default 0.01)"),
+    ):
+        parser.add_argument(
+            f"--{name}", metavar="P", type=not_negative, help=f"probability {meaning}"
+        )
     parser.add_argument(
         "--model-error",
         metavar="A",

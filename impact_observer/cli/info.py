@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast
@@ -50,10 +51,11 @@ class BagSummary:
         duration: from the first message to the last, s.
         messages: messages on all topics.
         topics: the topics, by name.
-        impacts: impacts of each contact, by its name; a closing is one.
+        impacts: impacts of each contact, by its name; a closing is one, what it supersedes none.
         closings: how often each contact stayed closed, by its name.
         episodes: runs of the sender between resets.
-        model: name, and version, seed and integrator that made the bag; None when not carried.
+        model: name, and version, seed, integrator and sensor's troubles that made the bag; None
+            when not carried.
         observers: the law of each observer, by its prefix; empty when it published no state.
     """
 
@@ -68,7 +70,7 @@ class BagSummary:
     impacts: dict[str, int]
     closings: dict[str, int]
     episodes: int
-    model: dict[str, str | int | None] | None
+    model: dict[str, object] | None
     observers: dict[str, str]
 
 
@@ -165,21 +167,23 @@ def _impacts(reader: "BagReader") -> tuple[dict[str, int], dict[str, int], int]:
     """Impacts and closings of each contact, and the number of episodes, over all topics."""
     from impact_observer.bag.interfaces import IMPACT_EVENT
     from impact_observer.events import Kind
+    from impact_observer.observer.order import hits
 
     counts: Counter[str] = Counter()
     closings: Counter[str] = Counter()
-    episodes = set()
+    episodes: set[tuple[str, int]] = set()
     for topic in reader.topics.values():
         if topic.type == IMPACT_EVENT:
-            for event in reader.events(topic.name):
-                episodes.add((topic.name, event.episode))
-                counts.update(s.contact for s in event.switches if s.kind is not Kind.OPEN)
-                closings.update(s.contact for s in event.switches if s.kind is Kind.CLOSE)
-    return dict(sorted(counts.items())), dict(sorted(closings.items())), len(episodes)
+            events = list(reader.events(topic.name))
+            episodes.update((topic.name, event.episode) for event in events)
+            for _, contact, kind in hits(events):
+                counts[contact] += 1
+                closings[contact] += kind is Kind.CLOSE
+    return dict(sorted(counts.items())), dict(sorted((+closings).items())), len(episodes)
 
 
-def _model(reader: "BagReader") -> dict[str, str | int | None] | None:
-    """Name, version and seed of the model that the bag carries; or why it cannot be read."""
+def _model(reader: "BagReader") -> dict[str, object] | None:
+    """Name and origin of the model that the bag carries; or why it cannot be read."""
     from impact_observer.errors import ModelError
     from impact_observer.model import parse_model
 
@@ -189,12 +193,16 @@ def _model(reader: "BagReader") -> dict[str, str | int | None] | None:
         model = parse_model(text, "model")
     except ModelError as error:
         return {"error": str(error)}
-    version, seed, how = (model.provenance.get(k) for k in ("version", "seed", "integrator"))
+    keys = ("version", "seed", "integrator", "sensor")
+    version, seed, how, sensor = (model.provenance.get(key) for key in keys)
     return {
         "name": model.system.name,
         "version": None if version is None else str(version),
         "seed": seed if isinstance(seed, int) else None,
         "integrator": None if how is None else str(how),
+        "sensor": {str(k): v if isinstance(v, int | float) else str(v) for k, v in sensor.items()}
+        if isinstance(sensor, Mapping)
+        else None,
     }
 
 
@@ -225,6 +233,8 @@ def _print(summary: BagSummary) -> None:
     facts.add_row("duration", f"{summary.duration:.6g} s, {summary.messages} messages")
     if summary.model:
         facts.add_row("model", _said(summary.model))
+        if isinstance(troubles := summary.model.get("sensor"), Mapping):
+            facts.add_row("sensor", ", ".join(f"{key} {troubles[key]}" for key in troubles))
     if summary.episodes:
         lasting = {name: f" ({n} of them lasting)" for name, n in summary.closings.items()}
         each = ", ".join(f"{n} at {c}{lasting.get(c, '')}" for c, n in summary.impacts.items())
@@ -245,7 +255,7 @@ def _print(summary: BagSummary) -> None:
     console.print(table)
 
 
-def _said(model: dict[str, str | int | None]) -> str:
+def _said(model: Mapping[str, object]) -> str:
     """A model's origin in words."""
     if "error" in model:
         return f"cannot be read: {model['error']}"

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -24,6 +25,8 @@ COMMANDS = {
     "play": "publish a bag on its topics",
     "record": "record topics into a bag",
 }
+_OPTION = re.compile(r"--[a-z][a-z-]*")
+_NEGATIVE = re.compile(r"-\.?\d")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -53,6 +56,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 1
 
 
+def _joined(argv: Sequence[str]) -> list[str]:
+    """``--option -1e-3`` as ``--option=-1e-3``: argparse takes most such numbers for options."""
+    joined: list[str] = []
+    for word in argv:
+        if _NEGATIVE.match(word) and joined and _OPTION.fullmatch(joined[-1]):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
 def _run(argv: Sequence[str]) -> int:
     parser = _Parser(
         prog=PROGRAM,
@@ -69,5 +83,5 @@ def _run(argv: Sequence[str]) -> int:
             subparser.description = module.__doc__
             subparser.formatter_class = argparse.RawDescriptionHelpFormatter
             module.add_arguments(subparser)
-    args = parser.parse_args(argv)
+    args = parser.parse_args(_joined(argv))
     return int(import_module(f"impact_observer.cli.{args.command.replace('-', '_')}").run(args))

@@ -4,18 +4,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from impact_observer.detector.source import Source
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import Section, Value
-from impact_observer.shares import shared
+from impact_observer.model.reading import load_yaml
+from impact_observer.shares import read_declared
 
 _KEYS = tuple(each.name for each in fields(Source) if each.name != "origin")
 _TEXTS = ("contact", "topic", "kind", "field", "direction", "stamp")
-_NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""What ruamel raises: besides its own errors, those of values such as ``2020-13-45``."""
 
 
 def read_sources(path: str | Path) -> tuple[Source, ...]:
@@ -24,25 +20,8 @@ def read_sources(path: str | Path) -> tuple[Source, ...]:
     Raises:
         UsageError: one line that names the file, the key and what is wanted.
     """
-    path = _find(Path(path))
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise UsageError(f"{path}: cannot be read as text: {reason}") from None
-    return parse_sources(text, str(path))
-
-
-def _find(path: Path) -> Path:
-    """The file itself, else the sample of that name."""
-    if path.is_file():
-        return path
-    samples = shared("config/detector")
-    if path.parent == Path() and (sample := samples / f"{path.name}.yaml").is_file():
-        return sample
-    names = ", ".join(sorted(each.stem for each in samples.glob("*.yaml")))
-    what = "a folder" if path.is_dir() else "no such file"
-    raise UsageError(f"{path}: {what}; expected a file of sensors, or a sample: {names}")
+    found, text = read_declared(path, "config/detector", "a file of sensors, or a sample")
+    return parse_sources(text, str(found))
 
 
 def parse_sources(text: str, name: str) -> tuple[Source, ...]:
@@ -105,13 +84,8 @@ def _value(section: Section, key: str) -> object:
 
 
 def _load(text: str) -> Value:
-    try:
-        document = YAML(typ="safe", pure=True).load(text)
-    except _NOT_YAML as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
-        problem = str(getattr(error, "problem", None) or error).splitlines()[0]
-        raise ModelError("", f"is not YAML{where}: {problem}") from None
+    """The mapping that a file of sensors is."""
+    document = load_yaml(text)
     if not isinstance(document, Mapping):
         raise ModelError("", "is no list of sensors: expected a YAML mapping with sources")
     return document

@@ -10,12 +10,12 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 from ruamel.yaml.representer import SafeRepresenter
 
-from impact_observer.errors import ModelError, UsageError
+from impact_observer.errors import ModelError
 from impact_observer.model import elements, tables
 from impact_observer.model.document import Section, Value
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.system import LARGEST_STATE, Contact, System
-from impact_observer.shares import shared
+from impact_observer.shares import read_declared
 from impact_observer.states import Matrix, Vector, frozen
 
 _MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "forcing", "contacts")
@@ -133,24 +133,8 @@ def read_model(source: str | Path) -> Model:
         ModelError: one line that names the file, the key and what is wanted.
         UsageError: there is no such file.
     """
-    path = _find(source)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read as text: {error}") from None
+    path, text = read_declared(source, "config", "a model file, or a sample model")
     return parse_model(text, str(path), path.parent)
-
-
-def _find(source: str | Path) -> Path:
-    path = Path(source)
-    if path.is_file():
-        return path
-    samples = shared("config")
-    if path.parent == Path() and (sample := samples / f"{path.name}.yaml").is_file():
-        return sample
-    names = ", ".join(sorted(p.stem for p in samples.glob("*.yaml")))
-    what = "a folder" if path.is_dir() else "no such file"
-    raise UsageError(f"{source}: {what}; expected a model file, or a sample model: {names}")
 
 
 def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
@@ -165,13 +149,18 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
         ModelError: one line that names ``source``, the key and what is wanted.
     """
     try:
-        return replace(_model(_load(text), folder), source=source)
+        return replace(_model(load_yaml(text), folder), source=source)
     except ModelError as error:
         key = f"{source}: {error.key}" if error.key else source
         raise ModelError(key, error.problem) from None
 
 
-def _load(text: str) -> Value:
+def load_yaml(text: str) -> Value:
+    """What a YAML text says.
+
+    Raises:
+        ModelError: it is no YAML; without a key.
+    """
     try:
         return YAML(typ="safe", pure=True).load(text)
     except _NOT_YAML as error:

@@ -13,6 +13,7 @@ from rclpy.subscription import Subscription
 from impact_observer.bag import interfaces
 from impact_observer.bag.interfaces import Quality
 from impact_observer.detector import Detection, Detector, Source, Tally, read_sources
+from impact_observer.detector.source import SWITCH
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import offered_quality, qos_profile
@@ -35,7 +36,9 @@ class DetectorNode(Node):
     """Runs one :class:`Detector` on the topics of its sources.
 
     A message without a stamp in its header is stamped by the middleware where it was published;
-    under simulated time, which the middleware does not know, by the clock when it is heard.
+    under simulated time, which the middleware does not know, by the clock when it is heard. What
+    a latched switch has said before the node began is heard too, but not under simulated time:
+    the clock would stamp it with the present.
     """
 
     def __init__(self) -> None:
@@ -84,23 +87,31 @@ class DetectorNode(Node):
             self._listen(topic)
 
     def _listen(self, topic: str) -> None:
-        """Subscribe as reliably as all publishers of a topic offer it, and no more."""
+        """Subscribe to what all publishers of a topic offer, and to no more."""
         publishers = self.get_publishers_info_by_topic(topic)
         if not publishers:
             return
-        reliable = all(offered_quality(each.qos_profile).reliable for each in publishers)
+        offered = Quality.common(offered_quality(each.qos_profile) for each in publishers)
         before = self._asked.get(topic)
-        if before is not None and (reliable or not before.reliable):
+        reliable = offered.reliable and (before is None or before.reliable)
+        latched = reliable and offered.transient_local and self._has_latched_switch(topic)
+        wanted = Quality(reliable, latched and (before is None or before.transient_local), _DEPTH)
+        if wanted == before:
             return
         if before is not None:
             self.destroy_subscription(self._subscriptions_by_topic.pop(topic))
-        self._asked[topic] = Quality(reliable=reliable, depth=_DEPTH)
+        self._asked[topic] = wanted
         self._subscriptions_by_topic[topic] = self.create_subscription(
             message_class(publishers[0].topic_type),
             topic,
             lambda message, info: self._on_message(topic, message, info),
             qos_profile(self._asked[topic]),
         )
+
+    def _has_latched_switch(self, topic: str) -> bool:
+        """Whether what was said before now still holds, and when it was said can be known."""
+        kinds = {self._detector.sources[index].kind for index in self._indices[topic]}
+        return SWITCH in kinds and not self.get_clock().ros_time_is_active
 
     def _on_message(self, topic: str, message: object, info: Info) -> None:
         """Hear a message that the executor brings, and at once those that wait behind it.

@@ -53,12 +53,17 @@ class ObserverNode(Node):
             found = f"parameter lag: {lag:g} found"
             raise UsageError(f"{found}; expected at most history, {history:g}")
         system = read_model(values.text("model")).system
+        clock_error = values.number("clock_error")
         self._initial = initial_state(values.text("initial_state"), system)
         self._observer = Options(
             law=values.text("law"),
             initial=values.text("initial_state"),
             deviation=values.text("initial_deviation"),
-            clock_error=values.number("clock_error"),
+            clock_error=None if clock_error < 0 else clock_error,
+            clock_offset_error=values.number("clock_offset_error"),
+            missed=values.number("missed"),
+            invented=values.number("invented"),
+            mislabelled=values.number("mislabelled"),
             model_error=values.number("model_error"),
             ensemble=values.integer("ensemble"),
             agreed=values.number("agreed"),
@@ -136,7 +141,7 @@ class ObserverNode(Node):
         latency = max(seconds_between(event.stamp, self._now()), 0.0)
         late = event.stamp <= self._last_stamp
         for verdict in self._beside_lag(verdicts) if late else verdicts:
-            self._counts[verdict.ruling.name.lower()] += 1
+            self._counts[verdict.ruling.name.lower()] += not verdict.revises
             self._counts["surprising"] += verdict.innovation > SURPRISING
             self._log(verdict)
             self._verdicts.publish(self._make.verdict(verdict, latency))
@@ -262,6 +267,7 @@ class ObserverNode(Node):
             "law": observer.law.name,
             "events applied": self._counts["applied"],
             "events rejected": self._counts["rejected"],
+            "impacts inserted": self._counts["inserted"],
             **{remark.value: observer.remarks[remark] for remark in Remark},
             "from the future": self._counts["future"],
             "invalid messages": self._counts["invalid"],
@@ -291,7 +297,12 @@ class ObserverNode(Node):
             return {}
         bound, apart = self._last.bound, self._last.convergence
         without = "refuted" if self._last.refuted else "none"
+        learnt = {
+            f"{name.replace('_', ' ')} [s]": f"{value:.3g} +- {deviation:.2g}"
+            for name, value, deviation in self._last.learnt
+        }
         return {
+            **learnt,
             "synchronized": self._last.synchronized,
             "convergence [J]": f"{apart:.6g}" if apart >= 0 else "one replica only",
             "certified bound of V [J]": f"{bound:.6g}" if bound >= 0 else without,
@@ -317,10 +328,12 @@ class ObserverNode(Node):
         observer = self._observer
         if self._last is not None and self._last.refuted:
             return DiagnosticStatus.WARN, "events contradict the model or initial_deviation"
-        judged = sum(self._counts[ruling.name.lower()] for ruling in Ruling)
-        refused = judged - self._counts["applied"] + self._counts["invalid"]
+        fine = (Ruling.APPLIED, Ruling.INSERTED)
+        refused = sum(self._counts[each.name.lower()] for each in Ruling if each not in fine)
+        refused += self._counts["invalid"]
         trouble = {
             "are missing": observer.missing,
+            "were missed by the sensor, and inserted": self._counts["inserted"],
             "were not applied": refused,
             "surprised the law (is clock_error too small?)": self._counts["surprising"],
         }

@@ -125,8 +125,24 @@ OBSERVER = (
     Parameter("initial_state", "zero", "q1,..,qn,u1,..,un, random:SEED or zero"),
     Parameter("initial_deviation", "1", "standard deviations of that: one number, or 2n"),
     Parameter(
-        "clock_error", 0.0, "standard deviation of the events' stamps", "s", low=0.0, high=0.1
+        "clock_error",
+        -1.0,
+        "standard deviation of the events' stamps; below 0: learnt from them",
+        "s",
+        low=-1.0,
+        high=0.1,
     ),
+    Parameter(
+        "clock_offset_error",
+        0.0,
+        "standard deviation of what all stamps are late by",
+        "s",
+        low=0.0,
+        high=1.0,
+    ),
+    Parameter("missed", 0.1, "probability of an impact that it is not heard", low=0.0, high=0.9),
+    Parameter("invented", 0.1, "probability that nothing has happened", low=0.0, high=0.9),
+    Parameter("mislabelled", 0.01, "probability of another contact", low=0.0, high=0.9),
     Parameter(
         "model_error", 0.0, "of accelerations, as white noise", "m/s^1.5", low=0.0, high=1e6
     ),

@@ -72,11 +72,14 @@ class Agreeing:
         convergence, energy = self._diameter(belief.replicas), self._energy(belief.x)
         largest = max(previous.largest, energy)
         energy = max(energy, _RESTING * largest)
-        apart = max(_MARGIN * convergence, self._certain(before.x, touch), self._expected(belief))
+        hit = bool(touch.hit) and belief.applied
+        # With a covariance the innovation says it, and knows how far a stamp may be off.
+        certain = self._certain(before.x, touch) if hit and belief.root is None else 0.0
+        apart = max(_MARGIN * convergence, certain, self._expected(belief))
         surprised = max(belief.innovations.values(), default=0.0) > SURPRISING
         explained = not (belief.refuted or surprised)
         agrees = explained and convergence >= 0 and apart <= self.threshold * energy
-        held = previous.held if not touch.hit else previous.held + 1
+        held = previous.held + hit
         return Agreement(convergence, energy, largest, held if agrees else 0)
 
     def _energy(self, x: Vector) -> float:
@@ -103,8 +106,6 @@ class Agreeing:
 
     def _certain(self, x: Vector, touch: Touch) -> float:
         """What V was at least before an impact, J: the plant's gaps were zero there."""
-        if not touch.hit:
-            return 0.0
         q = x[: self._system.n]
         jump = self._projection.position_after(q, touch.active) - q
         return float(jump @ self._system.K @ jump) / 2

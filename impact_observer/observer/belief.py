@@ -2,14 +2,138 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from impact_observer.dynamics import ImpactLaw
-from impact_observer.events import Contacts, Kind
+from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.model import Forcing
 from impact_observer.states import Matrix, Vector
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """A state and how surely it is known.
+
+    Attributes:
+        replicas: states (q, u), shape (N, 2n): the estimate, and others that began elsewhere.
+        root: a square root ``S`` of the covariance ``S S^T`` of (q, u), or of (q, u, b) where the
+            offset is unknown, shape (d, any).
+        offsets: b, what the sensor's stamps are late by, to each replica, shape (N,), s.
+        closed: contacts that are closed.
+    """
+
+    replicas: Matrix
+    root: Matrix
+    offsets: Vector
+    closed: Contacts = ()
+
+    @classmethod
+    def of(cls, replicas: Matrix, root: Matrix, closed: Contacts = ()) -> "Known":
+        """With no offset yet."""
+        return cls(replicas, root, np.zeros(len(replicas)), closed)
+
+    @property
+    def offset(self) -> float:
+        """The estimate's offset, s."""
+        return float(self.offsets[0])
+
+    @property
+    def x(self) -> Vector:
+        """The estimate (q, u), shape (2n,)."""
+        return np.asarray(self.replicas[0])
+
+    def carried(self, x: Vector, map_: Matrix) -> "Known":
+        """What ``map_``, shape (2n, 2n), makes of errors, and ``x`` of the estimate itself."""
+        replicas = (self.replicas - self.x) @ map_.T + x
+        replicas[0] = x  # in every bit, however many others there are
+        root = map_ @ self.root[: x.size]
+        if len(self.root) > x.size:
+            root = np.vstack([root, self.root[x.size :]])
+        return Known(replicas, root, self.offsets, self.closed)
+
+
+class Note(NamedTuple):
+    """What a law made of one contact in one event, or inserted itself.
+
+    Attributes:
+        event: stamp (ns) and sequence of the event with which it was noted.
+        stamp: when it was, ns: of the event, but for what was inserted.
+        contact: index.
+        ruling: applied, rejected or inserted.
+        reason: in plain words; empty when all is as it should be.
+        innovation: in standard deviations; -1 where there is none.
+    """
+
+    event: tuple[int, int]
+    stamp: int
+    contact: int
+    ruling: Ruling
+    reason: str = ""
+    innovation: float = -1.0
+
+    @property
+    def is_inserted(self) -> bool:
+        """Whether the law inserted it."""
+        return self.ruling is Ruling.INSERTED
+
+    @property
+    def gist(self) -> tuple[object, ...]:
+        """What it says, but for figures."""
+        return self.event, self.contact, self.ruling, self.reason[:5]
+
+
+class Unheard(NamedTuple):
+    """A switching that was predicted and not heard.
+
+    Attributes:
+        contact: index.
+        kind: how it switches.
+        ago: when, seconds before the event that came then.
+        surety: depth that the contact would have reached without it, in standard deviations.
+    """
+
+    contact: int
+    kind: Kind
+    ago: float
+    surety: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """One way in which the events may have come about, and what follows from it.
+
+    Attributes:
+        known: the state, and how surely.
+        clock: standard deviation of a stamp, s.
+        weight: logarithm of its probability.
+        notes: what it makes of the latest events, in their order.
+        sunk: contacts of which something is below zero that must not be, with the logarithm of
+            the probability that this is an error of the estimate.
+        unheard: what has switched unheard since the last event.
+    """
+
+    known: Known
+    clock: float
+    weight: float = 0.0
+    notes: tuple[Note, ...] = ()
+    sunk: Mapping[int, float] = field(default_factory=dict)
+    unheard: tuple[Unheard, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fallback:
+    """Where to begin anew if nothing is believed any more.
+
+    Attributes:
+        x: (q, u) of a replica that never goes far astray, shape (2n,).
+        reach: the largest that each of its numbers was, or may have been at first, shape (2n,).
+    """
+
+    x: Vector
+    reach: Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +148,12 @@ class Belief:
         refuted: whether events have contradicted what was declared: the bound came below zero.
         innovations: of the event before it, by contact: how far the estimate's gap was from
             zero, in standard deviations.
+        applied: whether the law took the event for what it is said to be.
+        offset: what the sensor's stamps are believed to be late by, s.
+        learnt: what was learnt besides the state: name, value, standard deviation, SI units.
+        hypotheses: for a law that carries several, the likeliest first; none for others. The
+            estimate is that of the first, the covariance that of all together.
+        fallback: where such a law begins anew; None for others.
     """
 
     replicas: Matrix
@@ -31,6 +161,11 @@ class Belief:
     bound: float | None = None
     refuted: bool = False
     innovations: Mapping[int, float] = field(default_factory=dict)
+    applied: bool = True
+    offset: float = 0.0
+    learnt: tuple[tuple[str, float, float], ...] = ()
+    hypotheses: tuple[Hypothesis, ...] = ()
+    fallback: Fallback | None = None
 
     @property
     def x(self) -> Vector:
@@ -47,15 +182,27 @@ class Touch:
         before: contacts with ``chi = 1`` until now.
         hit: contacts that impact now; none where contacts only open.
         closed: contacts with ``chi = 1`` from now on.
+        stamp: of the event, ns; 0 where nobody asks.
+        sequence: of the event.
     """
 
     t: float
     before: Contacts
     hit: Contacts
     closed: Contacts
+    stamp: int = 0
+    sequence: int = 0
 
     @classmethod
-    def of(cls, t: float, before: Contacts, switches: Iterable[tuple[int, Kind]]) -> "Touch":
+    def of(
+        cls,
+        t: float,
+        before: Contacts,
+        switches: Iterable[tuple[int, Kind]],
+        *,
+        stamp: int = 0,
+        sequence: int = 0,
+    ) -> "Touch":
         """What an event at ``t`` means while the contacts ``before`` are closed.
 
         Args:
@@ -63,13 +210,25 @@ class Touch:
             before: contacts with ``chi = 1`` until now.
             switches: contacts and how they switch. An impact that is one instant says too that its
                 contact is not closed afterwards: an ``OPEN`` was lost.
+            stamp: of the event, ns; 0 where nobody asks.
+            sequence: of the event.
         """
         kinds = {kind: set[int]() for kind in Kind}
         for contact, kind in switches:
             kinds[kind].add(contact)
         hit = kinds[Kind.IMPACT] | kinds[Kind.CLOSE]
         closed = (set(before) - kinds[Kind.IMPACT] | kinds[Kind.CLOSE]) - kinds[Kind.OPEN]
-        return cls(t, before, tuple(sorted(hit)), tuple(sorted(closed)))
+        return cls(t, before, tuple(sorted(hit)), tuple(sorted(closed)), stamp, sequence)
+
+    def after(self, before: Contacts) -> "Touch":
+        """The same event where other contacts were closed before it."""
+        stay = set(self.closed) & set(self.hit) | set(before) - set(self.hit)
+        opened = set(self.before) - set(self.closed)
+        return replace(self, before=before, closed=tuple(sorted(stay - opened)))
+
+    def without(self) -> "Touch":
+        """The instant alone, as if the event had not been."""
+        return replace(self, hit=(), closed=self.before)
 
     @property
     def active(self) -> Contacts:
@@ -118,5 +277,10 @@ class Course(ABC):
 
     def root(self, s: float) -> Matrix | None:
         """``Belief.root`` after ``s`` seconds, without the other replicas."""
+        del s
+        return None
+
+    def closed(self, s: float) -> Contacts | None:
+        """Contacts that the estimate holds closed after ``s`` seconds; None for those told."""
         del s
         return None

@@ -10,7 +10,7 @@ from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, 
 from impact_observer.model import System
 from impact_observer.observer.agreement import AGREED, HELD, Agreeing
 from impact_observer.observer.belief import Course, Touch
-from impact_observer.observer.judging import because, judged
+from impact_observer.observer.judging import Rulings, because, judged
 from impact_observer.observer.laws import Law
 from impact_observer.observer.numbering import Numbering
 from impact_observer.observer.order import Key, Reading, Spoken
@@ -100,6 +100,7 @@ class Observer:
         self._timeline: Timeline | None = None
         self._placed = False
         self._numbers = Numbering()
+        self._rulings = Rulings()
         self._earliest = 0
         if self._epoch:
             self._timeline = Timeline(self._beginning(self._epoch))
@@ -184,7 +185,8 @@ class Observer:
         """Apply ``event`` at its own stamp, whenever it arrives.
 
         Returns:
-            One verdict a switch, or one on the whole event.
+            One verdict a switch, or one on the whole event; then what the law has inserted, and
+            what it now thinks otherwise of earlier events.
 
         Raises:
             ImpactLawError: the impact law has no solution; the event is not applied.
@@ -240,6 +242,8 @@ class Observer:
         x, root = (
             (course.state(s), course.root(s)) if s > 0 else (entry.belief.x, entry.belief.root)
         )
+        closed = course.closed(s)
+        closed = entry.closed if closed is None else closed
         bound, agreement = entry.belief.bound, entry.agreement
         applied = bool(entry.key.switches)
         return Estimate(
@@ -248,11 +252,13 @@ class Observer:
             q=x[:n],
             u=x[n:],
             covariance=frozen(np.empty((0, 0)) if root is None else root @ root.T),
-            closed=tuple(self.system.contact_names[i] for i in entry.closed),
+            closed=tuple(self.system.contact_names[i] for i in closed),
             convergence=agreement.convergence,
             synchronized=self.law.hears and agreement.held >= HELD,
             bound=-1.0 if bound is None else bound,
             refuted=entry.belief.refuted,
+            clock_offset=entry.belief.offset,
+            learnt=entry.belief.learnt,
             last_sequence=entry.key.sequence if applied else 0,
             last_event=entry.key.stamp if applied else 0,
         )
@@ -330,6 +336,7 @@ class Observer:
     def _forget(self, timeline: Timeline) -> None:
         """Keep the past bounded: what is older than the history is too late anyway."""
         timeline.forget_before(timeline.newest.stamp - self._history)
+        self._rulings.forget_before(timeline.start.stamp)
         if len(self._numbers) > 2 * len(timeline.entries) + 64:
             self._numbers.forget_before(timeline.start.stamp)
 
@@ -364,17 +371,25 @@ class Observer:
             superseded = [each.is_superseded for each in (*own, *(each for _, each in others))]
             self.remarks[Remark.SUPERSEDED] += sum(superseded)
             self.remarks[Remark.DISORDER] += not all(superseded)
-        index = self._index
-        return self._with_news(
-            tuple(judged(each, index.get(each.contact, -1), placed) for each in verdicts)
-        )
+        index, names = self._index, self.system.contact_names
+        start = placed.entry.key.stamp - self._history
+        told = [judged(each, index.get(each.contact, -1), placed) for each in verdicts]
+        revised = self._rulings.after(placed, start, names)
+        self.remarks[Remark.SECOND_THOUGHT] += sum(verdict.revises for verdict in revised)
+        return (*self._with_news(tuple(told)), *revised)
 
     def _step(self, previous: Entry, event: Key, reading: Reading) -> Entry:
         """The entry of ``event``, from the one before it."""
         s = seconds_between(previous.since, event.stamp)
         before = self._course(previous).belief(s) if s > 0 else previous.belief
         t = seconds_between(self._epoch or event.stamp, event.stamp)
-        touch = Touch.of(t, previous.closed, reading.switches)
+        touch = Touch.of(
+            t,
+            previous.closed,
+            reading.switches,
+            stamp=event.stamp,
+            sequence=event.sequence,
+        )
         try:
             belief = self.law.event(touch, before)
         except ImpactLawError as error:

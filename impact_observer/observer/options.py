@@ -18,8 +18,12 @@ class Options:
         law: name of its law.
         initial: where the estimate begins; see ``initial_state``.
         deviation: standard deviations of that; see ``deviation_of``.
-        clock_error: standard deviation of the events' stamps, s.
+        clock_error: standard deviation of the events' stamps, s; None to learn it from them.
+        clock_offset_error: standard deviation of what all stamps are late by, s; 0 for none.
         model_error: of the accelerations, as white noise, m/s^1.5.
+        missed: probability of an impact that it is not heard.
+        invented: probability of an event that nothing has happened.
+        mislabelled: probability of an impact that it was one of another contact.
         ensemble: replicas that are run together.
         agreed: V distance at which they count as synchronized, relative to the motion's energy.
         epoch: stamp of ``t = 0``, ns; 0 to learn it from the events.
@@ -29,8 +33,12 @@ class Options:
     law: str = "geometric"
     initial: str = "zero"
     deviation: str = "1"
-    clock_error: float = 0.0
+    clock_error: float | None = None
+    clock_offset_error: float = 0.0
     model_error: float = 0.0
+    missed: float = 0.1
+    invented: float = 0.1
+    mislabelled: float = 0.01
     ensemble: int = DEFAULT_ENSEMBLE
     agreed: float = AGREED
     epoch: int = 0
@@ -43,7 +51,13 @@ class Options:
             UsageError: something cannot be used, by its name.
         """
         uncertainty = Uncertainty(
-            deviation_of(self.deviation, system), self.clock_error, self.model_error
+            deviation_of(self.deviation, system),
+            self.clock_error,
+            self.clock_offset_error,
+            self.model_error,
+            self.missed,
+            self.invented,
+            self.mislabelled,
         )
         return Observer(
             system,

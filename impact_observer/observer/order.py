@@ -6,10 +6,12 @@ highest number so far has said of it. And a switch that turns out to be closed f
 twice with the stamp of one edge: as an IMPACT at once, and later as the CLOSE that replaces it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
 from typing import NamedTuple, TypeAlias
 
-from impact_observer.events import Contacts, Kind
+from impact_observer.events import Contacts, ImpactEvent, Kind
+from impact_observer.observer.belief import Touch
 
 Spoken: TypeAlias = Mapping[int, int]
 """By index of a contact, the highest sequence number that has spoken of it."""
@@ -109,6 +111,56 @@ def beside(i: int, events: Sequence[Key]) -> Sequence[Key]:
     while not events[i].sequence and first > 0 and events[first - 1].stamp == stamp:
         first -= 1
     return [*events[first:i], *events[i + 1 : end]]
+
+
+def once(events: Iterable[Key]) -> list[Key]:
+    """``events`` in order, without those that came before: by sequence, or in all."""
+    found: dict[object, Key] = {}
+    for each in events:
+        found.setdefault(each.sequence or each, each)
+    return sorted(found.values())
+
+
+def readings(events: Sequence[Key]) -> Iterator[tuple[Contacts, Reading]]:
+    """What each of ``events`` means, all open at first; with the contacts closed before it.
+
+    Args:
+        events: in order, each once.
+    """
+    closed: Contacts = ()
+    spoken: Spoken = {}
+    for i, event in enumerate(events):
+        reading = read(event, closed, spoken, beside(i, events))
+        yield closed, reading
+        closed, spoken = Touch.of(0.0, closed, reading.switches).closed, reading.spoken
+
+
+def hits(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]:
+    """Impacts and closings as they act: stamp (ns), contact and kind, in order of stamps.
+
+    Args:
+        events: of one sender, in any order; of each episode by itself.
+    """
+
+    def run(event: ImpactEvent) -> tuple[int, int]:
+        return event.epoch, event.episode
+
+    for _, members in groupby(sorted(events, key=run), key=run):
+        told = list(members)
+        names = sorted({switch.contact for event in told for switch in event.switches})
+        index = {name: i for i, name in enumerate(names)}
+        keys = once(
+            Key(
+                e.stamp,
+                e.sequence,
+                tuple(sorted({(index[s.contact], s.kind) for s in e.switches})),
+            )
+            for e in told
+        )
+        for key, (_, reading) in zip(keys, readings(keys), strict=True):
+            for contact, kind in reading.switches:
+                if kind is not Kind.OPEN:
+                    yield key.stamp, names[contact], kind
 
 
 def _is_stale(event: Key, spoken: Spoken) -> bool:

@@ -47,6 +47,11 @@ class Entry:
     overruled: tuple[Overruled, ...] = ()
     course: Course | None = field(default=None, repr=False)
 
+    @property
+    def event(self) -> tuple[int, int]:
+        """Stamp and sequence of its event."""
+        return self.key.stamp, self.key.sequence
+
 
 class Placed(NamedTuple):
     """What an event did that was put in its place.
@@ -55,11 +60,13 @@ class Placed(NamedTuple):
         entry: its own.
         again: how many events after it were run again.
         overrules: switches of others that it has a say in, with their events.
+        later: the entries of the events after it.
     """
 
     entry: Entry
     again: int
     overrules: tuple[tuple[Key, Overruled], ...] = ()
+    later: Sequence[Entry] = ()
 
 
 def beginning(
@@ -151,7 +158,7 @@ class Timeline:
         fresh = _redone(self.entries[first - 1], events, step)
         self.entries[first:] = fresh
         overrules = _overrules(key, fresh) if len(fresh) > 1 else ()
-        return Placed(fresh[at - first], len(again), overrules)
+        return Placed(fresh[at - first], len(again), overrules, fresh[at - first + 1 :])
 
     def forget_before(self, stamp: int) -> None:
         """Drop what lies before ``stamp`` except the state there."""

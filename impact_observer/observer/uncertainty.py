@@ -12,7 +12,15 @@ from impact_observer.states import Matrix, Vector, frozen
 
 DEFAULT_DEVIATION = 1.0
 """Standard deviation of every initial coordinate (m or rad) and velocity (m/s or rad/s)."""
-LARGEST = {"deviation": 1e9, "clock_error": 0.1, "model_error": 1e6}
+LARGEST = {
+    "deviation": 1e9,
+    "clock_error": 0.1,
+    "clock_offset_error": 1.0,
+    "model_error": 1e6,
+    "missed": 0.9,
+    "invented": 0.9,
+    "mislabelled": 0.9,
+}
 """Most that may be declared, SI units: beyond it stamps tell nothing, or numbers overflow."""
 _SEED = 2014
 """Of the replicas' initial states: the same for everybody, and nobody's initial state."""
@@ -22,18 +30,30 @@ _SYMMETRY = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """Standard deviations of what an observer is told wrongly.
+    """What an observer is told wrongly, and how far.
+
+    Deviations are standard deviations. The last three are probabilities; where all are 0 every
+    event is believed.
 
     Attributes:
         deviation: of the initial state (q, u), shape (2n,), or one number for all, SI units.
-        clock_error: of the events' stamps, s; besides their rounding to 1 ns.
+        clock_error: of the events' stamps, s, besides their rounding to 1 ns; None where it is
+            not known: the events tell.
+        clock_offset_error: of what all stamps are late by, s; 0 where that is nothing, or known.
         model_error: of the accelerations, as white noise: it makes velocities go astray by
             ``model_error sqrt(t)`` in ``t`` seconds, m/s^1.5.
+        missed: of an impact, that it is not heard.
+        invented: of an event, that nothing has happened.
+        mislabelled: of an impact, that it was one of another contact.
     """
 
     deviation: Vector | float = DEFAULT_DEVIATION
-    clock_error: float = 0.0
+    clock_error: float | None = None
+    clock_offset_error: float = 0.0
     model_error: float = 0.0
+    missed: float = 0.1
+    invented: float = 0.1
+    mislabelled: float = 0.01
 
     def __post_init__(self) -> None:
         """Check that every number is from 0 to the most that may be declared.
@@ -43,10 +63,17 @@ class Uncertainty:
         """
         object.__setattr__(self, "deviation", frozen(self.deviation))
         for name, most in LARGEST.items():
+            if getattr(self, name) is None:
+                continue
             values = np.asarray(getattr(self, name))
             if not np.all((values >= 0) & (values <= most)):
                 found = ",".join(f"{value:g}" for value in np.ravel(values))
                 raise UsageError(f"{name}: {found} found; expected 0 to {most:g}")
+
+    @property
+    def trusting(self) -> bool:
+        """Whether every event is believed."""
+        return not (self.missed or self.invented or self.mislabelled)
 
     def root(self, n: int) -> Matrix:
         """A square root of the initial covariance, shape (2n, 2n).

@@ -159,6 +159,16 @@ def test_events_are_read_as_an_observer_reads_them(data: st.DataObject) -> None:
     assert heard.left_out == len(entries)
 
 
+def test_impact_that_a_close_supersedes_tells_nothing_of_its_own() -> None:
+    """Every figure is that of the CLOSE alone, to the last bit."""
+    closing = told_by(1.0, ("c1", Kind.CLOSE), sequence=3)
+    rest = [event(0.4, "c1", sequence=1), event(1.7, "c1", sequence=4)]
+    plain = observability(APART, [*rest, closing])
+    told = observability(APART, [*rest, event(1.0, "c1", sequence=2), closing])
+    assert told.singular.tobytes() == plain.singular.tobytes()
+    assert (told.stamps.tolist(), told.left_out) == (plain.stamps.tolist(), 0)
+
+
 @pytest.mark.parametrize(("name", "impacts"), [("two_mass", 4), ("three_mass", 6)])
 def test_the_samples_tell_everything_as_early_as_can_be(name: str, impacts: int) -> None:
     """Each of the first 2n impacts tells one more number."""

@@ -9,6 +9,7 @@ import pytest
 from impact_observer.bag import BagWriter
 from impact_observer.bag.messages import bag_messages
 from impact_observer.cli import info
+from impact_observer.cli.main import main
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 
@@ -36,7 +37,13 @@ def test_json_has_all_figures(sample_bag: Path, capsys: pytest.CaptureFixture[st
         "impacts": {"stop": 11},
         "closings": {},
         "episodes": 1,
-        "model": {"name": "two_mass", "version": "1.2.3", "seed": 7, "integrator": None},
+        "model": {
+            "name": "two_mass",
+            "version": "1.2.3",
+            "seed": 7,
+            "integrator": None,
+            "sensor": None,
+        },
         "observers": {"/observer_geometric": "geometric"},
     }
     assert size == sum(file.stat().st_size for file in sample_bag.iterdir())
@@ -84,6 +91,36 @@ def test_impacts_are_counted_by_contact_and_episode(tmp_path: Path) -> None:
     assert summary.episodes == 2
     assert summary.model is None
     assert summary.observers == {}
+
+
+def test_impact_that_a_close_supersedes_is_counted_once(tmp_path: Path) -> None:
+    """As the contact that lasts; what comes twice is counted once too."""
+    make = bag_messages()
+    told = [(1, Kind.IMPACT), (2, Kind.IMPACT), (2, Kind.CLOSE), (3, Kind.OPEN)]
+    events = [
+        ImpactEvent(stamp, (Switch("stop", kind),), k + 1) for k, (stamp, kind) in enumerate(told)
+    ]
+    with BagWriter(tmp_path / "bag") as writer:
+        for event in [*events, events[0]]:
+            writer.write("/impacts", 10, make.event(event))
+    summary = info.summarize(tmp_path / "bag")
+    assert (summary.impacts, summary.closings) == ({"stop": 2}, {"stop": 1})
+
+
+def test_what_was_wrong_with_the_sensor_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the names and values that the bag's model carries."""
+    bag = tmp_path / "bag"
+    given = ["--missed", "0.2", "--impacts-only", "--duration", "1", "-o", str(bag)]
+    assert main(["simulate", "two_mass", *given]) == 0
+    summary = info.summarize(bag)
+    assert summary.model is not None
+    assert summary.model["sensor"] == {"missed": 0.2, "impacts_only": True}
+    capsys.readouterr()
+    assert info.info(bag) == 0
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert "sensor missed 0.2, impacts_only True" in lines
 
 
 def test_foreign_and_empty_bags_are_described_too(

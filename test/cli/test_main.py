@@ -9,6 +9,8 @@ import pytest
 from systems import jammed
 
 from impact_observer import __version__
+from impact_observer.bag import BagReader
+from impact_observer.bag.recordings import carried_model
 from impact_observer.cli.main import COMMANDS, main
 
 ROOT = Path(__file__).parents[2]
@@ -119,6 +121,25 @@ def test_what_does_not_exist_is_one_line_and_exit_code_2(
     errors = capsys.readouterr().err
     assert len(errors.strip().splitlines()) == 1
     assert expected in errors
+
+
+@pytest.mark.parametrize("value", ["-1e-3", "-.001", "-0.001"])
+def test_negative_number_is_given_as_one_types_it(tmp_path: Path, value: str) -> None:
+    """Behind its option, however it is written."""
+    bag = tmp_path / "bag"
+    given = ["--clock-offset", value, "--duration", "1", "-o", str(bag)]
+    assert main(["simulate", "two_mass", *given]) == 0
+    with BagReader(bag) as reader:
+        assert carried_model(reader).provenance["sensor"] == {"clock_offset": -0.001}
+
+
+def test_negative_number_that_is_not_wanted_is_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """It is not taken for an option."""
+    with pytest.raises(SystemExit):
+        main(["simulate", "two_mass", "--impacts-only", "-1e-3", "-o", "x"])
+    assert "--impacts-only: ignored explicit argument '-1e-3'" in capsys.readouterr().err
 
 
 def test_a_demo_checks_its_parameters_before_it_makes_anything(

@@ -93,6 +93,7 @@ def test_help_lists_every_trouble_in_a_group(capsys: pytest.CaptureFixture[str])
     [
         (["--missed", "1.5"], "1.5 found; expected 0 to 1"),
         (["--jitter", "-1"], "-1 found; expected 0 to 1 s"),
+        (["--jitter", "-1e-3"], "-1e-3 found; expected 0 to 1 s"),
         (["--delay", "nan"], "nan found; expected 0 to 10 s"),
         (["--spurious", "often"], "often found; expected 0 to 10000 1/s"),
         (["--mislabelled", "0.1"], "a model with 2 contacts or more: two_mass has 1"),

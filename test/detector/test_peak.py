@@ -23,9 +23,10 @@ S = 1_000_000_000
 
 def half_sines(stamps: Stamps, tops: ArrayLike, length: float, height: float = 100.0) -> Vector:
     """A pulse of ``length`` (s) about each of ``tops`` (s after START): contact of a spring."""
-    t = (stamps - START)[:, None] * 1e-9 - np.asarray(tops)
+    t, tops = (stamps - START) * 1e-9, np.atleast_1d(tops)
+    t -= tops[np.searchsorted((tops[1:] + tops[:-1]) / 2, t)]
     pulse = np.cos(math.pi * t / length)
-    return np.asarray(np.where(np.abs(t) < length / 2, height * pulse, 0.0).sum(axis=1))
+    return np.asarray(np.where(np.abs(t) < length / 2, height * pulse, 0.0))
 
 
 @pytest.mark.parametrize("rate", [100, 1000, 10_000])
@@ -36,7 +37,7 @@ def test_the_top_of_a_half_sine_is_found_to_better_than_a_hundredth_of_a_sample(
     """The error is at most w^2 h^2 / 62 of a sample, the parabola's own for a cosine."""
     period = S // rate
     length = samples / rate
-    tops = 0.5 + np.arange(200.0) * (3 * length + 0.00371 / rate) + 0.0137 / rate
+    tops = 0.5 + np.arange(100.0) * (3 * length + 0.00371 / rate) + 0.0137 / rate
     stamps = every(period, int((tops[-1] + 2 * length) * rate))
     source = peak(50.0, dead_time=length)
     told = events(detections(source, sampled(stamps, half_sines(stamps, tops, length))))
@@ -48,7 +49,7 @@ def test_the_top_of_a_half_sine_is_found_to_better_than_a_hundredth_of_a_sample(
     assert np.abs(error).max() >= 0.5 * bound * period - 1, "the bound is sharp"
 
 
-@examples(200)
+@examples(100)
 @given(st.floats(-0.4, 0.4), st.floats(0.5, 3.0), st.floats(0.5, 3.0), st.floats(0.1, 1e4))
 def test_the_top_of_a_parabola_is_exact_for_uneven_samples(
     top: float, left: float, right: float, height: float
@@ -65,9 +66,9 @@ def test_the_top_of_a_parabola_is_exact_for_uneven_samples(
         assert vertex(*points) == pytest.approx(top * scale, abs=0.6 + 1e-6 * scale)
 
 
-@examples(40)
+@examples(20)
 @given(
-    st.lists(st.floats(0.03, 0.2), min_size=1, max_size=20),
+    st.lists(st.floats(0.03, 0.2), min_size=1, max_size=10),
     st.integers(0, 2**32 - 1),
     st.sampled_from([1000, 4000]),
 )

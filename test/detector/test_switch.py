@@ -145,7 +145,7 @@ CHANGES = st.lists(st.integers(1, 80 * MS), min_size=1, max_size=30).map(
 )
 
 
-@examples(150)
+@examples(60)
 @given(CHANGES)
 def test_without_dead_time_each_closure_is_told_once_and_by_its_length(signal: Changes) -> None:
     """No event is lost and none invented, whatever the lengths."""
@@ -160,7 +160,7 @@ def test_without_dead_time_each_closure_is_told_once_and_by_its_length(signal: C
     assert events(detections(switch(dead_time=0.0), signal, end)) == wanted
 
 
-@examples(150)
+@examples(60)
 @given(CHANGES, st.lists(st.integers(0, 3000 * MS), max_size=30))
 def test_the_time_at_which_silence_is_listened_to_changes_nothing(
     signal: Changes, looks: list[int]
@@ -178,7 +178,7 @@ def test_the_time_at_which_silence_is_listened_to_changes_nothing(
     assert told == detections(switch(), signal, end)
 
 
-@examples(100)
+@examples(50)
 @given(CHANGES, st.integers(0, 20))
 def test_edges_keep_the_dead_time_apart(signal: Changes, dead_time: int) -> None:
     """And every edge that is told is one of the signal."""

@@ -117,6 +117,7 @@ def test_kinematic_replica_keeps_its_gap_once_its_clutch_holds() -> None:
     assert gap[-1, 0] > 0.1
 
 
+@pytest.mark.slow
 @LAWS
 def test_any_order_of_arrival_gives_equal_bits(law: str) -> None:
     """CLOSE, IMPACT of another, OPEN, CLOSE: each is put in its place, and so is what follows."""

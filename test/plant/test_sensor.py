@@ -26,7 +26,7 @@ from impact_observer.plant import (
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, Instant, grid
 from impact_observer.troubles import TROUBLES, Trouble
 
-MANY = 4_000
+MANY = 2_000
 """Impacts of a statistic; what is a fraction p of them deviates by less than 4 sigma."""
 LEAST = 1e-3
 """Probability below which a statistic would not be believed; seeds are fixed."""
@@ -55,7 +55,7 @@ def test_ideal_sensor_tells_what_the_run_has(name: str) -> None:
     """Bit for bit, sequence numbers included, and at once; whatever the seed."""
     model = sample(name)
     plant = make_plant(model.system, *model.initial_state(), epoch=EPOCH)
-    found = simulate(plant, grid(EPOCH, EPOCH + 10 * NS_PER_S, 10.0))
+    found = simulate(plant, grid(EPOCH, EPOCH + 6 * NS_PER_S, 10.0))
     last = int(found.stamps[-1])
     for seed in (0, 3):
         told = sense(IDEAL, model.system, found.switchings, epoch=EPOCH, last=last, seed=seed)

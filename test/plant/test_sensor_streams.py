@@ -48,7 +48,7 @@ def last_of(told: Sequence[Switching]) -> int:
 
 
 @given(runs(), sensors, st.integers(0, 5), st.lists(st.integers(1, 400), max_size=30))
-@examples(80)
+@examples(40)
 def test_streaming_gives_the_events_of_the_whole_run(
     told: list[Switching], sensor: Sensor, seed: int, waits: list[int]
 ) -> None:
@@ -70,7 +70,7 @@ def test_streaming_gives_the_events_of_the_whole_run(
 
 
 @given(runs(), sensors, st.integers(0, 5))
-@examples(80)
+@examples(40)
 def test_events_are_what_every_sensor_tells(
     told: list[Switching], sensor: Sensor, seed: int
 ) -> None:
@@ -164,7 +164,7 @@ CHANGES: dict[str, Callable[[list[Sensed], list[Sensed]], bool]] = {
 
 @pytest.mark.parametrize("name", CHANGES)
 @given(runs(), sensors, st.integers(0, 5))
-@examples(25)
+@examples(12)
 def test_a_trouble_changes_no_draw_of_another(
     name: str, told: list[Switching], sensor: Sensor, seed: int
 ) -> None:

@@ -1,321 +1,261 @@
-"""The Kalman filter of impact times: what an instant says of the whole state, and how surely."""
+"""The Kalman filter of impact times, and as many of them as the events leave in doubt."""
 
 import math
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from scipy import linalg
 
-from impact_observer.dynamics import (
-    KEPT,
-    ROUNDING,
-    Correction,
-    Expansion,
-    ImpactLaw,
-    Measured,
-    Mirror,
-    Phase,
-    Phases,
-    Rates,
-    correction,
-    diffusion,
-    product,
-    triangular,
-)
-from impact_observer.events import Contacts
+from impact_observer.dynamics import triangular
+from impact_observer.errors import UsageError
+from impact_observer.events import Contacts, Ruling
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Course, Touch
+from impact_observer.observer.belief import Belief, Course, Fallback, Hypothesis, Known, Touch
+from impact_observer.observer.filter_bank import SURE, FilterBank
+from impact_observer.observer.forecast import FINE, Forecast
+from impact_observer.observer.impact_filter import ImpactFilter, Linear
+from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.uncertainty import Uncertainty
+from impact_observer.observer.uncertainty import Uncertainty, spread
 from impact_observer.states import Matrix, Vector
 
+CLOCK_ERRORS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+"""Standard deviations of a stamp among which the events decide where none is declared, s."""
 _STAMP = 1e-9 / math.sqrt(12)
 """Standard deviation of what rounding to 1 ns does to a stamp, s."""
-_SHORT = 1e-8
-"""Flights that a plant may leave out before it is at rest, relative to the model's time scale."""
-_BACK = 8.0
-"""How far the fastest fading motion is followed back, in its own time constants."""
-_ROUNDS = 6
-"""How often a measurement is linearised about what it says itself, at most."""
-_SETTLED = 0.05
-"""What another linearisation may change, relative to the deviation of what was measured."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Joint:
-    """The instant of an event and the state then, as one normal vector.
-
-    Attributes:
-        t: where the state is looked at, s since the epoch.
-        e: how much earlier than ``t`` the event is believed to have been, s.
-        x: state (q, u) at ``t``, before the event, shape (2n,).
-        root: a square root of the covariance of (e, x); its first row zero but for the first
-            entry, shape (1 + 2n, 1 + 2n).
-        apart: (e, x) of all replicas less those of the estimate, shape (N, 1 + 2n).
-    """
-
-    t: float
-    e: float
-    x: Vector
-    root: Matrix
-    apart: Matrix
-
-    def moved(self, phase: Phase, s: float) -> "_Joint":
-        """The same, looked at ``s`` seconds later."""
-        if not s:
-            return self
-        Phi = phase.transition(s)
-        root, apart = self.root.copy(), self.apart.copy()
-        root[1:] = Phi @ root[1:]
-        apart[:, 1:] = apart[:, 1:] @ Phi.T
-        return _Joint(self.t + s, self.e + s, phase.moved(self.t, self.x, s), root, apart)
-
-    def corrected(self, learnt: Correction, H: Matrix, innovation: Vector) -> "_Joint":
-        """The same after a measurement of ``H (e, x)``."""
-        change = learnt.gain @ innovation
-        return _Joint(
-            self.t,
-            self.e + float(change[0]),
-            self.x + change[1:],
-            learnt.root,
-            self.apart - (self.apart @ H.T) @ learnt.gain.T,
-        )
-
-
-class _Expected(NamedTuple):
-    """What an event is expected to say of a ``_Joint``, linearised.
-
-    Attributes:
-        about: the state that it is linearised about, shape (2n,).
-        expansion: of what is measured, about it.
-        innovation: by what it says something else than ``expansion`` does, shape (k,).
-        noise: a square root of the covariance of what is not linear, shape (k, any).
-    """
-
-    about: Vector
-    expansion: Expansion
-    innovation: Vector
-    noise: Matrix
-
-    def judged(self, contacts: Contacts, learnt: Correction) -> dict[int, float]:
-        """By contact, how far its innovation is from zero, in standard deviations."""
-        sizes = np.abs(self.innovation) / learnt.deviations
-        return dict(zip(contacts, sizes.tolist(), strict=True))
-
-    def settled(self, found: _Joint) -> bool:
-        """Whether linearising about ``found`` instead would change nothing."""
-        _, H, D, E = self.expansion
-        bent = found.e * (D @ (found.x - self.about) + E * (found.e / 2))
-        noise = np.linalg.norm(self.noise, axis=1)
-        left = np.linalg.norm(product(found.root, D, E)[1], axis=1)
-        scale = np.hypot(H[:, 0] * found.root[0, 0], noise)
-        return bool(np.all(np.abs(bent) + np.abs(noise - left) <= _SETTLED * scale))
+_IMPACTS = 1024
+"""Impacts that are believed unheard, one after the other."""
+_WINDOW = 64 / FINE
+"""How far an estimate looks on at first, in the inverse of the fastest rate."""
 
 
 class MinimumVariance(Law):
     """The estimate of least variance, and that variance, from the instants alone.
 
-    Given the model, an impact is a linear map of the state and says one thing exactly: the gap was
-    zero. A release says that the load was, a closed contact that its gap and its speed are. The
-    error of a stamp belongs to what is estimated: it enters the jump as well as the gap, so the
-    estimate jumps at its own root of the gap, as nearly as the stamp allows. What that leaves of
-    products, of the stamp's error and the state's, is noise of known variance.
-
-    A filter with saltation matrices, but with measured instants for its guards: Kong, Payne,
-    Council and Johnson, The salted Kalman filter, 2021.
+    ``ImpactFilter`` says what follows from events that are what they are said to be, and
+    ``FilterBank`` weighs what else they may have been. The estimate is that of the likeliest
+    account. What it falls through by more than it can be wrong is an impact that nobody heard,
+    and it jumps where that is predicted.
 
     Attributes:
-        clock: standard deviation of a stamp, s.
+        clocks: standard deviations of a stamp that are thought possible, s.
     """
 
     name: ClassVar[str] = "minimum-variance"
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
-        """Prepare impact law and phases."""
+        """Prepare the filter.
+
+        Raises:
+            UsageError: the declared uncertainty does not fit the system; or its clock has an
+                unknown offset, and the system no force that depends on time.
+        """
         super().__init__(system, uncertainty)
-        self.clock = math.hypot(self.uncertainty.clock_error, _STAMP)
-        self._newton = ImpactLaw(system)
-        self._phases = Phases(system)
-        self._short = _SHORT * self._phases.scales.timescale
-        self._phase = lru_cache(KEPT)(self._phase_of)
-        self._rates = lru_cache(KEPT)(self._rates_of)
-        self._gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
-        self._mirror = lru_cache(KEPT)(self._mirror_of)
+        declared = self.uncertainty.clock_error
+        errors = CLOCK_ERRORS if declared is None else (declared,)
+        self.clocks = tuple(math.hypot(error, _STAMP) for error in errors)
+        if self.uncertainty.clock_offset_error and not system.forcing.depends_on_time:
+            raise UsageError(
+                f"clock_offset_error: the offset cannot be known with {system.name}, as no force"
+                " depends on time: a later clock and a later motion look the same; leave it out"
+            )
+        filter_ = ImpactFilter(system, self.uncertainty.model_error)
+        self._bank = FilterBank(filter_, self.uncertainty)
+        self._geometric = Geometric(system)
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """What is declared, and that closed contacts rest."""
-        belief = Belief(replicas, root)
-        return self._rested(belief, closed, closed, np.zeros(len(closed))) if closed else belief
+        x = replicas[0]
+        x = self._geometric.impact(x, closed, closed) if closed else x
+        known = self._bank.filter.begin(Known.of(replicas, self._with_offset(root), closed))
+        return self._belief(self._even(known), Fallback(x, np.linalg.norm(root, axis=1)))
 
     def event(self, touch: Touch, belief: Belief) -> Belief:
-        """What the event says of the state before it; then the jump, at its own instant."""
+        """What each hypothesis makes of the event, and which is the likeliest then."""
         if not touch.hit and touch.before == touch.closed:
             return belief
-        joint, innovations = self._heard(touch, self._prior(touch, belief))
-        after = self._jumped(touch, joint)
-        if touch.closed:
-            new = tuple(i for i in touch.closed if i not in touch.before)
-            pressing = self._rates(touch.before).along(after.x, self._forces(joint.t))[0]
-            left = self._short * self.system.contact_speed(pressing[self.system.n :])
-            after = self._rested(after, touch.closed, new, left[list(new)])
-        phase, s = self._phase(touch.closed), touch.t - joint.t
-        x = phase.moved(joint.t, after.x, s)
-        return replace(_carried(after, x, phase.transition(s)), innovations=innovations)
+        hypotheses, fallback = self._taken(belief, touch.before)
+        x = fallback.x
+        x = self._geometric.impact(x, touch.active, touch.closed) if touch.hit else x
+        fallback = Fallback(x, np.maximum(fallback.reach, np.abs(x)))
+        anew = self._anew(fallback, touch.closed, len(belief.replicas))
+        made = self._bank.heard(touch, hypotheses, anew)
+        return self._belief(made or self._even(anew), fallback, touch)
 
     def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
-        """One linear phase for the estimate, the others and the covariance."""
-        return _Linear(t, belief, self._phase(closed), self.uncertainty.model_error)
+        """The likeliest account for the estimate, all of them for the next event."""
+        hypotheses, fallback = self._taken(belief, closed)
+        motion = self._geometric.motion(t, fallback.x, closed)
 
-    def _prior(self, touch: Touch, belief: Belief) -> _Joint:
-        """Instant and state as they are believed before the event is heard."""
-        size = belief.x.size
-        root, apart = np.zeros((1 + size, 1 + size)), np.zeros((len(belief.replicas), 1 + size))
-        root[0, 0], root[1:, 1:] = self.clock, _root(belief)
-        apart[:, 1:] = belief.replicas - belief.x
-        return _Joint(touch.t, 0.0, belief.x, root, apart)
+        def later(s: float) -> Belief:
+            found = self._bank.predicted(hypotheses, t, s)
+            return self._belief(found, replace(fallback, x=motion.state(s)))
 
-    def _heard(self, touch: Touch, prior: _Joint) -> tuple[_Joint, dict[int, float]]:
-        """Instant and state, both just before the event, once it is heard.
+        if self.uncertainty.trusting:
+            return _Heard(self._bank.filter.course(t, _mixed(hypotheses)), later)
+        return _Foreseen(self._bank, t, _mixed(hypotheses), later)
 
-        Returns:
-            What is believed, looked at where the event is believed to have been; and, by contact,
-            how far the innovation was from zero, in standard deviations.
-        """
-        contacts = touch.telling(self._phase(touch.before).held, self.system.forcing)
-        found = prior
-        judged: dict[int, float] = {}
-        for _ in range(_ROUNDS if contacts else 0):
-            view = prior.moved(self._phase(touch.before), found.t - prior.t)
-            expected = self._expected(touch, contacts, view, found)
-            H = expected.expansion.H
-            learnt = correction(view.root, H, expected.noise)
-            judged = judged or expected.judged(contacts, learnt)
-            found = view.corrected(learnt, H, expected.innovation)
-            settled = expected.settled(found)
-            found = self._at_its_instant(touch, found)
-            if settled:
-                break
-        return found, judged
+    def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
+        """Hypotheses and fallback of a belief; of a bare one, that it is right."""
+        if belief.fallback is not None:
+            return belief.hypotheses, belief.fallback
+        assert belief.root is not None, "a belief of another law"
+        known = Known.of(belief.replicas, self._with_offset(belief.root), closed)
+        return self._even(known), Fallback(belief.x, np.linalg.norm(belief.root, axis=1))
 
-    def _expected(
-        self, touch: Touch, contacts: Contacts, view: _Joint, about: _Joint
-    ) -> _Expected:
-        """What ``contacts`` should say of ``view``, linearised about another at its instant."""
-        forces, phase = self._forces(view.t), self._phase(touch.before)
-        measured = self._gaps(contacts) if touch.hit else Measured.loads(phase, contacts, forces)
-        expansion = measured.expanded(self._rates(touch.before), about.x, forces)
-        mean, bent = product(about.root, expansion.D, expansion.E)
-        value = measured.value(view.x)
-        return _Expected(
-            about.x,
-            expansion,
-            -(value + expansion.H[:, 0] * view.e + mean),
-            np.column_stack([bent, np.diag(measured.rounding(view.x))]),
+    def _even(self, known: Known) -> tuple[Hypothesis, ...]:
+        """One hypothesis for each accuracy of the clock, all as likely."""
+        weight = -math.log(len(self.clocks))
+        return tuple(Hypothesis(known, clock, weight) for clock in self.clocks)
+
+    def _with_offset(self, root: Matrix) -> Matrix:
+        """``root`` with the unknown offset as its last row, where there is one."""
+        deviation = self.uncertainty.clock_offset_error
+        if not deviation:
+            return root
+        whole = np.zeros((len(root) + 1, root.shape[1] + 1))
+        whole[:-1, :-1], whole[-1, -1] = root, deviation
+        return whole
+
+    def _anew(self, fallback: Fallback, closed: Contacts, count: int) -> Known:
+        """What is known if nothing is believed any more: a motion as large as there was."""
+        root = np.diag(fallback.reach)
+        replicas = spread(fallback.x, root, count)
+        return self._bank.filter.begin(Known.of(replicas, self._with_offset(root), closed))
+
+    def _belief(
+        self, hypotheses: tuple[Hypothesis, ...], fallback: Fallback, touch: Touch | None = None
+    ) -> Belief:
+        """A belief whose estimate is that of the likeliest of ``hypotheses``."""
+        best, size = hypotheses[0], fallback.x.size
+        root = _mixed(hypotheses).root
+        event = None if touch is None else (touch.stamp, touch.sequence)
+        notes = [n for n in best.notes if n.event == event and not n.is_inserted]
+        return Belief(
+            best.known.replicas,
+            root[:size],
+            innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
+            applied=all(note.ruling is Ruling.APPLIED for note in notes),
+            offset=best.known.offset,
+            learnt=self._learnt(hypotheses, root),
+            hypotheses=hypotheses,
+            fallback=fallback,
         )
 
-    def _at_its_instant(self, touch: Touch, joint: _Joint) -> _Joint:
-        """``joint`` looked at where it believes the event to have been.
-
-        Not where no forcing is known, nor so far back that what has faded would be rounding. But
-        it may be before an earlier event: where clocks change the order of two impacts, the
-        phase between them is wrong by what the first did to the second, within their distance.
-        """
-        sampled = self.system.forcing.sampled
-        fading = max(self._rates(touch.before).decay, self._rates(touch.closed).decay)
-        back = on = _BACK / fading if fading else math.inf
-        if sampled is not None:
-            back = min(back, touch.t - float(sampled.time[0]))
-            on = min(on, sampled.end - touch.t)
-        early = touch.t - joint.t + joint.e
-        s = touch.t - max(-on, min(early, back)) - joint.t
-        return joint.moved(self._phase(touch.before), s)
-
-    def _jumped(self, touch: Touch, joint: _Joint) -> Belief:
-        """What is believed after the jump, at the same instant."""
-        pressed: Contacts = ()
-        if touch.hit:
-            gamma = self.system.contact_speed(joint.x[self.system.n :])[list(touch.hit)]
-            pressed = touch.pressed(self._newton, gamma)
-        before, after = self._rates(touch.before), self._rates(touch.closed)
-        x, H, D, E = self._mirror(pressed).expanded(before, after, joint.x, self._forces(joint.t))
-        mean, bent = product(joint.root, D, E)
-        x = x + joint.e * (H[:, 0] + E * (joint.e / 2)) + mean
-        rounded = np.diag(ROUNDING * np.abs(x))  # nothing is known better than that
-        root = triangular(np.column_stack([H @ joint.root, bent, rounded]))
-        return Belief(x + joint.apart @ H.T, root)
-
-    def _rested(self, belief: Belief, closed: Contacts, new: Contacts, left: Vector) -> Belief:
-        """``g = 0`` and ``gamma = 0`` on ``closed``; those that are ``new`` tell it.
-
-        Args:
-            belief: when they close.
-            closed: all contacts that are closed from now on.
-            new: those that were not.
-            left: speeds that a plant may leave out before these rest, shape (len(new),), m/s.
-        """
-        gaps, speeds = self._gaps(new), Measured.speeds(self.system, new)
-        c = np.vstack([gaps.c, speeds.c])
-        value = np.concatenate([gaps.value(belief.x), speeds.value(belief.x)])
-        floor = [gaps.rounding(belief.x), np.hypot(speeds.rounding(belief.x), left)]
-        learnt = correction(_root(belief), c, np.diag(np.concatenate(floor)))
-        replicas = belief.replicas - (belief.replicas - belief.x) @ c.T @ learnt.gain.T
-        told = Belief(replicas - learnt.gain @ value, learnt.root)
-        # That was as good as exact. What is left goes by the way the plant itself comes to rest.
-        n, x = self.system.n, self._phases.stopped(told.x, closed)
-        slip = self._phases.projection.jump(closed) @ self.system.W[:, list(closed)].T
-        still = self._phase(closed).inverse @ self.system.M
-        return _carried(told, x, linalg.block_diag(np.eye(n) - slip, still))
-
-    def _forces(self, t: float) -> Matrix:
-        """f, df/dt and the next derivative at ``t``, shape (3, n)."""
-        return np.asarray(self.system.forcing.derivatives(np.array([t]), 2)[:, 0])
-
-    def _phase_of(self, closed: Contacts) -> Phase:
-        return self._phases.phase(self._phases.independent(closed))
-
-    def _rates_of(self, closed: Contacts) -> Rates:
-        return Rates(self._phase(closed))
-
-    def _mirror_of(self, pressed: Contacts) -> Mirror:
-        return Mirror.of(self.system, self._newton.jump(pressed), pressed)
+    def _learnt(
+        self, hypotheses: Sequence[Hypothesis], root: Matrix
+    ) -> tuple[tuple[str, float, float], ...]:
+        """What is known of the clock, where that was not declared."""
+        found = []
+        if len(self.clocks) > 1:
+            weights = np.exp([h.weight for h in hypotheses])
+            clocks = np.array([h.clock for h in hypotheses])
+            mean = float(np.average(clocks, weights=weights))
+            spread_ = math.sqrt(float(np.average((clocks - mean) ** 2, weights=weights)))
+            found.append(("clock_error", mean, spread_))
+        if self.uncertainty.clock_offset_error:
+            offset = hypotheses[0].known.offset
+            found.append(("clock_offset", offset, float(np.linalg.norm(root[-1]))))
+        return tuple(found)
 
 
-class _Linear(Course):
-    """A belief in one linear phase."""
+def _mixed(hypotheses: Sequence[Hypothesis]) -> Known:
+    """What is known by the likeliest hypothesis, as surely as all of them together allow."""
+    best = hypotheses[0].known
+    if len(hypotheses) == 1:
+        return best
+    weights = np.exp([h.weight for h in hypotheses])
+    columns = []
+    for weight, h in zip(np.sqrt(weights / np.sum(weights)), hypotheses, strict=True):
+        apart = np.append(h.known.x - best.x, h.known.offset - best.offset)[: len(best.root)]
+        columns += [weight * h.known.root, weight * apart[:, None]]
+    return replace(best, root=triangular(np.hstack(columns)))
 
-    def __init__(self, t: float, belief: Belief, phase: Phase, model_error: float) -> None:
-        self._belief = belief
-        self._phase = phase
-        self._model_error = model_error
-        self._motion = phase.start(t, belief.x)
+
+class _Heard(Course):
+    """What is believed until the next event, where every one is heard."""
+
+    def __init__(self, linear: Linear, later: Callable[[float], Belief]) -> None:
+        self._linear = linear
+        self._later = later
 
     def state(self, s: float) -> Vector:
-        return self._motion.state(s)
+        return self._linear.state(s)
 
     def root(self, s: float) -> Matrix:
-        return self._astray(self._phase.transition(s) @ _root(self._belief), s)
+        return self._linear.root(s)
 
     def belief(self, s: float) -> Belief:
-        found = _carried(self._belief, self.state(s), self._phase.transition(s))
-        return replace(found, root=self._astray(_root(found), s))
-
-    def _astray(self, root: Matrix, s: float) -> Matrix:
-        """``root`` with what the model's own error adds in ``s`` seconds."""
-        if not self._model_error:
-            return root
-        return triangular(np.hstack([root, diffusion(self._phase, s, self._model_error)]))
+        return self._later(s)
 
 
-def _carried(belief: Belief, x: Vector, map_: Matrix) -> Belief:
-    """What ``map_`` makes of deviations from the estimate, and ``x`` of the estimate itself."""
-    replicas = (belief.replicas - belief.x) @ map_.T + x
-    replicas[0] = x  # in every bit, however many others there are
-    return Belief(replicas, map_ @ _root(belief))
+class _Part(NamedTuple):
+    """A stretch of the likeliest account between two switchings that nobody heard.
+
+    Attributes:
+        since: from when on it is believed, s since the last event.
+        start: when it began, s since the last event.
+        closed: contacts that it holds closed.
+        forecast: what it comes to.
+    """
+
+    since: float
+    start: float
+    closed: Contacts
+    forecast: Forecast
 
 
-def _root(belief: Belief) -> Matrix:
-    """The covariance's root, which every belief of this law has."""
-    assert belief.root is not None, "a belief of another law"
-    return belief.root
+class _Foreseen(Course):
+    """What is believed until the next event, where some are not heard.
+
+    The estimate is a function of time alone: an impact that was not heard counts from when on it
+    is sure, whoever asks when.
+    """
+
+    def __init__(
+        self, bank: FilterBank, t: float, known: Known, later: Callable[[float], Belief]
+    ) -> None:
+        self._bank = bank
+        self._t = t
+        self._later = later
+        self._first = _WINDOW * bank.filter.phases.scales.timescale
+        self._parts = [_Part(0.0, 0.0, known.closed, bank.forecast(t, known))]
+        self._looked, self._window = 0.0, self._first
+
+    def state(self, s: float) -> Vector:
+        part = self._part(s)
+        return part.forecast.course.state(s - part.start)
+
+    def root(self, s: float) -> Matrix:
+        part = self._part(s)
+        return part.forecast.course.root(s - part.start)
+
+    def closed(self, s: float) -> Contacts:
+        return self._part(s).closed
+
+    def belief(self, s: float) -> Belief:
+        return self._later(s)
+
+    def _part(self, s: float) -> _Part:
+        """The stretch that is believed after ``s`` seconds."""
+        while self._looked < s:
+            self._look()
+        return next(part for part in reversed(self._parts) if part.since <= s)
+
+    def _look(self) -> None:
+        """Look on: to the end of a window, twice as long as the last, or to the next switching."""
+        if len(self._parts) > _IMPACTS:
+            self._looked = math.inf
+            return
+        _, start, _, forecast = self._parts[-1]
+        sure = (dip for dip in forecast.dips(self._window) if dip.depth >= SURE)
+        dip = next(sure, None)
+        if dip is None:
+            self._looked, self._window = start + self._window, 2 * self._window
+            return
+        at, since = forecast.root(dip), start + forecast.sure(dip, SURE)
+        t = self._t + start + at
+        known, _ = self._bank.switched(t, forecast.course.known(at), dip)
+        self._parts.append(_Part(since, start + at, known.closed, self._bank.forecast(t, known)))
+        self._looked, self._window = since, self._first

@@ -1,0 +1,295 @@
+"""A bank of impact filters: each believes another account of the same events.
+
+A sensor invents, misses and mislabels impacts. So at every event each hypothesis divides: the
+event was what it says, or an impact of another contact, or nothing at all; and what the estimate
+fell through before was an impact that nobody heard. Hypotheses are weighed by how likely each
+makes the instants that came, and the unlikely ones are dropped: multiple hypothesis tracking
+(Blackman and Popoli, Design and Analysis of Modern Tracking Systems, 1999, chapter 16). One that
+has all events right soon predicts the next to the accuracy of the clock, and then nothing else
+can compete.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import numpy as np
+from scipy import special
+
+from impact_observer.events import Contacts, Kind, Ruling
+from impact_observer.observer.belief import Hypothesis, Known, Note, Touch, Unheard
+from impact_observer.observer.forecast import Dip, Flight, Forecast
+from impact_observer.observer.impact_filter import Evidence, ImpactFilter
+from impact_observer.observer.uncertainty import Uncertainty
+
+RARE = 0.1
+"""Invented impacts of a contact, were all events invented, in the inverse of the fastest rate."""
+ANEW = math.log(2.5e-3)
+"""Logarithm of the probability that is given to an estimate that is not what it believes to be."""
+SURPRISED = 3.0
+"""Innovation, in standard deviations, from which on an estimate may be less sure than it says."""
+WIDER = (3.0, 100.0)
+"""How much wider than what an event contradicts a covariance is opened again."""
+LEADING = -3.0
+"""Logarithm of a probability, relative to the largest, of a hypothesis that is mended so."""
+MOST = 16
+"""Hypotheses that are carried on."""
+NEGLIGIBLE = -16.0
+"""Logarithm of a probability, relative to the largest, of a hypothesis that is dropped."""
+DEEP = 2
+"""Notes, times the coordinates, by which two hypotheses must differ to be carried both."""
+LIKELY = 0.5
+"""Depth of a dip, in standard deviations, from which on it may have been an impact."""
+SURE = 3.0
+"""The same for one that is not over yet."""
+_IMPACTS = 256
+"""Impacts between two events that a hypothesis may insert."""
+_REMEMBERED = 32
+"""Notes that a hypothesis keeps: what it makes of older events will not change."""
+_FLIGHTS = 8
+"""Flights of which the samples are kept, for hypotheses to share."""
+
+
+class _Branch(NamedTuple):
+    """What an event may have been.
+
+    Attributes:
+        weight: logarithm of its probability.
+        make: makes the hypothesis of it.
+        foretold: whether the event came when it was expected.
+    """
+
+    weight: float
+    make: Callable[[], Hypothesis]
+    foretold: bool = False
+
+
+class FilterBank:
+    """Hypotheses of one system from event to event.
+
+    Attributes:
+        filter: what each of them does.
+    """
+
+    def __init__(self, filter_: ImpactFilter, uncertainty: Uncertainty) -> None:
+        """Hypotheses that share ``filter_``, and doubt events as far as is declared."""
+        self.filter = filter_
+        self._trusting = uncertainty.trusting
+        self._missed, self._heard = _logs(uncertainty.missed)
+        self._mislabelled, _ = _logs(uncertainty.mislabelled)
+        self._slow = -math.log(filter_.phases.scales.timescale)
+        invented, plain = _logs(uncertainty.invented)
+        self._invented = invented - plain + math.log(RARE) + self._slow
+        self._deep = DEEP * filter_.system.n
+        self._flight = lru_cache(_FLIGHTS)(partial(Flight, filter_))
+
+    def forecast(self, t: float, known: Known) -> Forecast:
+        """What ``known`` comes to from ``t`` (s since the epoch) on."""
+        return Forecast(self._flight(t, known.closed), self.filter.course(t, known), known)
+
+    def predicted(
+        self, hypotheses: Sequence[Hypothesis], t: float, s: float
+    ) -> tuple[Hypothesis, ...]:
+        """``hypotheses`` of ``t`` (s since the epoch) ``s`` seconds later, the likeliest first.
+
+        One that falls through a stop divides: into what it is, and into one that hit it.
+        """
+        if self._trusting:
+            moved = [self.filter.course(t, each.known).known(s) for each in hypotheses]
+            return tuple(replace(h, known=k) for h, k in zip(hypotheses, moved, strict=True))
+        found = [path for each in hypotheses for path in self._paths(each, t, s)]
+        found.sort(key=_whole_weight, reverse=True)
+        enough = max(each.weight for each in found) + NEGLIGIBLE
+        return tuple(each for each in found if each.weight >= enough)
+
+    def _paths(self, h: Hypothesis, t: float, left: float) -> Iterator[Hypothesis]:
+        """What may have become of ``h`` from ``t`` on, ``left`` seconds later."""
+        while True:
+            forecast = self.forecast(t, h.known)
+            dips = forecast.dips(left)
+            over = sum(dip.unlikely for dip in dips if dip.over)
+            sunk = {dip.contact: dip.unlikely for dip in dips if not dip.over}
+            known = forecast.course.known(left)
+            yield replace(h, known=known, weight=h.weight + over, sunk=sunk)
+            likely = (dip for dip in dips if dip.depth > (LIKELY if dip.over else SURE))
+            dip = next(likely, None)
+            if dip is None or self._missed == -math.inf or len(h.unheard) >= _IMPACTS:
+                return
+            at = forecast.root(dip)
+            t, left = t + at, left - at
+            known, kind = self.switched(t, forecast.course.known(at), dip)
+            unheard = (*h.unheard, Unheard(dip.contact, kind, left, dip.depth))
+            weight = h.weight + self._missed + float(special.log_ndtr(dip.depth))
+            h = replace(h, known=known, weight=weight, unheard=unheard)
+
+    def switched(self, t: float, known: Known, dip: Dip) -> tuple[Known, Kind]:
+        """What is known if a dip, at ``t``, was an impact or a release; and which it was.
+
+        A contact that would leave its stop by less than is known of its gap rests on it.
+        """
+        closed = known.closed
+        if dip.kind is Kind.OPEN:
+            stay = tuple(i for i in closed if i != dip.contact)
+            return self.filter.unheard(Touch(t, closed, (), stay), known), Kind.OPEN
+        touch = Touch(t, closed, (dip.contact,), closed)
+        after = self.filter.unheard(touch, known)
+        if self.filter.rests(t, dip.contact, after):
+            stay = tuple(sorted({*closed, dip.contact}))
+            left = float(self.filter.system.W[:, dip.contact] @ after.x[after.x.size // 2 :])
+            resting = replace(touch, closed=stay)
+            return self.filter.unheard(resting, known, max(left, 0.0)), Kind.CLOSE
+        return after, Kind.IMPACT
+
+    def heard(
+        self, touch: Touch, hypotheses: Sequence[Hypothesis], anew: Known
+    ) -> tuple[Hypothesis, ...]:
+        """``hypotheses`` after an event, the likeliest first; their probabilities add up to one.
+
+        Args:
+            touch: the event.
+            hypotheses: just before it.
+            anew: what is known if nothing that came before can be believed.
+        """
+        leading = max(map(_whole_weight, hypotheses)) + LEADING
+        branches = [
+            branch
+            for each in hypotheses
+            for branch in self._branches(touch, each, leads=_whole_weight(each) >= leading)
+        ]
+        branches.sort(key=lambda branch: branch.weight, reverse=True)
+        enough = branches[0].weight + NEGLIGIBLE
+        made = [branch.make() for branch in branches[:MOST] if branch.weight >= enough]
+        made = self._distinct([h for h in made if np.isfinite(h.known.replicas).all()])
+        if not (self._trusting or branches[0].foretold):
+            made.extend(self._anew(touch, made, anew))
+        made.sort(key=lambda h: h.weight, reverse=True)
+        total = float(special.logsumexp([h.weight for h in made])) if made else 0.0
+        return tuple(replace(h, weight=h.weight - total) for h in made[:MOST])
+
+    def _branches(self, touch: Touch, h: Hypothesis, *, leads: bool) -> Iterator[_Branch]:
+        """What the event may have been to ``h``."""
+        here = touch.after(h.known.closed)
+        if not here.hit and here.before == here.closed:
+            yield self._nothing(touch, h, "its contact is not closed")
+            return
+        told, evidence = self._told(touch, h, here, self._heard)
+        yield told
+        depth = max(evidence.innovations.values(), default=-1.0)
+        if self._invented > -math.inf:
+            expected = f"invented: {depth:.3g} deviations from what was to be expected"
+            yield self._nothing(touch, h, expected)
+        if leads and depth > SURPRISED and not self._trusting:
+            for factor in WIDER:
+                wider = replace(h.known, root=h.known.root * factor * depth)
+                reason = f"believed: the estimate was {factor * depth:.3g} times less sure"
+                yield self._told(touch, replace(h, known=wider), here, ANEW, reason)[0]
+        if self._mislabelled > -math.inf and len(touch.hit) == 1 and here.before == here.closed:
+            yield from self._elsewhere(touch, h)
+
+    def _nothing(self, touch: Touch, h: Hypothesis, reason: str) -> _Branch:
+        """Nothing has happened."""
+        odds = self._invented if self._invented > -math.inf else 0.0
+        weight = _whole_weight(h) + len(_contacts(touch)) * odds
+
+        def make() -> Hypothesis:
+            return _noted(replace(h, weight=weight), touch, (Ruling.REJECTED, reason), {})
+
+        return _Branch(weight, make)
+
+    def _told(
+        self, touch: Touch, h: Hypothesis, here: Touch, chance: float, reason: str = ""
+    ) -> tuple[_Branch, Evidence]:
+        """It was ``here`` that something happened, which had the logarithmic ``chance``."""
+        prior = self.filter.prior(here, h.known, h.clock)
+        evidence = self.filter.evidence(here, prior)
+        contacts = _contacts(here)
+        unexplained = sum(each for i, each in h.sunk.items() if i not in contacts)
+        weight = h.weight + chance + evidence.density + unexplained
+
+        def make() -> Hypothesis:
+            known = self.filter.after(here, self.filter.heard(here, prior))
+            judged = {
+                said: evidence.innovations[i]
+                for said, i in zip(_contacts(touch), contacts, strict=False)
+                if i in evidence.innovations
+            }
+            after = replace(h, known=known, weight=weight)
+            return _noted(after, touch, (Ruling.APPLIED, reason), judged)
+
+        depth = max(evidence.innovations.values(), default=0.0)
+        soon = evidence.density > len(contacts) * self._slow
+        return _Branch(weight, make, soon and depth < SURPRISED), evidence
+
+    def _elsewhere(self, touch: Touch, h: Hypothesis) -> Iterator[_Branch]:
+        """It was an impact of another contact."""
+        system, closed = self.filter.system, h.known.closed
+        others = [i for i in range(system.m) if i not in (*touch.hit, *closed)]
+        for i in others:
+            here = replace(touch, before=closed, hit=(i,), closed=closed)
+            chance = self._mislabelled - math.log(len(others))
+            reason = f"mislabelled: it was {system.contact_names[i]}"
+            yield self._told(touch, h, here, chance, reason)[0]
+
+    def _anew(self, touch: Touch, made: Sequence[Hypothesis], anew: Known) -> Iterator[Hypothesis]:
+        """New beginnings, one for each accuracy of the clock that is believed possible."""
+        total = float(special.logsumexp([h.weight for h in made])) if made else 0.0
+        ruling = (Ruling.APPLIED, "nothing before it is believed any more")
+        for clock in sorted({h.clock for h in made}):
+            notes = _before(touch, made[0].notes)
+            yield _noted(Hypothesis(anew, clock, total + ANEW, notes), touch, ruling, {})
+
+    def _distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The likeliest of those that make the same of the latest events.
+
+        What they made of older ones has told them nearly the same (N-scan pruning).
+        """
+        found: dict[object, Hypothesis] = {}
+        for h in made:
+            same = (h.clock, *(note.gist for note in h.notes[-self._deep :]))
+            if same not in found or found[same].weight < h.weight:
+                found[same] = h
+        return list(found.values())
+
+
+def _logs(probability: float) -> tuple[float, float]:
+    """Logarithms of a probability and of its complement."""
+    return (math.log(probability) if probability else -math.inf), math.log1p(-probability)
+
+
+def _contacts(touch: Touch) -> Contacts:
+    """All contacts of which an event speaks."""
+    return tuple(sorted({*touch.hit, *(set(touch.before) ^ set(touch.closed))}))
+
+
+def _whole_weight(h: Hypothesis) -> float:
+    """Its weight, and that of what it has fallen through."""
+    return h.weight + sum(h.sunk.values())
+
+
+def _before(touch: Touch, notes: tuple[Note, ...]) -> tuple[Note, ...]:
+    """``notes`` without those on the event itself."""
+    event = (touch.stamp, touch.sequence)
+    return tuple(n for n in notes if n.event != event or n.is_inserted)
+
+
+def _noted(
+    h: Hypothesis, touch: Touch, ruling: tuple[Ruling, str], innovations: dict[int, float]
+) -> Hypothesis:
+    """``h`` after an event, with notes of what it made of that, and inserted before."""
+    event = (touch.stamp, touch.sequence)
+    inserted = [
+        Note(
+            event,
+            touch.stamp - round(u.ago * 1e9),
+            u.contact,
+            Ruling.INSERTED,
+            f"{u.kind.name} not heard: the estimate would be {u.surety:.3g} deviations beyond",
+        )
+        for u in h.unheard
+    ]
+    told = [
+        Note(event, touch.stamp, i, *ruling, innovations.get(i, -1.0)) for i in _contacts(touch)
+    ]
+    return Hypothesis(h.known, h.clock, h.weight, (*h.notes, *inserted, *told)[-_REMEMBERED:])

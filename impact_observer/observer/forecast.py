@@ -1,0 +1,232 @@
+"""What a motion runs into when nothing is heard: gaps and loads that fall below zero.
+
+A plant's gaps and the loads of its closed contacts never do. So an estimate that falls deeper than
+it can be wrong tells of an impact, or of a release, that nobody heard.
+"""
+
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize, special
+
+from impact_observer.dynamics import Measured
+from impact_observer.events import Contacts, Kind
+from impact_observer.observer.belief import Known
+from impact_observer.observer.impact_filter import ImpactFilter, Linear
+from impact_observer.states import Matrix, Vector
+
+FINE = 6.0
+"""Samples in the inverse of the fastest rate: 38 a period."""
+_FINER = 8.0 ** np.arange(-8, 0)
+"""Where the first interval is divided: just after an impact a flight may be short."""
+_MOST = 4096
+"""Samples that are looked at together; over a longer silence they lie farther apart."""
+_KEPT = 8
+"""Flights of which the samples are kept: hypotheses share them."""
+_ROUNDED = 16 * float(np.finfo(np.float64).eps)
+"""What is watched is rounded by, relative to the terms that it is the sum of."""
+_ROOT = 4 * float(np.finfo(np.float64).eps)
+_LEAST = 1e-15
+
+
+class Dip(NamedTuple):
+    """A stretch over which something is below zero.
+
+    Attributes:
+        contact: of which.
+        kind: ``IMPACT`` for a gap, ``OPEN`` for a load.
+        which: number of the function that is watched.
+        above: where it was still above zero, seconds after the start; 0 if it never was.
+        below: where it was below zero first, s.
+        deepest: where it is deepest, s.
+        depth: there, in standard deviations.
+        over: whether it has come up again.
+    """
+
+    contact: int
+    kind: Kind
+    which: int
+    above: float
+    below: float
+    deepest: float
+    depth: float
+    over: bool
+
+    @property
+    def unlikely(self) -> float:
+        """Logarithm of the probability that an error of the estimate is so large."""
+        return float(special.log_ndtr(-self.depth))
+
+
+class _Samples(NamedTuple):
+    """Functions ``rows x + constant`` of the state at the start, one for each instant.
+
+    Attributes:
+        s: instants, seconds after the start, shape (samples,).
+        rows: shape (samples, watched, 2n).
+        constant: shape (samples, watched).
+    """
+
+    s: Vector
+    rows: Matrix
+    constant: Matrix
+
+    def values(self, x: Vector) -> Matrix:
+        """Of a motion that starts at ``x``, shape (samples, watched)."""
+        return np.asarray(self.rows @ x + self.constant)
+
+
+class Flight:
+    """What must stay above zero from an instant on, while the same contacts are closed.
+
+    It depends linearly on the state at the start, so that all hypotheses share it.
+
+    Attributes:
+        contacts: of which something is watched: open ones' gaps, then held ones' loads.
+        gaps: how many of those are gaps.
+        c: what is watched is ``c x`` and an offset, shape (watched, 2n).
+    """
+
+    def __init__(self, filter_: ImpactFilter, t: float, closed: Contacts) -> None:
+        """Look on from ``t``, s since the epoch, with ``closed`` contacts."""
+        self._system = filter_.system
+        self._t = t
+        self._phase = filter_.phase(closed)
+        self._scales = filter_.phases.scales
+        self._step = self._scales.timescale / FINE
+        open_ = tuple(i for i in range(self._system.m) if i not in closed)
+        self.gaps, self.contacts = len(open_), (*open_, *self._phase.held)
+        self.c = Measured.gaps(self._system, open_).c
+        self._distance = self._system.q_r[list(open_)]
+        self._seen = self._scales.seen(self._system.W[:, list(open_)].T)
+        if self._phase.held:
+            forces = np.zeros((3, self._system.n))
+            loads = Measured.loads(self._phase, self._phase.held, forces)
+            self.c = np.vstack([self.c, loads.c])
+        self._rest = self._phase.start(t, np.zeros(2 * self._system.n))
+        self.over = lru_cache(_KEPT)(self._over)
+
+    def _over(self, duration: float) -> _Samples:
+        """Samples of the next ``duration`` seconds."""
+        count = min(max(math.ceil(duration / self._step), 4), _MOST)
+        s = np.linspace(0.0, duration, count + 1)
+        s = np.concatenate([s[:1], s[1] * _FINER, s[1:]])
+        start = np.eye(2 * self._system.n)
+        forced = self._rest.states(s)
+        moved = [self._phase.start(self._t, x).states(s) - forced for x in start]
+        return _Samples(s, self.c @ np.stack(moved, axis=2), forced @ self.c.T + self.offset(s))
+
+    def size(self, j: int, s: float, x: Vector) -> float:
+        """What function ``j`` is rounded against after ``s`` seconds, at the state ``x``."""
+        size = abs(float(self.offset(np.array([s]))[0, j]))
+        if j < self.gaps:
+            n = self._system.n
+            return size + float(self._seen[j] @ self._scales.reach(x[:n], x[n:]))
+        return size + float(np.abs(self.c[j]) @ np.abs(x))
+
+    def offset(self, s: Vector) -> Matrix:
+        """What is watched besides ``c x``, ``s`` seconds after the start, (samples, watched)."""
+        offset = np.empty((s.size, len(self.c)))
+        offset[:, : self.gaps] = self._distance
+        if self._phase.held:
+            forces = self._system.forcing.derivatives(self._t + s, 0)[0]
+            offset[:, self.gaps :] = -forces @ self._phase.loads.T
+        return offset
+
+
+class Forecast:
+    """What one knowledge comes to, as long as no event is heard.
+
+    Attributes:
+        course: how it goes on.
+    """
+
+    def __init__(self, flight: Flight, course: Linear, known: Known) -> None:
+        """Look along ``flight`` from ``known``, which goes on as ``course``."""
+        self.course = course
+        self._flight = flight
+        self._known = known
+
+    def dips(self, duration: float) -> list[Dip]:
+        """All of them within ``duration`` seconds, in the order in which they begin."""
+        if not (self._flight.contacts and duration > 0):
+            return []
+        samples = self._flight.over(duration)
+        values = samples.values(self._known.x)
+        found = [dip for j in range(values.shape[1]) for dip in self._of(j, samples, values[:, j])]
+        return sorted(found, key=lambda dip: dip.below)
+
+    def _of(self, j: int, samples: _Samples, values: Vector) -> Iterator[Dip]:
+        """The dips of one function."""
+        s, values = self._with_minima(j, samples.s, values)
+        below = np.flatnonzero(values < 0)
+        if not below.size:
+            return
+        for run in np.split(below, np.flatnonzero(np.diff(below) > 1) + 1):
+            first, last = int(run[0]), int(run[-1])
+            if first == 0 and values[1] >= values[0]:
+                continue  # it comes up: the jump at the start was a little early
+            deepest = int(run[np.argmin(values[run])])
+            at = float(s[deepest])
+            yield Dip(
+                self._flight.contacts[j],
+                Kind.IMPACT if j < self._flight.gaps else Kind.OPEN,
+                j,
+                float(s[max(first - 1, 0)]),
+                float(s[first]),
+                at,
+                -float(values[deepest]) / self._deviation(j, at),
+                last < len(values) - 1,
+            )
+
+    def _with_minima(self, j: int, s: Vector, values: Vector) -> tuple[Vector, Vector]:
+        """Samples, and the minima between them that may be below zero."""
+        h, change = np.diff(s), np.diff(values)
+        slope = change / h
+        bend = np.maximum((slope[1:] - slope[:-1]) / (h[1:] + h[:-1]), _LEAST)
+        slope = slope[:-1] + bend * h[:-1]  # of a parabola through three samples, at the middle
+        mid = values[1:-1]
+        lowest = (mid > 0) & (change[:-1] <= 0) & (change[1:] >= 0)
+        lowest &= mid - slope**2 / (4 * bend) <= mid / 2
+        if not lowest.any():
+            return s, values
+        at = s[1:-1][lowest] - (slope / (2 * bend))[lowest]
+        where = np.searchsorted(s, at)
+        return np.insert(s, where, at), np.insert(values, where, self._values(j, at))
+
+    def _values(self, j: int, s: Vector) -> Vector:
+        """Function ``j`` after ``s`` seconds, shape (samples,)."""
+        x = self.course.motion.states(s)
+        return np.asarray(x @ self._flight.c[j] + self._flight.offset(s)[:, j])
+
+    def _value(self, j: int, s: float) -> float:
+        return float(self._values(j, np.array([s]))[0])
+
+    def _deviation(self, j: int, s: float) -> float:
+        """Standard deviation of function ``j`` after ``s`` seconds, rounding included."""
+        spread = self._flight.c[j] @ self.course.root(s)
+        rounded = _ROUNDED * self._flight.size(j, s, self.course.state(s))
+        return math.hypot(float(np.linalg.norm(spread)), rounded)
+
+    def root(self, dip: Dip) -> float:
+        """Where what dips falls through zero, s."""
+        above, below = dip.above, dip.below
+        if below == 0 or not self._value(dip.which, above) > 0 > self._value(dip.which, below):
+            return below  # it was below at the start, or is rounded otherwise when alone
+        found = optimize.brentq(
+            lambda at: self._value(dip.which, at), above, below, xtol=_LEAST, rtol=_ROOT
+        )
+        return float(found)
+
+    def sure(self, dip: Dip, enough: float) -> float:
+        """From when on a dip is deeper than ``enough`` deviations, s."""
+
+        def beyond(at: float) -> float:
+            return self._value(dip.which, at) + enough * self._deviation(dip.which, at)
+
+        if not beyond(dip.above) > 0 > beyond(dip.deepest):
+            return dip.deepest
+        return float(optimize.brentq(beyond, dip.above, dip.deepest, xtol=_LEAST, rtol=_ROOT))

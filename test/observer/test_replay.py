@@ -1,0 +1,119 @@
+"""A recording through an observer: fed as it was sent, whatever its stamps say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from systems import EPOCH, chain, event, examples, observer
+
+from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
+from impact_observer.observer import Observer, replay
+from impact_observer.stamps import NS_PER_S
+from impact_observer.states import Estimate
+
+MODEL = chain(2, contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)])
+STAMPS = EPOCH + np.arange(1, 40) * (NS_PER_S // 8)
+MS = NS_PER_S // 1000
+
+
+def watcher() -> Observer:
+    """An observer that has seen nothing."""
+    return observer(MODEL, "geometric", [0.3, -0.4, 1.0, -2.0], ensemble=1)
+
+
+def replayed(events: list[ImpactEvent]) -> tuple[Observer, list[Estimate], list[Verdict]]:
+    """The observer, its estimates at ``STAMPS`` and its verdicts on a recording."""
+    found, estimates, verdicts = watcher(), list[Estimate](), list[Verdict]()
+    recorded = sorted(events, key=lambda e: (e.episode, e.stamp, e.sequence))
+    for item in replay(found, recorded, STAMPS):
+        if isinstance(item, Estimate):
+            estimates.append(item)
+        else:
+            verdicts.append(item)
+    return found, estimates, verdicts
+
+
+def bits(estimate: Estimate) -> tuple[bytes, bytes, int]:
+    """What an estimate says."""
+    return estimate.q.tobytes(), estimate.u.tobytes(), estimate.stamp
+
+
+def test_verdicts_name_no_gap_that_the_recording_closes() -> None:
+    """A jittering stamp, and a CLOSE with the stamp of an edge before another event."""
+    events = [
+        event(0.500, "c1", sequence=1),
+        event(1.003, "c2", sequence=2),
+        event(1.001, "c1", sequence=3),
+        event(1.300, "c2", sequence=4),
+        event(1.350, "c1", sequence=5),
+        replace(event(1.300, "c2", sequence=6), switches=(Switch("c2", Kind.CLOSE),)),
+    ]
+    found, estimates, verdicts = replayed(events)
+    assert not found.remarks[Remark.GAP]
+    assert [(v.sequence, v.reason) for v in verdicts] == [
+        (1, ""),
+        (2, ""),
+        (3, "late: 1 event run again"),
+        (4, ""),
+        (5, ""),
+        (6, "supersedes the IMPACT of event 4; late: 1 event run again"),
+    ]
+    assert all(v.ruling is Ruling.APPLIED for v in verdicts)
+    assert estimates[-1].closed == ("c2",)
+
+
+def test_gap_that_stays_is_named() -> None:
+    """By the event after it."""
+    found, _, verdicts = replayed([event(0.1 * k, "c1", sequence=k) for k in (1, 2, 5, 6)])
+    assert [v.reason for v in verdicts] == ["", "", "events 3 to 4 before it are missing", ""]
+    assert found.missing == 2
+
+
+@examples(12)
+@given(
+    st.lists(st.integers(1, 600), min_size=1, max_size=12),
+    st.lists(st.integers(-700, 700), min_size=12, max_size=12),
+    st.booleans(),
+)
+def test_every_estimate_contains_all_events_at_or_before_it(
+    gaps: list[int], errors: list[int], numbered: bool
+) -> None:
+    """Whatever the stamps: it is that of an observer that has heard everything."""
+    true = 800 + np.cumsum(gaps)
+    events = [
+        event((t + e) / 1000, f"c{1 + k % 2}", sequence=(k + 1) * numbered)
+        for k, (t, e) in enumerate(zip(true.tolist(), errors, strict=False))
+    ]
+    found, estimates, verdicts = replayed(events)
+    assert not found.remarks[Remark.TOO_LATE]
+    assert len(verdicts) == len(events)
+    whole = watcher()
+    for each in events:
+        whole.receive(each)
+    stamps = [stamp for stamp in STAMPS.tolist() if stamp >= (whole.start or 0)]
+    by_stamp = {each.stamp: each for each in estimates}
+    assert [bits(by_stamp[s]) for s in stamps] == [bits(whole.estimate(s)) for s in stamps]
+
+
+def test_stamp_from_far_ahead_moves_no_estimate() -> None:
+    """It is fed at its own instant, however low its number: the past would be forgotten."""
+    events = [event(0.1 * k, "c1", sequence=k) for k in range(1, 10)]
+    astray = replace(events[4], stamp=EPOCH + 1000 * NS_PER_S)
+    found, estimates, _ = replayed([*events[:4], astray, *events[5:]])
+    _, without, _ = replayed([*events[:4], *events[5:]])
+    assert len(estimates) == len(STAMPS)
+    assert list(map(bits, estimates)) == list(map(bits, without))
+    assert found.last_event == astray.stamp
+
+
+@pytest.mark.parametrize("moved", [{"episode": 1}, {"epoch": EPOCH + 2 * NS_PER_S}])
+def test_numbers_of_another_run_are_its_own(moved: dict[str, int]) -> None:
+    """They begin at 1 again, after those of the run before."""
+    first = [event(0.1 * k, "c1", sequence=k) for k in range(1, 8)]
+    second = [replace(event(2 + 0.1 * k, "c1", sequence=k), **moved) for k in range(1, 8)]  # type: ignore[arg-type]
+    found, _, verdicts = replayed([*first, *second])
+    assert [v.sequence for v in verdicts] == [*range(1, 8)] * 2
+    assert all(v.ruling is Ruling.APPLIED for v in verdicts)
+    assert found.restarts == 1
