@@ -6,9 +6,9 @@ the end, median and worst, of
 
 - ``minimum-variance``, told the clock's error where the scenario says so and, where the sensor is
   late, that stamps may be late by 20 ms; all else as it comes, and the same in every scenario;
-- an oracle: the same filter told which events are invented, which contact was hit, and at which
-  stamp one was missed. From that it learns nothing but to jump where the plant does (that a
-  contact then rests, where it does). It knows the delay, and the clock's error;
+- an oracle: the same filter told which events are invented, which contact was hit, and when one
+  was missed. From that it learns nothing but to jump where the plant does (and that a contact
+  then rests, where it does). It knows the delay, and the clock's error;
 - ``geometric``, which is told of no trouble.
 
 Beside them what is aimed at, in how many runs ``minimum-variance`` ended worse than
@@ -283,17 +283,16 @@ def oracle(case: Case, scenario: Scenario, seed: int, x: Vector, end: int) -> Ve
     """What one knows at the stamp ``end`` who is told what every event is, from ``x`` on."""
     system, index = case.system, case.system.contact_names.index
     clock = MinimumVariance(system, Uncertainty(clock_error=scenario.sensor.jitter)).clocks[0]
-    exact = MinimumVariance(system, Uncertainty(clock_error=0.0)).clocks[0]
     filter_, since = ImpactFilter(system), 0.0
     known = filter_.begin(Known.of(x[None], Uncertainty().root(system.n)))
     for stamp, switching, heard in case.felt(scenario, seed):
         if stamp > end:
             break
-        t = seconds_between(EPOCH, stamp)
+        t = seconds_between(EPOCH, stamp) if heard else -switching.instant.until(EPOCH)
         known = filter_.course(since, known).known(t - since)
         switches = [(index(each.contact), each.kind) for each in switching.switches]
         touch = Touch.of(t, known.closed, switches)
-        prior = filter_.prior(touch, known, clock if heard else exact)
+        prior = filter_.prior(touch, known, clock if heard else 0.0)
         known = filter_.after(touch, filter_.heard(touch, prior) if heard else prior)
         since = t
     return filter_.course(since, known).state(seconds_between(EPOCH, end) - since)
@@ -301,11 +300,12 @@ def oracle(case: Case, scenario: Scenario, seed: int, x: Vector, end: int) -> Ve
 
 def surprise(covariance: Matrix, error: Vector) -> float:
     """Normalised error squared over its degrees of freedom: those that are more than rounding."""
-    deviations = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(deviations, deviations)
+    unsure = np.diag(covariance) > 0  # a contact at rest leaves nothing to know
+    deviations = np.sqrt(np.diag(covariance)[unsure])
+    correlation = covariance[np.ix_(unsure, unsure)] / np.outer(deviations, deviations)
     values, axes = np.linalg.eigh(correlation)
     kept = values > _ROUNDED * values[-1]
-    normal = (axes.T @ (error / deviations))[kept]
+    normal = (axes.T @ (error[unsure] / deviations))[kept]
     return float(np.mean(normal**2 / values[kept]))
 
 

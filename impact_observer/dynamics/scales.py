@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics.flow import Equations
-from impact_observer.states import Matrix
+from impact_observer.states import Matrix, Vector
 
 _PERIODS = 2.0
 """Length of the stretch that a search looks at together, in periods of the fastest rate."""
@@ -51,6 +51,19 @@ class Scales:
     def seen(self, rows: Matrix) -> Matrix:
         """What functions ``rows q`` see of each mode, signs apart, shape (rows, n)."""
         return np.abs(rows @ self.shapes)
+
+    def sizes(self, q: Vector, u: Vector) -> Vector:
+        """What (q, u) is rounded against: each number as large as all modes may make it.
+
+        Args:
+            q: positions, shape (n,).
+            u: velocities, shape (n,).
+
+        Returns:
+            Shape (2n,), not negative.
+        """
+        shapes = np.abs(self.shapes)
+        return np.concatenate([shapes @ self.reach(q, u), shapes @ np.abs(u @ self.modes)])
 
     def reach(self, q: Matrix, u: Matrix) -> Matrix:
         """How far each mode may be from rest within the time scale, signs apart.

@@ -35,7 +35,7 @@ WIDER = (3.0, 100.0)
 LEADING = -3.0
 """Logarithm of a probability, relative to the largest, of a hypothesis that is mended so."""
 MOST = 16
-"""Hypotheses that are carried on."""
+"""Hypotheses that are carried on, besides one for each accuracy that the clock may have."""
 NEGLIGIBLE = -16.0
 """Logarithm of a probability, relative to the largest, of a hypothesis that is dropped."""
 DEEP = 2
@@ -129,28 +129,38 @@ class FilterBank:
 
         A contact that would leave its stop by less than is known of its gap rests on it.
         """
+        kind = self._kind(t, known, dip)
+        return self.after(t, known, dip.contact, kind), kind
+
+    def after(self, t: float, known: Known, contact: int, kind: Kind) -> Known:
+        """What is known after ``contact`` has switched unheard, at ``t``."""
         closed = known.closed
+        if kind is Kind.OPEN:
+            stay = tuple(i for i in closed if i != contact)
+            return self.filter.unheard(Touch(t, closed, (), stay), known)
+        touch = Touch(t, closed, (contact,), closed)
+        if kind is Kind.IMPACT:
+            return self.filter.unheard(touch, known)
+        left = self.filter.speed(contact, self.filter.unheard(touch, known))
+        resting = replace(touch, closed=tuple(sorted({*closed, contact})))
+        return self.filter.unheard(resting, known, max(left, 0.0))
+
+    def _kind(self, t: float, known: Known, dip: Dip) -> Kind:
+        """Whether a dip is a release, an impact, or one after which the contact rests."""
         if dip.kind is Kind.OPEN:
-            stay = tuple(i for i in closed if i != dip.contact)
-            return self.filter.unheard(Touch(t, closed, (), stay), known), Kind.OPEN
-        touch = Touch(t, closed, (dip.contact,), closed)
-        after = self.filter.unheard(touch, known)
-        if self.filter.rests(t, dip.contact, after):
-            stay = tuple(sorted({*closed, dip.contact}))
-            left = float(self.filter.system.W[:, dip.contact] @ after.x[after.x.size // 2 :])
-            resting = replace(touch, closed=stay)
-            return self.filter.unheard(resting, known, max(left, 0.0)), Kind.CLOSE
-        return after, Kind.IMPACT
+            return Kind.OPEN
+        after = self.after(t, known, dip.contact, Kind.IMPACT)
+        return Kind.CLOSE if self.filter.rests(t, dip.contact, after) else Kind.IMPACT
 
     def heard(
-        self, touch: Touch, hypotheses: Sequence[Hypothesis], anew: Known
+        self, touch: Touch, hypotheses: Sequence[Hypothesis], anew: Sequence[Hypothesis]
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, the likeliest first; their probabilities add up to one.
 
         Args:
             touch: the event.
             hypotheses: just before it.
-            anew: what is known if nothing that came before can be believed.
+            anew: if nothing that came before can be believed; their probabilities add up to one.
         """
         leading = max(map(_whole_weight, hypotheses)) + LEADING
         branches = [
@@ -160,13 +170,14 @@ class FilterBank:
         ]
         branches.sort(key=lambda branch: branch.weight, reverse=True)
         enough = branches[0].weight + NEGLIGIBLE
-        made = [branch.make() for branch in branches[:MOST] if branch.weight >= enough]
+        likely = [each for each in branches if each.weight >= enough][: MOST + len(anew)]
+        made = [each.make() for each in likely]
         made = self._distinct([h for h in made if np.isfinite(h.known.replicas).all()])
         if not (self._trusting or branches[0].foretold):
             made.extend(self._anew(touch, made, anew))
         made.sort(key=lambda h: h.weight, reverse=True)
         total = float(special.logsumexp([h.weight for h in made])) if made else 0.0
-        return tuple(replace(h, weight=h.weight - total) for h in made[:MOST])
+        return tuple(replace(h, weight=h.weight - total) for h in made[: MOST + len(anew)])
 
     def _branches(self, touch: Touch, h: Hypothesis, *, leads: bool) -> Iterator[_Branch]:
         """What the event may have been to ``h``."""
@@ -232,13 +243,16 @@ class FilterBank:
             reason = f"mislabelled: it was {system.contact_names[i]}"
             yield self._told(touch, h, here, chance, reason)[0]
 
-    def _anew(self, touch: Touch, made: Sequence[Hypothesis], anew: Known) -> Iterator[Hypothesis]:
-        """New beginnings, one for each accuracy of the clock that is believed possible."""
+    def _anew(
+        self, touch: Touch, made: Sequence[Hypothesis], anew: Sequence[Hypothesis]
+    ) -> Iterator[Hypothesis]:
+        """New beginnings."""
         total = float(special.logsumexp([h.weight for h in made])) if made else 0.0
         ruling = (Ruling.APPLIED, "nothing before it is believed any more")
-        for clock in sorted({h.clock for h in made}):
-            notes = _before(touch, made[0].notes)
-            yield _noted(Hypothesis(anew, clock, total + ANEW, notes), touch, ruling, {})
+        notes = _before(touch, made[0].notes) if made else ()
+        for h in anew:
+            begun = replace(h, weight=h.weight + total + ANEW, notes=notes)
+            yield _noted(begun, touch, ruling, {})
 
     def _distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The likeliest of those that make the same of the latest events.

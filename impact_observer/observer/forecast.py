@@ -26,7 +26,7 @@ _MOST = 4096
 """Samples that are looked at together; over a longer silence they lie farther apart."""
 _KEPT = 8
 """Flights of which the samples are kept: hypotheses share them."""
-_ROUNDED = 16 * float(np.finfo(np.float64).eps)
+_ROUNDED = 64 * float(np.finfo(np.float64).eps)
 """What is watched is rounded by, relative to the terms that it is the sum of."""
 _ROOT = 4 * float(np.finfo(np.float64).eps)
 _LEAST = 1e-15
@@ -101,7 +101,6 @@ class Flight:
         self.gaps, self.contacts = len(open_), (*open_, *self._phase.held)
         self.c = Measured.gaps(self._system, open_).c
         self._distance = self._system.q_r[list(open_)]
-        self._seen = self._scales.seen(self._system.W[:, list(open_)].T)
         if self._phase.held:
             forces = np.zeros((3, self._system.n))
             loads = Measured.loads(self._phase, self._phase.held, forces)
@@ -124,7 +123,7 @@ class Flight:
         size = abs(float(self.offset(np.array([s]))[0, j]))
         if j < self.gaps:
             n = self._system.n
-            return size + float(self._seen[j] @ self._scales.reach(x[:n], x[n:]))
+            return size + float(np.abs(self.c[j]) @ self._scales.sizes(x[:n], x[n:]))
         return size + float(np.abs(self.c[j]) @ np.abs(x))
 
     def offset(self, s: Vector) -> Matrix:
@@ -167,10 +166,10 @@ class Forecast:
             return
         for run in np.split(below, np.flatnonzero(np.diff(below) > 1) + 1):
             first, last = int(run[0]), int(run[-1])
-            if first == 0 and values[1] >= values[0]:
-                continue  # it comes up: the jump at the start was a little early
             deepest = int(run[np.argmin(values[run])])
-            at = float(s[deepest])
+            at, x = float(s[deepest]), self._known.x
+            if first == 0 and values[0] - values[deepest] <= _ROUNDED * self._flight.size(j, 0, x):
+                continue  # it comes up: the jump at the start was a little early
             yield Dip(
                 self._flight.contacts[j],
                 Kind.IMPACT if j < self._flight.gaps else Kind.OPEN,

@@ -40,6 +40,8 @@ _ROUNDS = 6
 """How often a measurement is linearised about what it says itself, at most."""
 _SETTLED = 0.05
 """What another linearisation may change, relative to the deviation of what was measured."""
+_STILL = 1e-150
+"""Speed that is none."""
 _FAR = 30.0
 """Innovation, in standard deviations, beyond which an event cannot be what it is said to be."""
 _NORMAL = math.log(2 * math.pi) / 2
@@ -238,7 +240,8 @@ class ImpactFilter:
         bend = np.abs(gaps.c @ self._rates(touch.before).A @ rate)
         clock = prior.root[0, 0]
         spread = np.linalg.norm(gaps.c @ prior.own[1:], axis=1)
-        most = np.hypot(spread, (np.abs(slope) + bend * clock) * clock) + gaps.rounding(prior.x)
+        most = np.hypot(spread, (np.abs(slope) + bend * clock) * clock)
+        most += self._rounding(touch, gaps, prior.x)
         value = np.abs(gaps.value(prior.x) + slope * prior.e)
         sizes = value / most
         if np.max(sizes) < _FAR:
@@ -286,7 +289,6 @@ class ImpactFilter:
         """What is known after an event that nobody heard, at the instant of ``touch``.
 
         It was where the state says, so the instant is as uncertain as that, and says nothing.
-        Where it grazes, or goes through zero too slowly to say when, it was at that instant.
 
         Args:
             touch: what was not heard.
@@ -296,19 +298,23 @@ class ImpactFilter:
         x, root = known.x, known.root
         measured = self._watched(touch, self._contacts(touch)[:1], touch.t)
         value, H, D, E = measured.expanded(self._rates(touch.before), x, self._forces(touch.t))
-        slope, late = float(H[0, 0]), -float(value[0])
-        row, e, bent = np.zeros((1, x.size)), 0.0, 0.0
-        deviation = float(np.linalg.norm(H[:, 1:] @ root[: x.size]))
-        if max(abs(late), deviation) < slope * self.phases.scales.timescale:
-            row, e, deviation = -H[:1, 1:] / slope, late / slope, deviation / slope
-            bent = deviation * float(np.linalg.norm(D @ root[: x.size])) / slope
-            bent += float(E[0]) / slope * deviation**2 / 2
+        late, deviation = -float(value[0]), float(np.linalg.norm(H[:, 1:] @ root[: x.size]))
+        # Where it is slow, an acceleration decides when: s = sqrt(2 g / a), not g / gamma.
+        falling = math.sqrt(abs(float(E[0])) * (deviation + abs(late)))
+        slope = max(float(H[0, 0]), falling, _STILL)
+        row, e, deviation = -H[:1, 1:] / slope, late / slope, deviation / slope
+        bent = deviation * float(np.linalg.norm(D @ root[: x.size])) / slope
+        bent += float(E[0]) / slope * deviation**2 / 2
         apart = self._apart(known)
         apart[:, :1] = apart[:, 1 : 1 + x.size] @ row.T
         whole = np.zeros((1 + len(root), 1 + root.shape[1]))
         whole[0, 0], whole[0, 1:], whole[1:, 1:] = bent, row @ root[: x.size], root
         joint = Joint(touch.t, e, x, known.offset, triangular(whole), apart)
         return self.after(touch, joint, left)
+
+    def speed(self, contact: int, known: Known) -> float:
+        """Speed of a contact, m/s."""
+        return float(self.system.W[:, contact] @ known.x[self.system.n :])
 
     def rests(self, t: float, contact: int, known: Known) -> bool:
         """Whether ``contact`` leaves its stop by less than is known of its gap, or not at all.
@@ -318,8 +324,7 @@ class ImpactFilter:
             contact: index.
             known: at ``t``.
         """
-        n, w = self.system.n, self.system.W[:, contact]
-        speed = float(w @ known.x[n:])
+        n, w, speed = self.system.n, self.system.W[:, contact], self.speed(contact, known)
         rate = self._rates(known.closed).along(known.x, self._forces(t))[0]
         fall = -float(w @ rate[n:])
         if fall <= 0:
@@ -342,6 +347,12 @@ class ImpactFilter:
             return self._gaps(contacts)
         return Measured.loads(self.phase(touch.before), contacts, self._forces(t))
 
+    def _rounding(self, touch: Touch, measured: Measured, x: Vector) -> Vector:
+        """Standard deviation of what is rounded in what an event measures, shape (k,)."""
+        if not touch.hit:
+            return measured.rounding(x)
+        return measured.rounding(self.phases.scales.sizes(*np.split(x, 2)))
+
     def _expected(self, touch: Touch, contacts: Contacts, view: Joint, about: Joint) -> _Expected:
         """What ``contacts`` should say of ``view``, linearised about another at its instant."""
         measured = self._watched(touch, contacts, view.t)
@@ -353,7 +364,7 @@ class ImpactFilter:
             about.x,
             expansion,
             -(value + expansion.H[:, 0] * view.e + mean),
-            np.column_stack([bent, np.diag(measured.rounding(view.x))]),
+            np.column_stack([bent, np.diag(self._rounding(touch, measured, view.x))]),
         )
 
     def _at_its_instant(self, touch: Touch, joint: Joint) -> Joint:
@@ -383,7 +394,8 @@ class ImpactFilter:
         x, H, D, E = self._mirror(pressed).expanded(before, after, joint.x, self._forces(joint.t))
         mean, bent = product(joint.own, D, E)
         x = x + joint.e * (H[:, 0] + E * (joint.e / 2)) + mean
-        rounded = np.diag(ROUNDING * np.abs(x))  # nothing is known better than that
+        # Nothing is known better than the motion's own size allows.
+        rounded = np.diag(ROUNDING * self.phases.scales.sizes(*np.split(x, 2)))
         root = np.column_stack([H @ joint.own, bent, rounded])
         offsets = joint.root[1 + x.size :]
         left = np.zeros((len(offsets), root.shape[1] - offsets.shape[1]))
@@ -405,7 +417,8 @@ class ImpactFilter:
         gaps, speeds, size = self._gaps(new), Measured.speeds(self.system, new), known.x.size
         c = np.vstack([gaps.c, speeds.c])
         value = np.concatenate([gaps.value(known.x), speeds.value(known.x)])
-        floor = [gaps.rounding(known.x), np.hypot(speeds.rounding(known.x), left)]
+        sizes = self.phases.scales.sizes(*np.split(known.x, 2))
+        floor = [gaps.rounding(sizes), np.hypot(speeds.rounding(sizes), left)]
         H = np.hstack([c, np.zeros((len(c), known.root.shape[0] - size))])
         learnt = correction(known.root, H, np.diag(np.concatenate(floor)))
         gain = learnt.gain[:size]

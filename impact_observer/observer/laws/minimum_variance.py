@@ -80,8 +80,7 @@ class MinimumVariance(Law):
         x = self._geometric.impact(x, touch.active, touch.closed) if touch.hit else x
         fallback = Fallback(x, np.maximum(fallback.reach, np.abs(x)))
         anew = self._anew(fallback, touch.closed, len(belief.replicas))
-        made = self._bank.heard(touch, hypotheses, anew)
-        return self._belief(made or self._even(anew), fallback, touch)
+        return self._belief(self._bank.heard(touch, hypotheses, anew) or anew, fallback, touch)
 
     def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
         """The likeliest account for the estimate, all of them for the next event."""
@@ -94,7 +93,7 @@ class MinimumVariance(Law):
 
         if self.uncertainty.trusting:
             return _Heard(self._bank.filter.course(t, _mixed(hypotheses)), later)
-        return _Foreseen(self._bank, t, _mixed(hypotheses), later)
+        return _Foreseen(self._bank, t, (hypotheses[0].known, _mixed(hypotheses)), later)
 
     def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; of a bare one, that it is right."""
@@ -118,11 +117,12 @@ class MinimumVariance(Law):
         whole[:-1, :-1], whole[-1, -1] = root, deviation
         return whole
 
-    def _anew(self, fallback: Fallback, closed: Contacts, count: int) -> Known:
-        """What is known if nothing is believed any more: a motion as large as there was."""
+    def _anew(self, fallback: Fallback, closed: Contacts, count: int) -> tuple[Hypothesis, ...]:
+        """If nothing is believed any more: a motion as large as there was, any clock."""
         root = np.diag(fallback.reach)
         replicas = spread(fallback.x, root, count)
-        return self._bank.filter.begin(Known.of(replicas, self._with_offset(root), closed))
+        known = Known.of(replicas, self._with_offset(root), closed)
+        return self._even(self._bank.filter.begin(known))
 
     def _belief(
         self, hypotheses: tuple[Hypothesis, ...], fallback: Fallback, touch: Touch | None = None
@@ -196,14 +196,16 @@ class _Part(NamedTuple):
     Attributes:
         since: from when on it is believed, s since the last event.
         start: when it began, s since the last event.
-        closed: contacts that it holds closed.
         forecast: what it comes to.
+        mixed: the same state, as surely as all accounts together allow.
+        root: of that covariance, as it goes on.
     """
 
     since: float
     start: float
-    closed: Contacts
     forecast: Forecast
+    mixed: Known
+    root: Callable[[float], Matrix]
 
 
 class _Foreseen(Course):
@@ -214,13 +216,17 @@ class _Foreseen(Course):
     """
 
     def __init__(
-        self, bank: FilterBank, t: float, known: Known, later: Callable[[float], Belief]
+        self,
+        bank: FilterBank,
+        t: float,
+        known: tuple[Known, Known],
+        later: Callable[[float], Belief],
     ) -> None:
         self._bank = bank
         self._t = t
         self._later = later
         self._first = _WINDOW * bank.filter.phases.scales.timescale
-        self._parts = [_Part(0.0, 0.0, known.closed, bank.forecast(t, known))]
+        self._parts = [self._begun(0.0, 0.0, *known)]
         self._looked, self._window = 0.0, self._first
 
     def state(self, s: float) -> Vector:
@@ -229,13 +235,19 @@ class _Foreseen(Course):
 
     def root(self, s: float) -> Matrix:
         part = self._part(s)
-        return part.forecast.course.root(s - part.start)
+        return part.root(s - part.start)
 
     def closed(self, s: float) -> Contacts:
-        return self._part(s).closed
+        return self._part(s).mixed.closed
 
     def belief(self, s: float) -> Belief:
         return self._later(s)
+
+    def _begun(self, since: float, start: float, known: Known, mixed: Known) -> _Part:
+        """A stretch from ``start`` on."""
+        t, mixed = self._t + start, replace(known, root=mixed.root)
+        root = self._bank.filter.course(t, mixed).root
+        return _Part(since, start, self._bank.forecast(t, known), mixed, root)
 
     def _part(self, s: float) -> _Part:
         """The stretch that is believed after ``s`` seconds."""
@@ -248,7 +260,7 @@ class _Foreseen(Course):
         if len(self._parts) > _IMPACTS:
             self._looked = math.inf
             return
-        _, start, _, forecast = self._parts[-1]
+        _, start, forecast, mixed, _ = self._parts[-1]
         sure = (dip for dip in forecast.dips(self._window) if dip.depth >= SURE)
         dip = next(sure, None)
         if dip is None:
@@ -256,6 +268,8 @@ class _Foreseen(Course):
             return
         at, since = forecast.root(dip), start + forecast.sure(dip, SURE)
         t = self._t + start + at
-        known, _ = self._bank.switched(t, forecast.course.known(at), dip)
-        self._parts.append(_Part(since, start + at, known.closed, self._bank.forecast(t, known)))
+        known, kind = self._bank.switched(t, forecast.course.known(at), dip)
+        mixed = self._bank.filter.course(self._t + start, mixed).known(at)
+        mixed = self._bank.after(t, mixed, dip.contact, kind)
+        self._parts.append(self._begun(since, start + at, known, mixed))
         self._looked, self._window = since, self._first

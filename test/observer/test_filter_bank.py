@@ -1,0 +1,286 @@
+"""Hypotheses: how they are weighed, that they are all of a mixture, and that order is nothing."""
+
+import math
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import special, stats
+from systems import (
+    EPOCH,
+    believing,
+    chain,
+    estimates,
+    event,
+    examples,
+    forcing,
+    observer,
+    run,
+    sample,
+    system,
+)
+
+from impact_observer.events import ImpactEvent, Kind, Ruling, Switch, Verdict
+from impact_observer.model import System
+from impact_observer.observer import Belief, Observer, Touch, Uncertainty
+from impact_observer.observer.belief import Known
+from impact_observer.observer.filter_bank import MOST
+from impact_observer.observer.impact_filter import ImpactFilter
+from impact_observer.plant import Run
+from impact_observer.stamps import NS_PER_S, seconds_between
+
+Array = NDArray[np.float64]
+DOUBTING = Uncertainty(clock_error=0.0)
+PRESSED = chain(
+    2,
+    damping=0.3,
+    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
+    force=forcing(2, [-3.0, 3.0]),
+)
+"""Two masses that come to rest on a stop each."""
+
+
+@cache
+def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
+    """A sample, where its plant starts, and what it does."""
+    model = sample(name)
+    start = model.initial_state()
+    whole = run(model.system, *start, seconds=seconds, rate=10.0)
+    return model.system, np.concatenate(start), whole
+
+
+def beliefs(watcher: Observer) -> list[Belief]:
+    """After every event."""
+    assert watcher._timeline is not None
+    return [entry.belief for entry in watcher._timeline.entries]
+
+
+def ball(gravity: float) -> System:
+    """A mass above a floor at zero."""
+    force = forcing(1, [-gravity])
+    return system([[1.0]], [[0.0]], [[0.0]], contacts=[([1], 0.0, 0.5)], force=force)
+
+
+def passages(x: Array, root: Array, gravity: float) -> Array:
+    """When each of many such masses comes down on the floor, s: NaN where it never does."""
+    half = np.random.default_rng(3).normal(size=(100_000, 2)) @ root.T
+    q, u = (x + np.vstack([half, -half])).T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((u + np.sqrt(u * u + 2 * gravity * q)) / gravity)
+
+
+@pytest.mark.parametrize("clock", [1e-9, 5e-3])
+@pytest.mark.parametrize("root", [[[0.01, 0], [0, 0.01]], [[0.01, 0], [0.02, 0.01]]])
+@pytest.mark.parametrize("deviations", [-1.5, 0.0, 1.0])
+def test_evidence_is_the_density_of_the_first_passage(
+    clock: float, root: list[list[float]], deviations: float
+) -> None:
+    """200000 masses that fall, a histogram of their instants, and the clock's error on top."""
+    model, gravity, x, S = ball(9.81), 9.81, np.array([0.0, -2.0]), np.array(root)
+    spread = math.hypot(float(np.linalg.norm(S[0])) / 2.0, clock)
+    dt = deviations * spread
+    Phi = np.array([[1.0, dt], [0.0, 1.0]])
+    then = Phi @ x - gravity * np.array([dt * dt / 2, dt])
+    filter_, touch = ImpactFilter(model), Touch(dt, (), (0,), ())
+    prior = filter_.prior(touch, Known.of(then[None], Phi @ S), clock)
+    found = filter_.evidence(touch, prior)
+    bin_ = spread / 5
+    instants = passages(x, S, gravity)
+    low, high = (dt - bin_ / 2 - instants) / clock, (dt + bin_ / 2 - instants) / clock
+    density = np.mean(special.ndtr(high) - special.ndtr(low)) / bin_
+    assert found.density == pytest.approx(math.log(density), abs=0.06)
+    assert found.innovations[0] == pytest.approx(abs(deviations), rel=0.05, abs=0.05)
+
+
+@pytest.mark.parametrize("speed", [-1.0, -0.3, 0.0, 0.2])
+def test_evidence_knows_that_a_gap_closes_from_above(speed: float) -> None:
+    """Rice's formula for uniform motion: speeds that are hardly known, or hardly closing."""
+    S = np.diag([0.1, 0.3])
+    filter_, touch = ImpactFilter(ball(0.0)), Touch(0.0, (), (0,), ())
+    prior = filter_.prior(touch, Known.of(np.array([[0.0, speed]]), S), 1e-9)
+    found = filter_.evidence(touch, prior).density
+    closing = -speed * special.ndtr(-speed / 0.3) + 0.3 * stats.norm.pdf(speed / 0.3)
+    exact = math.log(stats.norm.pdf(0.0, scale=0.1) * closing)
+    assert found == pytest.approx(exact, abs=0.7 if speed > 0 else 0.3)
+    faster = filter_.prior(touch, Known.of(np.array([[0.0, speed - 1.0]]), S), 1e-9)
+    assert filter_.evidence(touch, faster).density > found
+
+
+def test_evidence_of_what_cannot_be_goes_on_falling() -> None:
+    """Hundreds of deviations off: finite, and less the farther off it is."""
+    filter_ = ImpactFilter(ball(9.81))
+    found = []
+    for gap in (0.2, 1.0, 30.0, 1e6):
+        touch = Touch(0.0, (), (0,), ())
+        known = Known.of(np.array([[gap, -2.0]]), 0.01 * np.eye(2))
+        found.append(filter_.evidence(touch, filter_.prior(touch, known, 1e-9)).density)
+    assert np.all(np.isfinite(found))
+    assert found == sorted(found, reverse=True)
+
+
+def mixture(belief: Belief) -> Array:
+    """Second moments of all hypotheses about the estimate."""
+    size = belief.x.size
+    P = np.zeros((size, size))
+    for each in belief.hypotheses:
+        apart, root = each.known.x - belief.x, each.known.root[:size]
+        P += math.exp(each.weight) * (root @ root.T + np.outer(apart, apart))
+    return P
+
+
+def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
+    """After true, invented and missed impacts; probabilities add up to one, and are ordered."""
+    model, start, whole = truth("three_mass", 20.0)
+    x = start + np.random.default_rng(3).normal(size=6)
+    watcher = observer(model, "minimum-variance", x, uncertainty=Uncertainty(), epoch=EPOCH)
+    told = [each for k, each in enumerate(whole.events[:8]) if k not in (2, 5)]
+    for each in [*told, event(4.2, "left", sequence=90), event(8.3, "right", sequence=91)]:
+        watcher.receive(each)
+    several = 0
+    for belief in beliefs(watcher):
+        weights = [each.weight for each in belief.hypotheses]
+        assert sum(map(math.exp, weights)) == pytest.approx(1.0, abs=1e-12)
+        assert weights == sorted(weights, reverse=True)
+        assert len(weights) <= MOST
+        assert belief.root is not None
+        np.testing.assert_array_equal(belief.x, belief.hypotheses[0].known.x)
+        P = mixture(belief)
+        size = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+        np.testing.assert_allclose((belief.root @ belief.root.T - P) / size, 0.0, atol=1e-10)
+        several += len({each.known.x.tobytes() for each in belief.hypotheses}) > 1
+    assert several >= 6
+
+
+def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) -> tuple[Array, ...]:
+    """State and root by ``ImpactFilter`` alone, at the stamp ``end``."""
+    filter_, index = ImpactFilter(model), model.contact_names.index
+    known = filter_.begin(Known.of(x[None], np.eye(x.size)))
+    since = EPOCH
+    for each in events:
+        before = filter_.course(seconds_between(EPOCH, since), known)
+        known = before.known(seconds_between(since, each.stamp))
+        switches = [(index(switch.contact), switch.kind) for switch in each.switches]
+        touch = Touch.of(seconds_between(EPOCH, each.stamp), known.closed, switches)
+        prior = filter_.prior(touch, known, 1e-9 / math.sqrt(12))
+        known, since = filter_.after(touch, filter_.heard(touch, prior)), each.stamp
+    course = filter_.course(seconds_between(EPOCH, since), known)
+    s = seconds_between(since, end)
+    return course.state(s), course.root(s)
+
+
+@pytest.mark.parametrize("name", ["three_mass", "pressed"])
+def test_believing_every_event_is_the_plain_filter(name: str) -> None:
+    """With all three probabilities at 0: the same bits as ``ImpactFilter`` by hand."""
+    if name == "pressed":
+        model, start = PRESSED, np.zeros(4)
+        whole = run(model, start[:2], start[2:], seconds=6.0, rate=10.0)
+        assert {switch.kind for each in whole.events for switch in each.switches} >= {Kind.CLOSE}
+    else:
+        model, start, whole = truth(name, 20.0)
+    x = start + np.random.default_rng(0).normal(size=start.size)
+    watcher = observer(model, "minimum-variance", x, uncertainty=believing(), epoch=EPOCH)
+    for each in whole.events:
+        watcher.receive(each)
+    end = int(whole.stamps[-1]) + 1234
+    told = watcher.estimate(end)
+    state, root = by_hand(model, x, whole.events, end)
+    np.testing.assert_array_equal(np.concatenate([told.q, told.u]), state + 0.0)
+    np.testing.assert_array_equal(told.covariance, root @ root.T + 0.0)
+    assert all(len(each.hypotheses) == 1 for each in beliefs(watcher))
+
+
+def final(verdicts: Sequence[Verdict]) -> dict[tuple[int, int, str], Ruling]:
+    """The last ruling on everything; what was inserted and taken back is as if it never was."""
+    last = {
+        (each.stamp, each.sequence, each.contact): each.ruling
+        for each in verdicts
+        if each.ruling is not Ruling.DUPLICATE
+    }
+    return {k: ruling for k, ruling in last.items() if k[1] or ruling is Ruling.INSERTED}
+
+
+@given(data=st.data())
+@examples(6)
+def test_any_order_of_arrival_gives_equal_bits_and_rulings(data: st.DataObject) -> None:
+    """Some missed, some invented, some told twice, estimates asked for in between."""
+    model, start, whole = truth("two_mass", 12.0)
+    kept = [each for each in whole.events if data.draw(st.integers(0, 3))]
+    invented = data.draw(st.lists(st.integers(1, 11_999), max_size=2, unique=True))
+    stamps = [*(each.stamp for each in kept), *(EPOCH + k * 1_000_003 for k in invented)]
+    events = [
+        ImpactEvent(stamp, (Switch("stop"),), k + 1, 0, EPOCH)
+        for k, stamp in enumerate(sorted(stamps))
+    ]
+    order = data.draw(st.permutations([*events, *events[:2]]))
+    found = []
+    for arriving in (events, order):
+        watcher = observer(
+            model, "minimum-variance", start + 0.3, uncertainty=DOUBTING, epoch=EPOCH, history=1e3
+        )
+        verdicts: list[Verdict] = []
+        for k, each in enumerate(arriving):
+            verdicts += watcher.receive(each)
+            if arriving is order and k % 2:
+                watcher.estimate(EPOCH + 13 * NS_PER_S)
+        told = [watcher.estimate(EPOCH + k * NS_PER_S) for k in range(14)]
+        bits = [np.concatenate([each.q, each.u, each.covariance.ravel()]) for each in told]
+        found.append((np.array(bits), final(verdicts)))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    assert found[0][1] == found[1][1]
+
+
+def checked(watcher: Observer, stamp: int) -> None:
+    """Nothing is NaN, and there are no more hypotheses than there may be."""
+    for told in (watcher.estimate(stamp), watcher.estimate(stamp + 3 * NS_PER_S)):
+        assert np.all(np.isfinite(np.concatenate([told.q, told.u, told.covariance.ravel()])))
+        assert np.all(np.isfinite([each[1:] for each in told.learnt]))
+    for belief in beliefs(watcher):
+        assert 1 <= len(belief.hypotheses) <= MOST
+        total = sum(math.exp(each.weight) for each in belief.hypotheses)
+        assert total == pytest.approx(1.0, abs=1e-9)
+
+
+CLOSES = (("c1", Kind.CLOSE), ("c1", Kind.IMPACT), ("c1", Kind.CLOSE), ("c2", Kind.OPEN))
+
+
+@pytest.mark.parametrize("declared", [0.0, 0.9])
+def test_absurd_streams_end_in_no_nan(declared: float) -> None:
+    """One stamp again and again; a contact at rest that hits; the last stamp first."""
+    everything = {"missed": declared, "invented": declared, "mislabelled": declared}
+    model, start, _ = truth("three_mass", 20.0)
+    streams = {
+        "one stamp": [event(1.0, "left", "right", sequence=k + 1) for k in range(25)],
+        "backwards": [event(9.0 - k / 2, "left", sequence=k + 1) for k in range(9)],
+    }
+    for stream in streams.values():
+        told = Uncertainty(clock_error=0.0, **everything)
+        watcher = observer(model, "minimum-variance", start, uncertainty=told, epoch=EPOCH)
+        for each in stream:
+            watcher.receive(each)
+        checked(watcher, EPOCH + 10 * NS_PER_S)
+    told = Uncertainty(clock_error=1e-3, **everything)
+    watcher = observer(PRESSED, "minimum-variance", np.zeros(4), uncertainty=told, epoch=EPOCH)
+    for k, (contact, kind) in enumerate(3 * CLOSES):
+        stamp = EPOCH + (k + 1) * NS_PER_S // 4
+        watcher.receive(ImpactEvent(stamp, (Switch(contact, kind),), k + 1, 0, EPOCH))
+    checked(watcher, EPOCH + 4 * NS_PER_S)
+
+
+@pytest.mark.slow
+def test_thousands_of_invented_events_at_one_stamp_end_in_no_nan() -> None:
+    """And the next true events are what they are."""
+    model, start, whole = truth("two_mass", 20.0)
+    watcher = observer(
+        model, "minimum-variance", start, uncertainty=DOUBTING, epoch=EPOCH, history=1e3
+    )
+    for k in range(2000):
+        watcher.receive(event(1.0, "stop", sequence=k + 1))
+    for k, each in enumerate(whole.events[1:]):
+        watcher.receive(ImpactEvent(each.stamp, each.switches, 2001 + k, 0, EPOCH))
+    checked(watcher, int(whole.stamps[-1]))
+    apart = estimates(watcher, whole.stamps[-1:])[0] - whole.states[-1]
+    assert np.max(np.abs(apart)) < 1e-6
