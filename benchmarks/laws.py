@@ -31,7 +31,7 @@ from impact_observer.analysis.lyapunov import distance
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.model import Model, System, parse_model, read_model
-from impact_observer.observer import AGREED, Observer, law_named, law_names, replay
+from impact_observer.observer import AGREED, Observer, Uncertainty, law_named, law_names, replay
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid, seconds_between
 from impact_observer.states import Estimate, Stamps, Vector
@@ -54,6 +54,8 @@ impact sees but through a chain of weakly damped springs. A ball would be no tes
 its height, and it comes to rest.
 """
 
+IDEAL = Uncertainty(clock_error=0.0)
+"""Stamps are only rounded; that none is missed or invented, nobody has said."""
 MODELS = ("two_mass", "three_mass", "far_end")
 EPOCH = 1_000_000_000
 RATE = 10.0
@@ -143,7 +145,7 @@ def outcome(name: str, case: Case, law: str, seed: int) -> Outcome:
     """Run a law with its default ensemble from a wrong start, and judge what it says."""
     system, n = case.system, case.system.n
     x = case.start + np.random.default_rng(seed).normal(size=2 * n)
-    observer = Observer(system, law_named(law)(system), x[:n], x[n:])
+    observer = Observer(system, law_named(law)(system, IDEAL), x[:n], x[n:])
     told = replay(observer, case.events, case.truth.stamps)
     estimates = [each for each in told if isinstance(each, Estimate)]
     states = np.array([np.concatenate([each.q, each.u]) for each in estimates])

@@ -38,7 +38,6 @@ RIGS: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "switch": (switch_bag, "/switch", "data"),
     "accelerometer": (accelerometer_bag, "/imu", _AXES),
 }
-LOST = "where a contact that bounces to rest is told as impacts only, the estimate is lost"
 JUDGED = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
 
 
@@ -187,11 +186,9 @@ def rulings(verdicts: list[Verdict]) -> Counter[Ruling]:
 @pytest.mark.parametrize("name", TROUBLED)
 @pytest.mark.parametrize("law", ["geometric", "minimum-variance"])
 def test_observers_make_of_a_troubled_bag_what_is_expected(
-    name: str, law: str, tmp_path: Path, request: pytest.FixtureRequest
+    name: str, law: str, tmp_path: Path
 ) -> None:
     """V at the end over V at the start; what became of the events, and what was inserted."""
-    if (name, law) == ("impacts_only", "minimum-variance"):
-        request.applymarker(pytest.mark.xfail(reason=LOST, strict=True))
     figures = TROUBLED[name]
     bag = detected(name, tmp_path / "bag") if name in RIGS else BAGS / name
     comparison, verdicts = observed(bag, law, figures["observe"], tmp_path / "out")

@@ -120,7 +120,8 @@ def figure(
     read = read_model(model)
     # The ensemble is left out: no estimate depends on it.
     observers = [
-        Options(law, initial, ensemble=1, epoch=EPOCH).observer(read.system) for law in laws
+        Options(law, initial, clock_error=0.0, ensemble=1, epoch=EPOCH).observer(read.system)
+        for law in laws
     ]
     with Progress(sys.stderr) as progress:
         done = _simulated(read, duration, rate, progress)

@@ -178,7 +178,7 @@ class ObserverNode(Node):
         else:
             try:
                 return self._observer.receive(event)
-            except UsageError as error:
+            except ImpactObserverError as error:  # a message must not end the node
                 reason = str(error)
         return (Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason),)
 

@@ -47,7 +47,7 @@ SURE = 3.0
 _IMPACTS = 256
 """Impacts between two events that a hypothesis may insert."""
 _REMEMBERED = 32
-"""Notes that a hypothesis keeps: what it makes of older events will not change."""
+"""Notes that a hypothesis keeps, at least: what it makes of older events will not change."""
 _FLIGHTS = 8
 """Flights of which the samples are kept, for hypotheses to share."""
 
@@ -196,7 +196,8 @@ class FilterBank:
                 wider = replace(h.known, root=h.known.root * factor * depth)
                 reason = f"believed: the estimate was {factor * depth:.3g} times less sure"
                 yield self._told(touch, replace(h, known=wider), here, ANEW, reason)[0]
-        if self._mislabelled > -math.inf and len(touch.hit) == 1 and here.before == here.closed:
+        impact = len(touch.hit) == 1 and here.before == here.closed
+        if impact and self._mislabelled > -math.inf and not told.foretold:
             yield from self._elsewhere(touch, h)
 
     def _nothing(self, touch: Touch, h: Hypothesis, reason: str) -> _Branch:
@@ -306,4 +307,8 @@ def _noted(
     told = [
         Note(event, touch.stamp, i, *ruling, innovations.get(i, -1.0)) for i in _contacts(touch)
     ]
-    return Hypothesis(h.known, h.clock, h.weight, (*h.notes, *inserted, *told)[-_REMEMBERED:])
+    notes = (*h.notes, *inserted, *told)
+    first = max(len(notes) - _REMEMBERED, 0)
+    while first and notes[first - 1].event == notes[first].event:
+        first -= 1  # an event's notes stay together
+    return Hypothesis(h.known, h.clock, h.weight, notes[first:])

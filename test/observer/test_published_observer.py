@@ -52,7 +52,9 @@ def published_run() -> Run:
 
 def velocity_errors(law: type[Law], model: System = BALL) -> Array:
     """Estimate less truth just after each of twelve impacts; the estimate begins at (10, 2)."""
-    watcher = Observer(model, law(model, believing()), np.array([10.0]), np.array([2.0]), epoch=EPOCH)
+    watcher = Observer(
+        model, law(model, believing()), np.array([10.0]), np.array([2.0]), epoch=EPOCH
+    )
     found = []
     whole = published_run()
     for event, switching in list(zip(whole.events, whole.switchings, strict=True))[:12]:
