@@ -16,7 +16,7 @@ Beside them what is aimed at, in how many runs ``minimum-variance`` ended worse 
 for agreement, and the normalised estimation error squared of the published covariance at the end,
 over 2n: 1 is honest. For jitter alone also what the Cramer-Rao bound lets any unbiased estimator
 expect, as mean V over the mean initial V (``benchmarks/covariance.py``). A last table has harder
-systems. What docs/laws.md says of wrong events rests on these.
+systems, half as long. What docs/laws.md says of wrong events rests on these.
 
 Events arrive as the sensor sends them. V is read farther from any impact than stamps may be wrong:
 nearer, it would be the size of the jump.
@@ -386,7 +386,10 @@ def jobs_of(
     if "harder" in models:
         plan |= dict.fromkeys(HARDER, min(runs, FEW))
     return {
-        (name, each): [Job(name, each, seed, seconds) for seed in range(count)]
+        (name, each): [
+            Job(name, each, seed, seconds if each.goals else max(seconds // 2, 1))
+            for seed in range(count)
+        ]
         for (name, each), count in plan.items()
     }
 
@@ -419,7 +422,8 @@ def main(args: Sequence[str] | None = None) -> int:
     rows = [(each, list(islice(found, len(group)))) for (_, each), group in groups.items()]
     for name in dict.fromkeys(given.models):
         mine = [row for row in rows if (row[1][0].model if row[0].goals else "harder") == name]
-        print_table(mine, f"{name}, {given.seconds} s", console)
+        seconds = given.seconds if mine[0][0].goals else max(given.seconds // 2, 1)
+        print_table(mine, f"{name}, {seconds} s", console)
         for scenario, group in mine:
             if scenario.goals and scenario.sensor.jitter:
                 print_bound(group, given.seconds, console)

@@ -228,6 +228,10 @@ class ImpactFilter:
         joint = Joint(touch.t, e, x, known.offset, triangular(whole), apart)
         return self.after(touch, joint, left)
 
+    def mirrored(self, contact: int, known: Known) -> Matrix:
+        """What an impact of ``contact`` makes of errors, were it told when: shape (2n, 2n)."""
+        return self._mirror(tuple(sorted({*known.closed, contact}))).J
+
     def speed(self, contact: int, known: Known) -> float:
         """Speed of a contact, m/s."""
         return float(self.system.W[:, contact] @ known.x[self.system.n :])

@@ -25,7 +25,7 @@ SAMPLES = 6000
 SEEN = 1e-4
 """Depth from which on a dip must be found, relative to the largest value of what is watched."""
 COARSE = 1 / 288
-"""By which the lowest of 38 samples a period may lie above the minimum, relative to an amplitude."""
+"""By which the lowest of 38 samples a period may miss the minimum, relative to an amplitude."""
 
 SWINGING = system(
     np.eye(2),

@@ -9,7 +9,7 @@ import numpy as np
 
 from impact_observer.dynamics import triangular
 from impact_observer.errors import UsageError
-from impact_observer.events import Contacts, Ruling
+from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Course, Fallback, Hypothesis, Known, Touch
 from impact_observer.observer.filter_bank import SURE, FilterBank
@@ -93,7 +93,9 @@ class MinimumVariance(Law):
 
         if self.uncertainty.trusting:
             return _Heard(self._bank.filter.course(t, _mixed(hypotheses)), later)
-        return _Foreseen(self._bank, t, (hypotheses[0].known, _mixed(hypotheses)), later)
+        known = hypotheses[0].known
+        root = known.root if belief.root is None else belief.root
+        return _Foreseen(self._bank, t, (known, root), later)
 
     def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; of a bare one, that it is right."""
@@ -197,14 +199,14 @@ class _Part(NamedTuple):
         since: from when on it is believed, s since the last event.
         start: when it began, s since the last event.
         forecast: what it comes to.
-        mixed: the same state, as surely as all accounts together allow.
-        root: of that covariance, as it goes on.
+        closed: contacts that it holds closed.
+        root: of the covariance of all accounts together, as it goes on.
     """
 
     since: float
     start: float
     forecast: Forecast
-    mixed: Known
+    closed: Contacts
     root: Callable[[float], Matrix]
 
 
@@ -219,14 +221,14 @@ class _Foreseen(Course):
         self,
         bank: FilterBank,
         t: float,
-        known: tuple[Known, Known],
+        first: tuple[Known, Matrix],
         later: Callable[[float], Belief],
     ) -> None:
         self._bank = bank
         self._t = t
         self._later = later
         self._first = _WINDOW * bank.filter.phases.scales.timescale
-        self._parts = [self._begun(0.0, 0.0, *known)]
+        self._parts = [self._begun(0.0, 0.0, *first)]
         self._looked, self._window = 0.0, self._first
 
     def state(self, s: float) -> Vector:
@@ -238,16 +240,16 @@ class _Foreseen(Course):
         return part.root(s - part.start)
 
     def closed(self, s: float) -> Contacts:
-        return self._part(s).mixed.closed
+        return self._part(s).closed
 
     def belief(self, s: float) -> Belief:
         return self._later(s)
 
-    def _begun(self, since: float, start: float, known: Known, mixed: Known) -> _Part:
+    def _begun(self, since: float, start: float, known: Known, root: Matrix) -> _Part:
         """A stretch from ``start`` on."""
-        t, mixed = self._t + start, replace(known, root=mixed.root)
-        root = self._bank.filter.course(t, mixed).root
-        return _Part(since, start, self._bank.forecast(t, known), mixed, root)
+        t = self._t + start
+        mixed = self._bank.filter.course(t, replace(known, root=root))
+        return _Part(since, start, self._bank.forecast(t, known), known.closed, mixed.root)
 
     def _part(self, s: float) -> _Part:
         """The stretch that is believed after ``s`` seconds."""
@@ -260,7 +262,7 @@ class _Foreseen(Course):
         if len(self._parts) > _IMPACTS:
             self._looked = math.inf
             return
-        _, start, forecast, mixed, _ = self._parts[-1]
+        _, start, forecast, _, root = self._parts[-1]
         sure = (dip for dip in forecast.dips(self._window) if dip.depth >= SURE)
         dip = next(sure, None)
         if dip is None:
@@ -269,7 +271,10 @@ class _Foreseen(Course):
         at, since = forecast.root(dip), start + forecast.sure(dip, SURE)
         t = self._t + start + at
         known, kind = self._bank.switched(t, forecast.course.known(at), dip)
-        mixed = self._bank.filter.course(self._t + start, mixed).known(at)
-        mixed = self._bank.after(t, mixed, dip.contact, kind)
-        self._parts.append(self._begun(since, start + at, known, mixed))
+        # The other accounts jump with it: how far they are apart is thrown back likewise.
+        apart = root(at)
+        if kind is not Kind.OPEN:
+            apart = self._bank.filter.mirrored(dip.contact, known) @ apart
+        root_now = triangular(np.hstack([known.root[: len(apart)], apart]))
+        self._parts.append(self._begun(since, start + at, known, root_now))
         self._looked, self._window = since, self._first
