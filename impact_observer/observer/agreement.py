@@ -82,6 +82,10 @@ class Agreeing:
         held = previous.held + hit
         return Agreement(convergence, energy, largest, held if agrees else 0)
 
+    def allows(self, agreement: Agreement, root: Matrix) -> bool:
+        """Whether a covariance ``root root^T`` is still small enough for an agreement."""
+        return self._spread(root) <= self.threshold * agreement.energy
+
     def _energy(self, x: Vector) -> float:
         """Kinetic and elastic energy, J."""
         return float(self._energies(x[None])[0])
@@ -102,7 +106,11 @@ class Agreeing:
 
     def _expected(self, belief: Belief) -> float:
         """``V`` to be expected from the covariance, J; 0 for a law that has none."""
-        return 0.0 if belief.root is None else float(np.sum(self._energies(belief.root.T)))
+        return 0.0 if belief.root is None else self._spread(belief.root)
+
+    def _spread(self, root: Matrix) -> float:
+        """``V`` to be expected of a covariance, J."""
+        return float(np.sum(self._energies(root.T)))
 
     def _certain(self, x: Vector, touch: Touch) -> float:
         """What V was at least before an impact, J: the plant's gaps were zero there."""

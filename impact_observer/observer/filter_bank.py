@@ -34,11 +34,11 @@ WIDER = (3.0, 100.0)
 """How much wider than what an event contradicts a covariance is opened again."""
 LEADING = -3.0
 """Logarithm of a probability, relative to the largest, of a hypothesis that is mended so."""
-MOST = 16
-"""Hypotheses that are carried on, besides one for each accuracy that the clock may have."""
+MOST = 64
+"""Hypotheses that are carried on, besides new beginnings."""
 NEGLIGIBLE = -16.0
 """Logarithm of a probability, relative to the largest, of a hypothesis that is dropped."""
-DEEP = 2
+DEEP = 3
 """Notes, times the coordinates, by which two hypotheses must differ to be carried both."""
 LIKELY = 0.5
 """Depth of a dip, in standard deviations, from which on it may have been an impact."""
@@ -170,14 +170,13 @@ class FilterBank:
         ]
         branches.sort(key=lambda branch: branch.weight, reverse=True)
         enough = branches[0].weight + NEGLIGIBLE
-        likely = [each for each in branches if each.weight >= enough][: MOST + len(anew)]
+        likely = [each for each in branches if each.weight >= enough][:MOST]
         made = [each.make() for each in likely]
-        made = self._distinct([h for h in made if np.isfinite(h.known.replicas).all()])
+        made = self._distinct([h for h in made if np.isfinite(h.known.replicas).all()])[:MOST]
         if not (self._trusting or branches[0].foretold):
-            made.extend(self._anew(touch, made, anew))
-        made.sort(key=lambda h: h.weight, reverse=True)
+            made = sorted([*made, *self._anew(touch, made, anew)], key=_weight)
         total = float(special.logsumexp([h.weight for h in made])) if made else 0.0
-        return tuple(replace(h, weight=h.weight - total) for h in made[: MOST + len(anew)])
+        return tuple(replace(h, weight=h.weight - total) for h in made)
 
     def _branches(self, touch: Touch, h: Hypothesis, *, leads: bool) -> Iterator[_Branch]:
         """What the event may have been to ``h``."""
@@ -256,7 +255,7 @@ class FilterBank:
             yield _noted(begun, touch, ruling, {})
 
     def _distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
-        """The likeliest of those that make the same of the latest events.
+        """The likeliest of those that make the same of the latest events, in order.
 
         What they made of older ones has told them nearly the same (N-scan pruning).
         """
@@ -265,7 +264,7 @@ class FilterBank:
             same = (h.clock, *(note.gist for note in h.notes[-self._deep :]))
             if same not in found or found[same].weight < h.weight:
                 found[same] = h
-        return list(found.values())
+        return sorted(found.values(), key=_weight)
 
 
 def _logs(probability: float) -> tuple[float, float]:
@@ -276,6 +275,11 @@ def _logs(probability: float) -> tuple[float, float]:
 def _contacts(touch: Touch) -> Contacts:
     """All contacts of which an event speaks."""
     return tuple(sorted({*touch.hit, *(set(touch.before) ^ set(touch.closed))}))
+
+
+def _weight(h: Hypothesis) -> float:
+    """To sort by: the likeliest first."""
+    return -h.weight
 
 
 def _whole_weight(h: Hypothesis) -> float:

@@ -182,13 +182,13 @@ class Forecast:
             )
 
     def _with_minima(self, j: int, s: Vector, values: Vector) -> tuple[Vector, Vector]:
-        """Samples, and the minima between them that may be below zero."""
+        """Samples, and the minima between them that are, or may be, below zero."""
         h, change = np.diff(s), np.diff(values)
         slope = change / h
         bend = np.maximum((slope[1:] - slope[:-1]) / (h[1:] + h[:-1]), _LEAST)
         slope = slope[:-1] + bend * h[:-1]  # of a parabola through three samples, at the middle
         mid = values[1:-1]
-        lowest = (mid > 0) & (change[:-1] <= 0) & (change[1:] >= 0)
+        lowest = (change[:-1] <= 0) & (change[1:] >= 0)
         lowest &= mid - slope**2 / (4 * bend) <= mid / 2
         if not lowest.any():
             return s, values

@@ -9,6 +9,9 @@ from impact_observer.observer.belief import Note
 from impact_observer.observer.order import Key, Overruled
 from impact_observer.observer.timeline import Entry, Placed
 
+_NEAR = 1_000
+"""Between stamps of an inserted impact that need not be told apart, ns."""
+
 
 def because(verdict: Verdict, reasons: Iterable[str]) -> Verdict:
     """``verdict`` with more ``reasons``."""
@@ -25,9 +28,10 @@ def judged(verdict: Verdict, contact: int, placed: Placed) -> Verdict:
     """
     entry = placed.entry
     innovation = entry.belief.innovations.get(contact, -1.0)
-    for note in _notes(entry):
-        if (note.event, note.contact) == (entry.event, contact) and not note.is_inserted:
-            verdict = replace(verdict, ruling=note.ruling, reason=note.reason)
+    note = _believed(placed).get(_Matter(entry.event, contact))
+    if note is not None:
+        verdict = replace(verdict, ruling=note.ruling, reason=note.reason)
+        innovation = note.innovation
     if not (entry.overruled or placed.overrules):
         return verdict if innovation < 0 else replace(verdict, innovation=innovation)
     own = [each for each in entry.overruled if each.contact == contact]
@@ -79,26 +83,25 @@ class Rulings:
             start: stamp where the known past begins, ns; what is older is settled.
             names: of the contacts.
         """
-        believed: dict[_Matter, Note] = {}
-        for entry in (placed.entry, *placed.later):
-            known = [note for note in _notes(entry) if note.event[0] >= start]
-            believed.update(_matters(known))
-        since = min((matter.event for matter in believed), default=None)
-        if since is None:
+        believed = {m: n for m, n in _believed(placed).items() if m.event[0] >= start}
+        if not believed:
             return ()
+        since, own = min(matter.event for matter in believed), placed.entry.event
         before = {m: note for m, note in self._told.items() if m.event >= since}
-        own = placed.entry.event
-        verdicts = [
-            _verdict(note, names, revises=matter in before)
-            for matter, note in believed.items()
-            if (matter.inserted or matter.event != own)
-            and (matter not in before or before[matter].gist != note.gist)
-        ]
-        gone = [n for matter, n in before.items() if matter.inserted and matter not in believed]
-        for matter in before:
+        verdicts = []
+        for matter, latest in believed.items():
+            told = before.pop(matter, None)
+            if told is not None and told.gist == latest.gist:
+                continue
+            note = latest if told is None else latest._replace(stamp=told.stamp)
+            if matter.inserted or matter.event != own:
+                verdicts.append(_verdict(note, names, revises=told is not None))
+            self._told[matter] = note
+        for matter, note in before.items():
             del self._told[matter]
-        self._told |= believed
-        return (*verdicts, *(_withdrawn(note, names) for note in gone))
+            if matter.inserted:
+                verdicts.append(_withdrawn(note, names))
+        return tuple(verdicts)
 
     def forget_before(self, stamp: int) -> None:
         """Drop what lies before ``stamp`` (ns): it will not change any more."""
@@ -109,22 +112,30 @@ class Rulings:
 
 
 class _Matter(NamedTuple):
-    """What may be ruled upon: a contact in an event, or the i-th thing inserted before it."""
+    """What may be ruled upon: a contact in an event, or what was inserted at an instant."""
 
     event: tuple[int, int]
     contact: int
     inserted: int = 0
 
 
+def _believed(placed: Placed) -> dict[_Matter, Note]:
+    """What is believed of the latest matters once an event is in its place: by the last account.
+
+    Of what that does not remember any more, by the last that does.
+    """
+    found: dict[_Matter, Note] = {}
+    for entry in (*reversed(placed.later), placed.entry):
+        first = min((matter.event for matter in found), default=None)
+        notes = _matters(_notes(entry)).items()
+        found.update({m: n for m, n in notes if first is None or m.event < first})
+    return found
+
+
 def _matters(notes: Sequence[Note]) -> dict[_Matter, Note]:
     """Notes by what they are on."""
-    found: dict[_Matter, Note] = {}
-    for note in notes:
-        matter = _Matter(note.event, note.contact, int(note.is_inserted))
-        while matter.inserted and matter in found:
-            matter = matter._replace(inserted=matter.inserted + 1)
-        found[matter] = note
-    return found
+    near = ((n, n.stamp // _NEAR if n.is_inserted else 0) for n in notes)
+    return {_Matter(note.event, note.contact, inserted): note for note, inserted in near}
 
 
 def _verdict(note: Note, names: Sequence[str], *, revises: bool) -> Verdict:

@@ -254,7 +254,9 @@ class Observer:
             covariance=frozen(np.empty((0, 0)) if root is None else root @ root.T),
             closed=tuple(self.system.contact_names[i] for i in closed),
             convergence=agreement.convergence,
-            synchronized=self.law.hears and agreement.held >= HELD,
+            synchronized=self.law.hears
+            and agreement.held >= HELD
+            and (root is None or self._agreeing.allows(agreement, root)),
             bound=-1.0 if bound is None else bound,
             refuted=entry.belief.refuted,
             clock_offset=entry.belief.offset,

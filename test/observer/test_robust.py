@@ -62,7 +62,7 @@ def heard(name: str, seconds: float, sensor: Sensor, seed: int = 0) -> tuple[Sen
     return sense(sensor, model, whole.switchings, epoch=EPOCH, last=last, seed=seed)
 
 
-def watching(model: System, x: Array, declared: dict[str, Any], **options: Any) -> Observer:
+def watching(model: System, x: Array, declared: dict[str, Any], **options: int) -> Observer:
     """An observer that begins at ``x``."""
     told = Uncertainty(**declared)
     return observer(
@@ -70,7 +70,7 @@ def watching(model: System, x: Array, declared: dict[str, Any], **options: Any) 
     )
 
 
-def V(model: System, error: Array) -> float:
+def squared(model: System, error: Array) -> float:
     """Of an error (dq, du), J."""
     return float(lyapunov.distance(model, *np.split(error, 2)))
 
@@ -79,7 +79,7 @@ def beside(whole: Run, seconds: float) -> list[int]:
     """Indices of samples that are farther than that from any impact."""
     impacts = np.array([each.instant.stamp for each in whole.impacts])
     near = np.min(np.abs(whole.stamps[:, None] - impacts), axis=1)
-    return np.flatnonzero(near > seconds * NS_PER_S).tolist()
+    return [int(k) for k in np.flatnonzero(near > seconds * NS_PER_S)]
 
 
 def left(name: str, seconds: float, sensor: Sensor, declared: dict[str, Any], seed: int) -> float:
@@ -90,9 +90,8 @@ def left(name: str, seconds: float, sensor: Sensor, declared: dict[str, Any], se
     for each in heard(name, seconds, sensor, seed):
         watcher.receive(each.event)
     k = beside(whole, 0.02)[-1]
-    return V(model, estimates(watcher, whole.stamps[[k]])[0] - whole.states[k]) / V(
-        model, x - start
-    )
+    error = estimates(watcher, whole.stamps[[k]])[0] - whole.states[k]
+    return squared(model, error) / squared(model, x - start)
 
 
 @pytest.mark.parametrize(
@@ -112,24 +111,34 @@ def left(name: str, seconds: float, sensor: Sensor, declared: dict[str, Any], se
 def test_troubled_sensor_costs_little(
     name: str, sensor: Sensor, declared: dict[str, Any], bound: float
 ) -> None:
-    """After 30 s, from a start that is wrong by about 1 in every number."""
-    assert left(name, 30.0, sensor, declared, seed=1) < bound
+    """After 24 s, from a start that is wrong by about 1 in every number."""
+    assert left(name, 24.0, sensor, declared, seed=1) < bound
+
+
+def closed_at(whole: Run, stamp: int) -> tuple[str, ...]:
+    """Contacts of a plant that are closed, by what an ideal sensor tells."""
+    closed: set[str] = set()
+    for each in whole.events:
+        if each.stamp <= stamp:
+            for switch in each.switches:
+                (closed.add if switch.kind is Kind.CLOSE else closed.discard)(switch.contact)
+    return tuple(sorted(closed))
 
 
 def test_lasting_contact_that_nobody_tells_is_found() -> None:
     """Impacts only: every CLOSE and every OPEN is inserted, and the estimate is right at all."""
-    model, _, whole = truth("pressed", 6.0)
+    model, _, whole = truth("pressed", 7.0)
     kinds = {switch.kind for each in whole.events for switch in each.switches}
     assert kinds == set(Kind)
     watcher = watching(model, np.random.default_rng(0).normal(size=4), EXACT)
-    for each in heard("pressed", 6.0, Sensor(impacts_only=True)):
+    for each in heard("pressed", 7.0, Sensor(impacts_only=True)):
         watcher.receive(each.event)
     apart = estimates(watcher, whole.stamps[30:]) - whole.states[30:]
     assert np.max(np.abs(apart)) < 1e-8
-    at_rest = [k for k in range(30, 120) if not np.any(whole.states[k, 2:])]
-    assert at_rest
-    closed = watcher.estimate(int(whole.stamps[at_rest[0]])).closed
-    assert closed
+    resting = [closed_at(whole, stamp) for stamp in whole.stamps[30:].tolist()]
+    assert set(resting) >= {(), ("c1",), ("c1", "c2")}
+    told = [watcher.estimate(stamp).closed for stamp in whole.stamps[30:].tolist()]
+    assert told == resting
 
 
 WORST = {
@@ -183,19 +192,17 @@ def test_missed_impact_is_foreseen_before_anything_is_heard(invented: tuple[floa
 
 def test_estimate_is_a_function_of_the_events_and_the_stamp() -> None:
     """Through impacts that are foreseen: asked in any order or once, not a bit differs."""
-    stamps = (EPOCH + np.arange(17_700, 22_000, 61) * 1_000_000).astype(np.int64)
+    stamps = (EPOCH + np.arange(17_700, 22_000, 157) * 1_000_000).astype(np.int64)
     found = estimates(locked(13), stamps)
-    np.testing.assert_array_equal(estimates(locked(13), stamps[::-1])[::-1], found)
     order = np.random.default_rng(1).permutation(stamps.size)
     np.testing.assert_array_equal(estimates(locked(13), stamps[order]), found[order])
-    for k in (9, 40, 70):
-        np.testing.assert_array_equal(estimates(locked(13), stamps[[k]])[0], found[k])
+    np.testing.assert_array_equal(estimates(locked(13), stamps[[16]])[0], found[16])
 
 
 def recovered(watcher: Observer, whole: Run, told: Sequence[ImpactEvent]) -> list[Verdict]:
-    """The verdicts until the estimate is right again, which it must be."""
-    verdicts = []
-    for each in told:
+    """The verdicts until the estimate is right again, which it must be after 2n + 2 events."""
+    verdicts: list[Verdict] = []
+    for each in told[: 2 * watcher.system.n + 2]:
         verdicts += watcher.receive(each)
         k = int(np.searchsorted(whole.stamps, each.stamp + 1))
         error = estimates(watcher, whole.stamps[[k]])[0] - whole.states[k]
@@ -210,20 +217,21 @@ def explained(verdicts: Sequence[Verdict]) -> bool:
     return any(word in each.reason for each in verdicts for word in words)
 
 
-def test_start_that_is_declared_far_too_sure_is_forgotten() -> None:
-    """Wrong by 1 and said to be known to 1e-6: right again after a few impacts more than 2n."""
+@pytest.mark.parametrize("seed", [0, 1])
+def test_start_that_is_declared_far_too_sure_is_forgotten(seed: int) -> None:
+    """Wrong by 1 and said to be known to 1e-6: right after a few impacts, and that is said."""
     model, start, whole = truth("two_mass", 30.0)
-    x = start + np.random.default_rng(2).normal(size=4)
-    verdicts = recovered(
-        watching(model, x, {**EXACT, "deviation": 1e-6}), whole, whole.events[:12]
-    )
-    assert explained(verdicts)
+    x = start + np.random.default_rng(seed).normal(size=4)
+    watcher = watching(model, x, {**EXACT, "deviation": 1e-6})
+    assert explained(recovered(watcher, whole, whole.events))
 
 
-def test_kicked_plant_is_found_again() -> None:
+@pytest.mark.parametrize("seed", [0, 1])
+def test_kicked_plant_is_found_again(seed: int) -> None:
     """Locked on; then it goes on from another state, as if somebody had pushed it."""
     model, start, whole = truth("two_mass", 30.0)
-    kicked = run(model, [-0.3, 0.2], [1.0, -2.0], seconds=25.0, rate=20.0)
+    state = np.random.default_rng(seed).normal(size=(2, 2)) * [[0.3], [2.0]]
+    kicked = run(model, *state, seconds=16.0, rate=20.0)
     later = replace(kicked, stamps=kicked.stamps + PERIODS)
     before = [each for each in whole.events if each.stamp < EPOCH + PERIODS]
     after = [
@@ -233,29 +241,30 @@ def test_kicked_plant_is_found_again() -> None:
     watcher = watching(model, start + np.random.default_rng(0).normal(size=4), EXACT)
     for each in before:
         assert all(said.ruling is Ruling.APPLIED for said in watcher.receive(each))
-    verdicts = recovered(watcher, later, after[:12])
-    assert explained(verdicts) or any(each.ruling is Ruling.REJECTED for each in verdicts)
+    assert explained(recovered(watcher, later, after))
 
 
-def test_state_that_is_set_wrong_and_sure_is_forgotten() -> None:
+@pytest.mark.parametrize("seed", [0, 1])
+def test_state_that_is_set_wrong_and_sure_is_forgotten(seed: int) -> None:
     """By ``set_state`` with a deviation of 1e-6 while locked on."""
     _, _, whole = truth("two_mass", 30.0)
     watcher = locked(10)
-    wrong = [0.4, -0.3], [0.7, 1.2]
-    watcher.set_state(whole.events[9].stamp + 1000, *wrong, covariance=1e-12 * np.eye(4))
+    position, velocity = 0.7 * np.random.default_rng(seed).normal(size=(2, 2))
+    since, sure = whole.events[9].stamp + 1000, 1e-12 * np.eye(4)
+    watcher.set_state(since, position, velocity, sure)
     assert explained(recovered(watcher, whole, whole.events[10:]))
 
 
 def learning(sensor: Sensor, declared: dict[str, Any], seed: int = 0) -> tuple[Observer, int]:
-    """An observer of two_mass after 30 s, and the last stamp."""
-    model, start, whole = truth("two_mass", 30.0)
+    """An observer of two_mass after 24 s, and the last stamp."""
+    model, start, whole = truth("two_mass", 24.0)
     watcher = watching(model, start + np.random.default_rng(seed).normal(size=4), declared)
-    for each in heard("two_mass", 30.0, sensor, seed):
+    for each in heard("two_mass", 24.0, sensor, seed):
         watcher.receive(each.event)
     return watcher, int(whole.stamps[-1])
 
 
-@pytest.mark.parametrize("error", [1e-6, 3e-5, 3e-4, 3e-3])
+@pytest.mark.parametrize("error", [1e-6, 3e-3])
 def test_error_of_the_clock_is_learnt(error: float) -> None:
     """Within a factor of 3.5 of what it is."""
     watcher, end = learning(Sensor(jitter=error), UNDECLARED, seed=1)
@@ -281,22 +290,21 @@ def test_error_of_the_clock_is_learnt_in_any_run(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("delay", "declared", "seed"), [(0.01, LATE, 0), (-0.03, LATE, 1), (0.02, UNDECLARED, 1)]
+    ("delay", "jitter", "seed"), [(0.01, 0.0, 0), (-0.03, 0.0, 1), (0.02, 1e-4, 1)]
 )
-def test_offset_of_the_clock_is_learnt(delay: float, declared: dict[str, Any], seed: int) -> None:
+def test_offset_of_the_clock_is_learnt(delay: float, jitter: float, seed: int) -> None:
     """Within four of the deviations that are told, which are small; and it survives a message."""
     pytest.importorskip("rosbags")
     from impact_observer.bag.messages import bag_messages, read_estimate
 
-    jitter = 0.0 if declared is LATE else 1e-4
     sensor = Sensor(clock_offset=delay, jitter=jitter)
-    watcher, end = learning(sensor, {**declared, "clock_offset_error": 0.03}, seed)
+    watcher, end = learning(sensor, {"clock_error": jitter, "clock_offset_error": 0.03}, seed)
     told = watcher.estimate(end)
     name, value, deviation = told.learnt[-1]
     assert name == "clock_offset"
     assert value == told.clock_offset
     assert abs(value - delay) <= 4 * deviation
-    assert deviation < (1e-7 if declared is LATE else 1e-2)
+    assert deviation < (1e-2 if jitter else 1e-7)
     names, back = read_estimate(bag_messages().estimate(told, ("x1", "x2")))
     assert names == ("x1", "x2")
     assert (back.clock_offset, back.learnt) == (told.clock_offset, told.learnt)
@@ -304,7 +312,7 @@ def test_offset_of_the_clock_is_learnt(delay: float, declared: dict[str, Any], s
 
 def test_offset_is_refused_where_no_force_depends_on_time() -> None:
     """In one line, that says why and what to do."""
-    with pytest.raises(UsageError, match="no force depends on time.*leave it out") as refused:
+    with pytest.raises(UsageError, match=r"no force depends on time.*leave it out") as refused:
         MinimumVariance(sample("bouncing_ball").system, Uncertainty(**LATE))
     assert "\n" not in str(refused.value)
     assert str(refused.value).startswith("clock_offset_error: ")
@@ -312,11 +320,9 @@ def test_offset_is_refused_where_no_force_depends_on_time() -> None:
 
 def never_wrong(name: str, sensor: Sensor, declared: dict[str, Any], seed: int) -> int:
     """How often ``synchronized`` came, live; asserts that V was below what that means."""
-    model, start, whole = truth(name, 30.0)
-    x, told = (
-        start + np.random.default_rng(seed).normal(size=start.size),
-        [*heard(name, 30.0, sensor, seed)],
-    )
+    model, start, whole = truth(name, 24.0)
+    x = start + np.random.default_rng(seed).normal(size=start.size)
+    told = heard(name, 24.0, sensor, seed)
     watcher, came, done = watching(model, x, declared, ensemble=10), 0, 0
     for k in beside(whole, 0.02)[::4]:
         stamp = int(whole.stamps[k])
@@ -327,7 +333,9 @@ def never_wrong(name: str, sensor: Sensor, declared: dict[str, Any], seed: int) 
         if now.synchronized:
             then = watcher.estimate(now.last_event)
             apart = np.concatenate([now.q, now.u]) - whole.states[k]
-            assert V(model, apart) <= AGREED * V(model, np.concatenate([then.q, then.u]))
+            assert squared(model, apart) <= AGREED * squared(
+                model, np.concatenate([then.q, then.u])
+            )
             came += 1
     return came
 
