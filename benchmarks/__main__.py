@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import observe_bag, plant_run, troubles
+from benchmarks import observe_bag, plant_run
 from benchmarks.harness import Benchmark, DisagreementError, Result, measure
 
 BENCHMARKS: tuple[Benchmark, ...] = (plant_run.BENCHMARK, observe_bag.BENCHMARK)
@@ -25,9 +25,6 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         0; 1 when contestants disagree, so that there is nothing to compare; 2 for wrong use.
     """
-    given_args = sys.argv[1:] if args is None else args
-    if given_args[:1] == ["troubles"]:  # figures of the laws, not timings
-        return troubles.main(given_args[1:])
     known = {each.name: each for each in BENCHMARKS}
     parser = argparse.ArgumentParser(prog="./dev bench", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these (default: all)")

@@ -28,6 +28,8 @@ RARE = 0.1
 """Invented impacts of a contact, were all events invented, in the inverse of the fastest rate."""
 ANEW = math.log(2.5e-3)
 """Logarithm of the probability that is given to an estimate that is not what it believes to be."""
+OTHER = math.log(0.01)
+"""Logarithm of the probability that the clock is more, or less, accurate than was believed."""
 SURPRISED = 3.0
 """Innovation, in standard deviations, from which on an estimate may be less sure than it says."""
 WIDER = (3.0, 100.0)
@@ -35,7 +37,7 @@ WIDER = (3.0, 100.0)
 LEADING = -3.0
 """Logarithm of a probability, relative to the largest, of a hypothesis that is mended so."""
 MOST = 64
-"""Hypotheses that are carried on, besides new beginnings."""
+"""Hypotheses that are carried on, besides new beginnings; twice as many while some divide."""
 NEGLIGIBLE = -16.0
 """Logarithm of a probability, relative to the largest, of a hypothesis that is dropped."""
 DEEP = 3
@@ -73,9 +75,21 @@ class FilterBank:
         filter: what each of them does.
     """
 
-    def __init__(self, filter_: ImpactFilter, uncertainty: Uncertainty) -> None:
-        """Hypotheses that share ``filter_``, and doubt events as far as is declared."""
+    def __init__(
+        self, filter_: ImpactFilter, uncertainty: Uncertainty, clocks: Sequence[float] = ()
+    ) -> None:
+        """Hypotheses that share ``filter_``, and doubt events as far as is declared.
+
+        Args:
+            filter_: what each of them does.
+            uncertainty: what is declared.
+            clocks: standard deviations of a stamp that are thought possible, s, ascending.
+        """
         self.filter = filter_
+        self._beside = {
+            clock: (*clocks[max(i - 1, 0) : i], *clocks[i + 1 : i + 2])
+            for i, clock in enumerate(clocks)
+        }
         self._trusting = uncertainty.trusting
         self._missed, self._heard = _logs(uncertainty.missed)
         self._mislabelled, _ = _logs(uncertainty.mislabelled)
@@ -100,9 +114,10 @@ class FilterBank:
             moved = [self.filter.course(t, each.known).known(s) for each in hypotheses]
             return tuple(replace(h, known=k) for h, k in zip(hypotheses, moved, strict=True))
         found = [path for each in hypotheses for path in self._paths(each, t, s)]
-        found.sort(key=_whole_weight, reverse=True)
-        enough = max(each.weight for each in found) + NEGLIGIBLE
-        return tuple(each for each in found if each.weight >= enough)
+        found.sort(key=_weight)
+        enough = found[0].weight + NEGLIGIBLE
+        likely = [each for each in found[: 2 * MOST] if each.weight >= enough]
+        return tuple(sorted(likely, key=_whole_weight, reverse=True))
 
     def _paths(self, h: Hypothesis, t: float, left: float) -> Iterator[Hypothesis]:
         """What may have become of ``h`` from ``t`` on, ``left`` seconds later."""
@@ -186,6 +201,8 @@ class FilterBank:
             return
         told, evidence = self._told(touch, h, here, self._heard)
         yield told
+        for clock in self._beside.get(h.clock, ()) if leads else ():
+            yield self._told(touch, replace(h, clock=clock), here, self._heard + OTHER)[0]
         depth = max(evidence.innovations.values(), default=-1.0)
         if self._invented > -math.inf:
             expected = f"invented: {depth:.3g} deviations from what was to be expected"

@@ -142,6 +142,7 @@ def test_every_dip_of_a_load_is_found(data: st.DataObject) -> None:
     s, watched, _ = oracle(model, 0.5, x, 0)
     found = forecast(model, 0.5, x, np.eye(2 * n), (0,))
     dips = found.dips(SECONDS)
+    assert {dip.contact for dip in dips} <= {0, *range(model.m)}
     for each in watched:
         check(dips, found, s, each)
 

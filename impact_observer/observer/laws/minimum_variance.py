@@ -61,7 +61,7 @@ class MinimumVariance(Law):
                 " depends on time: a later clock and a later motion look the same; leave it out"
             )
         filter_ = ImpactFilter(system, self.uncertainty.model_error)
-        self._bank = FilterBank(filter_, self.uncertainty)
+        self._bank = FilterBank(filter_, self.uncertainty, self.clocks)
         self._geometric = Geometric(system)
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
