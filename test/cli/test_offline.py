@@ -62,6 +62,7 @@ def test_truth_in_a_bag_starts_at_the_epoch_and_follows_the_events(run_bag: Path
     np.testing.assert_array_equal(np.hstack([truth.q, truth.u]), wanted.states)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", BUILT_IN)
 def test_observe_writes_what_the_observer_says(run_bag: Path, law: str) -> None:
     """Offline estimates are those of the same object fed by hand, bit for bit."""
@@ -153,6 +154,7 @@ def test_equal_starts_leave_ratios_undefined(
     assert "undefined" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_observe_takes_another_rate_and_model(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

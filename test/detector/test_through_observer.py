@@ -25,6 +25,7 @@ def signal_of(events: tuple[ImpactEvent, ...]) -> list[tuple[int, float]]:
     return signal
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("eps", "law"),
     [(0.0, "kinematic"), (0.0, "geometric"), (0.0, "minimum-variance"), (0.6, "geometric")],

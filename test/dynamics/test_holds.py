@@ -418,6 +418,7 @@ def test_closed_contact_slips_while_another_stop_holds() -> None:
     assert np.max(gap[:, 1]) > 1e-2
 
 
+@pytest.mark.slow
 @examples(15)
 @given(st.data())
 def test_who_asks_when_decides_nothing(data: st.DataObject) -> None:

@@ -104,6 +104,7 @@ def test_energy_is_conserved_without_damping_and_with_full_restitution() -> None
     np.testing.assert_allclose(total, total[0], rtol=1e-12)
 
 
+@pytest.mark.slow
 @examples(30)
 @given(st.data())
 def test_every_step_is_complementary(data: st.DataObject) -> None:

@@ -72,6 +72,7 @@ def V(model: System, one: Array, two: Array) -> float:  # noqa: N802
     return float(lyapunov.distance(model, *np.split(one - two, 2)))
 
 
+@pytest.mark.slow
 @LAWS
 def test_estimate_does_not_depend_on_the_ensemble(law: str) -> None:
     """Not in a single bit, whether it has one replica or hundreds."""
@@ -201,6 +202,7 @@ def test_certified_bound_holds(law: str, seed: int) -> None:
     assert bounds[-1] < bounds[0]
 
 
+@pytest.mark.slow
 @CERTIFIED
 @examples(15)
 @given(st.data())

@@ -134,6 +134,7 @@ def mixture(belief: Belief) -> Array:
     return P
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
     """After true, invented and missed impacts; probabilities add up to one, and are ordered."""
     model, start, whole = truth("three_mass", 20.0)
@@ -195,6 +196,7 @@ def test_believing_every_event_is_the_plain_filter(name: str) -> None:
     assert all(len(each.hypotheses) == 1 for each in beliefs(watcher))
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @examples(2)
 def test_any_order_of_arrival_gives_equal_bits(data: st.DataObject) -> None:
@@ -231,7 +233,7 @@ def checked(watcher: Observer, stamp: int) -> None:
     assert watcher._timeline is not None
     for entry in watcher._timeline.entries:
         hypotheses = entry.belief.hypotheses
-        assert 1 <= len(hypotheses) <= MOST + len(CLOCK_ERRORS)
+        assert 1 <= len(hypotheses) <= 2 * (MOST + len(CLOCK_ERRORS))
         if any(kind is not Kind.OPEN for _, kind in entry.key.switches):
             total = sum(math.exp(each.weight) for each in hypotheses)
             assert total == pytest.approx(1.0, abs=1e-9)

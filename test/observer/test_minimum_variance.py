@@ -135,6 +135,7 @@ def test_state_is_known_to_rounding_after_twice_as_many_impacts_as_coordinates(n
     assert max(ratios) <= 1e-12
 
 
+@pytest.mark.slow
 @BOTH
 def test_covariance_is_honest(name: str) -> None:
     """Stamps wrong by 1 ms, initial errors as declared: NEES and innovations are as they should.
@@ -247,6 +248,7 @@ def test_estimate_does_not_depend_on_how_many_replicas_there_are() -> None:
     assert all(np.array_equal(found[0], each) for each in found[1:])
 
 
+@pytest.mark.slow
 def test_any_order_of_arrival_gives_equal_bits() -> None:
     """Estimate and covariance, with wrong stamps, CLOSE and OPEN."""
     kinds = [("c1", Kind.CLOSE), ("c2", Kind.IMPACT), ("c1", Kind.OPEN), ("c2", Kind.CLOSE)]
@@ -265,6 +267,7 @@ def test_any_order_of_arrival_gives_equal_bits() -> None:
     assert all(np.array_equal(found[0], each) for each in found[1:])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", [0.0, JITTER])
 def test_estimate_locks_on_in_lasting_contact_and_stays(clock: float) -> None:
     """CLOSE, OPEN and all between; P is zero along what is closed, and nothing is NaN."""
@@ -284,6 +287,7 @@ def test_estimate_locks_on_in_lasting_contact_and_stays(clock: float) -> None:
         assert np.max(np.abs(away[-50:])) < (1e-6 if clock else 1e-12)
 
 
+@pytest.mark.slow
 def test_ball_is_followed_through_accumulation_to_rest() -> None:
     """K = 0 and 170 impacts within eight seconds: after the second it is known."""
     model, whole = sample("bouncing_ball").system, truth("bouncing_ball", 10.0)

@@ -94,6 +94,7 @@ def left(name: str, seconds: float, sensor: Sensor, declared: dict[str, Any], se
     return squared(model, error) / squared(model, x - start)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "sensor", "declared", "bound"),
     [
@@ -264,6 +265,7 @@ def learning(sensor: Sensor, declared: dict[str, Any], seed: int = 0) -> tuple[O
     return watcher, int(whole.stamps[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [1e-6, 3e-3])
 def test_error_of_the_clock_is_learnt(error: float) -> None:
     """Within a factor of 3.5 of what it is."""
@@ -340,6 +342,7 @@ def never_wrong(name: str, sensor: Sensor, declared: dict[str, Any], seed: int) 
     return came
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sensor", "declared"),
     [

@@ -125,6 +125,7 @@ def test_once_locked_every_event_is_what_it_is(name: str, seed: int) -> None:
     assert np.max(np.abs(apart)) <= NEAR
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_mislabelled_impacts_are_named_once_locked(seed: int) -> None:
     """The verdict on an impact of another contact is APPLIED and says of which."""
@@ -168,6 +169,7 @@ def run_of(seed: int, *, late: bool = False) -> tuple[Observer, list[ImpactEvent
     return watcher, told, [verdict for each in told for verdict in watcher.receive(each)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [False, True])
 def test_what_was_told_last_is_what_is_believed(late: bool) -> None:
     """Of every event, and of everything that was inserted, whatever came late."""
@@ -176,6 +178,7 @@ def test_what_was_told_last_is_what_is_believed(late: bool) -> None:
         assert_same(final(verdicts), believed(watcher))
 
 
+@pytest.mark.slow
 def test_final_rulings_do_not_depend_on_the_order_of_arrival() -> None:
     """One event comes last of all: in the end the same is said of each."""
     for seed in range(3):

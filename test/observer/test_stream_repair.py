@@ -132,6 +132,7 @@ def meant(upto: list[ImpactEvent], switch: Switch, later: list[ImpactEvent]) -> 
     return Kind.CLOSE if newest.kind is Kind.CLOSE else Kind.IMPACT
 
 
+@pytest.mark.slow
 @LAWS
 @examples(4)
 @given(data=st.data())

@@ -129,6 +129,7 @@ def test_replica_that_no_stop_is_in_the_way_of_is_the_geometric_one() -> None:
         t, closed = t + 0.05, stays
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model", [sample("bouncing_ball").system, hammer()], ids=["ball", "hammer"]
 )

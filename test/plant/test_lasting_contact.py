@@ -106,6 +106,7 @@ def test_ball_comes_to_rest_within_its_bound(eps: float, floor: float) -> None:
     assert np.all(resting == [floor, 0.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("floor", [0.0, -3.0])
 @pytest.mark.parametrize("eps", [0.2, 0.5, 0.9])
 def test_errors_of_a_ball_that_rests_are_below_their_bound(eps: float, floor: float) -> None:
