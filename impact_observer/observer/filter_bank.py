@@ -113,14 +113,25 @@ class FilterBank:
         if self._trusting:
             moved = [self.filter.course(t, each.known).known(s) for each in hypotheses]
             return tuple(replace(h, known=k) for h, k in zip(hypotheses, moved, strict=True))
-        found = [path for each in hypotheses for path in self._paths(each, t, s)]
+        found: list[Hypothesis] = []
+        best = -math.inf
+        for each in sorted(hypotheses, key=_weight):
+            found.extend(self._paths(each, t, s, best + NEGLIGIBLE))
+            best = max(path.weight for path in found)
         found.sort(key=_weight)
         enough = found[0].weight + NEGLIGIBLE
         likely = [each for each in found[: 2 * MOST] if each.weight >= enough]
         return tuple(sorted(likely, key=_whole_weight, reverse=True))
 
-    def _paths(self, h: Hypothesis, t: float, left: float) -> Iterator[Hypothesis]:
-        """What may have become of ``h`` from ``t`` on, ``left`` seconds later."""
+    def _paths(self, h: Hypothesis, t: float, left: float, enough: float) -> Iterator[Hypothesis]:
+        """What may have become of ``h`` from ``t`` on, ``left`` seconds later.
+
+        Args:
+            h: a hypothesis.
+            t: s since the epoch.
+            left: seconds.
+            enough: logarithm of a probability below which nothing more is tried.
+        """
         while True:
             forecast = self.forecast(t, h.known)
             dips = forecast.dips(left)
@@ -137,6 +148,8 @@ class FilterBank:
             known, kind = self.switched(t, forecast.course.known(at), dip)
             unheard = (*h.unheard, Unheard(dip.contact, kind, left, dip.depth))
             weight = h.weight + self._missed + float(special.log_ndtr(dip.depth))
+            if weight < enough:
+                return
             h = replace(h, known=known, weight=weight, unheard=unheard)
 
     def switched(self, t: float, known: Known, dip: Dip) -> tuple[Known, Kind]:
