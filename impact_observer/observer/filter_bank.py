@@ -157,10 +157,14 @@ class FilterBank:
 
         A contact that would leave its stop by less than is known of its gap rests on it.
         """
-        kind = self._kind(t, known, dip)
-        return self.after(t, known, dip.contact, kind), kind
+        if dip.kind is Kind.OPEN:
+            return self._after(t, known, dip.contact, Kind.OPEN), Kind.OPEN
+        after = self._after(t, known, dip.contact, Kind.IMPACT)
+        if not self.filter.rests(t, dip.contact, after):
+            return after, Kind.IMPACT
+        return self._after(t, known, dip.contact, Kind.CLOSE), Kind.CLOSE
 
-    def after(self, t: float, known: Known, contact: int, kind: Kind) -> Known:
+    def _after(self, t: float, known: Known, contact: int, kind: Kind) -> Known:
         """What is known after ``contact`` has switched unheard, at ``t``."""
         closed = known.closed
         if kind is Kind.OPEN:
@@ -172,13 +176,6 @@ class FilterBank:
         left = self.filter.speed(contact, self.filter.unheard(touch, known))
         resting = replace(touch, closed=tuple(sorted({*closed, contact})))
         return self.filter.unheard(resting, known, max(left, 0.0))
-
-    def _kind(self, t: float, known: Known, dip: Dip) -> Kind:
-        """Whether a dip is a release, an impact, or one after which the contact rests."""
-        if dip.kind is Kind.OPEN:
-            return Kind.OPEN
-        after = self.after(t, known, dip.contact, Kind.IMPACT)
-        return Kind.CLOSE if self.filter.rests(t, dip.contact, after) else Kind.IMPACT
 
     def heard(
         self, touch: Touch, hypotheses: Sequence[Hypothesis], anew: Sequence[Hypothesis]
