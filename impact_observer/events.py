@@ -3,6 +3,7 @@
 These mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without needing ROS.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
 from typing import TypeAlias
@@ -97,3 +98,20 @@ class Verdict:
     reason: str = ""
     innovation: float = -1.0
     revises: bool = False
+
+
+SECOND_THOUGHT = "on second thought: "
+"""How the reason of a verdict begins that takes back an earlier one."""
+
+
+def final_rulings(verdicts: Iterable[Verdict]) -> dict[tuple[int, int, str], Ruling]:
+    """What became of each switch in the end, by stamp, sequence and contact.
+
+    Of what was applied, rejected or inserted the last verdict counts; that a message came twice
+    or too late takes nothing back.
+    """
+    last: dict[tuple[int, int, str], Ruling] = {}
+    for each in verdicts:
+        if each.ruling in (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED):
+            last[each.stamp, each.sequence, each.contact] = each.ruling
+    return last

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from impact_observer.analysis.lyapunov import distance
 from impact_observer.errors import BagError
-from impact_observer.events import ImpactEvent, Ruling, Verdict
+from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay
 from impact_observer.observer.order import hits
@@ -191,12 +191,9 @@ def compare_law(
 
 
 def applied_in(verdicts: Iterable[Verdict]) -> Stamps:
-    """Stamps of the events that an observer applied in the end, ns, shape (events,)."""
-    used, last = (Ruling.APPLIED, Ruling.INSERTED), {}
-    for each in verdicts:
-        if each.ruling in (*used, Ruling.REJECTED):
-            last[each.stamp, each.sequence, each.contact] = each.ruling
-    stamps = {stamp for (stamp, _, _), ruling in last.items() if ruling in used}
+    """Stamps of what an observer applied or inserted in the end, ns, shape (events,)."""
+    last = final_rulings(verdicts).items()
+    stamps = {stamp for (stamp, _, _), ruling in last if ruling is not Ruling.REJECTED}
     return np.array(sorted(stamps), dtype=np.int64)
 
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from impact_observer.bag import interfaces
 from impact_observer.bag.typestores import typestore
 from impact_observer.errors import ImpactObserverError
-from impact_observer.events import ImpactEvent, Kind, Ruling, Switch, Verdict
+from impact_observer.events import SECOND_THOUGHT, ImpactEvent, Kind, Ruling, Switch, Verdict
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 from impact_observer.states import Estimate, Vector, frozen
 
@@ -375,6 +375,7 @@ def read_verdict(message: VerdictMessage) -> tuple[Verdict, float]:
         contact=message.contact,
         reason=message.reason,
         innovation=float(message.innovation),
+        revises=message.reason.startswith(SECOND_THOUGHT),
     )
     return verdict, float(message.latency)
 

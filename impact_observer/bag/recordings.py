@@ -16,7 +16,7 @@ from impact_observer.bag.messages import JointState, bag_messages
 from impact_observer.bag.reader import BagReader, RawMessage
 from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import BagError, UsageError
-from impact_observer.events import ImpactEvent, Ruling, Verdict
+from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.observer import Observer, replay
@@ -24,6 +24,8 @@ from impact_observer.plant import IDEAL, Run, Sensor, sense
 from impact_observer.stamps import grid, text
 from impact_observer.states import Estimate, Stamps
 
+_SETTLED = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
+"""Rulings of which the last on a switch counts."""
 _CARRIED = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
 
 
@@ -192,7 +194,7 @@ def observe_bag(
         progress: told the estimates made and the stamps to make them for.
 
     Returns:
-        The number of estimates, and how often each verdict was given.
+        The number of estimates, and how many verdicts of each kind hold in the end.
 
     Raises:
         UsageError, BagError: the bags cannot be used as asked.
@@ -207,7 +209,7 @@ def observe_bag(
         )
     stamps = sample_stamps(reader, events, rate, epoch)
     carried = [topic for each in _CARRIED if (topic := reader.find(each)) is not None]
-    count, rulings = 0, Counter[Ruling]()
+    count, verdicts = 0, list[Verdict]()
     bound, make = -1.0, bag_messages()
     with all_or_nothing(output) as writer:
         for topic in carried:
@@ -230,8 +232,9 @@ def observe_bag(
                     writer.write(interfaces.OBSERVER_BOUND.topic, log_time, make.bound(item))
                 progress(count, stamps.size)
             else:
-                rulings[item.ruling] += 1
-    return count, rulings
+                verdicts.append(item)
+    told = (each for each in verdicts if each.ruling not in _SETTLED)
+    return count, Counter([*final_rulings(verdicts).values(), *(each.ruling for each in told)])
 
 
 def _messages(item: Estimate | Verdict, names: tuple[str, ...]) -> Iterator[tuple[str, object]]:

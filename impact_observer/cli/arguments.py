@@ -35,7 +35,8 @@ def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
         "--clock-offset-error",
         metavar="S",
         type=not_negative,
-        help="standard deviation of what all stamps are late by, s: it is estimated (default 0)",
+        help="minimum-variance: standard deviation of what all stamps are late by, s, at most 0.1;"
+        " it is estimated (default 0: none)",
     )
     for name, meaning in (
         ("missed", "of an impact that it is not heard (default 0.1)"),
@@ -43,7 +44,10 @@ def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
         ("mislabelled", "of an impact that it was another contact's (default 0.01)"),
     ):
         parser.add_argument(
-            f"--{name}", metavar="P", type=not_negative, help=f"probability {meaning}"
+            f"--{name}",
+            metavar="P",
+            type=not_negative,
+            help=f"minimum-variance: probability {meaning}",
         )
     parser.add_argument(
         "--model-error",

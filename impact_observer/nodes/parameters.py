@@ -138,11 +138,17 @@ OBSERVER = (
         "standard deviation of what all stamps are late by",
         "s",
         low=0.0,
-        high=1.0,
+        high=0.1,
     ),
-    Parameter("missed", 0.1, "probability of an impact that it is not heard", low=0.0, high=0.9),
-    Parameter("invented", 0.1, "probability that nothing has happened", low=0.0, high=0.9),
-    Parameter("mislabelled", 0.01, "probability of another contact", low=0.0, high=0.9),
+    Parameter(
+        "missed",
+        0.1,
+        "minimum-variance: probability that an impact is not heard",
+        low=0.0,
+        high=0.9,
+    ),
+    Parameter("invented", 0.1, "likewise, that nothing has happened", low=0.0, high=0.9),
+    Parameter("mislabelled", 0.01, "likewise, that it was another contact", low=0.0, high=0.9),
     Parameter(
         "model_error", 0.0, "of accelerations, as white noise", "m/s^1.5", low=0.0, high=1e6
     ),

@@ -215,12 +215,13 @@ class FilterBank:
             yield self._told(touch, replace(h, clock=clock), here, self._heard + OTHER)[0]
         depth = max(evidence.innovations.values(), default=-1.0)
         if self._invented > -math.inf:
-            expected = f"invented: {depth:.3g} deviations from what was to be expected"
-            yield self._nothing(touch, h, expected)
+            far = f"{depth:.3g} deviations from what was to be expected"
+            likelier = "" if depth > SURPRISED else "likelier than an impact "
+            yield self._nothing(touch, h, f"invented: {likelier}{far}")
         if leads and depth > SURPRISED and not self._trusting:
             for factor in WIDER:
                 wider = replace(h.known, root=h.known.root * factor * depth)
-                reason = f"believed: the estimate was {factor * depth:.3g} times less sure"
+                reason = f"believed: the estimate is made {factor * depth:.3g} times less sure"
                 yield self._told(touch, replace(h, known=wider), here, ANEW, reason)[0]
         impact = len(touch.hit) == 1 and here.before == here.closed
         if impact and self._mislabelled > -math.inf and not told.foretold:

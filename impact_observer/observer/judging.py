@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from impact_observer.events import Ruling, Verdict
+from impact_observer.events import SECOND_THOUGHT, Ruling, Verdict
 from impact_observer.observer.belief import Note
 from impact_observer.observer.order import Key, Overruled
 from impact_observer.observer.timeline import Entry, Placed
@@ -116,7 +116,7 @@ class _Matter(NamedTuple):
 
     event: tuple[int, int]
     contact: int
-    inserted: int = 0
+    inserted: bool = False
 
 
 def _believed(placed: Placed) -> dict[_Matter, Note]:
@@ -134,15 +134,19 @@ def _believed(placed: Placed) -> dict[_Matter, Note]:
 
 def _matters(notes: Sequence[Note]) -> dict[_Matter, Note]:
     """Notes by what they are on."""
-    near = ((n, n.stamp // _NEAR if n.is_inserted else 0) for n in notes)
-    return {_Matter(note.event, note.contact, inserted): note for note, inserted in near}
+    return {
+        _Matter(
+            (n.stamp // _NEAR * _NEAR, 0) if n.is_inserted else n.event, n.contact, n.is_inserted
+        ): n
+        for n in notes
+    }
 
 
 def _verdict(note: Note, names: Sequence[str], *, revises: bool) -> Verdict:
     """The verdict that a note is."""
     reason = note.reason
     if revises:
-        reason = f"on second thought: {reason or 'as it was told'}"
+        reason = f"{SECOND_THOUGHT}{reason or 'as it was told'}"
     sequence = 0 if note.is_inserted else note.event[1]
     return Verdict(
         note.stamp,
@@ -157,5 +161,5 @@ def _verdict(note: Note, names: Sequence[str], *, revises: bool) -> Verdict:
 
 def _withdrawn(note: Note, names: Sequence[str]) -> Verdict:
     """The verdict on something inserted that is not believed any more."""
-    reason = "on second thought: nothing was missed here"
+    reason = f"{SECOND_THOUGHT}nothing was missed here"
     return Verdict(note.stamp, Ruling.REJECTED, 0, names[note.contact], reason, revises=True)

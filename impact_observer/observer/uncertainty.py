@@ -15,7 +15,7 @@ DEFAULT_DEVIATION = 1.0
 LARGEST = {
     "deviation": 1e9,
     "clock_error": 0.1,
-    "clock_offset_error": 1.0,
+    "clock_offset_error": 0.1,
     "model_error": 1e6,
     "missed": 0.9,
     "invented": 0.9,

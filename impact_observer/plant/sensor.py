@@ -153,6 +153,11 @@ class Sensing:
             UsageError: the sensor cannot be one of ``system``.
         """
         sensor.check(system)
+        if epoch + from_seconds(sensor.clock_offset) <= 0:
+            raise UsageError(
+                f"sensor clock_offset: {sensor.clock_offset:g} s found; expected more than"
+                f" {-epoch / 1e9:g} s, as stamps start above zero: choose a later epoch"
+            )
         self._sensor = sensor
         self._system = system
         self._index = {name: i for i, name in enumerate(system.contact_names)}

@@ -150,7 +150,14 @@ def test_the_epoch_of_an_event_is_the_plants() -> None:
     assert {each.event.epoch for each in found} == {EPOCH}
 
 
-@pytest.mark.parametrize("offset", [-3600.0, 3600.0])
+def test_clock_that_would_show_less_than_zero_is_refused() -> None:
+    """At the epoch already; the line names a later epoch as the remedy."""
+    sensor = Sensor(clock_offset=-EPOCH / NS_PER_S)
+    with pytest.raises(UsageError, match=r"clock_offset: .* stamps start above zero"):
+        sense(sensor, THREE, impacts(1), epoch=EPOCH, last=EPOCH + NS_PER_S)
+
+
+@pytest.mark.parametrize("offset", [-0.999999999 * EPOCH / NS_PER_S, 3600.0])
 @pytest.mark.parametrize("quantisation", [0.0, 0.7])
 def test_stamps_stay_where_messages_can_carry_them(offset: float, quantisation: float) -> None:
     """Above zero, below the last stamp there is, and multiples even there."""
