@@ -214,7 +214,7 @@ def recovered(watcher: Observer, whole: Run, told: Sequence[ImpactEvent]) -> lis
 
 def explained(verdicts: Sequence[Verdict]) -> bool:
     """Whether one says that what was believed before is not believed any more."""
-    words = ("believed: the estimate was", "nothing before it is believed any more")
+    words = ("believed: the estimate is made", "nothing before it is believed any more")
     return any(word in each.reason for each in verdicts for word in words)
 
 
