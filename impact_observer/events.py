@@ -104,6 +104,10 @@ SECOND_THOUGHT = "on second thought: "
 """How the reason of a verdict begins that takes back an earlier one."""
 
 
+SETTLING = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
+"""Rulings of which the last on a switch counts."""
+
+
 def final_rulings(verdicts: Iterable[Verdict]) -> dict[tuple[int, int, str], Ruling]:
     """What became of each switch in the end, by stamp, sequence and contact.
 
@@ -112,6 +116,6 @@ def final_rulings(verdicts: Iterable[Verdict]) -> dict[tuple[int, int, str], Rul
     """
     last: dict[tuple[int, int, str], Ruling] = {}
     for each in verdicts:
-        if each.ruling in (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED):
+        if each.ruling in SETTLING:
             last[each.stamp, each.sequence, each.contact] = each.ruling
     return last

@@ -16,7 +16,7 @@ from impact_observer.bag.messages import JointState, bag_messages
 from impact_observer.bag.reader import BagReader, RawMessage
 from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import BagError, UsageError
-from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
+from impact_observer.events import SETTLING, ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.observer import Observer, replay
@@ -24,8 +24,6 @@ from impact_observer.plant import IDEAL, Run, Sensor, sense
 from impact_observer.stamps import grid, text
 from impact_observer.states import Estimate, Stamps
 
-_SETTLED = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
-"""Rulings of which the last on a switch counts."""
 _CARRIED = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
 
 
@@ -233,7 +231,7 @@ def observe_bag(
                 progress(count, stamps.size)
             else:
                 verdicts.append(item)
-    told = (each for each in verdicts if each.ruling not in _SETTLED)
+    told = (each for each in verdicts if each.ruling not in SETTLING)
     return count, Counter([*final_rulings(verdicts).values(), *(each.ruling for each in told)])
 
 

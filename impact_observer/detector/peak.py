@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from impact_observer.detector.sensors import PATIENCE, Found, Moment, Sample
+from impact_observer.detector.sensors import Found, Moment, Sample, due
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 from impact_observer.stamps import from_seconds, seconds_between
@@ -92,8 +92,7 @@ class PeakSensor:
     @property
     def due(self) -> int | None:
         """See :class:`~impact_observer.detector.sensors.Sensor`."""
-        deadline = self._deadline()
-        return None if deadline is None else deadline.arrival + PATIENCE
+        return due(self._deadline())
 
     def feed(self, sample: Sample) -> list[Found]:
         """See :class:`~impact_observer.detector.sensors.Sensor`.
@@ -120,8 +119,8 @@ class PeakSensor:
 
     def silent(self, now: int) -> list[Found]:
         """See :class:`~impact_observer.detector.sensors.Sensor`."""
-        due = self.due
-        return [] if due is None or due > now else self._finish(due)
+        at = self.due
+        return [] if at is None or at > now else self._finish(at)
 
     def _signal(self, sample: Sample) -> float:
         """What is compared with the threshold."""

@@ -26,6 +26,11 @@ class Moment(NamedTuple):
         return Moment(self.arrival + length, self.stamp + length)
 
 
+def due(deadline: Moment | None) -> int | None:
+    """Arrival (ns) from which on silence says that a deadline is over; None without a deadline."""
+    return None if deadline is None else deadline.arrival + PATIENCE
+
+
 class Sample(NamedTuple):
     """What one message says.
 

@@ -1,6 +1,6 @@
 """A contact switch: edges, freed of chatter, and contacts that last told from hits."""
 
-from impact_observer.detector.sensors import PATIENCE, Found, Moment, Sample
+from impact_observer.detector.sensors import Found, Moment, Sample, due
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 
@@ -35,8 +35,7 @@ class SwitchSensor:
     @property
     def due(self) -> int | None:
         """See :class:`~impact_observer.detector.sensors.Sensor`."""
-        deadline = self._deadline()
-        return None if deadline is None else deadline.arrival + PATIENCE
+        return due(self._deadline())
 
     def feed(self, sample: Sample) -> list[Found]:
         """See :class:`~impact_observer.detector.sensors.Sensor`.
@@ -59,8 +58,8 @@ class SwitchSensor:
     def silent(self, now: int) -> list[Found]:
         """See :class:`~impact_observer.detector.sensors.Sensor`."""
         found = []
-        while (due := self.due) is not None and due <= now:
-            found += self._pass(due)
+        while (at := self.due) is not None and at <= now:
+            found += self._pass(at)
         return found
 
     def _is_dead(self, moment: Moment) -> bool:

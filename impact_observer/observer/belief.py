@@ -226,9 +226,15 @@ class Touch:
         opened = set(self.before) - set(self.closed)
         return replace(self, before=before, closed=tuple(sorted(stay - opened)))
 
-    def without(self) -> "Touch":
-        """The instant alone, as if the event had not been."""
-        return replace(self, hit=(), closed=self.before)
+    @property
+    def opened(self) -> Contacts:
+        """Contacts that were closed and are no more."""
+        return tuple(i for i in self.before if i not in self.closed)
+
+    @property
+    def contacts(self) -> Contacts:
+        """All of which the event speaks: those that hit, and those that open."""
+        return tuple(sorted({*self.hit, *self.opened}))
 
     @property
     def active(self) -> Contacts:
@@ -246,7 +252,7 @@ class Touch:
         """
         if self.hit:
             return self.hit
-        opened = tuple(i for i in self.before if i not in self.closed)
+        opened = self.opened
         jumps = forcing.sampled is not None and forcing.sampled.hold == "previous"
         return opened if len(opened) == 1 and opened[0] in held and not jumps else ()
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import special
 
-from impact_observer.events import Contacts, Kind, Ruling
+from impact_observer.events import Kind, Ruling
 from impact_observer.observer.belief import Hypothesis, Known, Note, Touch, Unheard
 from impact_observer.observer.forecast import Dip, Flight, Forecast
 from impact_observer.observer.impact_filter import Evidence, ImpactFilter
@@ -157,25 +157,17 @@ class FilterBank:
 
         A contact that would leave its stop by less than is known of its gap rests on it.
         """
+        closed = known.closed
         if dip.kind is Kind.OPEN:
-            return self._after(t, known, dip.contact, Kind.OPEN), Kind.OPEN
-        after = self._after(t, known, dip.contact, Kind.IMPACT)
+            stay = tuple(i for i in closed if i != dip.contact)
+            return self.filter.unheard(Touch(t, closed, (), stay), known), Kind.OPEN
+        touch = Touch(t, closed, (dip.contact,), closed)
+        after = self.filter.unheard(touch, known)
         if not self.filter.rests(t, dip.contact, after):
             return after, Kind.IMPACT
-        return self._after(t, known, dip.contact, Kind.CLOSE), Kind.CLOSE
-
-    def _after(self, t: float, known: Known, contact: int, kind: Kind) -> Known:
-        """What is known after ``contact`` has switched unheard, at ``t``."""
-        closed = known.closed
-        if kind is Kind.OPEN:
-            stay = tuple(i for i in closed if i != contact)
-            return self.filter.unheard(Touch(t, closed, (), stay), known)
-        touch = Touch(t, closed, (contact,), closed)
-        if kind is Kind.IMPACT:
-            return self.filter.unheard(touch, known)
-        left = self.filter.speed(contact, self.filter.unheard(touch, known))
-        resting = replace(touch, closed=tuple(sorted({*closed, contact})))
-        return self.filter.unheard(resting, known, max(left, 0.0))
+        left = max(self.filter.speed(dip.contact, after), 0.0)
+        resting = replace(touch, closed=tuple(sorted({*closed, dip.contact})))
+        return self.filter.unheard(resting, known, left), Kind.CLOSE
 
     def heard(
         self, touch: Touch, hypotheses: Sequence[Hypothesis], anew: Sequence[Hypothesis]
@@ -197,7 +189,7 @@ class FilterBank:
         enough = branches[0].weight + NEGLIGIBLE
         likely = [each for each in branches if each.weight >= enough][:MOST]
         made = [each.make() for each in likely]
-        made = self._distinct([h for h in made if np.isfinite(h.known.replicas).all()])[:MOST]
+        made = self._distinct([h for h in made if np.isfinite(h.known.replicas).all()])
         if not (self._trusting or branches[0].foretold):
             made = sorted([*made, *self._anew(touch, made, anew)], key=_weight)
         total = float(special.logsumexp([h.weight for h in made])) if made else 0.0
@@ -230,7 +222,7 @@ class FilterBank:
     def _nothing(self, touch: Touch, h: Hypothesis, reason: str) -> _Branch:
         """Nothing has happened."""
         odds = self._invented if self._invented > -math.inf else 0.0
-        weight = _whole_weight(h) + len(_contacts(touch)) * odds
+        weight = _whole_weight(h) + len(touch.contacts) * odds
 
         def make() -> Hypothesis:
             return _noted(replace(h, weight=weight), touch, (Ruling.REJECTED, reason), {})
@@ -243,7 +235,7 @@ class FilterBank:
         """It was ``here`` that something happened, which had the logarithmic ``chance``."""
         prior = self.filter.prior(here, h.known, h.clock)
         evidence = self.filter.evidence(here, prior)
-        contacts = _contacts(here)
+        contacts = here.contacts
         unexplained = sum(each for i, each in h.sunk.items() if i not in contacts)
         weight = h.weight + chance + evidence.density + unexplained
 
@@ -251,7 +243,7 @@ class FilterBank:
             known = self.filter.after(here, self.filter.heard(here, prior))
             judged = {
                 said: evidence.innovations[i]
-                for said, i in zip(_contacts(touch), contacts, strict=False)
+                for said, i in zip(touch.contacts, contacts, strict=False)
                 if i in evidence.innovations
             }
             after = replace(h, known=known, weight=weight)
@@ -300,11 +292,6 @@ def _logs(probability: float) -> tuple[float, float]:
     return (math.log(probability) if probability else -math.inf), math.log1p(-probability)
 
 
-def _contacts(touch: Touch) -> Contacts:
-    """All contacts of which an event speaks."""
-    return tuple(sorted({*touch.hit, *(set(touch.before) ^ set(touch.closed))}))
-
-
 def _weight(h: Hypothesis) -> float:
     """To sort by: the likeliest first."""
     return -h.weight
@@ -336,9 +323,7 @@ def _noted(
         )
         for u in h.unheard
     ]
-    told = [
-        Note(event, touch.stamp, i, *ruling, innovations.get(i, -1.0)) for i in _contacts(touch)
-    ]
+    told = [Note(event, touch.stamp, i, *ruling, innovations.get(i, -1.0)) for i in touch.contacts]
     notes = (*h.notes, *inserted, *told)
     first = max(len(notes) - _REMEMBERED, 0)
     while first and notes[first - 1].event == notes[first].event:

@@ -212,7 +212,7 @@ class ImpactFilter:
             left: speed that a contact which closes may have left out before it rested, m/s.
         """
         x, root = known.x, known.root
-        measured = self._watched(touch, self._contacts(touch)[:1], touch.t)
+        measured = self._watched(touch, touch.contacts[:1], touch.t)
         value, H, D, E = measured.expanded(self._rates(touch.before), x, self._forces(touch.t))
         late, deviation = -float(value[0]), float(np.linalg.norm(H[:, 1:] @ root[: x.size]))
         # Where it is slow, an acceleration decides when: s = sqrt(2 g / a), not g / gamma.
@@ -252,10 +252,6 @@ class ImpactFilter:
         unsure = float(np.linalg.norm(w @ known.root[:n]))
         flight = 2 * speed / fall
         return flight <= self.short or (speed * flight / 4 <= unsure and flight <= self.brief)
-
-    def _contacts(self, touch: Touch) -> Contacts:
-        """The contacts of an event: those that hit, else those that open."""
-        return touch.hit or tuple(i for i in touch.before if i not in touch.closed)
 
     def _telling(self, touch: Touch) -> Contacts:
         """The contacts that say something that is not known already."""

@@ -91,11 +91,12 @@ class MinimumVariance(Law):
             found = self._bank.predicted(hypotheses, t, s)
             return self._belief(found, replace(fallback, x=motion.state(s)))
 
-        if self.uncertainty.trusting:
-            return _Heard(self._bank.filter.course(t, _mixed(hypotheses)), later)
+        assert belief.root is not None, "a belief of another law"
         known = hypotheses[0].known
-        root = known.root if belief.root is None else belief.root
-        return _Foreseen(self._bank, t, (known, root), later)
+        if self.uncertainty.trusting:
+            mixed = replace(known, root=belief.root)
+            return _Heard(self._bank.filter.course(t, mixed), later)
+        return _Foreseen(self._bank, t, (known, belief.root), later)
 
     def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; of a bare one, that it is right."""
