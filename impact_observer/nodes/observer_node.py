@@ -1,5 +1,6 @@
 """The observer node: impact events in, the estimated state out."""
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -190,12 +191,17 @@ class ObserverNode(Node):
         epoch = self._observer.epoch or start
         newest = int(seconds_between(epoch, now) * self._rate) + 1
         first = max(self._last_sample + 1, newest - _BACKLOG)
-        if self._last_sample >= 0:
-            self._counts["passed_over"] += first - self._last_sample - 1
-        for k in range(first, newest + 1):
+        due = [*range(first, newest + 1)]
+        # Where it began is told in any case: what is said of V is relative to that.
+        beginning = math.ceil(seconds_between(epoch, start) * self._rate)
+        if self._last_sample < 0 and beginning < first:
+            due.insert(0, beginning)
+        for k in due:
             stamp = epoch + round(k * NS_PER_S / self._rate)
             if stamp > now:
                 break
+            if self._last_sample >= 0:
+                self._counts["passed_over"] += k - self._last_sample - 1
             self._last_sample = k
             if stamp < start:
                 self._counts["passed_over"] += 1

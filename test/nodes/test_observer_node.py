@@ -468,3 +468,14 @@ def test_events_that_contradict_what_was_declared_are_a_warning(
         values = {each.key: each.value for each in last.values}
         assert values["certified bound of V [J]"] == "refuted"
         assert values["synchronized"] == "False"
+
+
+def test_a_node_that_wakes_late_tells_where_it_began(rig: Rig) -> None:
+    """Estimates older than the backlog are passed over, and counted; the first one never is."""
+    rig.tick(EPOCH + 3_000_000_000)
+    rig.spinner.until(lambda: len(rig.states) >= 21)
+    stamps = [each.stamp for each in rig.estimates()]
+    assert stamps[0] == EPOCH
+    assert stamps[1] == EPOCH + 2_810_000_000
+    assert stamps[-1] == EPOCH + 3_000_000_000
+    assert rig.figures()["estimates passed over"] == "280"
