@@ -16,7 +16,8 @@ from impact_observer.analysis.comparison import (
     impacts_in,
 )
 from impact_observer.bag import interfaces
-from impact_observer.bag.reader import BagReader, JointStates
+from impact_observer.bag.columns import JointStates
+from impact_observer.bag.reader import BagReader
 from impact_observer.bag.recordings import events_in
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent

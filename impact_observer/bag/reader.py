@@ -4,7 +4,6 @@ Messages are streamed; what a bag holds is checked where it is used, and every f
 that names the bag, what was found and what is wanted.
 """
 
-from array import array
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,8 +12,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, TypeVar, cast, final
 
-import numpy as np
-from numpy.typing import NDArray
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
@@ -22,25 +19,24 @@ from rosbags.typesys import TypesysError
 from rosbags.typesys.store import Typestore
 
 from impact_observer.bag import interfaces
+from impact_observer.bag.columns import Columns, JointStates, ObserverStates, joined
 from impact_observer.bag.interfaces import Interface, Quality
 from impact_observer.bag.messages import (
-    JointState,
     MessageError,
     StringMessage,
     VerdictMessage,
-    read_estimate,
     read_event,
-    read_joint_state,
     read_verdict,
 )
 from impact_observer.bag.typestores import add_definition, deserialize, new_typestore
 from impact_observer.errors import BagError, ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Verdict
-from impact_observer.states import Matrix, Stamps, frozen
 
 _Message = TypeVar("_Message")
 _Value = TypeVar("_Value")
 
+BLOCK = 4096
+"""Most states in a block."""
 _STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
 _FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
 
@@ -76,38 +72,6 @@ class RawMessage(NamedTuple):
     topic: str
     log_time: int
     data: bytes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JointStates:
-    """The states of one topic, in bag order.
-
-    Attributes:
-        names: the coordinates' names, in the order of the columns.
-        stamps: when each state holds, shape (N,), ns.
-        q: coordinates, shape (N, n), m or rad.
-        u: velocities, shape (N, n), m/s or rad/s.
-    """
-
-    names: tuple[str, ...]
-    stamps: Stamps
-    q: Matrix
-    u: Matrix
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ObserverStates(JointStates):
-    """The estimates of one observer, in bag order.
-
-    Attributes:
-        law: name of the law, the same throughout; empty when there is no message.
-        last_sequence: sequence number of the last event applied, shape (N,); 0 before the first.
-        last_event: stamp of the last event applied, shape (N,), ns; 0 before the first.
-    """
-
-    law: str
-    last_sequence: NDArray[np.uint64]
-    last_event: Stamps
 
 
 @final
@@ -256,50 +220,52 @@ class BagReader:
         """
         return self._values(topic, interfaces.EVENT_VERDICT, _verdict)
 
-    def joint_states(self, topic: str, names: Sequence[str] | None = None) -> JointStates:
-        """The states of a topic.
+    def blocks(
+        self, topics: Collection[str], names: Sequence[str] | None = None
+    ) -> Iterator[tuple[str, JointStates]]:
+        """The states on some topics in one pass, each topic's in bag order, a block at a time.
 
         Args:
-            topic: the absolute name.
-            names: the columns wanted, by name; None for those of the first message.
+            topics: absolute names, of joint states or of an observer's states.
+            names: the columns wanted, by name; None for those of each topic's first message.
+
+        Yields:
+            A topic and its next states, at most ``BLOCK`` of them, an observer's as
+            ``ObserverStates``. The last block of each topic may be empty.
 
         Raises:
-            BagError: the topic is missing or of another type; a name is missing, extra or
-                double; a message has not one finite position and velocity a name.
+            BagError: a topic is missing or of another type; a name is missing, extra or double;
+                a message has not one finite position and velocity a name; a law changes.
         """
-        table = _Table(f"{self.path}: {topic}", names)
-        for state in self._values(topic, interfaces.JOINT_STATE, read_joint_state):
-            table.add(state)
-        return JointStates(*table.columns())
+        columns = {topic: self._columns(topic, names) for topic in topics}
+        for topic, _, data in self.raw([*columns]):
+            own = columns[topic]
+            own.add(data)
+            if len(own) == BLOCK:
+                yield topic, own.take()
+        for topic, own in columns.items():
+            yield topic, own.take()
+
+    def joint_states(self, topic: str, names: Sequence[str] | None = None) -> JointStates:
+        """All states of a topic of joint states; arguments and errors as of :meth:`blocks`."""
+        self._check_type(topic, interfaces.JOINT_STATE)
+        return joined(block for _, block in self.blocks([topic], names))
 
     def observer_states(self, topic: str, names: Sequence[str] | None = None) -> ObserverStates:
-        """The estimates of an observer's ``state`` topic.
+        """All estimates of an observer's ``state`` topic, such as ``/observer/state``."""
+        self._check_type(topic, interfaces.OBSERVER_STATE)
+        return cast("ObserverStates", joined(block for _, block in self.blocks([topic], names)))
 
-        Args:
-            topic: the absolute name, such as ``/observer/state``.
-            names: the columns wanted, by name; None for those of the first message.
+    def _columns(self, topic: str, names: Sequence[str] | None) -> Columns:
+        """What makes blocks of a topic of states."""
+        found, observer = self._topic(topic).type, interfaces.OBSERVER_STATE
+        self._check_type(topic, observer if found == observer else interfaces.JOINT_STATE)
+        return Columns(f"{self.path}: {topic}", found, names, self.decoder(topic))
 
-        Raises:
-            BagError: as for :meth:`joint_states`; or the law changes on the way.
-        """
-        table = _Table(f"{self.path}: {topic}", names)
-        sequences, events, law = array("Q"), array("q"), None
-        for own_names, estimate in self._values(topic, interfaces.OBSERVER_STATE, read_estimate):
-            if law not in (None, estimate.law):
-                raise BagError(
-                    f"{self.path}: {topic} changes its law from {law} to {estimate.law}; "
-                    "expected one law a topic, such as /observer_<law>/state"
-                )
-            law = estimate.law
-            table.add(JointState(estimate.stamp, own_names, estimate.q, estimate.u))
-            sequences.append(estimate.last_sequence)
-            events.append(estimate.last_event)
-        return ObserverStates(
-            *table.columns(),
-            law=law or "",
-            last_sequence=np.array(sequences, dtype=np.uint64),
-            last_event=np.array(events, dtype=np.int64),
-        )
+    def _check_type(self, topic: str, wanted: str) -> None:
+        """Raise unless a topic is of one type."""
+        if (found := self._topic(topic).type) != wanted:
+            raise BagError(f"{self.path}: {topic} is {found}; expected {wanted}")
 
     def model_text(self) -> str | None:
         """The model file that the bag carries, as it was last published; None without one.
@@ -344,9 +310,8 @@ class BagReader:
 
     def _store_knowing(self, topic: str, type_name: str) -> Typestore:
         """The types, with those of a topic that must be of one known type."""
+        self._check_type(topic, type_name)
         info = self._topic(topic)
-        if info.type != type_name:
-            raise BagError(f"{self.path}: {topic} is {info.type}; expected {type_name}")
         if self._store is None:
             self._store = new_typestore()
         store = self._store
@@ -405,49 +370,6 @@ class BagReader:
                 f"{self.path}: cannot be read as a bag: {_reason(error)}; if it was cut short, "
                 "mend it with `ros2 bag reindex` or `mcap recover`"
             ) from error
-
-
-class _Table:
-    """Collects states into columns of one order."""
-
-    def __init__(self, source: str, names: Sequence[str] | None) -> None:
-        """Collect from ``source`` (for errors) into columns ``names``, or the first state's."""
-        self._source = source
-        self._names = None if names is None else tuple(names)
-        self._orders: dict[tuple[str, ...], list[int]] = {}
-        self._stamps, self._q, self._u = array("q"), array("d"), array("d")
-
-    def add(self, state: JointState) -> None:
-        """Add a row."""
-        if (order := self._orders.get(state.names)) is None:
-            order = self._orders[state.names] = self._order(state.names)
-        self._stamps.append(state.stamp)
-        self._q.frombytes(state.q[order].tobytes())
-        self._u.frombytes(state.u[order].tobytes())
-
-    def _order(self, found: tuple[str, ...]) -> list[int]:
-        """Which entry of a state goes to each column."""
-        if self._names is None:
-            self._names = found
-        double = sorted({name for name in found if found.count(name) > 1})
-        missing = [name for name in self._names if name not in found]
-        extra = [name for name in found if name not in self._names]
-        for problem, those in (("names twice", double), ("lacks", missing), ("has also", extra)):
-            if those:
-                raise BagError(
-                    f"{self._source} {problem} {', '.join(those)}; "
-                    f"expected the coordinates {', '.join(self._names)}"
-                )
-        return [found.index(name) for name in self._names]
-
-    def columns(self) -> tuple[tuple[str, ...], Stamps, Matrix, Matrix]:
-        """Names, stamps, coordinates and velocities, read-only."""
-        names = self._names or ()
-        stamps = np.array(self._stamps, dtype=np.int64)
-        stamps.setflags(write=False)
-        shape = (len(stamps), len(names))
-        q, u = (frozen(values).reshape(shape) for values in (self._q, self._u))
-        return names, stamps, q, u
 
 
 def _storage_of(path: Path) -> str:
