@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from impact_observer.analysis.comparison import Series
+from impact_observer.analysis.pairing import Series
 from impact_observer.analysis.lyapunov import distance
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import ImpactEvent, Kind

@@ -81,7 +81,7 @@ def test_observers_make_of_a_recorded_bag_what_is_expected(
         return
     assert comparison.ratio == pytest.approx(EXPECTED[name][law], rel=1e-6)
     if law != "open-loop":
-        assert comparison.largest_rise() <= 1e-9
+        assert comparison.largest_rise <= 1e-9
 
 
 def test_there_is_a_bag_for_every_trouble() -> None:

@@ -74,7 +74,7 @@ def test_a_demonstration_shows_records_and_judges(demo: Run) -> None:
     for comparison in result.comparisons.values():
         assert comparison.events == count
         assert comparison.stamps.size > 800, "nearly every sample of 1001 has its estimate"
-        assert comparison.largest_rise() <= 1e-9
+        assert comparison.largest_rise <= 1e-9
     laws = {each.law: each for each in result.comparisons.values()}
     assert laws["geometric"].V[-1] < laws["kinematic"].V[-1]
     for law in laws:

@@ -1,37 +1,75 @@
 """Estimates against the truth, without ever mixing the two sides of an impact.
 
 A truth sample at an impact's stamp is after the impact, and so is an estimate that has heard of
-it. A live estimate that was published before its event arrived is *late*: it is counted and left
-out, for its distance is the size of the jump and says nothing of the observer.
+it. Two kinds of samples say nothing of the observer and are counted apart, for their distance is
+the size of a jump: a live estimate that was published before its event arrived is *late*; where
+the truth has jumped and the estimate has not, or the other way round, is a *mismatch*.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from tempfile import TemporaryFile
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.analysis.lyapunov import distance
+from impact_observer.analysis.mismatch import Impact
+from impact_observer.analysis.pairing import Pairing, Series
+from impact_observer.analysis.tally import Tally
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay
 from impact_observer.observer.order import hits
-from impact_observer.stamps import seconds_between, text
+from impact_observer.stamps import seconds_between
 from impact_observer.states import Estimate, Stamps, Vector
+
+SETTLED = 1e-2
+"""V over V at the start below which an estimate counts as settled, unless told otherwise."""
+_NEAR_END = 10.0
+"""V over V at the end up to which V counts as falling still."""
+_BLOCK = 4096
+"""Estimates that are put aside together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """States at stamps.
+class Heard:
+    """What an observer made of the events.
 
     Attributes:
-        stamps: ns, shape (samples,).
-        x: states (q, u), shape (samples, 2n).
+        instants: stamps of what it applied or inserted, openings included, ns, ascending,
+            shape (events,).
+        impacts: stamp (ns) and contact of each impact among them, ascending.
+        rulings: how many switches it applied, rejected and inserted in the end; None where it
+            published no verdicts, and is taken to have applied all.
     """
 
-    stamps: Stamps
-    x: NDArray[np.float64]
+    instants: Stamps
+    impacts: tuple[tuple[int, str], ...]
+    rulings: Counter[Ruling] | None
+
+    def until(self, stamp: int) -> int:
+        """How many impacts it had used at ``stamp`` (ns)."""
+        return sum(at <= stamp for at, _ in self.impacts)
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """Where truth and estimate did not jump between the same samples.
+
+    Attributes:
+        windows: impacts at which that was so.
+        samples: between the two jumps, left out of all other figures.
+        longest: the longest window, s.
+        V: the largest distance there, J.
+    """
+
+    windows: int
+    samples: int
+    longest: float
+    V: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,11 +79,19 @@ class Comparison:
     Attributes:
         system: the system that both move by.
         law: name of the law.
-        stamps: of the samples that count, ns, shape (samples,).
-        error: estimate minus truth, (dq, du), shape (samples, 2n).
-        V: Lyapunov distance, J, shape (samples,).
+        stamps: of the samples that count, ns, shape (rows,); of very many the peaks of V.
+        error: estimate minus truth, (dq, du), shape (rows, 2n).
+        V: Lyapunov distance, J, shape (rows,).
+        samples: how many samples count.
         late: estimates left out because their event had not arrived.
-        events: instants of events, openings included, that the estimate used.
+        stale: states left out because they came long after later ones.
+        mismatch: where one had jumped and the other had not.
+        heard: what the observer made of the events.
+        rms: root mean square error of each state, shape (2n,).
+        largest: largest absolute error of each state, shape (2n,).
+        largest_rise: largest rise of V from one sample to the next, over V at the start.
+        threshold: V over V at the start below which the estimate has settled.
+        settling_time: seconds after the first sample from which on it has, or None.
     """
 
     system: System
@@ -53,8 +99,16 @@ class Comparison:
     stamps: Stamps
     error: NDArray[np.float64]
     V: Vector
+    samples: int
     late: int
-    events: int
+    stale: int
+    mismatch: Mismatch
+    heard: Heard
+    rms: Vector
+    largest: Vector
+    largest_rise: float
+    threshold: float
+    settling_time: float | None
 
     @property
     def ratio(self) -> float | None:
@@ -62,138 +116,195 @@ class Comparison:
         return float(self.V[-1] / self.V[0]) if self.V[0] > 0 else None
 
     @property
-    def rms(self) -> Vector:
-        """Root mean square error of each state, shape (2n,)."""
-        return np.asarray(np.sqrt(np.mean(self.error**2, axis=0)))
-
-    @property
-    def largest(self) -> Vector:
-        """Largest absolute error of each state, shape (2n,)."""
-        return np.asarray(np.max(np.abs(self.error), axis=0))
-
-    @property
     def final(self) -> Vector:
         """Error of each state at the end, shape (2n,)."""
         return np.asarray(self.error[-1])
 
-    def settling_time(self, threshold: float) -> float | None:
-        """Seconds after the first sample from which ``V <= threshold V0`` for good, or None."""
-        above = np.flatnonzero(threshold * self.V[0] < self.V)
-        if above.size == 0:
-            return 0.0
-        settled = int(above[-1]) + 1
-        if settled == self.V.size or self.V[0] <= 0:
-            return None
-        return seconds_between(int(self.stamps[0]), int(self.stamps[settled]))
+    @property
+    def events(self) -> int:
+        """Instants of events, openings included, that the estimate used."""
+        return int(np.count_nonzero(self.heard.instants <= self.stamps[-1]))
 
-    def largest_rise(self) -> float:
-        """Largest rise of ``V`` from one sample to the next over ``V`` at the start."""
-        return float(np.max(np.diff(self.V), initial=0.0) / self.V[0]) if self.V[0] > 0 else 0.0
+    @property
+    def rate_per_second(self) -> float | None:
+        """By which ``ln V`` falls in a second, until V is near its end; None where it does not."""
+        fall, until = self._fall()
+        seconds = seconds_between(int(self.stamps[0]), until)
+        return fall / seconds if fall > 0 and seconds > 0 else None
+
+    @property
+    def rate_per_impact(self) -> float | None:
+        """By which ``ln V`` falls an impact used, until V is near its end; None likewise."""
+        fall, until = self._fall()
+        impacts = self.heard.until(until)
+        return fall / impacts if fall > 0 and impacts else None
+
+    def _fall(self) -> tuple[float, int]:
+        """By how much ``ln V`` has fallen when V is first near its end, and when that is."""
+        if not (self.V[0] > 0 and self.V[-1] > 0):
+            return 0.0, int(self.stamps[-1])
+        near = int(np.flatnonzero(_NEAR_END * self.V[-1] >= self.V)[0])
+        return float(np.log(self.V[0] / self.V[near])), int(self.stamps[near])
 
 
-def compare(
-    system: System,
-    law: str,
-    truth: Series,
-    estimate: Series,
-    *,
-    applied: Stamps,
-    last_event: Stamps | None = None,
-) -> Comparison:
-    """Compare at the stamps that both have.
+class Comparing:
+    """Compares while truth and estimate go by, block by block.
 
-    Args:
-        system: gives M and K for V.
-        law: name of the estimate's law.
-        truth: the plant's states.
-        estimate: the observer's.
-        applied: stamps of the events that the observer applied, ns, ascending, shape (events,).
-        last_event: for each estimate the stamp of the last event it contains, ns, 0 for none,
-            shape (samples,); None where every estimate contains the events before it.
-
-    Raises:
-        BagError: no stamp is in both.
+    Attributes:
+        pairing: takes the blocks of both.
     """
-    # A stamp may come twice: a live estimate is published again when a late event corrects it.
-    of_truth, of_estimate = _last_of_each(truth.stamps), _last_of_each(estimate.stamps)
-    common, in_truth, in_estimate = np.intersect1d(
-        truth.stamps[of_truth], estimate.stamps[of_estimate], True, return_indices=True
-    )
-    in_truth, in_estimate = of_truth[in_truth], of_estimate[in_estimate]
-    if common.size == 0:
-        raise BagError(
-            f"{law}: truth and estimate have no stamp in common: truth {_range(truth.stamps)},"
-            f" estimate {_range(estimate.stamps)}; both must be sampled at the same instants"
+
+    def __init__(self, system: System, heard: Heard, threshold: float = SETTLED) -> None:
+        """Compare an observer's estimates.
+
+        Args:
+            system: gives M and K for V.
+            heard: what the observer made of the events.
+            threshold: V over V at the start below which the estimate has settled.
+        """
+        index = {name: c for c, name in enumerate(system.contact_names)}
+        impacts = [Impact(stamp, index[name]) for stamp, name in heard.impacts if name in index]
+        self.pairing = Pairing()
+        self._system, self._heard, self._threshold = system, heard, threshold
+        self._tally = Tally(system, heard.instants, impacts, threshold)
+
+    def proceed(self) -> None:
+        """Compare what can be compared of the blocks that were added."""
+        self._tally.add(self.pairing.settled())
+
+    def result(self, law: str) -> Comparison:
+        """The comparison, when all blocks have been added.
+
+        Raises:
+            BagError: no stamp is in both, or every estimate came before its events.
+        """
+        tally = self._tally
+        tally.add(self.pairing.settled(done=True), done=True)
+        if not (tally.samples or tally.late or tally.between):
+            raise BagError(
+                f"{law}: truth and estimate have no stamp in common: {self.pairing.ranges()};"
+                " both must be sampled at the same instants"
+            )
+        if not tally.samples:
+            raise BagError(f"{law}: every estimate came before its events; nothing to compare")
+        rows = tally.curve.rows()
+        start = float(rows.V[0])
+        settled = tally.settled if start > 0 or tally.rise == 0 else None
+        return Comparison(
+            system=self._system,
+            law=law,
+            stamps=rows.stamps,
+            error=rows.error,
+            V=rows.V,
+            samples=tally.samples,
+            late=tally.late,
+            stale=self.pairing.truth.stale + self.pairing.estimates.stale,
+            mismatch=Mismatch(tally.windows, tally.between, tally.longest, tally.peak),
+            heard=self._heard,
+            rms=np.sqrt(tally.squares / tally.samples),
+            largest=tally.largest,
+            largest_rise=tally.rise / start if start > 0 else 0.0,
+            threshold=self._threshold,
+            settling_time=None
+            if settled is None
+            else seconds_between(int(rows.stamps[0]), settled),
         )
-    kept = np.ones(common.size, dtype=bool)
-    if last_event is not None:
-        due = np.concatenate([[0], applied])[np.searchsorted(applied, common, side="right")]
-        kept = last_event[in_estimate] >= due
-    if not kept.any():
-        raise BagError(f"{law}: every estimate came before its events; nothing can be compared")
-    error = estimate.x[in_estimate][kept] - truth.x[in_truth][kept]
-    n = system.n
-    last = int(common[kept][-1])
-    return Comparison(
-        system=system,
-        law=law,
-        stamps=common[kept],
-        error=error,
-        V=distance(system, error[:, :n], error[:, n:]),
-        late=int(np.count_nonzero(~kept)),
-        events=int(np.count_nonzero(np.unique(applied) <= last)),
-    )
 
 
 def compare_law(
     observer: Observer,
     events: Sequence[ImpactEvent],
-    truth: Series,
+    truth: Callable[[], Iterable[Series]],
     *,
+    threshold: float = SETTLED,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Comparison:
-    """Run an observer over events and compare what it says with the truth, all in memory.
+    """Run an observer over events and compare what it says with the truth.
+
+    Estimates are put aside in a file: what a law thinks of an event may change later.
 
     Args:
         observer: has seen nothing yet.
         events: in order of episode, stamp and sequence.
-        truth: the plant's states; its stamps are where to estimate.
+        truth: makes the blocks of the plant's states; their stamps are where to estimate.
+        threshold: V over V at the start below which the estimate has settled.
         progress: told the estimates made and the stamps to make them for.
 
     Raises:
         BagError: no event could be applied, or no estimate made at the truth's stamps.
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
-    stamps, law = np.unique(truth.stamps), observer.law.name
-    estimates: list[Estimate] = []
+    stamps, law = np.unique(np.concatenate([block.stamps for block in truth()])), observer.law.name
     verdicts: list[Verdict] = []
-    for item in replay(observer, events, stamps):
-        if isinstance(item, Verdict):
-            verdicts.append(item)
-        else:
-            estimates.append(item)
-            progress(len(estimates), stamps.size)
-    applied = applied_in(verdicts)
-    if verdicts and not applied.size:
-        raise BagError(f"{law}: no event could be applied: {verdicts[0].reason}")
-    if not estimates:
-        raise BagError(f"{law}: no impact was heard, so there is no estimate to compare")
-    made = np.array([each.stamp for each in estimates], dtype=np.int64)
-    states = [np.concatenate([each.q, each.u]) for each in estimates]
-    return compare(
-        observer.system,
-        law,
-        truth,
-        Series(made, np.reshape(states, (made.size, 2 * observer.system.n))),
-        applied=applied,
-        last_event=np.array([each.last_event for each in estimates], dtype=np.int64),
-    )
+    with TemporaryFile() as aside:
+        made = 0
+        for item in replay(observer, events, stamps):
+            if isinstance(item, Verdict):
+                verdicts.append(item)
+            else:
+                _put_aside(item, aside)
+                made += 1
+                progress(made, stamps.size)
+        heard = heard_of(events, verdicts)
+        if verdicts and not heard.instants.size:
+            raise BagError(f"{law}: no event could be applied: {verdicts[0].reason}")
+        if not made:
+            raise BagError(f"{law}: no impact was heard, so there is no estimate to compare")
+        comparing = Comparing(observer.system, heard, threshold)
+        aside.seek(0)
+        estimates = _taken_back(aside, 2 * observer.system.n)
+        for block in truth():
+            comparing.pairing.truth.add(block)
+            newest = comparing.pairing.estimates
+            while newest.newest < comparing.pairing.truth.newest and (
+                series := next(estimates, None)
+            ):
+                newest.add(series)
+            comparing.proceed()
+        return comparing.result(law)
+
+
+def _put_aside(estimate: Estimate, file: IO[bytes]) -> None:
+    """Write an estimate behind the others."""
+    stamps = np.array([estimate.stamp, estimate.last_event], dtype=np.int64)
+    file.write(stamps.tobytes() + estimate.q.tobytes() + estimate.u.tobytes())
+
+
+def _taken_back(file: IO[bytes], width: int) -> Iterator[Series]:
+    """Estimates of ``width`` states from such a file."""
+    row = np.dtype([("stamp", "i8"), ("last_event", "i8"), ("x", "f8", (width,))])
+    while data := file.read(_BLOCK * row.itemsize):
+        block = np.frombuffer(data, dtype=row)
+        yield Series(block["stamp"].copy(), block["x"].copy(), block["last_event"].copy())
+
+
+def heard_of(events: Iterable[ImpactEvent], verdicts: Iterable[Verdict] | None) -> Heard:
+    """What an observer made of ``events``.
+
+    Args:
+        events: all that there are.
+        verdicts: all that it gave; None where it published none.
+    """
+    every = [*events]
+    told = sorted({(stamp, contact) for stamp, contact, _ in hits(every)})
+    if verdicts is None:
+        stamps = np.unique(np.array([event.stamp for event in every], dtype=np.int64))
+        return Heard(stamps, tuple(told), None)
+    last = final_rulings(verdicts)
+    used = {(s, contact) for (s, _, contact), r in last.items() if r is not Ruling.REJECTED}
+    inserted = {(s, contact) for (s, _, contact), r in last.items() if r is Ruling.INSERTED}
+    # A verdict without a contact is on the whole event.
+    impacts = {(s, c) for s, c in told if (s, c) in used or (s, "") in used} | inserted
+    return Heard(_instants(last), tuple(sorted(impacts)), Counter(last.values()))
 
 
 def applied_in(verdicts: Iterable[Verdict]) -> Stamps:
     """Stamps of what an observer applied or inserted in the end, ns, shape (events,)."""
-    last = final_rulings(verdicts).items()
-    stamps = {stamp for (stamp, _, _), ruling in last if ruling is not Ruling.REJECTED}
+    return _instants(final_rulings(verdicts))
+
+
+def _instants(last: Mapping[tuple[int, int, str], Ruling]) -> Stamps:
+    stamps = {stamp for (stamp, _, _), ruling in last.items() if ruling is not Ruling.REJECTED}
     return np.array(sorted(stamps), dtype=np.int64)
 
 
@@ -203,15 +314,3 @@ def impacts_in(events: Iterable[ImpactEvent]) -> dict[str, Stamps]:
     for stamp, contact, _ in hits(events):
         by_contact.setdefault(contact, []).append(stamp)
     return {name: np.array(stamps, dtype=np.int64) for name, stamps in sorted(by_contact.items())}
-
-
-def _last_of_each(stamps: Stamps) -> NDArray[np.int64]:
-    """Where each stamp stands for the last time."""
-    _, from_behind = np.unique(stamps[::-1], return_index=True)
-    return np.asarray(stamps.size - 1 - from_behind)
-
-
-def _range(stamps: Stamps) -> str:
-    if stamps.size == 0:
-        return "none"
-    return f"{text(int(stamps.min()))} to {text(int(stamps.max()))} s"

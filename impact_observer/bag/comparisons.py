@@ -8,18 +8,19 @@ from functools import partial
 import numpy as np
 
 from impact_observer.analysis.comparison import (
+    SETTLED,
+    Comparing,
     Comparison,
-    Series,
-    applied_in,
-    compare,
     compare_law,
+    heard_of,
     impacts_in,
 )
+from impact_observer.analysis.pairing import Series
 from impact_observer.bag import interfaces
-from impact_observer.bag.columns import JointStates
+from impact_observer.bag.columns import JointStates, ObserverStates
 from impact_observer.bag.reader import BagReader
 from impact_observer.bag.recordings import events_in
-from impact_observer.errors import BagError
+from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.observer import Observer
@@ -32,8 +33,8 @@ class BagComparison:
 
     Attributes:
         system: the system that plant and observers share.
-        comparisons: by the observer's topic prefix, such as ``/observer_geometric``, and of
-            observers that were run on the bag by their law's name.
+        comparisons: by the observer's topic prefix, such as ``/observer_geometric``, or by the
+            topic that was named, and of observers that were run on the bag by their law's name.
         impacts: stamps of the impacts (ns), by contact.
         epoch: stamp of ``t = 0``, ns; where no event says it, the first stamp of the truth.
     """
@@ -44,75 +45,156 @@ class BagComparison:
     epoch: int
 
 
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What of a bag to compare, and how.
+
+    Attributes:
+        truth: the topic of the plant's true states; None for the one there is.
+        estimates: observers' prefixes, or topics of states; None for every observer.
+        threshold: V over V at the start below which an estimate has settled.
+    """
+
+    truth: str | None = None
+    estimates: tuple[str, ...] | None = None
+    threshold: float = SETTLED
+
+
+ALL = Choice()
+"""Every observer in the bag against its truth."""
+
+
 def compare_bag(
     reader: BagReader,
     system: System,
     observers: Sequence[Observer] = (),
     *,
-    progress: Callable[[str, int, int], None] = lambda _law, _done, _all: None,
+    choice: Choice = ALL,
+    progress: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
-    """Compare with the plant every observer in a bag, and others that are run on its events.
+    """Compare with the plant the observers in a bag, and others that are run on its events.
+
+    The states go by block by block: memory does not grow with the length of the bag.
 
     Args:
         reader: the bag.
         system: gives M and K for V.
         observers: to run on the bag, one a law; they have seen nothing yet.
-        progress: told an observer's law, its estimates made and how many there will be.
+        choice: what of the bag to compare, and how.
+        progress: told what is done, how much of it and how much there is.
 
     Raises:
+        UsageError: a topic that is named is not in the bag.
         BagError: the bag has no truth, no estimate, or nothing in common between them, or an
             observer could not apply any of its events.
         ImpactLawError, DynamicsError, UsageError: an observer cannot follow the events.
     """
-    truth_topic = reader.truth_topic()
-    if truth_topic is None:
-        raise BagError(
-            f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
-        )
-    prefixes = reader.observers()
-    if not prefixes and not observers:
+    truth = _truth_topic(reader, choice.truth)
+    topics = _estimate_topics(reader, choice.estimates)
+    if not topics and not observers:
         raise BagError(
             f"{reader.path}: has no estimates; make them with observe, or name laws with --laws"
         )
-    truth = _series(reader.joint_states(truth_topic, system.coordinates))
     events = events_in(reader)
-    comparisons = {}
-    for prefix in prefixes:
-        comparisons[prefix] = _compare_observer(reader, prefix, system, truth, events)
+    comparisons = _compare_recorded(
+        reader, system, (truth, topics), events, choice=choice, progress=progress
+    )
+    first = _first_stamp(reader, truth)
     for observer in observers:
         law = observer.law.name
         with _named(reader):
             comparisons[law] = compare_law(
-                observer, events, truth, progress=partial(progress, law)
+                observer,
+                events,
+                partial(_truth_of, reader, truth, system),
+                threshold=choice.threshold,
+                progress=partial(progress, law),
             )
-    epochs = [e.epoch for e in events if e.epoch] or [int(truth.stamps[0])]
+    epochs = [e.epoch for e in events if e.epoch] or [first]
     return BagComparison(system, comparisons, impacts_in(events), epochs[0])
 
 
-def _compare_observer(
-    reader: BagReader,
-    prefix: str,
-    system: System,
-    truth: Series,
-    events: list[ImpactEvent],
-) -> Comparison:
-    """One observer; without its ``state`` topic its joint states are taken as they are."""
-    state_topic = f"{prefix}/state"
-    applied = _applied(reader, prefix, events)
-    with _named(reader):
-        if state_topic not in reader.topics:
-            joint = reader.joint_states(f"{prefix}/joint_states", system.coordinates)
-            name = prefix.rpartition("/")[2]
-            return compare(system, name, truth, _series(joint), applied=applied)
-        states = reader.observer_states(state_topic, system.coordinates)
-        return compare(
-            system,
-            states.law,
-            truth,
-            _series(states),
-            applied=applied,
-            last_event=states.last_event,
+def _truth_topic(reader: BagReader, named: str | None) -> str:
+    if named is not None:
+        return _named_topic(reader, named)
+    if (found := reader.truth_topic()) is None:
+        raise BagError(
+            f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
         )
+    return found
+
+
+def _estimate_topics(reader: BagReader, named: Sequence[str] | None) -> dict[str, str]:
+    """Topics of estimates by what they are called: an observer's prefix, or the topic itself."""
+    prefixes = reader.observers()
+    topics = {}
+    for each in prefixes if named is None else named:
+        name = each if each.startswith("/") else f"/{each}"
+        if name in prefixes:
+            state = f"{name}/state"
+            topics[name] = state if state in reader.topics else f"{name}/joint_states"
+        else:
+            topics[name] = _named_topic(reader, name)
+    return topics
+
+
+def _named_topic(reader: BagReader, name: str) -> str:
+    topic = name if name.startswith("/") else f"/{name}"
+    if topic not in reader.topics:
+        found = ", ".join(reader.topics) or "none"
+        raise UsageError(f"{reader.path}: no topic or observer {topic}; in the bag: {found}")
+    return topic
+
+
+def _compare_recorded(
+    reader: BagReader,
+    system: System,
+    where: tuple[str, dict[str, str]],
+    events: list[ImpactEvent],
+    *,
+    choice: Choice,
+    progress: Callable[[str, int, int], None],
+) -> dict[str, Comparison]:
+    """The estimates that are in the bag, all in one pass."""
+    truth, topics = where
+    if not topics:
+        return {}
+    comparing = {
+        name: Comparing(
+            system,
+            heard_of(events, reader.verdicts(verdicts) if verdicts in reader.topics else None),
+            choice.threshold,
+        )
+        for name, topic in topics.items()
+        for verdicts in [f"{topic.rpartition('/')[0]}/verdicts"]
+    }
+    laws = {name: name.rpartition("/")[2] for name in topics}
+    wanted = dict.fromkeys([truth, *topics.values()])
+    total, done = sum(reader.topics[topic].count for topic in wanted), 0
+    for topic, block in reader.blocks([*wanted], system.coordinates):
+        series = _series(block)
+        for name, each in comparing.items():
+            if topic == truth:
+                each.pairing.truth.add(series)
+            if topic == topics[name]:
+                each.pairing.estimates.add(series)
+                laws[name] = getattr(block, "law", "") or laws[name]
+                each.proceed()
+        done += block.stamps.size
+        progress("comparing", done, total)
+    with _named(reader):
+        return {name: each.result(laws[name]) for name, each in comparing.items()}
+
+
+def _truth_of(reader: BagReader, topic: str, system: System) -> Iterator[Series]:
+    """The plant's states, block by block."""
+    return (_series(block) for _, block in reader.blocks([topic], system.coordinates))
+
+
+def _first_stamp(reader: BagReader, topic: str) -> int:
+    """The first stamp of a topic of states, ns; 0 when there is none."""
+    stamps = next(iter(reader.blocks([topic])))[1].stamps
+    return int(stamps[0]) if stamps.size else 0
 
 
 @contextmanager
@@ -125,13 +207,6 @@ def _named(reader: BagReader) -> Iterator[None]:
         raise error if str(error).startswith(where) else BagError(f"{where}: {error}") from None
 
 
-def _series(states: JointStates) -> Series:
-    return Series(states.stamps, np.hstack([states.q, states.u]))
-
-
-def _applied(reader: BagReader, prefix: str, events: list[ImpactEvent]) -> Stamps:
-    """Stamps of the events that an observer applied, by its verdicts where it gave any."""
-    topic = f"{prefix}/verdicts"
-    if topic in reader.topics:
-        return applied_in(reader.verdicts(topic))
-    return np.unique(np.array([event.stamp for event in events], dtype=np.int64))
+def _series(block: JointStates) -> Series:
+    last_event = block.last_event if isinstance(block, ObserverStates) else None
+    return Series(block.stamps, np.hstack([block.q, block.u]), last_event)

@@ -1,13 +1,16 @@
-"""Compare the estimates in bags with the truth: V(t), errors, settling times, a picture.
+"""Compare the estimates in bags with the truth: V(t), errors, settling times, a picture, a report.
 
-With --laws, other observers are run on the bags' own impacts and compared as well.
+With --laws, other observers are run on the bags' own impacts and compared as well. The two sides
+of an impact are never mixed: samples at which the truth has jumped and the estimate has not, or
+the other way round, are reported apart.
 """
 
 import argparse
+import csv as csv_module
 import json as json_module
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +21,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from impact_observer.analysis.comparison import Comparison
-    from impact_observer.bag.comparisons import BagComparison
+    from impact_observer.bag.comparisons import BagComparison, Choice
     from impact_observer.observer import Options
 
 SETTLED = 1e-2
@@ -38,7 +41,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", metavar="MODEL", help="a model file or a sample (default: the one in each bag)"
     )
     parser.add_argument(
+        "--estimates",
+        metavar="NAME",
+        nargs="+",
+        help="compare these only: observers, or topics of JointState or ObserverState",
+    )
+    parser.add_argument(
+        "--truth", metavar="TOPIC", help="of the true states (default: the plant's joint states)"
+    )
+    parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write V over time to a PNG, SVG or PDF"
+    )
+    parser.add_argument(
+        "--report",
+        metavar="FILE.html",
+        type=Path,
+        help="write figures and pictures to one page that needs no network",
+    )
+    parser.add_argument(
+        "--csv", metavar="FILE", type=Path, help="write the figures, a line an estimate"
     )
     parser.add_argument(
         "--threshold",
@@ -60,10 +81,44 @@ def run(args: argparse.Namespace) -> int:
         args.bags,
         model=args.model,
         observers=options,
-        plot=args.plot,
+        truth=args.truth,
+        estimates=args.estimates,
         threshold=args.threshold,
-        json=args.json,
+        output=Output(args.plot, args.report, args.csv, args.json),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Where a comparison goes; what is there already is replaced.
+
+    Attributes:
+        plot: a picture of V; None for none.
+        report: a page of HTML; None for none.
+        csv: the figures as CSV; None for none.
+        json: whether to print JSON instead of tables.
+    """
+
+    plot: Path | None = None
+    report: Path | None = None
+    csv: Path | None = None
+    json: bool = False
+
+    def check(self) -> None:
+        """Raise before the work is done if something cannot be written.
+
+        Raises:
+            UsageError: a name does not end as it must, or a folder does not exist.
+        """
+        from impact_observer.analysis.figures import check_picture
+
+        for path, endings in (
+            (self.plot, (".png", ".svg", ".pdf")),
+            (self.report, (".html", ".htm")),
+            (self.csv, (".csv",)),
+        ):
+            if path is not None:
+                check_picture(path, endings)
 
 
 def laws_in(text: str) -> tuple[str, ...]:
@@ -87,9 +142,10 @@ def compare(
     *,
     model: str | None = None,
     observers: "Sequence[Options]" = (),
-    plot: Path | None = None,
+    truth: str | None = None,
+    estimates: Sequence[str] | None = None,
     threshold: float = SETTLED,
-    json: bool = False,
+    output: Output | None = None,
 ) -> int:
     """Compare bags and print what comes out.
 
@@ -98,9 +154,10 @@ def compare(
         model: a model file or a sample's name; None for the model that each bag carries.
         observers: to run on each bag, one a law, beside those whose estimates it has. Their
             ensemble is left out: no estimate depends on it.
-        plot: a picture to write; None for none.
+        truth: the topic of the true states; None for the plant's.
+        estimates: names of observers or topics; None for every observer.
         threshold: V over V at the start at which an estimate has settled.
-        json: print JSON instead of tables.
+        output: where it goes; None for tables on the terminal.
 
     Returns:
         0.
@@ -110,24 +167,44 @@ def compare(
         BagError: a bag cannot be read, or holds nothing to compare.
         ImpactLawError, DynamicsError: an observer cannot follow the events of a bag.
     """
-    if plot is not None:
-        from impact_observer.analysis.figures import check_picture
+    from impact_observer.bag.comparisons import Choice
 
-        check_picture(plot)
-    results = [(bag, _compare_one(bag, model, observers)) for bag in bags]
+    given = output or Output()
+    given.check()
+    choice = Choice(truth, None if estimates is None else tuple(estimates), threshold)
+    results = [(bag, _compare_one(bag, model, observers, choice)) for bag in bags]
     labelled = labelled_by_law(results)
-    if json:
-        print(json_module.dumps({k: figures(v, threshold) for k, v in labelled.items()}, indent=2))
+    if given.json:
+        print(json_module.dumps({k: figures(v) for k, v in labelled.items()}, indent=2))
     else:
-        print_tables(labelled, threshold)
-    if plot is not None:
-        draw(labelled, results[0][1], plot)
-        if not json:
-            print(f"picture: {plot}")
+        print_tables(labelled)
+    _write(given, labelled, results)
     return 0
 
 
-def _compare_one(bag: Path, model: str | None, observers: "Sequence[Options]") -> "BagComparison":
+def _write(
+    output: Output,
+    labelled: "dict[str, Comparison]",
+    results: "Sequence[tuple[Path, BagComparison]]",
+) -> None:
+    """Write the files that are wanted, and say so."""
+    if output.csv is not None:
+        write_csv(labelled, output.csv)
+    if output.plot is not None:
+        draw(labelled, results[0][1], output.plot)
+    if output.report is not None:
+        from impact_observer.cli.report import write_report
+
+        write_report(output.report, labelled, results)
+    written = {"figures": output.csv, "picture": output.plot, "report": output.report}
+    for what, path in written.items():
+        if path is not None and not output.json:
+            print(f"{what}: {path}")
+
+
+def _compare_one(
+    bag: Path, model: str | None, observers: "Sequence[Options]", choice: "Choice"
+) -> "BagComparison":
     """Compare one bag, and show on a terminal how far that is."""
     from impact_observer.bag.comparisons import compare_bag
     from impact_observer.bag.reader import BagReader
@@ -138,12 +215,11 @@ def _compare_one(bag: Path, model: str | None, observers: "Sequence[Options]") -
         progress.show(f"{bag}: reading")
         system = system_of(reader, model)
 
-        def show(law: str, done: int, total: int) -> None:
-            if done % 100 == 0:
-                progress.show(f"{bag}: {law}, {done} of {total} estimates")
+        def show(what: str, done: int, total: int) -> None:
+            progress.step(f"{bag}: {what}", done, total)
 
         made = [replace(each, ensemble=1).observer(system) for each in observers]
-        return compare_bag(reader, system, made, progress=show)
+        return compare_bag(reader, system, made, choice=choice, progress=show)
 
 
 def draw(labelled: "dict[str, Comparison]", first: "BagComparison", plot: Path) -> None:
@@ -176,33 +252,120 @@ def labelled_by_law(results: "Sequence[tuple[Path, BagComparison]]") -> "dict[st
     return dict(zip(names, (comparison for _, _, comparison in each), strict=True))
 
 
-def figures(comparison: "Comparison", threshold: float) -> dict[str, object]:
+def figures(comparison: "Comparison") -> dict[str, object]:
     """What ``--json`` prints of one estimate; SI units, None where a figure has no meaning."""
+    from impact_observer.events import Ruling
+
+    mismatch, rulings = comparison.mismatch, comparison.heard.rulings
+    counts = {r: None if rulings is None else rulings[r] for r in Ruling}
     return {
         "law": comparison.law,
-        "samples": int(comparison.stamps.size),
+        "samples": comparison.samples,
         "late_samples": comparison.late,
+        "stale_samples": comparison.stale,
         "events_used": comparison.events,
+        "impacts_used": comparison.heard.until(int(comparison.stamps[-1])),
+        "switches_rejected": counts[Ruling.REJECTED],
+        "impacts_inserted": counts[Ruling.INSERTED],
         "start_stamp_ns": int(comparison.stamps[0]),
         "end_stamp_ns": int(comparison.stamps[-1]),
         "V_start": float(comparison.V[0]),
         "V_end": float(comparison.V[-1]),
         "V_ratio": comparison.ratio,
-        "V_largest_rise": comparison.largest_rise(),
-        "settling_time": comparison.settling_time(threshold),
+        "V_largest_rise": comparison.largest_rise,
+        "settling_time": comparison.settling_time,
+        "rate_per_second": comparison.rate_per_second,
+        "rate_per_impact": comparison.rate_per_impact,
+        "mismatch_windows": mismatch.windows,
+        "mismatch_samples": mismatch.samples,
+        "mismatch_longest": mismatch.longest,
+        "mismatch_V_largest": mismatch.V,
         "rms": comparison.rms.tolist(),
         "max": comparison.largest.tolist(),
         "final": comparison.final.tolist(),
     }
 
 
-def print_tables(labelled: "dict[str, Comparison]", threshold: float = SETTLED) -> None:
-    """A table of V and one of the errors, coordinate by coordinate."""
-    from rich import box
+def write_csv(labelled: "dict[str, Comparison]", path: Path) -> None:
+    """Write the figures of each estimate as a line; errors have a column a state.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    rows = []
+    for label, each in labelled.items():
+        row: dict[str, object] = {"estimate": label, "system": each.system.name}
+        for key, value in figures(each).items():
+            if isinstance(value, list):
+                row |= {f"{key}_{s}": v for s, v in zip(states_of(each), value, strict=True)}
+            else:
+                row[key] = value
+        rows.append(row)
+    columns = dict.fromkeys(key for row in rows for key in row)
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv_module.DictWriter(file, [*columns])
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def print_tables(labelled: "dict[str, Comparison]") -> None:
+    """Tables of V, of the impacts, and of the errors coordinate by coordinate."""
     from rich.console import Console
-    from rich.table import Table
 
     console = Console()
+    for table in (table_of(labelled), _impacts_table(labelled), _errors_table(labelled)):
+        console.print(table)
+    print_blindness(labelled)
+
+
+def table_of(labelled: "dict[str, Comparison]") -> "Table":
+    """V of each estimate, when it settled and how fast it fell."""
+    names = ", ".join(dict.fromkeys(each.system.name for each in labelled.values()))
+    threshold = next(iter(labelled.values())).threshold
+    headings = ("V0 [J]", "V end [J]", "V/V0", f"s to {threshold:g} V0", "1/s", "1/impact")
+    table = _table(f"Estimates of {names}", *headings)
+    for label, each in labelled.items():
+        table.add_row(
+            label,
+            f"{each.V[0]:.4g}",
+            f"{each.V[-1]:.3g}",
+            "undefined" if each.ratio is None else f"{each.ratio:.2e}",
+            _number(each.settling_time, "never"),
+            _number(each.rate_per_second),
+            _number(each.rate_per_impact),
+        )
+    return table
+
+
+def _impacts_table(labelled: "dict[str, Comparison]") -> "Table":
+    """What became of the impacts, and the samples that do not count."""
+    from impact_observer.events import Ruling
+
+    title = "Impacts; samples late, and between the jumps of truth and estimate"
+    table = _table(title, "used", "rejected", "inserted", "late", "between", "longest", "V")
+    for label, each in labelled.items():
+        rulings, mismatch = each.heard.rulings, each.mismatch
+        table.add_row(
+            label,
+            str(each.heard.until(int(each.stamps[-1]))),
+            "" if rulings is None else str(rulings[Ruling.REJECTED]),
+            "" if rulings is None else str(rulings[Ruling.INSERTED]),
+            str(each.late),
+            str(mismatch.samples),
+            f"{1e3 * mismatch.longest:.4g} ms" if mismatch.windows else "",
+            f"{mismatch.V:.2e} J" if mismatch.windows else "",
+        )
+    return table
+
+
+def _errors_table(labelled: "dict[str, Comparison]") -> "Table":
+    """Errors of each state."""
+    from rich import box
+    from rich.table import Table
+
     errors = Table(
         box=box.SIMPLE_HEAD, title="Errors, estimate minus truth, SI units", title_justify="left"
     )
@@ -214,39 +377,29 @@ def print_tables(labelled: "dict[str, Comparison]", threshold: float = SETTLED) 
         for row in _error_rows(label, each):
             errors.add_row(*row)
         errors.add_section()
-    console.print(table_of(labelled, threshold))
-    console.print(errors)
-    print_blindness(labelled)
+    return errors
 
 
-def table_of(labelled: "dict[str, Comparison]", threshold: float = SETTLED) -> "Table":
-    """V of each estimate, and when it settled."""
+def _table(title: str, *headings: str) -> "Table":
+    """An empty table with a row a law."""
     from rich import box
     from rich.table import Table
 
-    names = ", ".join(dict.fromkeys(each.system.name for each in labelled.values()))
     table = Table(
         box=box.SIMPLE_HEAD,
-        title=f"Estimates of {names}",
+        title=title,
         title_justify="left",
         collapse_padding=True,
         pad_edge=False,
     )
     table.add_column("law", overflow="fold")
-    for heading in ("V0 [J]", "V end [J]", "V/V0", f"s to {threshold:g} V0", "events", "late"):
+    for heading in headings:
         table.add_column(heading, justify="right", no_wrap=True)
-    for label, each in labelled.items():
-        settled = each.settling_time(threshold)
-        table.add_row(
-            label,
-            f"{each.V[0]:.4g}",
-            f"{each.V[-1]:.3g}",
-            "undefined" if each.ratio is None else f"{each.ratio:.2e}",
-            "never" if settled is None else f"{settled:.2f}",
-            str(each.events),
-            str(each.late),
-        )
     return table
+
+
+def _number(value: float | None, without: str = "") -> str:
+    return without if value is None else f"{value:.3g}" if value < 1 else f"{value:.2f}"
 
 
 def print_blindness(labelled: "dict[str, Comparison]") -> None:
@@ -259,10 +412,15 @@ def print_blindness(labelled: "dict[str, Comparison]") -> None:
             print(f"{name} has a rigid-body mode: V does not see an error of its position")
 
 
-def _error_rows(label: str, comparison: "Comparison") -> "list[tuple[str, ...]]":
+def states_of(comparison: "Comparison") -> list[str]:
+    """Names of the states: coordinates, then their velocities."""
     coordinates = comparison.system.coordinates
-    states = [*coordinates, *(f"d{name}/dt" for name in coordinates)]
-    figures_of = zip(states, comparison.rms, comparison.largest, comparison.final, strict=True)
+    return [*coordinates, *(f"d{name}/dt" for name in coordinates)]
+
+
+def _error_rows(label: str, comparison: "Comparison") -> "list[tuple[str, ...]]":
+    states, final = states_of(comparison), comparison.final
+    figures_of = zip(states, comparison.rms, comparison.largest, final, strict=True)
     return [
         ("" if i else label, state, f"{rms:.3e}", f"{largest:.3e}", f"{final:+.3e}")
         for i, (state, rms, largest, final) in enumerate(figures_of)

@@ -136,7 +136,7 @@ def figure(
         drawn = lyapunov_figure(comparisons, impacts, title=about, epoch=EPOCH, paper=paper)
         save(drawn, output, about=about.replace("\n", "; "))
     if json:
-        found = {law: compare.figures(each, compare.SETTLED) for law, each in comparisons.items()}
+        found = {law: compare.figures(each) for law, each in comparisons.items()}
         print(json_module.dumps(found, indent=2))
         return 0
     Console().print(compare.table_of(comparisons))
@@ -151,7 +151,7 @@ def _simulated(model: "Model", duration: float, rate: float, progress: "Progress
     from impact_observer.stamps import from_seconds, grid, seconds_between
 
     def show(impact: int) -> None:
-        progress.show(f"simulated {seconds_between(EPOCH, impact):.1f} of {duration:g} s")
+        progress.step("simulating", seconds_between(EPOCH, impact), duration, "s")
 
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     return simulate(plant, grid(EPOCH, EPOCH + from_seconds(duration), rate), progress=show)
@@ -161,16 +161,17 @@ def _observed(
     observers: "Sequence[Observer]", run: "Run", progress: "Progress"
 ) -> "dict[str, Comparison]":
     """Each law's estimates against the run, told while it goes on."""
-    from impact_observer.analysis.comparison import Series, compare_law
+    from impact_observer.analysis.comparison import compare_law
+    from impact_observer.analysis.pairing import Series
 
     comparisons = {}
     for observer in observers:
         law = observer.law.name
 
         def show(done: int, total: int, law: str = law) -> None:
-            if done % 100 == 0:
-                progress.show(f"{law}: {done} of {total} estimates")
+            progress.step(law, done, total)
 
-        truth = Series(run.stamps, run.states)
-        comparisons[law] = compare_law(observer, run.events, truth, progress=show)
+        comparisons[law] = compare_law(
+            observer, run.events, lambda: [Series(run.stamps, run.states)], progress=show
+        )
     return comparisons

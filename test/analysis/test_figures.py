@@ -8,8 +8,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from systems import sample
 
-from impact_observer.analysis.comparison import Comparison
+from impact_observer.analysis.comparison import Comparing, Comparison, heard_of
 from impact_observer.analysis.figures import STYLES, Style, lyapunov_figure, styles
+from impact_observer.analysis.pairing import Series
 from impact_observer.stamps import NS_PER_S, grid
 
 STAMPS = grid(NS_PER_S, 31 * NS_PER_S, 20.0)
@@ -17,9 +18,12 @@ STAMPS = grid(NS_PER_S, 31 * NS_PER_S, 20.0)
 
 def fading(law: str, decades: float) -> Comparison:
     """A comparison whose V falls from 1 J by ``decades``."""
-    V = 10.0 ** -np.linspace(0.0, decades, STAMPS.size)
     error = np.zeros((STAMPS.size, 4))
-    return Comparison(sample("two_mass").system, law, STAMPS, error, V, late=0, events=0)
+    error[:, 2] = np.sqrt(2.0 * 10.0 ** -np.linspace(0.0, decades, STAMPS.size))  # M = 1 kg
+    comparing = Comparing(sample("two_mass").system, heard_of((), ()))
+    comparing.pairing.truth.add(Series(STAMPS, np.zeros_like(error)))
+    comparing.pairing.estimates.add(Series(STAMPS, error))
+    return comparing.result(law)
 
 
 def picture(laws: dict[str, float], *, contacts: int = 2, paper: bool = False) -> Figure:

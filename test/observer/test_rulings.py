@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from systems import EPOCH, observer, run, sample
 
-from impact_observer.analysis.comparison import applied_in
+from impact_observer.analysis.comparison import heard_of
 from impact_observer.events import ImpactEvent, Remark, Ruling, Switch, Verdict
 from impact_observer.model import System
 from impact_observer.observer import Observer, Uncertainty
@@ -204,12 +204,12 @@ def test_verdict_that_is_taken_back_says_so_and_is_counted() -> None:
 
 
 def test_comparison_counts_what_was_applied_in_the_end() -> None:
-    """``applied_in`` goes by the last verdict on each event and on what was inserted."""
+    """``heard_of`` goes by the last verdict on each event and on what was inserted."""
     differs = 0
     for seed in range(3):
         _, _, verdicts = run_of(seed)
         used = {key[0] for key, ruling in final(verdicts).items() if ruling is not Ruling.REJECTED}
-        assert applied_in(verdicts).tolist() == sorted(used)
+        assert heard_of((), verdicts).instants.tolist() == sorted(used)
         first = {
             each.stamp for each in verdicts if each.ruling in (Ruling.APPLIED, Ruling.INSERTED)
         }
