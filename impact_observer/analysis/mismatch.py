@@ -71,7 +71,7 @@ def window(
     near, here = stamps[low:high], int(np.searchsorted(stamps[low:high], impact.stamp))
     if here >= near.size:
         return None
-    of_truth = _jump(near, truth[low:high], here)
+    of_truth = _jump(near, truth[low:high], here, rises=True)
     if of_truth is None:
         return None
     at = int(near[of_truth])
@@ -84,15 +84,24 @@ def window(
     return Window(int(near[first]), int(near[last])) if first < last else None
 
 
-def _jump(stamps: Stamps, speed: NDArray[np.float64], here: int) -> int | None:
+def _jump(
+    stamps: Stamps, speed: NDArray[np.float64], here: int, *, rises: bool = False
+) -> int | None:
     """The first sample after the jump of a contact's speed that is nearest to ``here``.
 
-    A jump is a rise that the slope before it does not explain.
+    A jump is what the slope before it does not explain. The plant's contact speed can only rise;
+    an estimate may be thrown either way.
     """
     if speed.size < 3:
         return None
     steps = np.diff(speed)
     lengths = np.diff(stamps)
     unexplained = steps[1:] - steps[:-1] * (lengths[1:] / lengths[:-1])
-    found = np.flatnonzero(unexplained > _LEAST * np.max(np.abs(speed))) + 2
+    jumps = np.abs(unexplained) > _LEAST * np.max(np.abs(speed))
+    # The slope over a jump explains nothing of what follows, so each has an echo.
+    echoes = jumps[1:] & jumps[:-1] & (unexplained[1:] * unexplained[:-1] < 0)
+    jumps[1:] &= ~echoes
+    if rises:
+        jumps &= unexplained > 0
+    found = np.flatnonzero(jumps) + 2
     return int(found[np.argmin(np.abs(found - here))]) if found.size else None
