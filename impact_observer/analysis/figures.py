@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from io import StringIO
 from itertools import count
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -36,6 +37,8 @@ _OTHER_MARKERS = "sv*Xph"
 _ROW_MARKERS = "|^x<>d+v"
 MOST_ROWS = len(_ROW_MARKERS)
 """Most rows of marks that are told apart."""
+MOST_COORDINATES = 8
+"""Most coordinates whose errors are drawn."""
 _MARKERS_A_CURVE = 9
 _ROW = 0.05
 """Height of a row of impacts, of that of the axes."""
@@ -85,6 +88,52 @@ def lyapunov_figure(
         _legend(axes, room)
         if not paper:
             figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
+    return figure
+
+
+def error_figure(comparisons: Mapping[str, Comparison], *, epoch: int) -> Figure:
+    """The size of each state's error over time, coordinates at the left, velocities at the right.
+
+    Of more than ``MOST_COORDINATES`` those are shown whose errors are the largest.
+
+    Args:
+        comparisons: one curve a panel each, by label; of one system.
+        epoch: stamp at which the time axis begins, ns.
+    """
+    first = next(iter(comparisons.values()))
+    names, n = first.system.coordinates, first.system.n
+    rms = np.sum([np.square(each.rms[:n]) for each in comparisons.values()], axis=0)
+    shown = np.sort(np.argsort(-rms, kind="stable")[:MOST_COORDINATES])
+    height = 0.6 + 1.5 * shown.size
+    with mpl.rc_context({"font.size": _FONT}):
+        figure = Figure(figsize=(_SIZE[0], height), layout="constrained")
+        grid = figure.subplots(shown.size, 2, sharex=True, squeeze=False)
+        drawn = styles([each.law for each in comparisons.values()])
+        for row, i in enumerate(shown):
+            for axes, column, label in (
+                (grid[row, 0], i, f"|Δ{names[i]}| [m or rad]"),
+                (grid[row, 1], n + i, f"|Δd{names[i]}/dt| [m/s or rad/s]"),
+            ):
+                for (name, each), style in zip(comparisons.items(), drawn, strict=True):
+                    size = np.abs(each.error[:, column])
+                    size = np.where(size > 0, size, np.nan)  # zero has no logarithm
+                    axes.semilogy((each.stamps - epoch) / NS_PER_S, size, label=name, **style)
+                    _space_markers(axes, len(comparisons))
+                axes.set_ylabel(label, fontsize="small")
+                axes.grid(visible=True, which="major", color="0.9")
+                axes.margins(x=0.01)
+        for axes in grid[-1]:
+            axes.set_xlabel("time since the epoch [s]")
+        labels = [_shortened(label, _ROOM - _HANDLE) for label in comparisons]
+        figure.legend(
+            grid[0, 0].lines[: len(labels)],
+            labels,
+            loc="outside upper left",
+            ncol=min(max(_ROOM // (max(map(len, labels)) + _HANDLE), 1), 4),
+            fontsize="small",
+            frameon=False,
+            handlelength=3.2,
+        )
     return figure
 
 
@@ -188,6 +237,16 @@ def save(figure: Figure, path: Path, *, about: str = "") -> None:
         figure.savefig(path, dpi=150, metadata={"Title": about} if about else None)
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def svg(figure: Figure) -> str:
+    """``figure`` as SVG, to be put into a page."""
+    file = StringIO()
+    # Names that do not depend on chance: the same figure makes the same text.
+    with mpl.rc_context({"svg.hashsalt": "impact_observer"}):
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    text = file.getvalue()
+    return text[text.index("<svg") :]
 
 
 def check_picture(path: Path, endings: Sequence[str] = (".png", ".svg", ".pdf")) -> None:

@@ -316,7 +316,7 @@ def print_tables(labelled: "dict[str, Comparison]") -> None:
     from rich.console import Console
 
     console = Console()
-    for table in (table_of(labelled), _impacts_table(labelled), _errors_table(labelled)):
+    for table in (table_of(labelled), impacts_table(labelled), errors_table(labelled)):
         console.print(table)
     print_blindness(labelled)
 
@@ -340,7 +340,7 @@ def table_of(labelled: "dict[str, Comparison]") -> "Table":
     return table
 
 
-def _impacts_table(labelled: "dict[str, Comparison]") -> "Table":
+def impacts_table(labelled: "dict[str, Comparison]") -> "Table":
     """What became of the impacts, and the samples that do not count."""
     from impact_observer.events import Ruling
 
@@ -361,7 +361,7 @@ def _impacts_table(labelled: "dict[str, Comparison]") -> "Table":
     return table
 
 
-def _errors_table(labelled: "dict[str, Comparison]") -> "Table":
+def errors_table(labelled: "dict[str, Comparison]") -> "Table":
     """Errors of each state."""
     from rich import box
     from rich.table import Table

@@ -1,0 +1,160 @@
+"""A page of HTML on a comparison: figures and pictures in one file that needs no network."""
+
+from collections.abc import Iterator, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from impact_observer import __version__
+from impact_observer.errors import UsageError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from impact_observer.analysis.comparison import Comparison
+    from impact_observer.bag.comparisons import BagComparison
+
+_STYLE = """
+body { font: 16px/1.5 sans-serif; color: #111; background: #fff; max-width: 60rem;
+       margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
+table { border-collapse: collapse; margin: 0.8rem 0; font-variant-numeric: tabular-nums; }
+th, td { padding: 0.15rem 0.8rem; text-align: right; border-bottom: 1px solid #ddd; }
+th { border-bottom: 2px solid #555; } th:first-child, td:first-child { text-align: left; }
+figure { margin: 1rem 0; } figure svg { width: 100%; height: auto; }
+figcaption, p.note { color: #444; font-size: 0.9rem; }
+.scroll { overflow-x: auto; }
+@media print { body { margin: 0; max-width: none; } }
+"""
+
+_ABOUT_V = (
+    "V is the energy of the difference between estimate and truth, &frac12; "
+    "du<sup>T</sup> M du + &frac12; dq<sup>T</sup> K dq. An estimate has settled when V stays "
+    "below {threshold:g} of its start. The rates say by how much ln V falls, a second and an "
+    "impact, until V is first within a factor of ten of its end."
+)
+_ABOUT_IMPACTS = (
+    "Late samples were published before their event had arrived. Between the jumps: the truth had "
+    "jumped at an impact and the estimate had not, or the other way round; how many samples, the "
+    "longest such window and the largest V in one. Neither counts in any other figure."
+)
+_ABOUT_ERRORS = "Estimate minus truth. In a picture a gap says that the estimate is exact."
+
+
+def write_report(
+    path: Path,
+    labelled: "dict[str, Comparison]",
+    results: "Sequence[tuple[Path, BagComparison]]",
+) -> None:
+    """Write the page; one that is there is replaced.
+
+    Args:
+        path: of the page.
+        labelled: every estimate, by its label.
+        results: the bags and what came out of each.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    text = "\n".join(_page(labelled, results))
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _page(
+    labelled: "dict[str, Comparison]", results: "Sequence[tuple[Path, BagComparison]]"
+) -> Iterator[str]:
+    """The page, part by part."""
+    from impact_observer.cli.compare import errors_table, impacts_table, table_of
+
+    first = next(iter(labelled.values()))
+    names = ", ".join(dict.fromkeys(each.system.name for each in labelled.values()))
+    title = escape(f"Estimates of {names}")
+    yield f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
+    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    yield f"<style>{_STYLE}</style></head><body><h1>{title}</h1>"
+    yield f'<p class="note">Made by impact_observer {escape(__version__)}.</p>'
+    yield "<h2>Recordings</h2>"
+    yield from _bags(results)
+    yield "<h2>Distance from the truth</h2>"
+    yield from _distances(labelled, results)
+    yield from _rows(table_of(labelled))
+    yield f'<p class="note">{_ABOUT_V.format(threshold=first.threshold)}</p>'
+    yield "<h2>Impacts</h2>"
+    yield from _rows(impacts_table(labelled))
+    yield f'<p class="note">{_ABOUT_IMPACTS}</p>'
+    yield "<h2>Errors of each state</h2>"
+    yield from _errors(labelled, results)
+    yield from _rows(errors_table(labelled))
+    yield f'<p class="note">{_ABOUT_ERRORS}</p></body></html>'
+
+
+def _bags(results: "Sequence[tuple[Path, BagComparison]]") -> Iterator[str]:
+    """What was compared."""
+    yield '<div class="scroll"><table><tr><th>bag</th><th>system</th><th>from [s]</th>'
+    yield "<th>to [s]</th><th>impacts</th></tr>"
+    for bag, result in results:
+        stamps = [(each.stamps[0], each.stamps[-1]) for each in result.comparisons.values()]
+        begin, end = min(a for a, _ in stamps), max(b for _, b in stamps)
+        impacts = ", ".join(f"{v.size} at {name}" for name, v in result.impacts.items()) or "none"
+        cells = (
+            escape(str(bag)),
+            escape(result.system.name),
+            f"{(begin - result.epoch) / 1e9:.6g}",
+            f"{(end - result.epoch) / 1e9:.6g}",
+            escape(impacts),
+        )
+        yield "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+    yield '</table></div><p class="note">Times since the epoch of each recording.</p>'
+
+
+def _distances(
+    labelled: "dict[str, Comparison]", results: "Sequence[tuple[Path, BagComparison]]"
+) -> Iterator[str]:
+    """A picture of V for each bag."""
+    from impact_observer.analysis.figures import lyapunov_figure, svg
+
+    for bag, result, those in _by_bag(labelled, results):
+        title = f"{result.system.name}: distance of the estimates from the truth"
+        figure = lyapunov_figure(those, result.impacts, title=title, epoch=result.epoch)
+        yield from _figure(svg(figure), f"V over time, {bag}")
+
+
+def _errors(
+    labelled: "dict[str, Comparison]", results: "Sequence[tuple[Path, BagComparison]]"
+) -> Iterator[str]:
+    """A picture of the errors for each bag."""
+    from impact_observer.analysis.figures import MOST_COORDINATES, error_figure, svg
+
+    for bag, result, those in _by_bag(labelled, results):
+        most = f", the {MOST_COORDINATES} coordinates with the largest"
+        which = most if result.system.n > MOST_COORDINATES else ""
+        drawn = error_figure(those, epoch=result.epoch)
+        yield from _figure(svg(drawn), f"Sizes of the errors, {bag}{which}")
+
+
+def _by_bag(
+    labelled: "dict[str, Comparison]", results: "Sequence[tuple[Path, BagComparison]]"
+) -> "Iterator[tuple[Path, BagComparison, dict[str, Comparison]]]":
+    """The estimates of each bag."""
+    labels = iter(labelled.items())
+    for bag, result in results:
+        yield bag, result, dict(next(labels) for _ in result.comparisons)
+
+
+def _figure(picture: str, caption: str) -> Iterator[str]:
+    text = escape(caption)
+    described = picture.replace("<svg", f'<svg role="img" aria-label="{text}"', 1)
+    yield f"<figure>{described}<figcaption>{text}</figcaption></figure>"
+
+
+def _rows(table: "Table") -> Iterator[str]:
+    """A table of the terminal as one of the page."""
+    columns = [[str(cell) for cell in column.cells] for column in table.columns]
+    headings = "".join(f"<th>{escape(str(column.header))}</th>" for column in table.columns)
+    yield f'<div class="scroll"><table><tr>{headings}</tr>'
+    for cells in zip(*columns, strict=True):
+        yield "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+    yield "</table></div>"
