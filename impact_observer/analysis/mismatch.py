@@ -19,7 +19,9 @@ REACH = NS_PER_S // 10
 """How far apart the two jumps of one impact may be, ns: more than any clock error that can be
 declared, less than a contact's usual time between impacts."""
 _LEAST = 0.05
-"""Least jump of a contact's speed that is one, over the largest speed around it."""
+"""Least jump of the truth's contact speed that is one, over the largest speed around it."""
+_LIKE = 0.5
+"""Least jump that is like another, over that."""
 
 
 class Impact(NamedTuple):
@@ -69,39 +71,36 @@ def window(
     low, high = np.searchsorted(stamps, [impact.stamp - REACH, impact.stamp + REACH + 1])
     low = max(int(low) - 2, 0)
     near, here = stamps[low:high], int(np.searchsorted(stamps[low:high], impact.stamp))
-    if here >= near.size:
+    if here >= near.size or near.size < 3:
         return None
-    of_truth = _jump(near, truth[low:high], here, rises=True)
+    rises = _rises(near, truth[low:high])
+    of_truth = _nearest(rises, _LEAST * float(np.max(np.abs(truth[low:high]))), here)
     if of_truth is None:
         return None
     at = int(near[of_truth])
     if any(abs(at - other) < abs(at - impact.stamp) for other in others):
         return None
-    of_estimate = _jump(near, estimate[low:high], here)
-    if of_estimate is None:
-        of_estimate = here
-    first, last = sorted((of_truth, of_estimate))
+    # At the stamp an estimate may be thrown either way, or hardly; ahead of it only like the
+    # truth, by a law that knows when the impact must be.
+    least = _LIKE * float(rises[of_truth])
+    of_estimate = _nearest(_rises(near, estimate[low:high]), least, here)
+    first, last = sorted((of_truth, here if of_estimate is None else of_estimate))
     return Window(int(near[first]), int(near[last])) if first < last else None
 
 
-def _jump(
-    stamps: Stamps, speed: NDArray[np.float64], here: int, *, rises: bool = False
-) -> int | None:
-    """The first sample after the jump of a contact's speed that is nearest to ``here``.
+def _rises(stamps: Stamps, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """By how much a contact's speed has risen at each sample more than its slope explains.
 
-    A jump is what the slope before it does not explain. The plant's contact speed can only rise;
-    an estimate may be thrown either way.
+    The slope over a jump explains nothing, so what follows a fall is no rise.
     """
-    if speed.size < 3:
-        return None
-    steps = np.diff(speed)
-    lengths = np.diff(stamps)
+    steps, lengths = np.diff(speed), np.diff(stamps)
     unexplained = steps[1:] - steps[:-1] * (lengths[1:] / lengths[:-1])
-    jumps = np.abs(unexplained) > _LEAST * np.max(np.abs(speed))
-    # The slope over a jump explains nothing of what follows, so each has an echo.
-    echoes = jumps[1:] & jumps[:-1] & (unexplained[1:] * unexplained[:-1] < 0)
-    jumps[1:] &= ~echoes
-    if rises:
-        jumps &= unexplained > 0
-    found = np.flatnonzero(jumps) + 2
+    echo = (unexplained[1:] > 0) & (unexplained[:-1] < -_LIKE * unexplained[1:])
+    unexplained[1:][echo] = 0.0
+    return np.concatenate([[0.0, 0.0], unexplained])
+
+
+def _nearest(rises: NDArray[np.float64], least: float, here: int) -> int | None:
+    """The sample nearest to ``here`` with a rise of more than ``least``."""
+    found = np.flatnonzero(rises > least)
     return int(found[np.argmin(np.abs(found - here))]) if found.size else None
