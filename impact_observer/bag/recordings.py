@@ -47,10 +47,16 @@ def carried_text(
 
 @contextmanager
 def all_or_nothing(path: Path) -> Iterator[BagWriter]:
-    """A writer whose bag stays only when everything has come into it."""
+    """A writer whose bag stays when everything has come into it, or as far as Ctrl-C let it come.
+
+    Raises:
+        KeyboardInterrupt: as it came, with the bag's name; the bag is whole as far as it goes.
+    """
     with BagWriter(path) as writer:
         try:
             yield writer
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(f"{path} holds what was done until then") from None
         except BaseException:
             writer.close()
             shutil.rmtree(path, ignore_errors=True)
@@ -164,12 +170,17 @@ def sample_stamps(
     if rate is None:
         if truth is None:
             raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
-        return np.unique(reader.joint_states(truth).stamps)
+        return _stamps_of(reader, truth)
     if not events:
         return np.empty(0, dtype=np.int64)
     start = epoch or events[0].epoch or events[0].stamp
-    last = int(reader.joint_states(truth).stamps.max()) if truth else events[-1].stamp
+    last = int(_stamps_of(reader, truth).max()) if truth else events[-1].stamp
     return grid(start, last, rate)
+
+
+def _stamps_of(reader: BagReader, topic: str) -> Stamps:
+    """All stamps of a topic of states, ns, ascending, each once."""
+    return np.unique(np.concatenate([block.stamps for _, block in reader.blocks([topic])]))
 
 
 def observe_bag(
@@ -207,7 +218,7 @@ def observe_bag(
         )
     stamps = sample_stamps(reader, events, rate, epoch)
     carried = [topic for each in _CARRIED if (topic := reader.find(each)) is not None]
-    count, verdicts = 0, list[Verdict]()
+    count, told, settled = 0, Counter[Ruling](), dict[tuple[int, int, str], Ruling]()
     bound, make = -1.0, bag_messages()
     with all_or_nothing(output) as writer:
         for topic in carried:
@@ -230,9 +241,9 @@ def observe_bag(
                     writer.write(interfaces.OBSERVER_BOUND.topic, log_time, make.bound(item))
                 progress(count, stamps.size)
             else:
-                verdicts.append(item)
-    told = (each for each in verdicts if each.ruling not in SETTLING)
-    return count, Counter([*final_rulings(verdicts).values(), *(each.ruling for each in told)])
+                settled |= final_rulings([item])
+                told[item.ruling] += item.ruling not in SETTLING
+    return count, +(told + Counter(settled.values()))
 
 
 def _messages(item: Estimate | Verdict, names: tuple[str, ...]) -> Iterator[tuple[str, object]]:

@@ -83,8 +83,7 @@ def observe(
         observer = chosen.observer(system)
 
         def show(done: int, total: int) -> None:
-            if done % 1000 == 0:
-                progress.show(f"{chosen.law}: {done} of {total} estimates")
+            progress.step(chosen.law, done, total)
 
         count, rulings = observe_bag(
             reader, observer, output, rate=rate, epoch=chosen.epoch, progress=show

@@ -34,7 +34,7 @@ def replay(
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
     pending = _as_sent(events)[::-1]
-    for stamp in stamps.tolist():
+    for stamp in map(int, stamps):
         while pending and _is_due(pending[-1], stamp, observer):
             yield from observer.receive(pending.pop().event)
         if observer.start is not None and observer.start <= stamp:

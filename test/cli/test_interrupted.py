@@ -1,0 +1,39 @@
+"""Ctrl-C: what was done until then is a whole bag."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rosbags")
+
+from impact_observer.bag.reader import BagReader
+from impact_observer.cli.main import main
+
+
+def test_an_observer_that_is_interrupted_leaves_a_whole_bag(tmp_path: Path) -> None:
+    """It says so, ends with 1, and what is in the bag is the beginning of all."""
+    plant, output = tmp_path / "plant", tmp_path / "estimates"
+    assert (
+        main(["simulate", "two_mass", "--duration", "40", "--rate", "500", "-o", str(plant)]) == 0
+    )
+    command = [sys.executable, "-m", "impact_observer", "observe", str(plant), "-o", str(output)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + 30
+    while not (output / "estimates.mcap").is_file() and time.monotonic() < until:
+        time.sleep(0.02)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert error == f"impact-observer: interrupted; {output} holds what was done until then\n"
+    with BagReader(output) as reader:
+        states = reader.observer_states("/observer/state")
+        truth = reader.joint_states("/plant/joint_states")
+    assert 0 < states.stamps.size < 20001
+    np.testing.assert_array_equal(states.stamps, truth.stamps[: states.stamps.size])
+    assert main(["compare", str(output)]) == 0
