@@ -256,6 +256,6 @@ def check_picture(path: Path, endings: Sequence[str] = (".png", ".svg", ".pdf"))
         UsageError: its ending is none of ``endings``, or its folder does not exist.
     """
     if path.suffix.lower() not in endings:
-        raise UsageError(f"{path}: expected a picture's name that ends in {', '.join(endings)}")
+        raise UsageError(f"{path}: expected a name that ends in {', '.join(endings)}")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: no folder {path.parent}; make it first")

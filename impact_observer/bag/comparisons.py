@@ -99,7 +99,6 @@ def compare_bag(
     comparisons = _compare_recorded(
         reader, system, (truth, topics), events, choice=choice, progress=progress
     )
-    first = _first_stamp(reader, truth)
     for observer in observers:
         law = observer.law.name
         with _named(reader):
@@ -110,8 +109,9 @@ def compare_bag(
                 threshold=choice.threshold,
                 progress=partial(progress, law),
             )
-    epochs = [e.epoch for e in events if e.epoch] or [first]
-    return BagComparison(system, comparisons, impacts_in(events), epochs[0])
+    epochs = (event.epoch for event in events if event.epoch)
+    epoch = next(epochs, 0) or _first_stamp(reader, truth)
+    return BagComparison(system, comparisons, impacts_in(events), epoch)
 
 
 def _truth_topic(reader: BagReader, named: str | None) -> str:

@@ -1,0 +1,170 @@
+"""What ``compare`` writes: figures, a picture, a page; what it may be told to compare."""
+
+import csv
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rosbags")
+
+from impact_observer.bag.reader import BagReader
+from impact_observer.bag.writer import BagWriter, copy_topics
+from impact_observer.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight seconds of a sensor that is late, with an estimate."""
+    folder = tmp_path_factory.mktemp("compare")
+    plant, estimates = str(folder / "plant"), str(folder / "estimates")
+    simulated = ["simulate", "two_mass", "--duration", "8", "--rate", "500", "--delay", "0.004"]
+    assert main([*simulated, "-o", plant]) == 0
+    observed = ["observe", plant, "--initial", "random:1", "--ensemble", "1"]
+    assert main([*observed, "-o", estimates]) == 0
+    return Path(estimates)
+
+
+def figures(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, dict[str, Any]]:
+    """What ``compare --json`` prints."""
+    capsys.readouterr()
+    assert main(["compare", *arguments, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    return dict(found)
+
+
+class Page(HTMLParser):
+    """What a browser would load, and what it would show."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+        self.open: list[str] = []
+        self.cells: list[str] = []
+        self.pictures = 0
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Count pictures, and find what comes from elsewhere."""
+        self.open.append(tag)
+        self.pictures += tag == "svg"
+        self.loaded += [
+            value
+            for name, value in attrs
+            if name in {"src", "href", "xlink:href"} and value and not value.startswith("#")
+        ]
+
+    def handle_data(self, data: str) -> None:
+        """Keep what stands in tables."""
+        if self.open and self.open[-1] in {"td", "th"}:
+            self.cells.append(data)
+
+
+def test_the_report_is_one_page_that_needs_no_network(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Pictures and figures are in it; nothing is loaded from elsewhere."""
+    path = tmp_path / "report.html"
+    assert main(["compare", str(bag), "--report", str(path)]) == 0
+    assert f"report: {path}" in capsys.readouterr().out
+    text = path.read_text("utf-8")
+    page = Page(text)
+    assert page.pictures == 2
+    assert page.loaded == []
+    assert "url(http" not in text
+    assert "@import" not in text
+    assert "<script" not in text
+    found = figures(capsys, str(bag))["geometric"]
+    for text in (f"{found['V_end']:.3g}", f"{found['V_ratio']:.2e}"):
+        assert text in page.cells
+    assert str(bag) in page.cells
+
+
+def test_the_csv_has_every_figure_of_the_json(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A line an estimate; errors have a column a state."""
+    path = tmp_path / "figures.csv"
+    found = figures(
+        capsys, str(bag), "--laws", "kinematic", "--initial", "zero", "--csv", str(path)
+    )
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = {row["estimate"]: row for row in csv.DictReader(file)}
+    assert rows.keys() == found.keys() == {"geometric", "kinematic"}
+    for label, row in rows.items():
+        for key, value in found[label].items():
+            if isinstance(value, list):
+                names = [f"{key}_{state}" for state in ("x1", "x2", "dx1/dt", "dx2/dt")]
+                assert [float(row[name]) for name in names] == value
+            else:
+                assert row[key] == ("" if value is None else str(value))
+
+
+def test_a_late_sensor_is_told_apart_from_a_bad_estimate(
+    bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two samples of 2 ms lie between the jumps, at each impact."""
+    found = figures(capsys, str(bag))["geometric"]
+    assert found["mismatch_windows"] == found["impacts_used"]
+    assert found["mismatch_samples"] == 2 * found["impacts_used"]
+    assert found["mismatch_longest"] == pytest.approx(0.004)
+    main(["compare", str(bag)])
+    table = capsys.readouterr().out
+    assert re.search(r"geometric +\d+ +0 +0 +0 +\d+ +4 ms +\d\.\d\de[+-]\d\d J", table)
+
+
+def test_a_topic_of_somebody_else_can_be_compared(
+    bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By its name, and beside an observer; the truth too may have another name."""
+    other = tmp_path / "other"
+    with BagReader(bag) as reader, BagWriter(other) as writer:
+        copy_topics(reader, writer)
+        kind = "sensor_msgs/msg/JointState"
+        for own, other_name in (
+            ("/observer/joint_states", "/my_filter/states"),
+            ("/plant/joint_states", "/mocap/states"),
+        ):
+            writer.declare(other_name, type_name=kind)
+            for message in reader.raw([own]):
+                writer.write_raw(other_name, message.log_time, message.data)
+    found = figures(
+        capsys,
+        str(other),
+        "--truth",
+        "/mocap/states",
+        "--estimates",
+        "/my_filter/states",
+        "observer",
+    )
+    assert len(found) == 2
+    mine, ours = found["states"], found["geometric"]
+    assert mine["V_end"] == ours["V_end"]
+    assert mine["rms"] == ours["rms"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--estimates", "observer_x"], r"no topic or observer /observer_x; in the bag: /impacts"),
+        (["--truth", "/t"], r"no topic or observer /t; in the bag: /impacts"),
+        (["--report", "r.pdf"], r"r.pdf: expected a name that ends in \.html, \.htm"),
+        (["--csv", "nowhere/f.csv"], r"nowhere/f.csv: no folder nowhere; make it first"),
+        (
+            ["--estimates", "/impacts"],
+            r"/impacts is impact_observer_msgs/msg/ImpactEvent; expected",
+        ),
+    ],
+)
+def test_what_cannot_be_compared_or_written_is_one_line(
+    bag: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+) -> None:
+    """Before any work is done."""
+    code = main(["compare", str(bag), *arguments])
+    error = capsys.readouterr().err
+    assert code in {1, 2}
+    assert error.count("\n") == 1
+    assert re.search(said, error), error
