@@ -225,7 +225,7 @@ def observe_bag(
             info = reader.topics[topic]
             writer.declare(topic, type_name=info.type, quality=info.quality)
         as_they_are = ((raw.log_time, raw) for raw in reader.raw(carried))
-        made = ((item.stamp, item) for item in replay(observer, events, stamps))
+        made = _logged(replay(observer, events, stamps))
         items: Iterable[tuple[int, RawMessage | Estimate | Verdict]]
         items = heapq.merge(as_they_are, made, key=itemgetter(0))
         for log_time, item in items:
@@ -244,6 +244,27 @@ def observe_bag(
                 settled |= final_rulings([item])
                 told[item.ruling] += item.ruling not in SETTLING
     return count, +(told + Counter(settled.values()))
+
+
+def _logged(items: Iterable[Estimate | Verdict]) -> Iterator[tuple[int, Estimate | Verdict]]:
+    """What an observer says, with log times (ns) that never go back.
+
+    That of an estimate is its stamp. A verdict that comes about before the estimates up to its
+    stamp waits for them; one on a stamp that is past, a second thought, is logged when it comes.
+    """
+    waiting: list[tuple[int, int, Verdict]] = []
+    last = 0
+    for k, item in enumerate(items):
+        if isinstance(item, Verdict):
+            heapq.heappush(waiting, (max(item.stamp, last), k, item))
+            continue
+        while waiting and waiting[0][0] <= item.stamp:
+            last, _, verdict = heapq.heappop(waiting)
+            yield last, verdict
+        last = item.stamp
+        yield last, item
+    for log_time, _, verdict in sorted(waiting):
+        yield log_time, verdict
 
 
 def _messages(item: Estimate | Verdict, names: tuple[str, ...]) -> Iterator[tuple[str, object]]:

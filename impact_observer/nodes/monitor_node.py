@@ -7,6 +7,7 @@ from rclpy.node import Node
 
 from impact_observer.analysis.lyapunov import distance
 from impact_observer.bag import interfaces
+from impact_observer.bag.interfaces import Quality
 from impact_observer.bag.messages import (
     EstimateError,
     JointState,
@@ -20,7 +21,7 @@ from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
 
 _MEMORY = 2000
-"""States kept until their counterpart comes."""
+"""States kept until their counterpart comes, and until there is time for them."""
 
 
 class MonitorNode(Node):
@@ -38,9 +39,10 @@ class MonitorNode(Node):
         self._errors = self.create_publisher(
             message_class(interfaces.MONITOR_ERROR.type), "~/error", quality
         )
-        self.create_subscription(joint_state, "plant/joint_states", self._on_truth, quality)
+        burst = qos_profile(Quality(depth=_MEMORY))
+        self.create_subscription(joint_state, "plant/joint_states", self._on_truth, burst)
         estimates = self.create_subscription(
-            joint_state, "observer/joint_states", self._on_estimate, quality
+            joint_state, "observer/joint_states", self._on_estimate, burst
         )
         self._law = values.text("law") or estimates.topic_name.rpartition("/")[0].lstrip("/")
 

@@ -103,7 +103,7 @@ def test_what_cannot_be_drawn_is_one_line(
     wrong = {
         "initial_state: is missing; a plant needs one": (str(model), "-o", picture),
         "law 'quick': not installed": ("two_mass", "--laws", "quick", "-o", picture),
-        "expected a picture's name": ("two_mass", "-o", "v.gif"),
+        "expected a name": ("two_mass", "-o", "v.gif"),
         "make it first": ("two_mass", "-o", str(tmp_path / "no" / "v.png")),
         "initial state 'here'": ("two_mass", "--initial", "here", "-o", picture),
         "laws: none named": ("two_mass", "--laws", "", "-o", picture),

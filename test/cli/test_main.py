@@ -104,7 +104,7 @@ def test_a_wrong_argument_is_one_line_and_exit_code_2(
         (["simulate", "two_mass", "-o", "x", "--duration", "1e10"], "too late; the last one is"),
         (["observe", "nowhere", "-o", "x"], "nowhere: does not exist"),
         (["compare", "nowhere"], "nowhere: does not exist"),
-        (["compare", "nowhere", "--plot", "v.gif"], "v.gif: expected a picture's name"),
+        (["compare", "nowhere", "--plot", "v.gif"], "v.gif: expected a name"),
         (["info", "nowhere"], "nowhere: does not exist"),
     ],
 )
