@@ -116,7 +116,8 @@ def _judge(bag: Path, picture: Path) -> int:
     from impact_observer.bag.comparisons import compare_bag
     from impact_observer.bag.reader import BagReader
     from impact_observer.bag.recordings import carried_model
-    from impact_observer.cli.compare import draw, labelled_by_law, print_tables
+    from impact_observer.cli.compare import draw, labelled_by_law
+    from impact_observer.cli.comparison_tables import print_tables
 
     with BagReader(bag) as reader:
         result = compare_bag(reader, carried_model(reader).system)

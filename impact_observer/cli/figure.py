@@ -111,7 +111,7 @@ def figure(
 
     from impact_observer.analysis.comparison import impacts_in
     from impact_observer.analysis.figures import check_picture, lyapunov_figure, save
-    from impact_observer.cli import compare
+    from impact_observer.cli import comparison_tables
     from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
     from impact_observer.observer import Options
@@ -136,11 +136,11 @@ def figure(
         drawn = lyapunov_figure(comparisons, impacts, title=about, epoch=EPOCH, paper=paper)
         save(drawn, output, about=about.replace("\n", "; "))
     if json:
-        found = {law: compare.figures(each) for law, each in comparisons.items()}
+        found = {law: comparison_tables.figures(each) for law, each in comparisons.items()}
         print(json_module.dumps(found, indent=2))
         return 0
-    Console().print(compare.table_of(comparisons))
-    compare.print_blindness(comparisons)
+    Console().print(comparison_tables.table_of(comparisons))
+    comparison_tables.print_blindness(comparisons)
     print(f"picture: {output}")
     return 0
 

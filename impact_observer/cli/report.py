@@ -67,7 +67,7 @@ def _page(
     labelled: "dict[str, Comparison]", results: "Sequence[tuple[Path, BagComparison]]"
 ) -> Iterator[str]:
     """The page, part by part."""
-    from impact_observer.cli.compare import errors_table, impacts_table, table_of
+    from impact_observer.cli.comparison_tables import errors_table, impacts_table, table_of
 
     first = next(iter(labelled.values()))
     names = ", ".join(dict.fromkeys(each.system.name for each in labelled.values()))
