@@ -355,7 +355,7 @@ class BagReader:
         if count < promised and not start:
             raise BagError(
                 f"{self.path}: {count} messages found, {promised} promised by its index; "
-                "mend it with `ros2 bag reindex` or `mcap recover`"
+                "`impact-observer check --salvage` saves what is left"
             )
 
     @contextmanager
@@ -368,7 +368,7 @@ class BagReader:
         except Exception as error:  # whatever rosbags trips over in a damaged file
             raise BagError(
                 f"{self.path}: cannot be read as a bag: {_reason(error)}; if it was cut short, "
-                "mend it with `ros2 bag reindex` or `mcap recover`"
+                "`impact-observer check --salvage` saves what is left"
             ) from error
 
 
@@ -379,7 +379,9 @@ def _storage_of(path: Path) -> str:
     if path.is_dir():
         inside = sorted(file for file in path.iterdir() if file.suffix in _STORAGES)
         if (path / "metadata.yaml").is_file():
-            return next((_STORAGES[file.suffix] for file in inside), "mcap")
+            # A file that was compressed as a whole has two suffixes.
+            suffixes = [each for file in path.iterdir() for each in file.suffixes]
+            return next((_STORAGES[each] for each in suffixes if each in _STORAGES), "mcap")
         hint = f"read {inside[0]} itself, or " if inside else ""
         raise BagError(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
     if path.suffix not in _STORAGES:

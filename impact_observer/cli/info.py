@@ -3,16 +3,19 @@
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, cast
 
 if TYPE_CHECKING:
     from impact_observer.bag import BagReader
+    from impact_observer.events import ImpactEvent, Kind
 
 _WIDTH = 140
 """Columns where there is no terminal."""
+_WINDOW = 20_000
+"""Events that are put in order together: those of any bag but a very long one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +26,7 @@ class TopicSummary:
         name: the absolute name.
         type: the message type.
         count: messages.
-        rate: mean rate, Hz; None where there are fewer than two messages.
+        rate: mean rate over the whole bag, Hz; None where there are fewer than two messages.
         reliable: whether a lost message was sent again; None when the bag does not say.
         transient_local: whether late subscribers received earlier messages; None likewise.
         depth: messages kept for them, 0 for all; None likewise.
@@ -46,6 +49,8 @@ class BagSummary:
         path: the folder or file.
         storage: ``mcap`` or ``sqlite3``.
         size: bytes on disk.
+        chunks: of MCAP files with an index, their number, kind of compression and bytes,
+            compressed and not; else None.
         start: log time of the first message, ns; 0 when there is none.
         end: log time of the last message, ns; 0 when there is none.
         duration: from the first message to the last, s.
@@ -62,6 +67,7 @@ class BagSummary:
     path: str
     storage: str
     size: int
+    chunks: dict[str, object] | None
     start: int
     end: int
     duration: float
@@ -116,6 +122,16 @@ def summarize(bag: Path) -> BagSummary:
         UsageError: there is no bag.
         BagError: the bag is damaged, or one of our topics has an invalid message.
     """
+    from impact_observer.errors import BagError
+
+    try:
+        return _summarized(bag)
+    except BagError as error:
+        raise BagError(f"{error}; impact-observer check {bag} tells what can be read") from error
+
+
+def _summarized(bag: Path) -> BagSummary:
+    """The same, where errors do not say yet what to do."""
     from impact_observer.bag import BagReader
     from impact_observer.stamps import seconds_between
 
@@ -125,6 +141,7 @@ def summarize(bag: Path) -> BagSummary:
             path=str(bag),
             storage=reader.storage,
             size=reader.size,
+            chunks=_chunks(bag),
             start=reader.start,
             end=reader.end,
             duration=seconds_between(reader.start, reader.end),
@@ -139,22 +156,17 @@ def summarize(bag: Path) -> BagSummary:
 
 
 def _topics(reader: "BagReader") -> list[TopicSummary]:
-    """The topics of a bag, with the mean rate of each."""
-    first: dict[str, int] = {}
-    last: dict[str, int] = {}
-    for message in reader.raw():
-        first.setdefault(message.topic, message.log_time)
-        last[message.topic] = message.log_time
+    """The topics of a bag, as its index tells: no message is read."""
+    length = (reader.end - reader.start) / 1e9
     summaries = []
     for topic in reader.topics.values():
-        length = (last.get(topic.name, 0) - first.get(topic.name, 0)) / 1e9
         quality = topic.quality
         summaries.append(
             TopicSummary(
                 name=topic.name,
                 type=topic.type,
                 count=topic.count,
-                rate=(topic.count - 1) / length if length > 0 else None,
+                rate=(topic.count - 1) / length if length > 0 and topic.count > 1 else None,
                 reliable=quality.reliable if quality else None,
                 transient_local=quality.transient_local if quality else None,
                 depth=quality.depth if quality else None,
@@ -163,23 +175,70 @@ def _topics(reader: "BagReader") -> list[TopicSummary]:
     return summaries
 
 
+def _chunks(bag: Path) -> dict[str, object] | None:
+    """What the indices of MCAP files say of their chunks, all files together."""
+    from impact_observer.bag.damaged.mcap_records import facts
+
+    files = sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]
+    found = []
+    for file in files:
+        if file.suffix == ".mcap":
+            with file.open("rb") as stream:
+                found.append(facts(stream))
+    known = [each for each in found if each is not None]
+    if not known:
+        return None
+    return {
+        "count": sum(each.chunks for each in known),
+        "compression": " and ".join(sorted({each.compression for each in known})),
+        "compressed": sum(each.compressed for each in known),
+        "uncompressed": sum(each.uncompressed for each in known),
+    }
+
+
 def _impacts(reader: "BagReader") -> tuple[dict[str, int], dict[str, int], int]:
     """Impacts and closings of each contact, and the number of episodes, over all topics."""
     from impact_observer.bag.interfaces import IMPACT_EVENT
     from impact_observer.events import Kind
-    from impact_observer.observer.order import hits
 
     counts: Counter[str] = Counter()
     closings: Counter[str] = Counter()
     episodes: set[tuple[str, int]] = set()
+
+    def noted(name: str) -> "Iterator[ImpactEvent]":
+        for event in reader.events(name):
+            episodes.add((name, event.episode))
+            yield event
+
     for topic in reader.topics.values():
         if topic.type == IMPACT_EVENT:
-            events = list(reader.events(topic.name))
-            episodes.update((topic.name, event.episode) for event in events)
-            for _, contact, kind in hits(events):
+            for contact, kind in _hits(noted(topic.name)):
                 counts[contact] += 1
                 closings[contact] += kind is Kind.CLOSE
     return dict(sorted(counts.items())), dict(sorted((+closings).items())), len(episodes)
+
+
+def _hits(events: "Iterable[ImpactEvent]") -> "Iterator[tuple[str, Kind]]":
+    """Contacts and kinds of impacts and closings as they act, in constant memory.
+
+    Events are put in order ``_WINDOW`` at a time; those of one stamp are never parted.
+    """
+    from impact_observer.observer.order import hits
+
+    def key(event: "ImpactEvent") -> tuple[int, int, int]:
+        return event.epoch, event.episode, event.stamp
+
+    waiting: list[ImpactEvent] = []
+    for event in events:
+        waiting.append(event)
+        if len(waiting) >= 2 * _WINDOW:
+            waiting.sort(key=key)
+            cut = _WINDOW
+            while cut < len(waiting) and key(waiting[cut]) == key(waiting[cut - 1]):
+                cut += 1
+            yield from (hit[1:] for hit in hits(waiting[:cut]))
+            del waiting[:cut]
+    yield from (hit[1:] for hit in hits(waiting))
 
 
 def _model(reader: "BagReader") -> dict[str, object] | None:
@@ -229,6 +288,8 @@ def _print(summary: BagSummary) -> None:
     facts.add_column(no_wrap=True)
     facts.add_column(overflow="fold")
     facts.add_row("bag", f"{summary.path} ({summary.storage}, {_bytes(summary.size)})")
+    if summary.chunks:
+        facts.add_row("chunks", _packed(summary.chunks))
     facts.add_row("time", f"{text(summary.start)} to {text(summary.end)} s")
     facts.add_row("duration", f"{summary.duration:.6g} s, {summary.messages} messages")
     if summary.model:
@@ -253,6 +314,15 @@ def _print(summary: BagSummary) -> None:
         table.add_row(topic.name, short, str(topic.count), rate, _quality(topic))
     console.print()
     console.print(table)
+
+
+def _packed(chunks: Mapping[str, object]) -> str:
+    """Chunks in words."""
+    count, kind = chunks["count"], chunks["compression"]
+    stored, whole = (_bytes(cast("int", chunks[key])) for key in ("compressed", "uncompressed"))
+    size = whole if kind == "none" else f"{whole} in {stored}"
+    kind = "not compressed" if kind == "none" else kind
+    return f"{count}, {kind}, {size}"
 
 
 def _said(model: Mapping[str, object]) -> str:

@@ -2,9 +2,13 @@
 
 import argparse
 import json
+import re
+from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
+from foreign_bags import humble_sqlite, mcap_folder
 
 from impact_observer.bag import BagWriter
 from impact_observer.bag.messages import bag_messages
@@ -12,6 +16,7 @@ from impact_observer.cli import info
 from impact_observer.cli.main import main
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.observer.order import hits
 
 
 def parsed(*words: str) -> argparse.Namespace:
@@ -27,6 +32,7 @@ def test_json_has_all_figures(sample_bag: Path, capsys: pytest.CaptureFixture[st
     figures = json.loads(capsys.readouterr().out)
     topics = figures.pop("topics")
     size = figures.pop("size")
+    chunks = figures.pop("chunks")
     assert figures == {
         "path": str(sample_bag),
         "storage": "mcap",
@@ -47,6 +53,8 @@ def test_json_has_all_figures(sample_bag: Path, capsys: pytest.CaptureFixture[st
         "observers": {"/observer_geometric": "geometric"},
     }
     assert size == sum(file.stat().st_size for file in sample_bag.iterdir())
+    assert (chunks["count"], chunks["compression"]) == (1, "none")
+    assert 0 < chunks["compressed"] == chunks["uncompressed"] < size
     assert topics[0] == {
         "name": "/impacts",
         "type": "impact_observer_msgs/msg/ImpactEvent",
@@ -107,6 +115,40 @@ def test_impact_that_a_close_supersedes_is_counted_once(tmp_path: Path) -> None:
     assert (summary.impacts, summary.closings) == ({"stop": 2}, {"stop": 1})
 
 
+def test_long_rows_of_events_are_counted_piece_by_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in one piece: superseded impacts, disorder, duplicates, several runs."""
+    draw = np.random.default_rng(5)
+    events, number = [], 0
+    for episode in (1, 2):
+        for stamp in np.sort(draw.integers(1, 4000, 600)).tolist():
+            kinds = (Kind.IMPACT, Kind.CLOSE) if draw.random() < 0.2 else (Kind.IMPACT,)
+            for kind in kinds:
+                number += 1
+                name = str(draw.choice(["left", "right"]))
+                events.append(ImpactEvent(stamp, (Switch(name, kind),), number, episode))
+                if kind is Kind.CLOSE:
+                    number += 1
+                    opened = (Switch(name, Kind.OPEN),)
+                    events.append(ImpactEvent(stamp + 1, opened, number, episode))
+    for i in draw.integers(0, len(events) - 8, 200).tolist():
+        events.insert(i + 5, events.pop(i))
+    whole = [hit[1:] for hit in hits(events)]
+    monkeypatch.setattr(info, "_WINDOW", 50)
+    assert Counter(info._hits(iter(events))) == Counter(whole)
+
+
+def test_chunks_are_told_by_compression(
+    tmp_path: Path, sample_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With what they hold and what they take; a database has none."""
+    zstd = mcap_folder(sample_bag, tmp_path / "zstd", distro="jazzy", compression="zstd")
+    database = humble_sqlite(sample_bag, tmp_path / "database")
+    assert info.info(zstd) == info.info(database) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"^chunks +\d+, zstd, [\d.]+ kB in [\d.]+ kB *$", said, re.MULTILINE)
+    assert said.count("\nchunks ") == 1
+
+
 def test_what_was_wrong_with_the_sensor_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -147,6 +189,7 @@ def test_failures_keep_their_exit_codes(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="does not exist") as absent:
         info.run(parsed(str(tmp_path / "absent")))
     (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP0\r\n")
-    with pytest.raises(BagError, match="cannot be read as a bag") as damaged:
+    said = r"bag\.mcap: cannot be read as a bag: .*; impact-observer check .*bag\.mcap tells what"
+    with pytest.raises(BagError, match=said) as damaged:
         info.run(parsed(str(tmp_path / "bag.mcap")))
     assert (absent.value.exit_code, damaged.value.exit_code) == (2, 1)

@@ -1,0 +1,1 @@
+"""Whether an observer can use a bag, and what is wrong with it."""
