@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from impact_observer.bag.interfaces import VIEWER_MARKERS
 from impact_observer.cli.demo import LAWS
 from impact_observer.cli.main import main
 from impact_observer.nodes.parameters import TABLES
@@ -33,6 +34,8 @@ ARGUMENTS = {
     | {"use_sim_time", "params_file", "namespace", "impacts"},
     "observer": {p.name for p in TABLES["observer"]}
     | {"use_sim_time", "params_file", "name", "namespace", "impacts", "monitor", "monitor_name"},
+    "view": {p.name for p in TABLES["viewer"]}
+    | {"use_sim_time", "params_file", "namespace", "impacts", "rviz", "rviz_config"},
 }
 
 
@@ -60,6 +63,8 @@ def started(executable: str, arguments: Sequence[str]) -> Started:
         if flag == "--params-file":
             (parameters,) = load_yaml(Path(value).read_text(encoding="utf-8")).values()
             node.parameters |= parameters["ros__parameters"]
+            continue
+        if flag == "-d":  # of RViz
             continue
         left, right = value.split(":=")
         if flag == "-p":
@@ -296,6 +301,38 @@ def test_observer_launch_starts_a_monitor_on_request(launcher: Launcher) -> None
         {"model": "rig.yaml", "law": "kinematic"},
         {"observer/joint_states": "observer_kinematic/joint_states"},
     )
+
+
+def test_view_launch_starts_the_viewer_and_rviz_on_its_markers(launcher: Launcher) -> None:
+    """The layout is the one that is installed; without RViz the viewer is alone."""
+    names = "observer_kinematic,observer_geometric"
+    given = {"model": "two_mass", "observers": names, "rate": "10", "namespace": "rig"}
+    viewer, rviz = launcher.run("view", **given)
+    assert viewer == Started(
+        "viewer",
+        "viewer",
+        "/rig",
+        {"model": "two_mass", "observers": names, "rate": 10.0},
+        {"impacts": "impacts"},
+    )
+    assert (rviz.executable, rviz.namespace) == ("rviz2", "/rig")
+    assert rviz.remappings == {"/viewer/markers": "viewer/markers"}
+    (alone,) = launcher.run("view", **given, rviz="false")
+    assert alone == viewer
+
+
+def test_layout_of_rviz_shows_what_the_viewer_publishes() -> None:
+    """Topic and quality of service are those of the one table, the frame is the default."""
+    layout = load_yaml((ROOT / "layouts" / "view.rviz").read_text(encoding="utf-8"))
+    manager = layout["Visualization Manager"]
+    (display,) = manager["Displays"]
+    assert display["Topic"]["Value"] == VIEWER_MARKERS.topic
+    assert display["Topic"]["Reliability Policy"] == "Reliable"
+    assert not VIEWER_MARKERS.quality.transient_local
+    (frame,) = (each.default for each in TABLES["viewer"] if each.name == "frame")
+    assert manager["Global Options"]["Fixed Frame"] == frame
+    views = manager["Views"]["Current"]
+    assert views["Class"] == "rviz_default_plugins/Orbit"
 
 
 @pytest.fixture

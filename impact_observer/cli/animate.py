@@ -1,0 +1,165 @@
+"""Masses, springs and stops of plant and estimates, moving, with V over time below.
+
+The file's ending says what is made: .mp4 (needs ffmpeg), .gif, or .html, one page that needs
+nothing else.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from impact_observer.cli.arguments import not_negative, positive
+from impact_observer.errors import UsageError
+
+if TYPE_CHECKING:
+    from impact_observer.analysis.scene.film import Film
+    from impact_observer.bag.reader import BagReader
+
+FPS = 25.0
+"""Pictures a second."""
+LONGEST = 60.0
+"""How long a film may become without being asked to, s."""
+MOST_PICTURES = 20_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with truth or estimates")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE",
+        type=Path,
+        required=True,
+        help="the film: an MP4, GIF or HTML; one that is there is replaced",
+    )
+    parser.add_argument(
+        "--speed",
+        metavar="X",
+        type=positive,
+        default=1.0,
+        help="recorded seconds a second of the film (default 1)",
+    )
+    parser.add_argument(
+        "--start",
+        metavar="S",
+        type=not_negative,
+        default=0.0,
+        help="where to begin, s since the epoch (default 0)",
+    )
+    parser.add_argument(
+        "--duration",
+        metavar="S",
+        type=positive,
+        help=f"how much to show, s (default: all, but no film longer than {LONGEST:g} s)",
+    )
+    parser.add_argument(
+        "--fps",
+        metavar="N",
+        type=positive,
+        default=FPS,
+        help=f"pictures a second of the film (default {FPS:g})",
+    )
+    parser.add_argument(
+        "--observers",
+        metavar="PREFIX,...",
+        help="estimates to show, by prefix of their topics (default: all)",
+    )
+    parser.add_argument(
+        "--model", metavar="MODEL", help="a model file or a sample (default: the one in the bag)"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    observers = None if args.observers is None else args.observers.split(",")
+    return animate(
+        args.bag,
+        args.output,
+        speed=args.speed,
+        start=args.start,
+        duration=args.duration,
+        fps=args.fps,
+        observers=observers,
+        model=args.model,
+    )
+
+
+def animate(
+    bag: Path,
+    output: Path,
+    *,
+    speed: float = 1.0,
+    start: float = 0.0,
+    duration: float | None = None,
+    fps: float = FPS,
+    observers: Sequence[str] | None = None,
+    model: str | None = None,
+) -> int:
+    """Make a film of a bag.
+
+    Args:
+        bag: with truth, estimates, or both.
+        output: the film; its ending says the format.
+        speed: recorded seconds a second of the film.
+        start: s since the epoch.
+        duration: recorded seconds to show; None for all, up to a minute of film.
+        fps: pictures a second of the film.
+        observers: prefixes of the estimates' topics; None for all.
+        model: a model file or a sample's name; None for the model in the bag.
+
+    Returns:
+        0.
+
+    Raises:
+        UsageError, ModelError: the arguments cannot be used, or there is no encoder.
+        BagError: the bag cannot be read, or there is nothing in it to show.
+    """
+    from impact_observer.analysis.scene.animation import Moving
+    from impact_observer.bag.films import Stretch, read_film
+    from impact_observer.bag.reader import BagReader
+    from impact_observer.bag.recordings import system_of
+    from impact_observer.cli.film_files import writer_for
+    from impact_observer.cli.progress import Progress
+
+    write = writer_for(output, fps)
+    stretch = Stretch(start, LONGEST * speed if duration is None else duration)
+    with BagReader(bag) as reader, Progress(sys.stderr) as progress:
+        progress.show(f"reading {bag}")
+        film = read_film(reader, system_of(reader, model), stretch, observers)
+        left = _left_out(reader, film) if duration is None else ""
+        stamps = film.stamps(fps, speed).tolist()
+        if len(stamps) > MOST_PICTURES:
+            raise UsageError(
+                f"{len(stamps)} pictures: too many for a film; expected at most {MOST_PICTURES},"
+                " with a shorter --duration, a lower --fps or a higher --speed"
+            )
+        moving = Moving(film, title=_title(film, speed), speed=speed)
+        with write(output, moving.size) as add:
+            for done, stamp in enumerate(stamps, start=1):
+                add(moving.picture(stamp))
+                progress.step(f"drawing {output}", done, len(stamps))
+    shown = (film.end - film.start) * 1e-9
+    print(f"film: {output}, {len(stamps)} pictures of {shown:.2f} s{left}")
+    return 0
+
+
+def _title(film: "Film", speed: float) -> str:
+    """What is shown, in a line."""
+    name = film.scene.system.name
+    what = "plant and estimates" if film.truth and film.estimates else "plant"
+    if film.truth is None:
+        what = "estimate" if len(film.estimates) == 1 else "estimates"
+    return f"{name}: {what}" + ("" if speed == 1 else f", {speed:g} times as fast")
+
+
+def _left_out(reader: "BagReader", film: "Film") -> str:
+    """A hint where the film ends before the bag does."""
+    from impact_observer.stamps import seconds_between
+
+    rest = seconds_between(film.end, reader.end)
+    if rest < 0.1 or rest > 1e6:  # log times may be of another clock than stamps
+        return ""
+    return f"; {rest:.1f} s of the bag are left out, ask for more with --duration or --speed"

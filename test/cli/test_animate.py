@@ -1,0 +1,174 @@
+"""animate: films of a bag, as three kinds of files."""
+
+import base64
+import io
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from impact_observer.cli import animate, film_files
+from impact_observer.cli.main import main
+
+QUICK = ("--fps", "20", "--duration", "0.4")
+"""Nine pictures."""
+
+
+def refusal(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    """The exit code and the one line of a command that fails."""
+    code = main(["animate", *arguments])
+    printed = capsys.readouterr()
+    (line,) = printed.err.strip().splitlines()
+    assert printed.out == ""
+    return code, line
+
+
+def test_gif_has_all_pictures_and_the_right_speed(
+    sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It begins again and again; what is not there is left out of a second film."""
+    output = tmp_path / "film.gif"
+    assert main(["animate", str(sample_bag), "-o", str(output), *QUICK]) == 0
+    assert capsys.readouterr().out == f"film: {output}, 9 pictures of 0.40 s\n"
+    with Image.open(output) as film:
+        assert film.info["loop"] == 0
+        frames = getattr(film, "n_frames", 1)
+        shown = []
+        for i in range(frames):
+            film.seek(i)
+            shown.append(film.info["duration"])
+        film.seek(0)
+        corner = np.asarray(film.convert("RGB"))[-1, -1]
+    assert frames == 9
+    assert sum(shown[:-1]) == 8 * 50
+    assert corner.tolist() == [255, 255, 255]
+    assert [path.name for path in tmp_path.iterdir() if path != sample_bag] == ["film.gif"]
+
+
+def test_page_needs_nothing_else(sample_bag: Path, tmp_path: Path) -> None:
+    """All pictures are in it, and no address of anything outside."""
+    output = tmp_path / "film.html"
+    assert main(["animate", str(sample_bag), "-o", str(output), *QUICK, "--speed", "0.5"]) == 0
+    page = output.read_text("utf-8")
+    pictures = re.findall(r'^"([A-Za-z0-9+/=]+)",$', page, re.MULTILINE)
+    assert len(pictures) == 17
+    for data in pictures[:2]:
+        with Image.open(io.BytesIO(base64.b64decode(data))) as image:
+            assert image.format == "PNG"
+            assert image.size[0] == 960
+    rest = page
+    for data in pictures:
+        rest = rest.replace(data, "")
+    assert not re.search(r"https?:|//|src=|href=|@import|\bimport\b|fetch\(", rest)
+    assert "const fps = 20," in page
+
+
+def test_mp4_is_a_film(sample_bag: Path, tmp_path: Path) -> None:
+    """H.264 of as many pictures, which ffmpeg itself reads back."""
+    ffmpeg = shutil.which("ffmpeg")
+    if ffmpeg is None:
+        ffmpeg = pytest.importorskip("imageio_ffmpeg").get_ffmpeg_exe()
+    output = tmp_path / "film.mp4"
+    output.write_bytes(b"an older one")
+    assert main(["animate", str(sample_bag), "-o", str(output), *QUICK]) == 0
+    done = subprocess.run(
+        [str(ffmpeg), "-i", str(output), "-f", "rawvideo", "-pix_fmt", "gray", "-"],
+        capture_output=True,
+        check=True,
+        timeout=60,
+    )
+    said = done.stderr.decode()
+    assert "h264" in said
+    found = re.search(r"(\d{3,4})x(\d{3,4})", said)
+    assert found
+    pixels = int(found[1]) * int(found[2])
+    assert len(done.stdout) == 9 * pixels
+
+
+def test_mp4_without_ffmpeg_names_the_extra(
+    sample_bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Before anything is drawn."""
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    output = tmp_path / "film.mp4"
+    code, line = refusal([str(sample_bag), "-o", str(output)], capsys)
+    assert code == 2
+    assert "pip install impact_observer[mp4]" in line
+    assert not output.exists()
+
+
+def test_encoder_that_fails_is_one_line(
+    sample_bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its last words are told, and no half a film is left."""
+    broken = tmp_path / "ffmpeg"
+    broken.write_text("#!/bin/sh\necho first >&2\necho no such encoder >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setattr(film_files, "_ffmpeg", lambda: str(broken))
+    output = tmp_path / "film.mp4"
+    code, line = refusal([str(sample_bag), "-o", str(output), *QUICK], capsys)
+    assert code == 2
+    assert line.endswith("ffmpeg failed: no such encoder")
+    assert not output.exists()
+
+
+def test_longer_bags_are_cut_and_that_is_said(
+    sample_bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Nobody waits an hour for a film of a day."""
+    monkeypatch.setattr(animate, "LONGEST", 0.2)
+    output = tmp_path / "film.gif"
+    assert main(["animate", str(sample_bag), "-o", str(output)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"film: {output}, 6 pictures of 0.20 s; 0.3 s of the bag are left")
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        (["-o", "film.avi"], "expected a film's name that ends in .mp4, .gif, .html"),
+        (["-o", "no/such/film.gif"], "make it first"),
+        (["--fps", "100", "-o", "film.gif"], "a gif shows at most 50"),
+        (["--observers", "observer_b", "-o", "film.gif"], "observer /observer_b: not in"),
+        (["--start", "90", "-o", "film.gif"], "no states between"),
+        (["--speed", "1e-4", "-o", "film.html"], "pictures: too many for a film"),
+    ],
+)
+def test_what_cannot_be_filmed_is_one_line(
+    sample_bag: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    case: tuple[list[str], str],
+) -> None:
+    """And leaves no file."""
+    (*rest, name), said = case
+    arguments = [*rest, str(tmp_path / name)]
+    code, line = refusal([str(sample_bag), "--duration", "0.45", *arguments], capsys)
+    assert code == (1 if "no states" in said else 2)
+    assert said in line
+    assert [path for path in tmp_path.iterdir() if path != sample_bag] == []
+
+
+def test_colours_of_films_are_those_that_are_drawn() -> None:
+    """White stays white, black black, and the three hues are themselves."""
+    hues = [(255, 255, 255), (0, 0, 0), *film_files._HUES]
+    picture = np.zeros((4, len(hues), 4), np.uint8)
+    picture[..., :3] = hues
+    found = np.asarray(film_files._few_colours(picture).convert("RGB"))
+    np.testing.assert_array_equal(found[0], hues)
