@@ -1,0 +1,357 @@
+"""What ``watch`` shows: a pure function from a glance to something that rich can print."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from impact_observer.cli.blocks import BLOCKS, bars, decades, known
+from impact_observer.events import Verdict
+from impact_observer.nodes.glance import Course, Flow, Glance, Line, ObserverGlance
+from impact_observer.stamps import seconds_between
+
+_NARROWEST = 58
+"""Columns that an observer needs beside another one."""
+_SILENCE = 2.0
+"""After so long without a message a topic is said to be silent, s."""
+_LOW = 36
+"""A screen of fewer rows shows the topics of the plant in one."""
+_MOST_CHART = 6
+_MOST_VERDICTS = 8
+_MARGIN = 7
+"""Columns at the left of a chart."""
+_LEVELS = ("ok", "warning", "error", "stale")
+_STYLES = ("", "bold yellow", "bold red", "bold red")
+_CHART_STYLE = "cyan"
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How it is shown.
+
+    Attributes:
+        width: columns.
+        height: rows; None for as many as it takes.
+        keys: whether keys are listened to.
+        frozen: whether the picture stands still.
+        levels: characters of charts, from empty to full.
+    """
+
+    width: int
+    height: int | None = None
+    keys: bool = False
+    frozen: bool = False
+    levels: str = BLOCKS
+
+
+def screen(glance: Glance, look: Look) -> RenderableType:
+    """The whole picture.
+
+    Args:
+        glance: what there is to see.
+        look: the room for it.
+    """
+    head, foot = _head(glance, look), _foot(glance, look)
+    if not glance.observers:
+        words = "waiting for observers: nobody publishes observer/state or observer_<law>/state"
+        return Group(*head, Panel(Text(words), box=box.ROUNDED), *foot)
+    columns = max(min(len(glance.observers), look.width // _NARROWEST), 1)
+    rows = -(-len(glance.observers) // columns)
+    budget = None
+    if look.height is not None:
+        budget = max((look.height - len(head) - len(foot)) // rows, 8)
+    width = look.width // columns
+    panels = [_observer(each, glance, width, budget, look.levels) for each in glance.observers]
+    grid = Table.grid(expand=True)
+    for _ in range(columns):
+        grid.add_column(ratio=1)
+    for k in range(0, len(panels), columns):
+        grid.add_row(*panels[k : k + columns])
+    return Group(*head, grid, *foot)
+
+
+def line(glance: Glance) -> str:
+    """The same in one line, for a file or a pipe."""
+    if glance.is_empty:
+        return "nothing heard yet: neither a plant nor an observer"
+    parts = [f"{_time(glance.clock, glance)}, {_impacts(glance)}"]
+    for each in glance.observers:
+        words = [f"V {_distance(each, glance, brief=True)}"]
+        if each.convergence.now is not None and each.convergence.now >= 0:
+            words.append(f"convergence {each.convergence.now:.2e} J")
+        if each.synchronized:
+            words.append("synchronized")
+        if each.health is not None and each.health[0]:
+            words.append(_health(each))
+        parts.append(f"{each.name.lstrip('/')}: {', '.join(words)}")
+    return "; ".join(parts if glance.observers else [*parts, "no observer"])
+
+
+def _head(glance: Glance, look: Look) -> list[RenderableType]:
+    """What is known of the plant, and how its topics come."""
+    if glance.is_empty:
+        words = "nothing heard yet: no plant, no observer; is one running on this ROS domain?"
+        return [Text(words, style="bold", overflow="fold")]
+    first = [
+        glance.model or "model not told",
+        f"{_time(glance.clock, glance)} ({'/clock' if glance.simulated else 'system clock'})",
+        _impacts(glance),
+    ]
+    if not glance.truth:
+        first.append("no truth")
+    texts = [Text(each, style="bold") for each in _packed(first, look.width)]
+    low = look.height is not None and look.height < _LOW
+    flows = list(_packed(map(_flow, glance.flows), look.width - 4 * low))
+    if low and len(flows) > 1:
+        flows = [f"{flows[0]} ..."]
+    return [*texts, *(_cut(each, "dim") for each in flows)]
+
+
+def _foot(glance: Glance, look: Look) -> list[RenderableType]:
+    """Keys, and what could not be understood."""
+    words = ["FROZEN: space goes on" if look.frozen else "space freezes", "q ends"]
+    foot: list[RenderableType] = []
+    if glance.trouble:
+        foot.append(Text(f"not understood: {glance.trouble}", no_wrap=True, overflow="ellipsis"))
+    if look.keys:
+        foot.append(Text("   ".join(words), style="reverse" if look.frozen else "dim"))
+    return foot
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """How many rows the parts of an observer get."""
+
+    lines: int
+    chart: int
+    verdicts: int
+    flows: int
+
+
+def _plan(seen: ObserverGlance, rows: int | None, words: int, flows: int) -> _Plan:
+    """Share ``rows``, less the frame, out: first a little for everybody, then the rest.
+
+    Args:
+        seen: what is to be shown.
+        rows: of the frame and what is in it; None for enough.
+        words: rows that are shown in any case.
+        flows: rows that the topics take.
+    """
+    size, events, drawn = len(seen.lines), len(seen.verdicts), bool(seen.distance.values)
+    if rows is None:
+        return _Plan(size, 4 * drawn, min(events, _MOST_VERDICTS), flows)
+    left = rows - 2 - words - drawn - bool(size)
+    lines = size if size <= left else max(left - drawn - 1, 2)  # a row tells of the others
+    left -= lines + (lines < size)
+    chart = int(drawn and left > 0)
+    verdicts = max(min(events, left - chart, 3), 0)
+    left -= chart + verdicts
+    flows = flows if left >= flows else 0
+    left -= flows
+    more = max(min(left, _MOST_CHART - 1), 0) if chart else 0
+    return _Plan(
+        lines, chart + more, verdicts + max(min(left - more, events - verdicts), 0), flows
+    )
+
+
+def _observer(
+    seen: ObserverGlance, glance: Glance, width: int, rows: int | None, levels: str
+) -> Panel:
+    """One observer in a frame of ``width`` columns, and at most ``rows``."""
+    inner = width - 4
+    belief, flows = _belief(seen, inner, levels), list(_packed(_own_flows(seen), inner))
+    plan = _plan(seen, rows, len(belief) + 2, len(flows))
+    parts: list[RenderableType] = []
+    if seen.lines:
+        parts += _table(seen, plan.lines, inner)
+    else:
+        parts.append(_cut("no estimate yet: it begins with the first impact"))
+    parts.append(_cut(f"V  {_distance(seen, glance)}"))
+    parts += _chart(seen.distance, inner, plan.chart, levels)
+    parts += map(_cut, belief)
+    counts = ", ".join(f"{n} {ruling}" for ruling, n in seen.counts) or "waiting for impacts ..."
+    parts.append(_cut(f"events  {counts}"))
+    parts += [_verdict(*each, glance) for each in seen.verdicts[: plan.verdicts]]
+    parts.append(_cut(f"health  {_health(seen)}", _STYLES[_level(seen)]))
+    parts += [_cut(each, "dim") for each in flows[: plan.flows]]
+    law = f" ({seen.law})" if seen.law else ""
+    title = Text(f"{seen.name.lstrip('/')}{law}", style="bold")
+    return Panel(Group(*parts), title=title, title_align="left", box=box.ROUNDED)
+
+
+def _table(seen: ObserverGlance, rows: int, width: int) -> list[RenderableType]:
+    """Estimates against the truth, as many as fit; where it is narrow, fewer columns."""
+    shown = seen.lines[:rows]
+    columns = {
+        "": [each.name for each in shown],
+        " ": [each.unit for each in shown],
+        "estimate": [_value(each.estimate) for each in shown],
+        "truth": [_value(each.truth) for each in shown],
+        "error": [_short(_difference(each), "+") for each in shown],
+        "deviation": [_short(each.deviation) for each in shown],
+    }
+    columns = {header: cells for header, cells in columns.items() if any(cells)}
+    widths = {name: 2 + max(map(cell_len, [name, *cells])) for name, cells in columns.items()}
+    for name in ("truth", "deviation", "error", " "):
+        if sum(widths.values()) > width and name in columns:
+            del columns[name], widths[name]
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    for header in columns:
+        side: Literal["left", "right"] = "right" if header.strip() else "left"
+        table.add_column(header, justify=side, no_wrap=True, overflow="ellipsis")
+    for cells in zip(*columns.values(), strict=True):
+        table.add_row(*cells)
+    left = len(seen.lines) - rows
+    return [table, *([_cut(f"... {left} more", "dim")] if left > 0 else [])]
+
+
+def _difference(seen: Line) -> float | None:
+    """Estimate minus truth."""
+    return None if seen.truth is None else seen.estimate - seen.truth
+
+
+def _short(value: float | None, sign: str = "") -> str:
+    """A number of which the size alone matters."""
+    return "" if value is None else f"{value:{sign}.1e}"
+
+
+def _chart(course: Course, width: int, rows: int, levels: str) -> list[RenderableType]:
+    """A course with its decades at the left; nothing where there is no room."""
+    values = known(course.values)
+    if not rows or not values:
+        return []
+    low, high = decades(values)
+    drawn = bars(values, width - _MARGIN, rows, levels=levels)
+    labels = [""] * rows
+    labels[-1] = f"1e{low:+03d}"
+    if rows > 1:
+        labels[0] = f"1e{high:+03d}"
+    return [
+        Text.assemble((f"{label:>{_MARGIN - 1}} ", "dim"), (part, _CHART_STYLE))
+        for label, part in zip(labels, drawn, strict=True)
+    ]
+
+
+def _belief(seen: ObserverGlance, width: int, levels: str) -> list[str]:
+    """What the observer says of its own error, in rows."""
+    rows = []
+    apart = seen.convergence
+    if apart.now is not None:
+        agreed = "synchronized" if seen.synchronized else "not synchronized"
+        words = f"replicas  {apart.now:.2e} J apart, {agreed}" if apart.now >= 0 else "one replica"
+        values = known(apart.values)
+        room = min(width - len(words) - 2, 24) if values and apart.now >= 0 else 0
+        rows.append(f"{words}  {bars(values, room, levels=levels)[0]}" if room > 7 else words)
+    if seen.bound is not None:
+        words = f"V <= {seen.bound:.3g} J, certified" if seen.bound >= 0 else "none certified"
+        rows.append(f"bound  {words}")
+    for name, value, deviation in seen.learnt:
+        rows.append(f"learnt  {name.replace('_', ' ')} {value:.2e} s +- {deviation:.1e}")
+    if seen.closed:
+        rows.append(f"closed  {', '.join(seen.closed)}")
+    return rows
+
+
+def _distance(seen: ObserverGlance, glance: Glance, *, brief: bool = False) -> str:
+    """V now, or why it is not known."""
+    if seen.distance.now is None:
+        if not glance.truth:
+            return "not known: no truth"
+        if not seen.stamp:
+            return "not known: no estimate yet"
+        return "not known: no monitor, and no model of the plant's; give --model"
+    if brief:
+        return f"{seen.distance.now:.2e} J"
+    span = len(known(seen.distance.values)) * seen.distance.seconds / len(seen.distance.values)
+    teller = " by the monitor" if seen.source == "monitor" else ""
+    return f"{seen.distance.now:.2e} J{teller}, last {span:.0f} s"
+
+
+def _verdict(verdict: Verdict, latency: float, glance: Glance) -> Text:
+    """What became of one event."""
+    words = [
+        f"{seconds_between(glance.epoch, verdict.stamp):>13.6f} s",
+        verdict.contact or "all",
+        verdict.ruling.name.lower().replace("_", " "),
+        f"{verdict.innovation:.1f} deviations" if verdict.innovation >= 0 else "",
+        verdict.reason,
+        f"{latency * 1e3:.1f} ms" if latency > 0 else "",
+    ]
+    return _cut("  ".join(word for word in words if word))
+
+
+def _health(seen: ObserverGlance) -> str:
+    """Level and message of the diagnostics."""
+    if seen.health is None:
+        return "no diagnostics yet"
+    return f"{_LEVELS[_level(seen)]}: {seen.health[1]}"
+
+
+def _level(seen: ObserverGlance) -> int:
+    """How bad it is; 0 where nobody has said."""
+    return 0 if seen.health is None else min(seen.health[0], len(_LEVELS) - 1)
+
+
+def _own_flows(seen: ObserverGlance) -> list[str]:
+    """How the observer's own topics come; the monitor's is told apart by its name."""
+    return [
+        _flow(each, each.topic.removeprefix(f"{seen.name}/").lstrip("/")) for each in seen.flows
+    ]
+
+
+def _flow(flow: Flow, name: str = "") -> str:
+    """How the messages of a topic come."""
+    words = [name or flow.topic]
+    if flow.silent > _SILENCE and flow.rate is not None:
+        words.append(f"silent {flow.silent:.0f} s")
+    elif flow.rate is not None:
+        words.append(f"{flow.rate:.3g} Hz")
+    else:
+        words.append(f"{flow.count}x")
+    if flow.latency is not None:
+        words.append(f"{flow.latency * 1e3:.1f} ms")
+    return " ".join(words)
+
+
+def _impacts(glance: Glance) -> str:
+    """How many impacts have been told, and the last one."""
+    if glance.last_impact is None:
+        return "waiting for impacts ..."
+    stamp, contacts = glance.last_impact
+    ago = seconds_between(stamp, glance.clock)
+    return f"{glance.impacts} impacts, last {ago:.1f} s ago ({contacts})"
+
+
+def _time(stamp: int, glance: Glance) -> str:
+    """A stamp since the epoch where that is known."""
+    return f"t = {seconds_between(glance.epoch, stamp):.2f} s"
+
+
+def _value(value: float | None) -> str:
+    """A number of constant width where it is of usual size."""
+    if value is None:
+        return ""
+    return f"{value:+.6f}" if abs(value) < 1e4 else f"{value:+.5e}"
+
+
+def _cut(text: str, style: str = "") -> Text:
+    """One row, cut where it is too long."""
+    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
+
+
+def _packed(words: Iterable[str], width: int) -> Iterator[str]:
+    """Words in rows of at most ``width`` columns, never broken."""
+    row = ""
+    for word in words:
+        if row and len(row) + 3 + len(word) > width:
+            yield row
+            row = ""
+        row = f"{row}   {word}" if row else word
+    if row:
+        yield row

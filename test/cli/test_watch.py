@@ -1,0 +1,303 @@
+"""What ``watch`` shows of a glance, to the letter."""
+
+# ruff: noqa: E501 (a screen is as wide as it is)
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from impact_observer.cli.blocks import PLAIN
+from impact_observer.cli.watch_screen import Look, line, screen
+from impact_observer.events import Ruling, Verdict
+from impact_observer.nodes.glance import Course, Flow, Glance, Line, ObserverGlance
+from impact_observer.stamps import NS_PER_S
+
+EPOCH = 1_700_000_000 * NS_PER_S
+
+
+def at(seconds: float) -> int:
+    """A stamp, since the epoch."""
+    return EPOCH + round(seconds * NS_PER_S)
+
+
+def course(*values: float) -> Course:
+    """The last half of a minute."""
+    return Course(values[-1], (*[None] * len(values), *values), 60.0)
+
+
+GEOMETRIC = ObserverGlance(
+    "/observer_geometric",
+    law="geometric",
+    stamp=at(12.34),
+    lines=(
+        Line("x1", "m", 0.123456789, 0.12),
+        Line("x2", "m", -1.5, -1.49),
+        Line("x1", "m/s", 12345.678, 12345.0),
+        Line("x2", "m/s", 0.0, -0.25),
+    ),
+    distance=course(40.0, 3.0, 0.5, 0.02),
+    source="monitor",
+    convergence=course(100.0, 10.0, 1.0),
+    synchronized=False,
+    bound=436.4,
+    closed=("stop",),
+    verdicts=(
+        (Verdict(at(12.0), Ruling.APPLIED, 3, "stop"), 0.0021),
+        (Verdict(at(10.5), Ruling.REJECTED, 2, "stop", "nothing has happened"), 0.0),
+        (Verdict(at(1.25), Ruling.DUPLICATE, 1), 0.0),
+    ),
+    counts=(("applied", 7), ("rejected", 1)),
+    health=(1, "1 events were not applied"),
+    flows=(
+        Flow("/observer_geometric/state", 900, 100.0, 0.0012, 0.01),
+        Flow("/observer_geometric/verdicts", 8, None, None, 0.3),
+        Flow("/monitor_geometric/error", 900, 99.6, None, 7.4),
+    ),
+)
+FILTER = ObserverGlance(
+    "/observer_minimum_variance",
+    law="minimum-variance",
+    stamp=at(12.34),
+    lines=(
+        Line("x1", "m", 0.12, 0.12, 1e-9),
+        Line("x2", "m", -1.49, -1.49, 2e-9),
+        Line("x1", "m/s", 1.0, 1.0, 3e-9),
+        Line("x2", "m/s", 0.0, 0.0, 4e-9),
+    ),
+    distance=course(1e-3, 1e-12, 1e-19),
+    source="here",
+    convergence=Course(-1.0),
+    synchronized=True,
+    learnt=(("clock_error", 2.9e-4, 1e-5),),
+    verdicts=((Verdict(at(12.0), Ruling.APPLIED, 3, "stop", innovation=1.4), 0.0),),
+    counts=(("applied", 8),),
+)
+
+
+def both() -> Glance:
+    """Two observers of one plant."""
+    return Glance(
+        at(12.35),
+        simulated=True,
+        epoch=EPOCH,
+        model="two_mass",
+        truth=True,
+        impacts=8,
+        last_impact=(at(12.0), "stop"),
+        observers=(GEOMETRIC, FILTER),
+        flows=(
+            Flow("/clock", 1200, 100.0, None, 0.01),
+            Flow("/plant/joint_states", 1200, 99.9, 0.0005, 0.01),
+            Flow("/plant/model", 1, None, None, 12.0),
+        ),
+    )
+
+
+def printed(glance: Glance, look: Look) -> str:
+    """What a terminal of that size gets, without the blanks at line ends."""
+    console = Console(
+        file=io.StringIO(), record=True, width=look.width, height=look.height, color_system=None
+    )
+    console.print(screen(glance, look))
+    return "\n".join(row.rstrip() for row in console.export_text().splitlines())
+
+
+NARROW = """\
+two_mass   t = 12.35 s (/clock)
+8 impacts, last 0.3 s ago (stop)
+/clock 100 Hz   /plant/joint_states 99.9 Hz 0.5 ms ...
+╭─ observer_geometric (geometric) ─────────────────────────╮
+│              estimate         truth     error            │
+│ x1  m       +0.123457     +0.120000  +3.5e-03            │
+│ x2  m       -1.500000     -1.490000  -1.0e-02            │
+│ x1  m/s  +1.23457e+04  +1.23450e+04  +6.8e-01            │
+│ x2  m/s     +0.000000     -0.250000  +2.5e-01            │
+│ V  2.00e-02 J by the monitor, last 30 s                  │
+│ replicas  1.00e+00 J apart, not synchronized  ████▄▄▄▁▁▁ │
+│ bound  V <= 436 J, certified                             │
+│ closed  stop                                             │
+│ events  7 applied, 1 rejected                            │
+│ health  warning: 1 events were not applied               │
+╰──────────────────────────────────────────────────────────╯
+╭─ observer_minimum_variance (minimum-variance) ───────────╮
+│           estimate      truth     error  deviation       │
+│ x1  m    +0.120000  +0.120000  +0.0e+00    1.0e-09       │
+│ x2  m    -1.490000  -1.490000  +0.0e+00    2.0e-09       │
+│ x1  m/s  +1.000000  +1.000000  +0.0e+00    3.0e-09       │
+│ x2  m/s  +0.000000  +0.000000  +0.0e+00    4.0e-09       │
+│ V  1.00e-19 J, last 30 s                                 │
+│  1e-19 █████████████████▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁ │
+│ one replica                                              │
+│ learnt  clock error 2.90e-04 s +- 1.0e-05                │
+│ events  8 applied                                        │
+│ health  no diagnostics yet                               │
+╰──────────────────────────────────────────────────────────╯
+space freezes   q ends
+"""
+MEDIUM = """\
+two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
+/clock 100 Hz   /plant/joint_states 99.9 Hz 0.5 ms   /plant/model 1x
+╭─ observer_geometric (geometric) ─────────────────────────────────────────────────────────────────╮
+│              estimate         truth     error                                                    │
+│ x1  m       +0.123457     +0.120000  +3.5e-03                                                    │
+│ x2  m       -1.500000     -1.490000  -1.0e-02                                                    │
+│ x1  m/s  +1.23457e+04  +1.23450e+04  +6.8e-01                                                    │
+│ x2  m/s     +0.000000     -0.250000  +2.5e-01                                                    │
+│ V  2.00e-02 J by the monitor, last 30 s                                                          │
+│ replicas  1.00e+00 J apart, not synchronized  ████████▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁                           │
+│ bound  V <= 436 J, certified                                                                     │
+│ closed  stop                                                                                     │
+│ events  7 applied, 1 rejected                                                                    │
+│ health  warning: 1 events were not applied                                                       │
+╰──────────────────────────────────────────────────────────────────────────────────────────────────╯
+╭─ observer_minimum_variance (minimum-variance) ───────────────────────────────────────────────────╮
+│           estimate      truth     error  deviation                                               │
+│ x1  m    +0.120000  +0.120000  +0.0e+00    1.0e-09                                               │
+│ x2  m    -1.490000  -1.490000  +0.0e+00    2.0e-09                                               │
+│ x1  m/s  +1.000000  +1.000000  +0.0e+00    3.0e-09                                               │
+│ x2  m/s  +0.000000  +0.000000  +0.0e+00    4.0e-09                                               │
+│ V  1.00e-19 J, last 30 s                                                                         │
+│  1e-19 ██████████████████████████████▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁ │
+│ one replica                                                                                      │
+│ learnt  clock error 2.90e-04 s +- 1.0e-05                                                        │
+│ events  8 applied                                                                                │
+│ health  no diagnostics yet                                                                       │
+╰──────────────────────────────────────────────────────────────────────────────────────────────────╯
+space freezes   q ends
+"""
+WIDE = """\
+two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
+/clock 100 Hz   /plant/joint_states 99.9 Hz 0.5 ms   /plant/model 1x
+╭─ observer_geometric (geometric) ─────────────────────────────────────────────╮╭─ observer_minimum_variance (minimum-variance) ───────────────────────────────╮
+│              estimate         truth     error                                ││           estimate      truth     error  deviation                           │
+│ x1  m       +0.123457     +0.120000  +3.5e-03                                ││ x1  m    +0.120000  +0.120000  +0.0e+00    1.0e-09                           │
+│ x2  m       -1.500000     -1.490000  -1.0e-02                                ││ x2  m    -1.490000  -1.490000  +0.0e+00    2.0e-09                           │
+│ x1  m/s  +1.23457e+04  +1.23450e+04  +6.8e-01                                ││ x1  m/s  +1.000000  +1.000000  +0.0e+00    3.0e-09                           │
+│ x2  m/s     +0.000000     -0.250000  +2.5e-01                                ││ x2  m/s  +0.000000  +0.000000  +0.0e+00    4.0e-09                           │
+│ V  2.00e-02 J by the monitor, last 30 s                                      ││ V  1.00e-19 J, last 30 s                                                     │
+│  1e+02 ▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅                                                    ││  1e-03 ███████████████████████                                               │
+│        ██████████████████▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄                                   ││        ███████████████████████                                               │
+│        ███████████████████████████████████▆▆▆▆▆▆▆▆▆▆▆▆▆▆▆▆▆                  ││        ███████████████████████                                               │
+│  1e-02 ████████████████████████████████████████████████████▂▂▂▂▂▂▂▂▂▂▂▂▂▂▂▂▂ ││        ███████████████████████▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅                        │
+│ replicas  1.00e+00 J apart, not synchronized  ████████▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁       ││        ██████████████████████████████████████████████                        │
+│ bound  V <= 436 J, certified                                                 ││  1e-19 ██████████████████████████████████████████████▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁ │
+│ closed  stop                                                                 ││ one replica                                                                  │
+│ events  7 applied, 1 rejected                                                ││ learnt  clock error 2.90e-04 s +- 1.0e-05                                    │
+│     12.000000 s  stop  applied  2.1 ms                                       ││ events  8 applied                                                            │
+│     10.500000 s  stop  rejected  nothing has happened                        ││     12.000000 s  stop  applied  1.4 deviations                               │
+│      1.250000 s  all  duplicate                                              ││ health  no diagnostics yet                                                   │
+│ health  warning: 1 events were not applied                                   │╰──────────────────────────────────────────────────────────────────────────────╯
+│ state 100 Hz 1.2 ms   verdicts 8x   monitor_geometric/error silent 7 s       │
+╰──────────────────────────────────────────────────────────────────────────────╯
+space freezes   q ends
+"""
+NOBODY = """\
+nothing heard yet: no plant, no observer; is one running on
+this ROS domain?
+╭──────────────────────────────────────────────────────────╮
+│ waiting for observers: nobody publishes observer/state   │
+│ or observer_<law>/state                                  │
+╰──────────────────────────────────────────────────────────╯
+"""
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "wanted"), [(60, 30, NARROW), (100, 30, MEDIUM), (160, 24, WIDE)]
+)
+def test_the_screen_to_the_letter(width: int, height: int, wanted: str) -> None:
+    """One under another where it is narrow, side by side where it is wide; it always fits."""
+    found = printed(both(), Look(width, height, keys=True))
+    assert found == wanted.rstrip("\n")
+    assert len(found.splitlines()) <= height
+    assert max(map(cell_len, found.splitlines())) <= width
+
+
+def test_nobody_is_said_in_words() -> None:
+    """Never an empty frame; with a plant its figures stay."""
+    assert printed(Glance(0), Look(60, 30)) == NOBODY.rstrip("\n")
+    found = printed(replace(both(), observers=()), Look(60, 30))
+    assert "8 impacts, last 0.3 s ago (stop)" in found
+    assert "waiting for observers" in found
+
+
+@pytest.mark.parametrize(
+    ("observer", "glance", "words"),
+    [
+        (ObserverGlance("/observer"), {}, "no estimate yet: it begins with the first impact"),
+        (ObserverGlance("/observer"), {}, "waiting for impacts ..."),
+        (ObserverGlance("/observer"), {}, "no diagnostics yet"),
+        (ObserverGlance("/observer"), {}, "not known: no estimate yet"),
+        (replace(FILTER, distance=Course()), {"truth": False}, "not known: no truth"),
+        (replace(FILTER, distance=Course()), {"truth": False}, "no truth"),
+        (replace(FILTER, distance=Course()), {}, "no monitor, and no model of the plant's; give"),
+        (replace(FILTER, bound=-1.0), {}, "bound  none certified"),
+        (FILTER, {"last_impact": None}, "waiting for impacts ..."),
+        (FILTER, {"trouble": "/impacts: no CDR header"}, "not understood: /impacts: no CDR"),
+        (FILTER, {"model": ""}, "model not told"),
+        (FILTER, {"simulated": False}, "(system clock)"),
+        (replace(FILTER, health=(2, "bad")), {}, "health  error: bad"),
+        (replace(FILTER, health=(7, "odd")), {}, "health  stale: odd"),
+    ],
+)
+def test_what_is_not_there_is_said(
+    observer: ObserverGlance, glance: dict[str, object], words: str
+) -> None:
+    """In words that tell what is missing, or what to do."""
+    shown = replace(both(), observers=(observer,), **glance)  # type: ignore[arg-type]
+    assert words in printed(shown, Look(100, 40))
+
+
+def test_a_frozen_screen_says_so() -> None:
+    """And how to go on; where no keys are heard none are named."""
+    assert "FROZEN: space goes on   q ends" in printed(
+        both(), Look(100, 40, keys=True, frozen=True)
+    )
+    assert "space" not in printed(both(), Look(100, 40))
+
+
+@pytest.mark.parametrize("coordinates", [1, 7, 100])
+@pytest.mark.parametrize(("width", "height"), [(40, 20), (60, 30), (100, 50), (240, 16)])
+def test_it_fits_whatever_the_system(coordinates: int, width: int, height: int) -> None:
+    """Lines that have no room are counted; V and the health are always there."""
+    lines = tuple(Line(f"q{i}", "m", 0.5, 0.25, 0.1) for i in range(coordinates))
+    shown = replace(both(), observers=(replace(GEOMETRIC, lines=lines),))
+    found = printed(shown, Look(width, height, keys=True)).splitlines()
+    assert len(found) <= height
+    assert max(map(cell_len, found)) <= width
+    there = sum("+0.500000" in row for row in found)
+    more = [row for row in found if " more" in row and "..." in row]
+    assert there + sum(int(row.split("...")[1].split()[0]) for row in more) == coordinates
+    assert any("V  2.00e-02 J" in row for row in found)
+    assert any("health  warning" in row for row in found)
+
+
+def test_as_high_as_it_takes_everything_is_shown() -> None:
+    """Where there is no terminal to fit into."""
+    found = printed(both(), Look(80))
+    for words in ("nothing has happened", "closed  stop", "silent 7 s", "/plant/model 1x"):
+        assert words in found
+    assert "..." not in found
+
+
+def test_charts_are_ascii_where_nothing_else_can_be_printed() -> None:
+    """Of as many levels."""
+    found = printed(both(), Look(100, 60, levels=PLAIN))
+    assert "@" in found
+    assert not set("▁▂▃▄▅▆▇█") & set(found)
+
+
+def test_one_line_tells_the_same() -> None:
+    """For a file: V, convergence, whether the replicas agree, and what is wrong."""
+    assert line(both()) == (
+        "t = 12.35 s, 8 impacts, last 0.3 s ago (stop);"
+        " observer_geometric: V 2.00e-02 J, convergence 1.00e+00 J,"
+        " warning: 1 events were not applied;"
+        " observer_minimum_variance: V 1.00e-19 J, synchronized"
+    )
+    assert line(Glance(0)) == "nothing heard yet: neither a plant nor an observer"
+    assert line(replace(both(), observers=())).endswith("(stop); no observer")
+    unknown = replace(both(), truth=False, observers=(replace(FILTER, distance=Course()),))
+    assert "V not known: no truth" in line(unknown)
