@@ -48,6 +48,8 @@ setup(
     ],
     install_requires=requirements("run"),
     extras_require={
+        "mp4": ["imageio-ffmpeg>=0.4.5"],
+        "parquet": ["pyarrow>=14"],
         "test": requirements("test"),
         "dev": [*requirements("test"), *requirements("lint")],
     },
@@ -59,6 +61,7 @@ setup(
             "detector = impact_observer.nodes.detector:main",
             "observer = impact_observer.nodes.observer:main",
             "monitor = impact_observer.nodes.monitor:main",
+            "viewer = impact_observer.nodes.viewer:main",
         ],
     },
 )

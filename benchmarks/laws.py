@@ -26,8 +26,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from impact_observer.analysis.pairing import Series
 from impact_observer.analysis.lyapunov import distance
+from impact_observer.analysis.pairing import Series
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.model import Model, System, parse_model, read_model

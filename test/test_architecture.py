@@ -24,7 +24,12 @@ LEVELS: dict[str, int] = {
 }
 """Rooms from left to right; the modules beside them are the vocabulary, level 0."""
 CORE = ("model", "dynamics", "plant", "observer", "detector", "analysis")
-FIGURES = {"analysis/figures.py", "analysis/observability_figure.py"}
+FIGURES = {
+    "analysis/scene/row.py",
+    "analysis/scene/animation.py",
+    "analysis/figures.py",
+    "analysis/observability_figure.py",
+}
 """Modules that draw, the only ones of the core that may import matplotlib."""
 ALLOWED = {"numpy", "scipy", *sys.stdlib_module_names} - {"argparse"}
 ENTRANCE = {"__main__.py"}

@@ -110,7 +110,7 @@ def test_a_demonstration_that_falls_short_says_so(
 ) -> None:
     """After two seconds the goal is not reached: exit code 1, and the ratio is named."""
     run = run_demo(
-        tmp_path / "short", ros_environment, "--duration", "2", "--realtime-factor", "5"
+        tmp_path / "short", ros_environment, "--duration", "2", "--realtime-factor", "2"
     )
     assert run.code == 1
     assert "too much: the goal is 0.01" in run.out

@@ -91,6 +91,7 @@ HEADER = "std_msgs/msg/Header"
 TIME = "builtin_interfaces/msg/Time"
 CLOCK = "rosgraph_msgs/msg/Clock"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+MARKERS = "visualization_msgs/msg/MarkerArray"
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +140,7 @@ OBSERVER_STATES = Interface("observer/state", OBSERVER_STATE)
 OBSERVER_VERDICTS = Interface("observer/verdicts", EVENT_VERDICT, EVENTS)
 OBSERVER_BOUND = Interface("observer/bound", ESTIMATE_ERROR, LATCHED)
 MONITOR_ERROR = Interface("monitor/error", ESTIMATE_ERROR)
+VIEWER_MARKERS = Interface("viewer/markers", MARKERS)
 SIMULATED_CLOCK = Interface("/clock", CLOCK)
 DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
 
@@ -151,6 +153,7 @@ INTERFACES = (
     OBSERVER_VERDICTS,
     OBSERVER_BOUND,
     MONITOR_ERROR,
+    VIEWER_MARKERS,
     SIMULATED_CLOCK,
     DIAGNOSTIC_ARRAYS,
 )

@@ -10,7 +10,13 @@ from types import TracebackType
 from typing import TypeVar, final
 
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+from rosbags.rosbag2 import (
+    CompressionFormat,
+    CompressionMode,
+    StoragePlugin,
+    Writer,
+    WriterError,
+)
 
 from impact_observer.bag.interfaces import Quality, interface, usual_quality
 from impact_observer.bag.reader import BagReader
@@ -45,8 +51,12 @@ class BagWriter:
         message_count: messages taken so far.
     """
 
-    def __init__(self, path: Path | str) -> None:
+    def __init__(self, path: Path | str, *, compressed: bool = False) -> None:
         """Make the bag's folder at ``path``.
+
+        Args:
+            path: the folder.
+            compressed: whether the chunks of the MCAP file are compressed, by zstd.
 
         Raises:
             UsageError: something is at ``path`` already, or its parent is no folder. Then
@@ -63,6 +73,8 @@ class BagWriter:
             self._writer = self._run(
                 lambda: Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
             )
+            if compressed:
+                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
             self._run(self._writer.open)
         except BaseException:
             self._thread.shutdown()

@@ -121,8 +121,7 @@ def detect(
     with BagReader(bag) as reader, Progress() as progress:
 
         def show(done: int, total: int) -> None:
-            if done % 1000 == 0:
-                progress.show(f"{done} of {total} messages")
+            progress.step("detecting", done, total)
 
         result = detect_bag(reader, sources, output, model=read, epoch=epoch, progress=show)
         for source, tally in zip(result.sources, result.tallies, strict=True):

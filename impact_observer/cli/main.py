@@ -6,6 +6,8 @@ import re
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from keyword import iskeyword
+from types import ModuleType
 from typing import NoReturn
 
 from impact_observer import __version__
@@ -18,12 +20,19 @@ COMMANDS = {
     "observability": "what the impacts in a bag have told of the state: rank, condition, unknowns",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
     "detect": "find the impacts in a bag of switches, accelerations, forces",
+    "import": "make a bag of impact times in a CSV file",
     "observe": "run an observer on the impacts in a bag",
     "compare": "estimates against the truth: V(t), errors, a picture",
     "figure": "from a model to the picture: V(t) of several laws",
+    "animate": "plant and estimates of a bag, moving: a film or a page",
+    "export": "states, errors or events of a bag as CSV or Parquet",
+    "urdf": "a URDF of a model, moved by the joint states of plant or observer",
     "info": "what is in a bag",
+    "check": "whether an observer can use a bag, and what is wrong with it",
+    "layout": "a layout for Foxglove or PlotJuggler that shows a model's observers",
     "play": "publish a bag on its topics",
     "record": "record topics into a bag",
+    "watch": "a live view of plant and observers in the terminal",
 }
 _OPTION = re.compile(r"--[a-z][a-z-]*")
 _NEGATIVE = re.compile(r"-\.?\d")
@@ -47,8 +56,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except ImpactObserverError as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:
-        print(f"{PROGRAM}: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as stopped:
+        print(f"{PROGRAM}: {'; '.join(['interrupted', *map(str, stopped.args)])}", file=sys.stderr)
         return 1
     except BrokenPipeError:
         # The reader of our output went away; it must not be told so again at exit.
@@ -79,9 +88,15 @@ def _run(argv: Sequence[str]) -> int:
         subparser = subparsers.add_parser(name, help=summary)
         if name == chosen:
             # Only the module that is needed is imported: --help stays quick.
-            module = import_module(f"impact_observer.cli.{name.replace('-', '_')}")
+            module = _module(name)
             subparser.description = module.__doc__
             subparser.formatter_class = argparse.RawDescriptionHelpFormatter
             module.add_arguments(subparser)
     args = parser.parse_args(_joined(argv))
-    return int(import_module(f"impact_observer.cli.{args.command.replace('-', '_')}").run(args))
+    return int(_module(args.command).run(args))
+
+
+def _module(command: str) -> ModuleType:
+    """The module of a subcommand; one that is a word of Python has ``_`` at its end."""
+    name = f"{command}_" if iskeyword(command) else command.replace("-", "_")
+    return import_module(f"impact_observer.cli.{name}")

@@ -1,24 +1,45 @@
-"""Play a bag to running nodes, each message when it is due."""
+"""Play a bag to running nodes, each message when it is due.
+
+In a terminal: space pauses and goes on, n or the right arrow sends the next message while paused,
+up and down make it a tenth faster or slower, q ends.
+"""
 
 import argparse
-from collections.abc import Sequence
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from impact_observer.cli.arguments import positive
+from impact_observer.errors import UsageError
+
 if TYPE_CHECKING:
+    from impact_observer.bag.schedule import Control, Playing
+    from impact_observer.cli.keyboard import Keyboard
     from impact_observer.nodes.player import Player
 
 _DELAY = 5.0
 _CLOCK_RATE = 100.0
 """Nodes that hear the bag want its time too, so /clock is published unless told otherwise."""
+_NAME = r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*"
+_REMAPPING = re.compile(f"({_NAME}):=({_NAME})")
+_KEYS = {
+    " ": "PAUSE",
+    "n": "NEXT",
+    "right": "NEXT",
+    "up": "FASTER",
+    "down": "SLOWER",
+    "q": "QUIT",
+}
+"""What keys want, by the names of :class:`~impact_observer.bag.schedule.Control`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     # BAG comes first: behind --clock or --topics it would be taken for their value.
     parser.usage = (
-        "%(prog)s BAG [--rate R] [--loop] [--start S] [--topics TOPIC ...] "
-        "[--clock [HZ] | --no-clock] [--delay S]"
+        "%(prog)s BAG [--rate R] [--loop] [--start S] [--duration S] [--start-paused] "
+        "[--topics TOPIC ...] [--remap FROM:=TO ...] [--qos FILE] [--clock [HZ] | --no-clock] "
+        "[--delay S]"
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     parser.add_argument(
@@ -29,8 +50,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--start", metavar="S", type=float, default=0.0, help="begin S seconds into the bag"
     )
     parser.add_argument(
+        "--duration", metavar="S", type=positive, help="play S seconds of the bag (default: all)"
+    )
+    parser.add_argument(
+        "--start-paused", action="store_true", help="wait for the space bar, or n, to begin"
+    )
+    parser.add_argument(
         "--topics", metavar="TOPIC", nargs="+", help="play these topics only (default: all)"
     )
+    parser.add_argument(
+        "--remap",
+        metavar="FROM:=TO",
+        nargs="+",
+        type=remapping,
+        default=[],
+        help="publish topics by other names",
+    )
+    parser.add_argument(
+        "--qos",
+        metavar="FILE",
+        type=Path,
+        help="qualities of service to offer, as ros2 bag play --qos-profile-overrides-path",
+    )
+    _add_clock_arguments(parser)
+    parser.add_argument(
+        "--delay",
+        metavar="S",
+        type=float,
+        default=_DELAY,
+        help="wait up to S seconds for a subscriber to the events (to every topic, if there are "
+        f"none) before the first message (default: {_DELAY:g})",
+    )
+
+
+def _add_clock_arguments(parser: argparse.ArgumentParser) -> None:
+    """Whether ``/clock`` is published, and how often."""
     clock = parser.add_mutually_exclusive_group()
     clock.add_argument(
         "--clock",
@@ -49,79 +103,83 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         const=None,
         help="leave /clock alone: for a bag whose stamps are the present",
     )
-    parser.add_argument(
-        "--delay",
-        metavar="S",
-        type=float,
-        default=_DELAY,
-        help="wait up to S seconds for a subscriber to the events (to every topic, if there are "
-        f"none) before the first message (default: {_DELAY:g})",
-    )
+
+
+def remapping(text: str) -> tuple[str, str]:
+    """``FROM:=TO`` as absolute names."""
+    found = _REMAPPING.fullmatch(text)
+    if not found:
+        raise argparse.ArgumentTypeError(f"{text} found; expected FROM:=TO, names of topics")
+    before, after = (f"/{name.lstrip('/')}" for name in found.groups())
+    return before, after
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
-    return play(
-        args.bag,
-        args.topics,
+    from impact_observer.bag.overrides import read_overrides
+    from impact_observer.bag.schedule import Playing
+
+    how = Playing(
+        topics=args.topics,
         rate=args.rate,
-        loop=args.loop,
         start=args.start,
+        duration=args.duration,
+        loop=args.loop,
+        paused=args.start_paused,
         clock_rate=args.clock,
-        delay=args.delay,
+        names=dict(args.remap),
+        profiles={} if args.qos is None else read_overrides(args.qos),
     )
+    return play(args.bag, how, delay=args.delay)
 
 
-def play(
-    bag: Path,
-    topics: Sequence[str] | None = None,
-    *,
-    rate: float = 1.0,
-    loop: bool = False,
-    start: float = 0.0,
-    clock_rate: float | None = None,
-    delay: float = _DELAY,
-) -> int:
+def play(bag: Path, how: "Playing", *, delay: float = _DELAY) -> int:
     """Play a bag and show how far it is.
 
     Args:
         bag: the bag.
-        topics: only these absolute names; None for all.
-        rate: seconds of the bag a second of the wall clock.
-        loop: whether to begin again at the end, until Ctrl-C.
-        start: where to begin, s after the bag's start.
-        clock_rate: ticks of ``/clock``, Hz of wall time; None for no clock.
+        how: what of it and how fast.
         delay: longest wait for subscribers before the first message, s.
 
     Returns:
         0.
 
     Raises:
-        UsageError: ROS or the bag is not here, or an argument does not fit the bag.
+        UsageError: ROS or the bag is not here, an argument does not fit the bag, or it is to
+            begin paused where no key can be read.
         BagError: the bag is damaged.
     """
+    from impact_observer.cli.keyboard import Keyboard
     from impact_observer.cli.progress import Progress
     from impact_observer.nodes.session import require_ros
 
     require_ros()
     from impact_observer.nodes import player
 
-    with Progress() as progress:
-
-        def show(now: "Player") -> None:
-            progress.show(
-                f"{now.elapsed:.1f} of {now.length:.1f} s at {rate:g}x, {now.count} messages"
+    name = bag.resolve().name
+    with Progress() as progress, Keyboard() as keyboard:
+        if keyboard.there:
+            progress.line("space pauses, n: next message, up, down: rate, q ends")
+        elif how.paused:
+            raise UsageError(
+                "start-paused: nobody can go on; standard input is no terminal that takes keys"
             )
 
+        def show(now: "Player") -> None:
+            if now.pace.paused:
+                progress.show(f"{name}, paused at {now.elapsed:.3f} of {now.length:.1f} s")
+            else:
+                progress.step(f"{name} at {now.pace.rate:.3g}x", now.elapsed, now.length, "s")
+
         count = player.play(
-            bag,
-            topics,
-            rate=rate,
-            loop=loop,
-            start=start,
-            clock_rate=clock_rate,
-            delay=delay,
-            on_progress=show,
+            bag, how, delay=delay, on_progress=show, controls=lambda: controls_of(keyboard)
         )
         progress.line(f"{count} messages played from {bag}")
     return 0
+
+
+def controls_of(keyboard: "Keyboard") -> "list[Control]":
+    """What the keys pressed want; other keys want nothing."""
+    from impact_observer.bag.schedule import Control
+
+    return [Control[_KEYS[key]] for key in keyboard.pressed() if key in _KEYS]

@@ -1,24 +1,32 @@
-"""A line at the bottom of the terminal that is written over, and lines that stay."""
+"""How far a command is: a bar at the bottom of the terminal, and lines that stay."""
 
-import shutil
+import os
 import sys
+import time
 from types import TracebackType
-from typing import TextIO, final
+from typing import TYPE_CHECKING, TextIO, final
 
-_CLEAR = "\r\x1b[K"
+if TYPE_CHECKING:
+    from impact_observer.cli.bars import Bars
+
+_PERIOD = 0.1
+"""Least time between two looks at how far it is, s: a tight loop may call as often as it likes."""
 
 
 @final
 class Progress:
     """Shows how far a command is; a context manager.
 
-    On anything but a terminal only the lines that stay are written.
+    What takes less than half a second shows nothing. On anything but a terminal only the lines
+    that stay are written.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
         """Write to ``stream``; None for standard output."""
         self._stream = stream or sys.stdout
-        self._lively = self._stream.isatty()
+        self._lively = self._stream.isatty() and os.environ.get("TERM") != "dumb"
+        self._bars: Bars | None = None
+        self._next = 0.0
 
     def __enter__(self) -> "Progress":
         return self
@@ -29,14 +37,42 @@ class Progress:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.show("")
+        if self._bars is not None:
+            self._bars.stop()
+            self._bars = None
+
+    def step(self, what: str, done: float, total: float, unit: str = "") -> None:
+        """Show a bar: how much is done, its share, the rate and the time that is left.
+
+        It may be called as often as there is something done: it looks at the clock and returns.
+
+        Args:
+            what: is going on; another text begins another bar.
+            done: of ``total``, in the same unit.
+            total: how much there is to do.
+            unit: of both, ``s`` for simulated or recorded time; empty for a number of things.
+        """
+        if self._lively and (now := time.monotonic()) >= self._next:
+            self._next = now + _PERIOD
+            self._shown().step(what, done, total, unit)
 
     def show(self, text: str) -> None:
-        """Write ``text`` over the line at the bottom."""
+        """Show ``text`` at the bottom, for work without a known end; nothing for an empty one."""
         if self._lively:
-            width = shutil.get_terminal_size().columns - 1  # a longer line would not be one
-            print(f"{_CLEAR}{text[:width]}", end="", file=self._stream, flush=True)
+            self._shown().show(text)
 
     def line(self, text: str) -> None:
         """Write a line that stays."""
-        print(f"{_CLEAR if self._lively else ''}{text}", file=self._stream, flush=True)
+        if self._bars is None:
+            print(text, file=self._stream, flush=True)
+        else:
+            self._bars.line(text)
+
+    def _shown(self) -> "Bars":
+        """The bars, made when they are wanted first."""
+        if self._bars is None:
+            from impact_observer.cli.bars import Bars
+
+            self._bars = Bars(self._stream)
+            self._bars.start()
+        return self._bars

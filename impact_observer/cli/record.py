@@ -1,8 +1,12 @@
 """Record topics of running nodes into a bag, until Ctrl-C."""
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from impact_observer.nodes.recorder import Recorded
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,6 +21,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="record these topics only (default: every topic that appears)",
     )
     parser.add_argument(
+        "--exclude",
+        metavar="TOPIC",
+        nargs="+",
+        default=[],
+        help="leave these out; quoted, a * stands for anything: '/camera/*'",
+    )
+    parser.add_argument(
         "--use-sim-time",
         action="store_true",
         help="log times follow /clock",
@@ -24,27 +35,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--duration", metavar="S", type=float, help="stop by itself after S seconds of wall time"
     )
+    parser.add_argument(
+        "--compression",
+        choices=("none", "zstd"),
+        default="none",
+        help="of what is written (default: none)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
-    return record(args.output, args.topics, use_sim_time=args.use_sim_time, duration=args.duration)
+    return record(
+        args.output,
+        args.topics,
+        exclude=args.exclude,
+        use_sim_time=args.use_sim_time,
+        duration=args.duration,
+        compressed=args.compression != "none",
+    )
 
 
 def record(
     output: Path,
     topics: Sequence[str] | None = None,
     *,
+    exclude: Sequence[str] = (),
     use_sim_time: bool = False,
     duration: float | None = None,
+    compressed: bool = False,
 ) -> int:
     """Record a bag and say what is found.
 
     Args:
         output: the folder to make.
         topics: only these topics; None for every topic that appears.
+        exclude: none of these; ``*`` in a name stands for anything.
         use_sim_time: whether log times follow ``/clock``.
         duration: how long, s of wall time; None for until Ctrl-C.
+        compressed: whether what is written is compressed.
 
     Returns:
         0.
@@ -61,15 +89,32 @@ def record(
     from impact_observer.nodes import recorder
 
     with Progress() as progress:
-        counts = recorder.record(
+
+        def show(count: int, passed: float) -> None:
+            if duration is None:
+                progress.show(f"{count} messages in {passed:.0f} s; Ctrl-C ends")
+            else:
+                progress.step("recording", passed, duration, "s")
+
+        recorded = recorder.record(
             output,
             topics,
+            exclude=exclude,
             use_sim_time=use_sim_time,
             duration=duration,
+            compressed=compressed,
             on_topic=lambda topic, type_name: progress.line(f"recording {topic} [{type_name}]"),
-            on_progress=lambda count: progress.show(f"{count} messages; Ctrl-C ends"),
+            on_progress=show,
         )
-        for topic, count in counts.items():
-            progress.line(f"{count:>9} {topic}")
-        progress.line(f"{sum(counts.values()):>9} messages in {output}")
+        for line in _account(recorded):
+            progress.line(line)
+        progress.line(f"{sum(recorded.counts.values()):>9} messages in {output}")
     return 0
+
+
+def _account(recorded: "Recorded") -> Iterator[str]:
+    """What came, and what did not."""
+    for topic, count in recorded.counts.items():
+        yield f"{count:>9} {topic}{'' if count else ': was there, but said nothing'}"
+    for topic in recorded.missing:
+        yield f"{0:>9} {topic}: never appeared"

@@ -156,7 +156,7 @@ def simulate(
     with Progress() as progress:
 
         def show(impact: int) -> None:
-            progress.show(f"simulated {seconds_between(epoch, impact):.1f} of {duration:g} s")
+            progress.step("simulating", seconds_between(epoch, impact), duration, "s")
 
         master = plant.make_plant(
             read.system, *read.initial_state(), epoch=epoch, integrator=integrator, step=step

@@ -178,11 +178,26 @@ MONITOR = (
     _MODEL,
     Parameter("law", "", "named in the messages; empty for the observer's topic"),
 )
+VIEWER = (
+    _MODEL,
+    Parameter("observers", "observer", "names of the observers to show, with commas"),
+    Parameter("frame", "world", "in which the markers are"),
+    Parameter("rate", 25.0, "markers published", "Hz", low=0.1, high=1000.0),
+    Parameter(
+        "reach",
+        0.0,
+        "how far a body moves, to space them; 0 for the model's",
+        "m",
+        low=0.0,
+        high=1e6,
+    ),
+)
 TABLES: Mapping[str, tuple[Parameter, ...]] = {
     "plant": PLANT,
     "detector": DETECTOR,
     "observer": OBSERVER,
     "monitor": MONITOR,
+    "viewer": VIEWER,
 }
 
 

@@ -2,8 +2,8 @@
 
 import math
 import time
-from collections.abc import Callable, Collection
-from contextlib import closing
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path
@@ -11,13 +11,14 @@ from pathlib import Path
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 
-from impact_observer.bag.interfaces import EVENTS, LATCHED, SIMULATED_CLOCK, Quality, usual_quality
+from impact_observer.bag.interfaces import EVENTS, SIMULATED_CLOCK, Quality, usual_quality
 from impact_observer.bag.reader import BagReader, RawMessage
-from impact_observer.bag.schedule import Schedule, read_ahead, steps
+from impact_observer.bag.schedule import Control, Pace, Playing, ReadAhead, Ticks
 from impact_observer.errors import UsageError
 from impact_observer.nodes.messages import message_class, ros_messages
-from impact_observer.nodes.quality import qos_profile
+from impact_observer.nodes.quality import overriding_profile, qos_profile
 from impact_observer.nodes.session import Stop, ros_node
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 
@@ -30,12 +31,19 @@ LINGER = 0.5
 _ACKNOWLEDGE = 2.0
 """Longest wait until reliable subscribers have acknowledged what was sent, s."""
 _LONGEST_SLEEP = 0.05
-"""How long a request to stop may go unnoticed, s."""
+"""How long a request to stop, or a key, may go unnoticed, s."""
+_LONGEST_SLEEP_NS = from_seconds(_LONGEST_SLEEP)
+_LOOK = 0.02
+"""How often keys are looked for while messages come one upon the other, s."""
 _BURST = 1000
 """Least depth of a volatile topic: what a fast rate piles up before it is acknowledged."""
 _PROGRESS_PERIOD = 0.1
 _SHORTEST_PASS = 1_000_000
 """The least time that one pass of a loop takes, ns, so that it cannot flood the network."""
+_TENTH = 1.1
+"""By how much one who watches makes it faster or slower."""
+_RATES = (0.01, 100.0)
+"""How far that can go."""
 
 KeepOn = Callable[[], bool]
 
@@ -49,110 +57,142 @@ class Player:
     """Publishes the messages of a bag with the quality of service they were recorded with.
 
     Attributes:
-        topics: what is played; topics whose message type ROS does not know are left out.
+        topics: what is played, by names in the bag; topics whose message type ROS does not know
+            are left out.
         count: messages sent so far, the clock's not counted.
         bag_time: log time of what was sent last, ns.
-        length: from the bag's start to its end, s.
+        length: how much of the bag is played in one pass, s.
+        pace: how fast, and whether it is paused.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        reader: BagReader,
-        topics: Collection[str] | None = None,
-        *,
-        rate: float = 1.0,
-        start: float = 0.0,
-        clock_rate: float | None = None,
-    ) -> None:
+    def __init__(self, node: Node, reader: BagReader, how: Playing | None = None) -> None:
         """Play ``reader`` with ``node``, which need not be spun.
 
         Args:
             node: publishes.
             reader: an open bag.
-            topics: only these absolute names; None for all.
-            rate: seconds of the bag a second of the wall clock.
-            start: where to begin, s after the bag's start. The last value of each latched topic
-                before that is sent first.
-            clock_rate: ticks of ``/clock``, Hz of wall time, besides one at every message; the
-                bag's own clock is left out then. None for no clock.
+            how: None for all of it as it was.
 
         Raises:
-            UsageError: a number is out of range, the bag lacks a topic, or nothing is to play.
+            UsageError: ``start`` is not in the bag, the bag lacks a topic, a name cannot be
+                given, or nothing is to play.
         """
-        _check_positive("rate", rate)
-        if clock_rate is not None:
-            _check_positive("clock rate", clock_rate)
-        self.length = seconds_between(reader.start, reader.end)
-        if not 0 <= start <= self.length:
-            raise UsageError(f"start is {start}; expected 0 to {self.length} s, the bag's length")
+        self._how = how = how or Playing()
+        whole = seconds_between(reader.start, reader.end)
+        if not 0 <= how.start <= whole:
+            raise UsageError(f"start is {how.start}; expected 0 to {whole} s, the bag's length")
         self.count = 0
         self._node = node
         self._reader = reader
-        self._clock_rate = clock_rate
-        self._schedule = Schedule(reader.start + from_seconds(start), rate)
-        self.bag_time = self._schedule.start
-        self._publishers = self._advertised(reader.topics if topics is None else topics)
+        self._start = self._upcoming = reader.start + from_seconds(how.start)
+        self._end = reader.end
+        if how.duration is not None:
+            self._end = min(self._end, self._start + from_seconds(how.duration))
+        self.length = seconds_between(self._start, self._end)
+        self.bag_time = self._start
+        self.pace = Pace(self._start, time.monotonic_ns(), how.rate, how.paused)
+        self._ticks: Ticks | None = None
+        self._shown: int | None = None
+        self._steps = 0
+        self._publishers = self._advertised()
         self.topics = tuple(self._publishers)
         self._latched = self._values_before_start()
         self._clock: Publisher | None = None
-        if clock_rate is not None:
+        if how.clock_rate is not None:
+            topic = SIMULATED_CLOCK.topic
             self._clock = node.create_publisher(
                 message_class(SIMULATED_CLOCK.type),
-                SIMULATED_CLOCK.topic,
-                qos_profile(SIMULATED_CLOCK.quality),
+                how.names.get(topic, topic),
+                self._profile(topic, SIMULATED_CLOCK.quality),
             )
 
     @property
     def elapsed(self) -> float:
-        """From the bag's start to what was sent last, s."""
-        return seconds_between(self._reader.start, self.bag_time)
+        """From where it began to what was sent last, s."""
+        return seconds_between(self._start, self.bag_time)
+
+    def control(self, wanted: Control) -> None:
+        """Do what one who watches wants; the end is for the caller of :meth:`play`."""
+        now = time.monotonic_ns()
+        if wanted is Control.PAUSE:
+            self.pace.turn(now, self._upcoming)
+        elif wanted is Control.NEXT and self.pace.paused:
+            self._steps += 1
+        elif wanted in {Control.FASTER, Control.SLOWER}:
+            factor = _TENTH if wanted is Control.FASTER else 1 / _TENTH
+            if _RATES[0] <= self.pace.rate * factor <= _RATES[1]:
+                self.pace.change(now, self._upcoming, factor)
 
     def _quality(self, topic: str) -> Quality:
-        """The quality of service to offer: as recorded, else the usual one."""
+        """The quality of service to offer: as told, else as recorded, else the usual one."""
+        if topic in self._how.profiles:
+            return self._how.profiles[topic].quality
         return self._reader.topics[topic].quality or usual_quality(topic)
 
-    def _advertised(self, topics: Collection[str]) -> dict[str, Publisher]:
+    def _profile(self, topic: str, quality: Quality) -> QoSProfile:
+        """The same as ``rclpy`` wants it, all policies of a file included."""
+        told = self._how.profiles.get(topic)
+        return qos_profile(quality) if told is None else overriding_profile(told)
+
+    def _advertised(self) -> dict[str, Publisher]:
         """A publisher for every topic whose message type ROS knows."""
-        publishers = {}
+        how, found = self._how, self._reader.topics
+        topics = found if how.topics is None else how.topics
+        missing = [topic for topic in (*topics, *how.names) if topic not in found]
+        if how.clock_rate is not None:
+            missing = [topic for topic in missing if topic != SIMULATED_CLOCK.topic]
+        if missing:
+            there = ", ".join(found) or "none"
+            raise UsageError(f"{self._reader.path}: no topic {missing[0]}; in the bag: {there}")
+        publishers: dict[str, Publisher] = {}
+        types: dict[str, str] = {}
         for topic in topics:
-            if topic not in self._reader.topics:
-                found = ", ".join(self._reader.topics) or "none"
-                raise UsageError(f"{self._reader.path}: no topic {topic}; in the bag: {found}")
-            if topic == SIMULATED_CLOCK.topic and self._clock_rate is not None:
+            if topic == SIMULATED_CLOCK.topic and how.clock_rate is not None:
                 continue
-            try:
-                message_type = message_class(self._reader.topics[topic].type)
-            except UsageError as error:
-                self._node.get_logger().warning(f"{topic} is not played: {error}")
-                continue
-            quality = self._quality(topic)
-            if quality.depth and not quality.transient_local:
-                quality = replace(quality, depth=max(quality.depth, _BURST))
-            publishers[topic] = self._node.create_publisher(
-                message_type, topic, qos_profile(quality)
-            )
+            name, type_name = how.names.get(topic, topic), found[topic].type
+            if types.setdefault(name, type_name) != type_name:
+                raise UsageError(f"{name}: would be {types[name]} and {type_name}; rename one")
+            if publisher := self._publisher(topic, name, type_name):
+                publishers[topic] = publisher
         if not publishers:
             raise UsageError(f"{self._reader.path}: nothing to play")
         return publishers
 
+    def _publisher(self, topic: str, name: str, type_name: str) -> Publisher | None:
+        """A publisher of a topic called ``name``; None where ROS does not know the type."""
+        try:
+            message_type = message_class(type_name)
+        except UsageError as error:
+            self._node.get_logger().warning(f"{topic} is not played: {error}")
+            return None
+        quality = self._quality(topic)
+        if quality.depth and not quality.transient_local:
+            quality = replace(quality, depth=max(quality.depth, _BURST))
+        return self._node.create_publisher(message_type, name, self._profile(topic, quality))
+
     def _values_before_start(self) -> list[RawMessage]:
-        """The last message of each latched topic before the start."""
-        if self._schedule.start <= self._reader.start:
+        """What a late subscriber would have of each latched topic at the start.
+
+        Events are none: who begins in the middle is not to hear of what was before.
+        """
+        if self._start <= self._reader.start:
             return []
-        topics = [topic for topic in self.topics if self._quality(topic) == LATCHED]
-        before = takewhile(
-            lambda message: message.log_time < self._schedule.start, self._reader.raw(topics)
-        )
-        return list({message.topic: message for message in before}.values())
+        kept: dict[str, deque[RawMessage]] = {
+            topic: deque(maxlen=quality.depth or None)
+            for topic in self.topics
+            if (quality := self._quality(topic)).transient_local and usual_quality(topic) != EVENTS
+        }
+        messages = self._reader.raw([*kept])
+        for message in takewhile(lambda each: each.log_time < self._start, messages):
+            kept[message.topic].append(message)
+        return sorted((m for each in kept.values() for m in each), key=lambda m: m.log_time)
 
     def rivals(self) -> list[str]:
-        """Topics to be played that another node publishes already."""
-        return [
-            topic
-            for topic in self.topics
-            if len(self._node.get_publishers_info_by_topic(topic)) > 1
-        ]
+        """Topics to be played that another node publishes already, the clock included."""
+        names = {publisher.topic_name for publisher in self._all()}
+        return sorted(
+            name for name in names if len(self._node.get_publishers_info_by_topic(name)) > 1
+        )
 
     def wait_for_subscribers(self, delay: float, keep_on: KeepOn = _always) -> bool:
         """Wait until events have a subscriber, so that it misses none of them.
@@ -183,41 +223,80 @@ class Player:
             now = time.monotonic_ns()
         return matched
 
-    def play(self, *, loop: bool = False, keep_on: KeepOn = _always) -> None:
+    def play(self, keep_on: KeepOn = _always) -> None:
         """Publish everything when it is due.
 
-        Every due time is measured from the beginning, so delays do not add up.
-
         Args:
-            loop: whether to begin again at the end, again and again; the clock jumps back.
             keep_on: asked at least twenty times a second; playing ends when it says no.
 
         Raises:
             BagError: the bag is damaged.
         """
-        begin = time.monotonic_ns()
-        length = max(self._schedule.due(self._reader.end), _SHORTEST_PASS)
-        while self._play_once(begin, keep_on) and loop:
-            begin += length
+        how, ahead = self._how, self._ahead()
+        try:
+            ahead.wait()
+            begin = time.monotonic_ns()
+            while self._play_once(ahead, begin, keep_on):
+                if how.loop:  # read what comes next while there is time
+                    ahead.close()
+                    ahead = self._ahead()
+                elif how.duration is None:
+                    return
+                if not self._reach(self._end, keep_on) or not how.loop:
+                    return
+                due = self.pace.due(self._end) or time.monotonic_ns()
+                begin = max(due, begin + _SHORTEST_PASS)
+        finally:
+            ahead.close()
 
-    def _play_once(self, begin: int, keep_on: KeepOn) -> bool:
+    def _ahead(self) -> ReadAhead:
+        """All messages of one pass."""
+        start = self._start if self._start > self._reader.start else 0
+        return ReadAhead(self._reader.raw(self.topics, start))
+
+    def _play_once(self, ahead: ReadAhead, begin: int, keep_on: KeepOn) -> bool:
         """Play from start to end, beginning at wall time ``begin``; whether it got there."""
+        self.pace.jump(self._start, begin)
+        self._upcoming, self._shown = self._start, None
+        if self._how.clock_rate is not None:
+            self._ticks = Ticks(self._how.clock_rate, begin)
         for message in self._latched:
             self._send(message)
-        start = self._schedule.start
-        messages = self._reader.raw(self.topics, start if start > self._reader.start else 0)
-        shown = None
-        with closing(read_ahead(messages)) as ahead:
-            for step in steps(ahead, self._schedule, self._clock_rate):
-                if not _sleep_until(begin + step.due, keep_on):
-                    return False
-                if self._clock and step.bag_time != shown:
-                    self._clock.publish(ros_messages().clock(step.bag_time))
-                    shown = step.bag_time
-                if step.message:
-                    self._send(step.message)
-                self.bag_time = step.bag_time
+        for message in ahead:
+            if message.log_time > self._end:
+                break
+            if not self._reach(message.log_time, keep_on):
+                return False
+            if self._steps:
+                self._steps -= 1
+                self.pace.jump(message.log_time, time.monotonic_ns())
+            self._tell(message.log_time)
+            self._send(message)
         return True
+
+    def _reach(self, log_time: int, keep_on: KeepOn) -> bool:
+        """Wait until ``log_time`` is due or wanted, the clock ticking; whether to keep on."""
+        self._upcoming = log_time
+        while True:
+            due, now = self.pace.due(log_time), time.monotonic_ns()
+            tick = self._ticks.next if self._ticks else None
+            soonest = min(t for t in (due, tick, now + _LONGEST_SLEEP_NS) if t is not None)
+            if self._ticks and tick == soonest <= now:
+                self._tell(min(self.pace.at(soonest), log_time), always=self.pace.paused)
+                self._ticks.count += 1
+            elif due == soonest <= now or self._steps:
+                return keep_on()
+            else:
+                time.sleep((soonest - now) / NS_PER_S)
+            if not keep_on():
+                return False
+
+    def _tell(self, bag_time: int, *, always: bool = False) -> None:
+        """Publish the bag's time, unless the clock shows it already."""
+        self.bag_time = bag_time
+        if self._clock and (always or bag_time != self._shown):
+            self._clock.publish(ros_messages().clock(bag_time))
+            self._shown = bag_time
 
     def _send(self, message: RawMessage) -> None:
         """Publish a message."""
@@ -248,53 +327,54 @@ class Player:
 
 def play(
     path: Path | str,
-    topics: Collection[str] | None = None,
+    how: Playing | None = None,
     *,
-    rate: float = 1.0,
-    loop: bool = False,
-    start: float = 0.0,
-    clock_rate: float | None = None,
     delay: float = DELAY,
     on_progress: Callable[[Player], None] | None = None,
+    controls: Callable[[], Iterable[Control]] = tuple,
 ) -> int:
     """Play a bag until its end, SIGINT or SIGTERM.
 
     Args:
         path: the bag.
-        topics: only these absolute names; None for all.
-        rate: seconds of the bag a second of the wall clock.
-        loop: whether to begin again at the end.
-        start: where to begin, s after the bag's start.
-        clock_rate: ticks of ``/clock``, Hz of wall time; None for no clock.
+        how: None for all of it as it was.
         delay: longest wait for a subscriber on every topic before the first message, s.
         on_progress: told about ten times a second how far it is, and at the end.
+        controls: asked for what one who watches has wanted since it was asked last.
 
     Returns:
         The number of messages sent.
 
     Raises:
-        UsageError: there is no bag at ``path``, or an argument does not fit it.
+        UsageError: there is no bag at ``path``, or ``how`` does not fit it.
         BagError: the bag is damaged.
     """
     if not 0 <= delay < math.inf:
         raise UsageError(f"delay is {delay}; expected 0 or more seconds")
     with Stop() as stop, BagReader(path) as reader, ros_node("player") as (node, _):
-        player = Player(node, reader, topics, rate=rate, start=start, clock_rate=clock_rate)
-        shown = time.monotonic()
+        player = Player(node, reader, how)
+        shown = looked = time.monotonic()
+        ended = False
 
         def keep_on() -> bool:
-            nonlocal shown
-            if on_progress and time.monotonic() > shown + _PROGRESS_PERIOD:
-                shown = time.monotonic()
+            nonlocal shown, looked, ended
+            now = time.monotonic()
+            if now > looked + _LOOK:
+                looked = now
+                for control in controls():
+                    ended = ended or control is Control.QUIT
+                    player.control(control)
+            if on_progress and now > shown + _PROGRESS_PERIOD:
+                shown = now
                 on_progress(player)
-            return not stop.requested
+            return not (stop.requested or ended)
 
         player.wait_for_subscribers(delay, keep_on)
         if rivals := player.rivals():
             node.get_logger().warning(
                 f"another node publishes {', '.join(rivals)} too; its messages mix with the bag's"
             )
-        player.play(loop=loop, keep_on=keep_on)
+        player.play(keep_on)
         player.finish(keep_on)
         if on_progress:
             on_progress(player)
@@ -306,9 +386,3 @@ def _sleep_until(wall: int, keep_on: KeepOn) -> bool:
     while (left := wall - time.monotonic_ns()) > 0 and keep_on():
         time.sleep(min(left / NS_PER_S, _LONGEST_SLEEP))
     return keep_on()
-
-
-def _check_positive(name: str, value: float) -> None:
-    """Raise unless ``value`` is a positive finite number."""
-    if not 0 < value < math.inf:
-        raise UsageError(f"{name} is {value}; expected a positive number")

@@ -1,8 +1,16 @@
 """Qualities of service as ``rclpy`` wants and gives them."""
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 
 from impact_observer.bag.interfaces import Quality
+from impact_observer.bag.overrides import Profile
 
 
 def qos_profile(quality: Quality) -> QoSProfile:
@@ -14,6 +22,21 @@ def qos_profile(quality: Quality) -> QoSProfile:
     history = HistoryPolicy.KEEP_LAST if quality.depth else HistoryPolicy.KEEP_ALL
     return QoSProfile(
         history=history, depth=quality.depth, reliability=reliability, durability=durability
+    )
+
+
+def overriding_profile(profile: Profile) -> QoSProfile:
+    """A topic's policies as a file has them, for a publisher."""
+    return QoSProfile(
+        history=HistoryPolicy.get_from_short_key(profile.history),
+        depth=profile.depth,
+        reliability=ReliabilityPolicy.get_from_short_key(profile.reliability),
+        durability=DurabilityPolicy.get_from_short_key(profile.durability),
+        liveliness=LivelinessPolicy.get_from_short_key(profile.liveliness),
+        deadline=Duration(nanoseconds=profile.deadline),
+        lifespan=Duration(nanoseconds=profile.lifespan),
+        liveliness_lease_duration=Duration(nanoseconds=profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
     )
 
 

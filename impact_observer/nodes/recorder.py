@@ -1,7 +1,9 @@
 """Recording topics of the ROS graph into a bag, as ``ros2 bag record`` does."""
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -32,6 +34,19 @@ _LONGEST_DRAIN = 1.0
 """After this long, a recording that was stopped is closed in any case, s."""
 
 
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What a recording has come to.
+
+    Attributes:
+        counts: messages by topic; 0 for one that has said nothing.
+        missing: topics that were asked for and never appeared.
+    """
+
+    counts: Mapping[str, int]
+    missing: tuple[str, ...]
+
+
 class Recorder:
     """Writes what is published, as serialized, to a bag; while its node is spun.
 
@@ -49,6 +64,7 @@ class Recorder:
         writer: BagWriter,
         topics: Collection[str] | None = None,
         *,
+        exclude: Collection[str] = (),
         on_topic: Callable[[str, str], None] | None = None,
         on_message: Callable[[RawMessage], None] | None = None,
     ) -> None:
@@ -58,6 +74,7 @@ class Recorder:
             node: subscribes; the caller spins it.
             writer: an open bag; the caller closes it, after :meth:`close`.
             topics: only these topics; None for every topic that appears, hidden ones left out.
+            exclude: none of these; ``*`` in a name stands for anything.
             on_topic: told the name and the type of each topic that is found.
             on_message: told each message that is recorded.
         """
@@ -65,6 +82,10 @@ class Recorder:
         self._node = node
         self._writer = writer
         self._wanted = None if topics is None else {node.resolve_topic_name(t) for t in topics}
+        self._unwanted = tuple(
+            each if each.startswith(("/", "*")) else f"{_namespace(node)}/{each}"
+            for each in exclude
+        )
         self._on_topic = on_topic
         self._on_message = on_message
         self._asked: dict[str, Quality] = {}
@@ -78,7 +99,7 @@ class Recorder:
     @property
     def missing(self) -> list[str]:
         """Topics that were asked for and have not appeared."""
-        return sorted((self._wanted or set()) - self.counts.keys())
+        return sorted((self._wanted or set()) - self.counts.keys() - self._given_up)
 
     def hears(self, topic: str) -> bool:
         """Whether a publisher of ``topic`` is connected."""
@@ -109,7 +130,8 @@ class Recorder:
 
     def _is_wanted(self, topic: str) -> bool:
         """Whether a topic is to be recorded."""
-        if topic in self._given_up:
+        unwanted = any(fnmatchcase(topic, each) for each in self._unwanted)
+        if unwanted or topic in self._given_up:
             return False
         if self._wanted is not None:
             return topic in self._wanted
@@ -192,11 +214,13 @@ def record(
     path: Path | str,
     topics: Collection[str] | None = None,
     *,
+    exclude: Collection[str] = (),
     use_sim_time: bool = False,
     duration: float | None = None,
+    compressed: bool = False,
     on_topic: Callable[[str, str], None] | None = None,
-    on_progress: Callable[[int], None] | None = None,
-) -> dict[str, int]:
+    on_progress: Callable[[int, float], None] | None = None,
+) -> Recorded:
     """Record a bag until SIGINT, SIGTERM or the end of ``duration``.
 
     What was published before the end is still taken in.
@@ -204,13 +228,16 @@ def record(
     Args:
         path: the folder to make.
         topics: only these topics; None for every topic that appears.
+        exclude: none of these; ``*`` in a name stands for anything.
         use_sim_time: whether log times follow ``/clock``.
         duration: how long, s of wall time; None for until a signal.
+        compressed: whether what is written is compressed.
         on_topic: told the name and the type of each topic that is found.
-        on_progress: told the number of messages so far, about ten times a second.
+        on_progress: told the number of messages so far and the seconds that have passed, about
+            ten times a second.
 
     Returns:
-        Messages recorded, by topic; a topic that was asked for and never appeared has 0.
+        What came, and what did not.
 
     Raises:
         UsageError: something is at ``path`` already, or the duration is not positive.
@@ -221,18 +248,23 @@ def record(
     with (
         Stop() as stop,
         ros_node("recorder", use_sim_time=use_sim_time) as (node, executor),
-        BagWriter(path) as writer,
+        BagWriter(path, compressed=compressed) as writer,
     ):
-        recorder = Recorder(node, writer, topics, on_topic=on_topic)
+        recorder = Recorder(node, writer, topics, exclude=exclude, on_topic=on_topic)
         begin = shown = time.monotonic()
         while not stop.requested and (duration is None or time.monotonic() < begin + duration):
             executor.spin_once(timeout_sec=_DISCOVERY_PERIOD)
             if on_progress and time.monotonic() > shown + _DISCOVERY_PERIOD:
                 shown = time.monotonic()
-                on_progress(writer.message_count)
+                on_progress(writer.message_count, shown - begin)
         drain(executor, writer)
         recorder.close()
-        return {**dict.fromkeys(recorder.missing, 0), **recorder.counts}
+        return Recorded(recorder.counts, tuple(recorder.missing))
+
+
+def _namespace(node: Node) -> str:
+    """A node's namespace, before a slash."""
+    return str(node.get_namespace()).rstrip("/")
 
 
 def drain(executor: SingleThreadedExecutor, writer: BagWriter) -> None:

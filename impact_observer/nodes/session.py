@@ -84,7 +84,7 @@ def ros_node(
     from rclpy.parameter import Parameter
 
     context = Context()
-    context.init()
+    context.init(args=[])  # else ROS reads the command's arguments, and takes some for its own
     try:
         node = Node(
             name,

@@ -1,4 +1,4 @@
-"""When each message of a bag is due."""
+"""How a bag is played, and when each message is due."""
 
 import threading
 from collections.abc import Iterator
@@ -6,12 +6,14 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from systems import examples
 
 from impact_observer.bag.reader import RawMessage
-from impact_observer.bag.schedule import Schedule, read_ahead, steps
-from impact_observer.errors import BagError
+from impact_observer.bag.schedule import Pace, Playing, ReadAhead, Ticks
+from impact_observer.errors import BagError, UsageError
 
-LOG_TIMES = st.lists(st.integers(10**9, 10**9 + 10**8), max_size=20).map(sorted)
+WALL = 10**15
+TIMES = st.integers(0, 10**9)
 
 
 def messages(log_times: list[int]) -> list[RawMessage]:
@@ -21,59 +23,86 @@ def messages(log_times: list[int]) -> list[RawMessage]:
 
 def test_message_is_due_at_its_distance_from_the_start() -> None:
     """Divided by the rate, rounded to the nanosecond."""
-    assert Schedule(start=1000).due(1750) == 750
-    assert Schedule(start=1000, rate=4.0).due(2002) == 250
-    assert Schedule(start=1000, rate=0.5).due(1001) == 2
+    assert Pace(1000, WALL).due(1750) == WALL + 750
+    assert Pace(1000, WALL, rate=4.0).due(2002) == WALL + 250
+    assert Pace(1000, WALL, rate=0.5).due(1001) == WALL + 2
+    assert Pace(1000, WALL, paused=True).due(1001) is None
 
 
 def test_due_times_do_not_drift() -> None:
-    """The millionth message is as exact as the first."""
-    schedule = Schedule(start=10**18, rate=3.0)
-    dues = [schedule.due(10**18 + k * 1_000_000) for k in (0, 1, 999_999, 1_000_000)]
+    """The millionth message is as exact as the first, and so is the millionth tick."""
+    pace, ticks = Pace(10**18, 0, rate=3.0), Ticks(3.0, WALL, 1_000_000)
+    dues = [pace.due(10**18 + k * 1_000_000) for k in (0, 1, 999_999, 1_000_000)]
     assert dues == [0, 333_333, 333_333_000_000, 333_333_333_333]
+    assert ticks.next == WALL + 333_333_333_333_333
 
 
-@given(log_times=LOG_TIMES, rate=st.sampled_from([0.5, 1.0, 2.0, 10.0]))
-def test_every_message_is_a_step_in_its_order(log_times: list[int], rate: float) -> None:
-    """With a clock and without, never going back."""
-    wanted, schedule = messages(log_times), Schedule(10**9, rate)
-    for clock_rate in (None, 100.0):
-        found = list(steps(wanted, schedule, clock_rate))
-        assert [step.message for step in found if step.message] == wanted
-        assert [step.due for step in found] == sorted(step.due for step in found)
-        assert [step.bag_time for step in found] == sorted(step.bag_time for step in found)
-
-
-@given(log_times=LOG_TIMES.filter(len), rate=st.sampled_from([0.5, 1.0, 2.0]))
-def test_clock_ticks_on_a_grid_of_wall_time_until_the_last_message(
-    log_times: list[int], rate: float
+@examples(50)
+@given(
+    begin=TIMES, pause=TIMES, length=TIMES, log_time=TIMES, rate=st.sampled_from([0.5, 1.0, 4.0])
+)
+def test_pause_moves_what_is_due_by_its_length(
+    begin: int, pause: int, length: int, log_time: int, rate: float
 ) -> None:
-    """And shows exactly the log time when a message goes out."""
-    found = list(steps(messages(log_times), Schedule(10**9, rate), clock_rate=100.0))
-    ticks = [step for step in found if step.message is None]
-    assert all(step.due % 10_000_000 == 0 for step in ticks)
-    assert all(step.bag_time == 10**9 + step.due * rate for step in ticks)
-    covered = {step.due // 10_000_000 for step in found}
-    assert covered == set(range(max(covered) + 1)) or len(ticks) >= max(covered)
-    assert all(step.bag_time == step.message.log_time for step in found if step.message)
+    """And the bag's time stands still meanwhile."""
+    pace = Pace(0, begin, rate)
+    before = pace.due(log_time)
+    assert before is not None
+    there = pace.at(begin + pause)
+    pace.turn(begin + pause, 10**18)
+    assert pace.at(begin + pause) == pace.at(begin + pause + length) == there
+    assert pace.due(log_time) is None
+    pace.turn(begin + pause + length, 10**18)
+    after = pace.due(log_time)
+    assert after is not None
+    assert abs(after - before - length) <= 2  # rounded to ns of the bag at the pause
 
 
-def test_without_clock_nothing_but_messages() -> None:
-    """However far apart they are."""
-    assert len(list(steps(messages([10**9, 10**12]), Schedule(10**9)))) == 2
+@examples(50)
+@given(change=TIMES, later=TIMES, factor=st.sampled_from([1.1, 1 / 1.1, 2.0]))
+def test_another_rate_holds_from_now_on(change: int, later: int, factor: float) -> None:
+    """The bag's time does not jump."""
+    pace = Pace(500, WALL)
+    there = pace.at(WALL + change)
+    pace.change(WALL + change, 10**18, factor)
+    assert pace.at(WALL + change) == there == 500 + change
+    assert abs(pace.at(WALL + change + later) - (there + later * factor)) <= 1
+
+
+def test_message_that_is_late_is_not_passed_over_by_a_pause() -> None:
+    """The bag's time stops at what comes next, so that the clock need not go back."""
+    pace = Pace(0, WALL)
+    pace.turn(WALL + 1000, latest=700)
+    assert pace.paused
+    assert pace.at(WALL + 2000) == 700
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"rate": 0.0}, r"rate is 0\.0; expected a positive number"),
+        ({"rate": float("nan")}, "rate is nan"),
+        ({"clock_rate": -1.0}, r"clock rate is -1\.0"),
+        ({"duration": float("inf")}, "duration is inf"),
+    ],
+)
+def test_number_out_of_range_is_named(wrong: dict[str, float], said: str) -> None:
+    """With what is wanted."""
+    with pytest.raises(UsageError, match=said):
+        Playing(**wrong)  # type: ignore[arg-type]
 
 
 def test_reading_ahead_changes_nothing() -> None:
     """Also for more messages than are read ahead."""
     wanted = messages(list(range(1, 12_001)))
-    assert list(read_ahead(wanted)) == wanted
-    assert list(read_ahead([])) == []
+    assert list(ReadAhead(wanted)) == wanted
+    assert list(ReadAhead([])) == []
 
 
 def test_reading_ahead_ends_when_nobody_wants_more() -> None:
     """Its thread too, however long the bag is."""
     before = threading.active_count()
-    ahead = read_ahead(messages(list(range(1, 20_001))))
+    ahead = ReadAhead(messages(list(range(1, 20_001))))
     assert next(ahead).log_time == 1
     ahead.close()
     assert threading.active_count() == before
@@ -86,7 +115,21 @@ def test_damage_is_told_where_it_was_met() -> None:
         yield from messages([1, 2])
         raise BagError("torn")
 
-    ahead = read_ahead(damaged())
+    ahead = ReadAhead(damaged())
     assert [next(ahead).log_time, next(ahead).log_time] == [1, 2]
     with pytest.raises(BagError, match="torn"):
         next(ahead)
+    with pytest.raises(BagError, match="torn"):
+        next(ahead)
+
+
+def test_reading_ahead_can_wait_for_its_first_message() -> None:
+    """Which is not lost thereby; at the end of nothing there is nothing."""
+    with ReadAhead(messages([1, 2])) as ahead:
+        ahead.wait()
+        ahead.wait()
+        assert [each.log_time for each in ahead] == [1, 2]
+        assert next(ahead, None) is None
+    with ReadAhead([]) as ahead:
+        ahead.wait()
+        assert list(ahead) == []

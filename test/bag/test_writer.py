@@ -239,3 +239,22 @@ def test_copy_of_some_topics_is_byte_for_byte(tmp_path: Path) -> None:
     with BagReader(tmp_path / "two") as reader:
         assert list(reader.raw()) == wanted
         assert reader.topics["/impacts"].quality == interfaces.EVENTS
+
+
+def test_chunks_are_compressed_on_demand(tmp_path: Path) -> None:
+    """As ``ros2 bag record`` with chunk compression: the metadata say nothing of it."""
+    for name, compressed in (("plain", False), ("zstd", True)):
+        with BagWriter(tmp_path / name, compressed=compressed) as writer:
+            for stamp in range(1, 2001):
+                writer.write("/impacts", stamp, event(stamp))
+        with (tmp_path / name / f"{name}.mcap").open("rb") as file:
+            summary = make_reader(file).get_summary()
+        assert summary is not None
+        kinds = {chunk.compression for chunk in summary.chunk_indexes}
+        assert kinds == ({"zstd"} if compressed else {""})
+        metadata = YAML(typ="safe").load(tmp_path / name / "metadata.yaml")
+        about = metadata["rosbag2_bagfile_information"]
+        assert (about["compression_format"], about["compression_mode"]) == ("", "")
+    with BagReader(tmp_path / "plain") as plain, BagReader(tmp_path / "zstd") as packed:
+        assert list(packed.raw()) == list(plain.raw())
+        assert packed.size < plain.size / 2

@@ -26,6 +26,7 @@ from impact_observer.bag.interfaces import EVENTS, STATES, Quality
 from impact_observer.bag.messages import read_event
 from impact_observer.bag.reader import BagReader
 from impact_observer.bag.recordings import events_in
+from impact_observer.bag.schedule import Playing
 from impact_observer.bag.typestores import typestore
 from impact_observer.cli.main import main
 from impact_observer.detector.sensors import PATIENCE as WAY
@@ -306,7 +307,7 @@ def test_a_bag_that_is_played_gives_the_events_that_detect_finds(
             ImpactEvent, "impacts", lambda m: heard.append(read_event(m)), qos_profile(EVENTS)
         )
         with BagReader(bag) as reader, ros_node("player") as (node, _):
-            player = Player(node, reader, clock_rate=200.0)
+            player = Player(node, reader, Playing(clock_rate=200.0))
             assert player.wait_for_subscribers(PATIENCE)
             player.play()
             player.finish()

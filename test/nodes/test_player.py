@@ -1,11 +1,14 @@
 """Playing a bag to the ROS graph, over real DDS."""
 
+import os
+import pty
 import signal
 import subprocess
 import sys
+import termios
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -17,7 +20,10 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from impact_observer.bag import BagReader, BagWriter, interfaces
+from impact_observer.bag.interfaces import Quality
 from impact_observer.bag.messages import bag_messages, read_event, read_stamp
+from impact_observer.bag.overrides import Profile
+from impact_observer.bag.schedule import Control, Playing
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.nodes.messages import message_class
@@ -106,7 +112,9 @@ def test_messages_come_when_they_are_due(
     with BagReader(sample_bag) as reader:
         wanted = [event.stamp for event in reader.events()]
     with listening("/impacts", "/plant/joint_states") as heard:
-        count = play(sample_bag, ["/impacts", "/plant/joint_states"], rate=rate, delay=PATIENCE)
+        count = play(
+            sample_bag, Playing(["/impacts", "/plant/joint_states"], rate), delay=PATIENCE
+        )
         wait_for(heard, count)
     assert count == len(heard) == 62
     assert stamps(heard) == wanted
@@ -122,7 +130,7 @@ def test_clock_shows_the_time_of_every_message_and_ticks_between(
     """It never goes back in one pass, and ends with the last message."""
     assert ros_environment
     with listening("/impacts", "/clock") as heard:
-        play(sample_bag, ["/impacts"], rate=2.0, clock_rate=200.0, delay=PATIENCE)
+        play(sample_bag, Playing(["/impacts"], 2.0, clock_rate=200.0), delay=PATIENCE)
         wait_for(heard, 11 + 51)
     times = clock(heard)
     assert times == sorted(times)
@@ -137,10 +145,10 @@ def test_loop_begins_again_and_the_clock_jumps_back(
     assert ros_environment
     with listening("/impacts", "/clock") as heard:
         with BagReader(sample_bag) as reader, ros_node("player") as (node, _):
-            player = Player(node, reader, ["/impacts"], rate=5.0, clock_rate=100.0)
+            player = Player(node, reader, Playing(["/impacts"], 5.0, loop=True, clock_rate=100.0))
             assert player.wait_for_subscribers(PATIENCE)
             begin = time.monotonic()
-            player.play(loop=True, keep_on=lambda: player.count < 30)
+            player.play(lambda: player.count < 30)
             took = time.monotonic() - begin
             player.finish()
         wait_for(heard, 30)
@@ -157,7 +165,8 @@ def test_start_skips_messages_but_not_latched_values(
     """An observer still gets the model."""
     assert ros_environment
     with listening("/impacts", "/plant/model") as heard:
-        play(sample_bag, ["/impacts", "/plant/model"], start=0.3, rate=5.0, delay=PATIENCE)
+        how = Playing(["/impacts", "/plant/model"], 5.0, start=0.3)
+        play(sample_bag, how, delay=PATIENCE)
         wait_for(heard, 6)
     assert heard[0].topic == "/plant/model" or heard[1].topic == "/plant/model"
     assert stamps(heard) == [1_300_000_000 + k * 50_000_000 for k in range(5)]
@@ -169,7 +178,7 @@ def test_late_listener_gets_events_and_model_until_the_end(
     """They are published with the durability they were recorded with."""
     assert ros_environment
     with BagReader(sample_bag) as reader, ros_node("player") as (node, _):
-        player = Player(node, reader, rate=10.0)
+        player = Player(node, reader, Playing(rate=10.0))
         player.play()
         infos = node.get_publishers_info_by_topic("/impacts")
         offered = [offered_quality(info.qos_profile, depth=2000) for info in infos]
@@ -190,7 +199,7 @@ def test_recorded_clock_gives_way_to_the_player_s_own(
         writer.write("/clock", 1_000_000_000, make.clock(77))
         writer.write("/impacts", 1_000_000_000, make.event(ImpactEvent(1, ())))
     with BagReader(tmp_path / "bag") as reader, ros_node("player") as (node, _):
-        assert Player(node, reader, clock_rate=100.0).topics == ("/impacts",)
+        assert Player(node, reader, Playing(clock_rate=100.0)).topics == ("/impacts",)
         assert Player(node, reader).topics == ("/clock", "/impacts")
 
 
@@ -203,7 +212,7 @@ def test_topic_that_someone_else_publishes_is_warned_of(
         plant.create_publisher(
             message_class(interfaces.IMPACT_EVENT), "/impacts", qos_profile(interfaces.EVENTS)
         )
-        play(sample_bag, rate=10.0, delay=1.0)
+        play(sample_bag, Playing(rate=10.0), delay=1.0)
     assert "another node publishes /impacts too" in capfd.readouterr().err
 
 
@@ -219,37 +228,26 @@ def test_foreign_type_is_left_out_with_a_warning(
     assert play(tmp_path / "bag", delay=0.0) == 1
     assert "/torque is not played: rig/msg/Torque: no such ROS message" in capfd.readouterr().err
     with pytest.raises(UsageError, match="nothing to play"):
-        play(tmp_path / "bag", ["/torque"], delay=0.0)
+        play(tmp_path / "bag", Playing(["/torque"]), delay=0.0)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        ({"rate": 0.0}, r"rate is 0\.0; expected a positive number"),
-        ({"rate": float("nan")}, r"rate is nan"),
-        ({"clock_rate": -1.0}, r"clock rate is -1\.0"),
-        ({"start": 0.6}, r"start is 0\.6; expected 0 to 0\.5 s, the bag's length"),
-        ({"start": -1.0}, r"start is -1\.0"),
-        ({"delay": -1.0}, r"delay is -1\.0; expected 0 or more"),
-    ],
-)
-def test_number_out_of_range_is_named(
-    sample_bag: Path,
-    ros_environment: dict[str, str],
-    arguments: dict[str, float],
-    expected: str,
+@pytest.mark.parametrize("start", [0.6, -1.0])
+def test_start_outside_the_bag_is_named(
+    sample_bag: Path, ros_environment: dict[str, str], start: float
 ) -> None:
-    """With what is wanted."""
+    """With how long the bag is; and so is a delay that is none."""
     assert ros_environment
-    with pytest.raises(UsageError, match=expected):
-        play(sample_bag, **arguments)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match=rf"start is {start}; expected 0 to 0\.5 s"):
+        play(sample_bag, Playing(start=start))
+    with pytest.raises(UsageError, match=r"delay is -1\.0; expected 0 or more"):
+        play(sample_bag, delay=-1.0)
 
 
 def test_absent_topic_is_named(sample_bag: Path, ros_environment: dict[str, str]) -> None:
     """With those in the bag."""
     assert ros_environment
     with pytest.raises(UsageError, match=r"no topic /absent; in the bag: /impacts, /observer"):
-        play(sample_bag, ["/absent"])
+        play(sample_bag, Playing(["/absent"]))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -272,3 +270,195 @@ def test_signal_ends_a_loop_well(
             process.kill()
     assert process.returncode == 0
     assert f"messages played from {sample_bag}" in said
+
+
+@contextmanager
+def player_of(bag: Path, how: Playing) -> Iterator[Player]:
+    """A player in this process."""
+    with BagReader(bag) as reader, ros_node("player") as (node, _):
+        yield Player(node, reader, how)
+
+
+class Script:
+    """What one who watches does, each thing as soon as something is so."""
+
+    def __init__(self, player: Player, *acts: tuple[Callable[[], bool], Control]) -> None:
+        self._player = player
+        self._acts = list(acts)
+
+    def __call__(self) -> bool:
+        """Act; never an end."""
+        if self._acts and self._acts[0][0]():
+            self._player.control(self._acts.pop(0)[1])
+        return True
+
+
+def after(seconds: float) -> Callable[[], bool]:
+    """A while after this is asked first."""
+    begun: list[float] = []
+
+    def passed() -> bool:
+        begun.append(time.monotonic())
+        return begun[-1] > begun[0] + seconds
+
+    return passed
+
+
+def test_pause_holds_messages_while_the_clock_stands_still(
+    sample_bag: Path, ros_environment: dict[str, str]
+) -> None:
+    """And ticks on; afterwards everything comes, later by the pause."""
+    assert ros_environment
+    how = Playing(["/impacts"], clock_rate=100.0)
+    with listening("/impacts", "/clock") as heard, player_of(sample_bag, how) as player:
+        assert player.wait_for_subscribers(PATIENCE)
+        acts = (lambda: player.count == 3, Control.PAUSE), (after(0.5), Control.PAUSE)
+        begin = time.monotonic()
+        player.play(Script(player, *acts))
+        took = time.monotonic() - begin
+        player.finish()
+        wait_for(heard, 11 + 60)
+    assert len(stamps(heard)) == 11
+    times = clock(heard)
+    assert times == sorted(times)
+    longest = max(times.count(each) for each in times)
+    assert 20 < longest < 80
+    assert took == pytest.approx(1.0, abs=0.2)
+
+
+def test_single_messages_are_sent_while_paused(
+    sample_bag: Path, ros_environment: dict[str, str]
+) -> None:
+    """The clock goes with them, and playing goes on from there; it may begin so."""
+    assert ros_environment
+    how = Playing(["/impacts"], rate=2.0, paused=True, clock_rate=100.0)
+    with listening("/impacts", "/clock") as heard, player_of(sample_bag, how) as player:
+        assert player.wait_for_subscribers(PATIENCE)
+        acts = [(after(0.1), Control.NEXT) for _ in range(4)]
+        counts: list[int] = []
+        ready = after(0.1)
+        script = Script(player, *acts, (lambda: bool(counts) and ready(), Control.PAUSE))
+
+        def keep_on() -> bool:
+            if player.count == 4:
+                counts.append(player.count)
+            return script()
+
+        player.play(keep_on)
+        player.finish()
+        wait_for(heard, 11 + 40)
+    assert stamps(heard) == [1_000_000_000 + k * 50_000_000 for k in range(11)]
+    assert len(counts) > 2
+    times = clock(heard)
+    assert times == sorted(times)
+    assert times.count(1_150_000_000) > 5
+
+
+def test_next_is_for_pauses_only_and_rates_have_limits(
+    sample_bag: Path, ros_environment: dict[str, str]
+) -> None:
+    """A tenth faster and the same slower is as before."""
+    assert ros_environment
+    with player_of(sample_bag, Playing(rate=90.0)) as player:
+        player.control(Control.NEXT)
+        for _ in range(3):
+            player.control(Control.FASTER)
+        assert player.pace.rate == pytest.approx(99.0)
+        player.control(Control.SLOWER)
+        assert player.pace.rate == pytest.approx(90.0)
+        player.play()
+        assert player.count == 114
+
+
+def test_only_a_part_is_played(sample_bag: Path, ros_environment: dict[str, str]) -> None:
+    """From the start, as long as was said; again and again if wanted."""
+    assert ros_environment
+    how = Playing(["/impacts"], start=0.1, duration=0.22, loop=True)
+    with listening("/impacts") as heard, player_of(sample_bag, how) as player:
+        assert player.wait_for_subscribers(PATIENCE)
+        begin = time.monotonic()
+        player.play(lambda: player.count < 11)
+        took = time.monotonic() - begin
+        player.finish()
+        wait_for(heard, 11)
+    once = [1_100_000_000 + k * 50_000_000 for k in range(5)]
+    assert stamps(heard) == [*once, *once, *once[:1]]
+    assert took == pytest.approx(0.44, abs=0.1)
+    assert player.length == pytest.approx(0.22)
+
+
+def test_topics_are_published_by_other_names_and_qualities(
+    sample_bag: Path, ros_environment: dict[str, str]
+) -> None:
+    """The clock too; two types under one name are refused."""
+    assert ros_environment
+    names = {"/impacts": "/rig/impacts", "/clock": "/rig_clock"}
+    profiles = {"/impacts": Profile(depth=7, durability="volatile", deadline=5_000_000)}
+    how = Playing(["/impacts"], 5.0, clock_rate=100.0, names=names, profiles=profiles)
+    with player_of(sample_bag, how) as player:
+        node = player._node
+        (info,) = node.get_publishers_info_by_topic("/rig/impacts")
+        assert not node.get_publishers_info_by_topic("/impacts")
+        assert len(node.get_publishers_info_by_topic("/rig_clock")) == 1
+        assert offered_quality(info.qos_profile, depth=7) == Quality(depth=7)
+        assert info.qos_profile.deadline.nanoseconds == 5_000_000
+        assert player.topics == ("/impacts",)
+    wrong = Playing(names={"/impacts": "/plant/model"})
+    with pytest.raises(UsageError, match=r"/plant/model: would be .*ImpactEvent and std_msgs"):
+        play(sample_bag, wrong)
+    with pytest.raises(UsageError, match=r"no topic /absent; in the bag"):
+        play(sample_bag, Playing(names={"/absent": "/x"}))
+
+
+def test_late_listener_gets_the_model_in_a_later_pass(
+    sample_bag: Path, ros_environment: dict[str, str]
+) -> None:
+    """Though the loop began behind it."""
+    assert ros_environment
+    how = Playing(["/impacts", "/plant/model"], 5.0, start=0.2, loop=True)
+    done = threading.Event()
+    with player_of(sample_bag, how) as player:
+        thread = threading.Thread(target=player.play, args=(lambda: not done.is_set(),))
+        thread.start()
+        try:
+            while player.count < 20:
+                time.sleep(0.01)
+            with listening("/plant/model") as heard:
+                wait_for(heard, 1)
+        finally:
+            done.set()
+            thread.join()
+    assert heard[0].topic == "/plant/model"
+
+
+def test_keys_pause_a_command_and_end_it(
+    sample_bag: Path, ros_environment: dict[str, str]
+) -> None:
+    """On a terminal, which is afterwards as it was before."""
+    main, side = pty.openpty()
+    before = termios.tcgetattr(side)
+    script = f"import fcntl, termios\nfcntl.ioctl(0, termios.TIOCSCTTY, 0)\n{PLAY}"
+    command = [sys.executable, "-c", script, str(sample_bag), "--loop", "--start-paused"]
+    process = subprocess.Popen(
+        [*command, "--delay", "0"],
+        env={**ros_environment, "TERM": "xterm", "COLUMNS": "90"},
+        stdin=side,
+        stdout=side,
+        stderr=side,
+        start_new_session=True,
+    )
+    said = ""
+    try:
+        for wanted, key in (("space pauses", ""), ("paused at 0.000", " "), ("at 1x", "q")):
+            while wanted not in said:
+                said += os.read(main, 4096).decode(errors="replace")
+            os.write(main, key.encode())
+        while "messages played" not in said:
+            said += os.read(main, 4096).decode(errors="replace")
+        assert process.wait(PATIENCE) == 0
+        assert termios.tcgetattr(side) == before
+    finally:
+        process.kill()
+        process.wait()
+        os.close(main)
+        os.close(side)

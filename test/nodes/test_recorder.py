@@ -68,14 +68,18 @@ def spin_until(executor: "SingleThreadedExecutor", done: Callable[[], bool]) -> 
 
 @contextmanager
 def recording(
-    path: Path, topics: list[str] | None = None, *, use_sim_time: bool = False
+    path: Path,
+    topics: list[str] | None = None,
+    *,
+    exclude: tuple[str, ...] = (),
+    use_sim_time: bool = False,
 ) -> Iterator[tuple[Recorder, "SingleThreadedExecutor"]]:
     """A recorder in this process."""
     with (
         ros_node("recorder", use_sim_time=use_sim_time) as (node, executor),
         BagWriter(path) as writer,
     ):
-        recorder = Recorder(node, writer, topics)
+        recorder = Recorder(node, writer, topics, exclude=exclude)
         yield recorder, executor
         recorder.close()
 
@@ -186,6 +190,65 @@ def test_only_the_topics_asked_for_are_recorded(
         assert recorder.missing == ["/absent"]
     with BagReader(tmp_path / "bag") as bag:
         assert bag.topics.keys() == {"/impacts"}
+
+
+def test_topics_are_left_out_by_name_or_pattern(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """The others are recorded."""
+    assert ros_environment
+    exclude = ("impacts", "/observer_*/state")
+    with (
+        ros_node("plant") as (plant, _),
+        recording(tmp_path / "bag", exclude=exclude) as (recorder, executor),
+    ):
+        advertise(plant, "/impacts").publish(event(1))
+        advertise(plant, "/observer_geometric/state")
+        advertise(plant, "/observer_geometric/verdicts")
+        advertise(plant, "/plant/model").publish(MAKE.model("x"))
+        spin_until(executor, lambda: recorder.counts.get("/plant/model") == 1)
+        spin_until(executor, lambda: "/observer_geometric/verdicts" in recorder.counts)
+        for _ in range(5):
+            executor.spin_once(timeout_sec=0.1)
+        assert not recorder.counts.keys() & {"/impacts", "/observer_geometric/state"}
+
+
+def test_a_signal_amid_a_burst_leaves_a_whole_bag(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """Compressed too: nothing is missing between the first and the last, and all is told."""
+    command = [sys.executable, "-c", RECORD, "-o", str(tmp_path / "bag")]
+    command += ["--topics", "/impacts", "/absent", "/plant/model", "--compression", "zstd"]
+    with (
+        ros_node("plant") as (plant, _),
+        subprocess.Popen(
+            command, env=ros_environment, stdout=subprocess.PIPE, text=True
+        ) as process,
+    ):
+        try:
+            impacts = advertise(plant, "/impacts")
+            silent = advertise(plant, "/plant/model")
+            latest = time.monotonic() + PATIENCE
+            while not (impacts.get_subscription_count() and silent.get_subscription_count()):
+                assert time.monotonic() < latest
+                time.sleep(0.05)
+            for stamp in range(1, 1901):
+                impacts.publish(event(stamp))
+                if stamp == 900:
+                    process.send_signal(signal.SIGTERM)
+                time.sleep(0 if stamp % 20 else 0.001)
+            said, _ = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    assert process.returncode == 0
+    with BagReader(tmp_path / "bag") as bag:
+        stamps = [each.stamp for each in bag.events()]
+        assert {each.name for each in bag.topics.values()} == {"/impacts", "/plant/model"}
+    assert stamps == list(range(1, len(stamps) + 1))
+    assert len(stamps) >= 900
+    assert f"{len(stamps)} /impacts\n" in said
+    assert "0 /plant/model: was there, but said nothing\n" in said
+    assert "0 /absent: never appeared\n" in said
 
 
 def test_log_times_follow_the_simulated_clock_and_never_go_back(

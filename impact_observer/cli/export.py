@@ -1,0 +1,146 @@
+"""Write the states, errors or events of a bag to a CSV or Parquet file.
+
+Each row has its stamp in ns and seconds since the epoch. Coordinates are q_NAME and u_NAME, errors
+dq_NAME and du_NAME with V, all in SI units. Parquet needs pyarrow: impact_observer[parquet].
+"""
+
+import argparse
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from impact_observer.cli.arguments import stamp
+from impact_observer.errors import UsageError
+
+if TYPE_CHECKING:
+    from impact_observer.bag.exporting import Sink
+
+STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    parser.usage = (
+        "%(prog)s BAG -o FILE [--what {states,errors,events}] [--topics TOPIC ...] "
+        "[--model MODEL] [--epoch S]"
+    )
+    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
+    parser.add_argument(
+        "-o",
+        "--output",
+        metavar="FILE",
+        type=Path,
+        required=True,
+        help="a .csv or .parquet file; one that is there is replaced",
+    )
+    parser.add_argument(
+        "--what",
+        choices=WHAT,
+        default=STATES,
+        help="states of truth and estimates (default), errors of estimates with V, or events",
+    )
+    parser.add_argument(
+        "--topics",
+        metavar="TOPIC",
+        nargs="+",
+        help="topics of states, or observers, only (default: the truth and every observer)",
+    )
+    parser.add_argument(
+        "--model",
+        metavar="MODEL",
+        help="for V: a model file or a sample (default: the one in the bag)",
+    )
+    parser.add_argument(
+        "--epoch",
+        metavar="S",
+        type=stamp,
+        help="stamp of t = 0 (default: as in the events, else the first stamp)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    return export(
+        args.bag,
+        args.output,
+        what=args.what,
+        topics=args.topics,
+        model=args.model,
+        epoch=args.epoch,
+    )
+
+
+def export(
+    bag: Path,
+    output: Path,
+    *,
+    what: str = STATES,
+    topics: Sequence[str] | None = None,
+    model: str | None = None,
+    epoch: int | None = None,
+) -> int:
+    """Export a bag and say what came out.
+
+    Args:
+        bag: the bag.
+        output: the file; its name says the format.
+        what: ``states``, ``errors`` or ``events``.
+        topics: topics of states, or observers' prefixes; None for the truth and all observers.
+        model: for errors, a model file or a sample's name; None for the model in the bag.
+        epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
+
+    Returns:
+        0.
+
+    Raises:
+        UsageError, ModelError: the arguments cannot be used, or ``pyarrow`` is not here.
+        BagError: the bag cannot be read or holds nothing to export, or the file cannot be written.
+    """
+    from impact_observer.bag import exporting
+    from impact_observer.bag.reader import BagReader
+    from impact_observer.bag.recordings import system_of
+    from impact_observer.cli.progress import Progress
+
+    if topics is not None and what == EVENTS:
+        raise UsageError(f"topics: {', '.join(topics)} given; {EVENTS} have their own topic")
+    make = _sink(output)
+    with BagReader(bag) as reader, Progress() as progress:
+
+        def show(done: int, total: int) -> None:
+            progress.step(f"exporting {bag.name}", done, total)
+
+        def written(sink: "Sink") -> Counter[str]:
+            if what == EVENTS:
+                return exporting.export_events(reader, sink, epoch=epoch, progress=show)
+            if what == STATES:
+                return exporting.export_states(reader, sink, topics, epoch=epoch, progress=show)
+            system = system_of(reader, model)
+            return exporting.export_errors(
+                reader, sink, system, topics, epoch=epoch, progress=show
+            )
+
+        with exporting.finished(output, make) as sink:
+            rows = written(sink)
+        each = ", ".join(f"{count} of {topic}" for topic, count in rows.items())
+        progress.line(f"{output}: {rows.total()} rows of {what}: {each}")
+    return 0
+
+
+def _sink(output: Path) -> "Callable[[Path], Sink]":
+    """What makes the file, by its name.
+
+    Raises:
+        UsageError: the name is of neither format, or ``pyarrow`` is not here.
+    """
+    from impact_observer.bag.exporting import CsvSink
+
+    if output.suffix != ".parquet":
+        return CsvSink
+    try:
+        from impact_observer.bag.parquet import ParquetSink
+    except ImportError as error:
+        raise UsageError(
+            f"{output}: Parquet needs pyarrow ({error}); pip install impact_observer[parquet]"
+        ) from None
+    return ParquetSink

@@ -1,0 +1,128 @@
+"""Make a bag of impact times in a CSV file, for observe to run on.
+
+Columns are time, contact and kind (impact, close or open): by name under a header, in any order,
+or without one in this order. The last ones may be left out. Lines with # in front are comments.
+"""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from impact_observer.cli.arguments import stamp
+
+if TYPE_CHECKING:
+    from impact_observer.bag.importing import Imported
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    parser.add_argument("csv", metavar="CSV", type=Path, help="the file of impact times")
+    parser.add_argument(
+        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
+    )
+    parser.add_argument(
+        "--model", metavar="MODEL", help="a model file or a sample, to be put into the bag"
+    )
+    parser.add_argument(
+        "--time-unit",
+        choices=("s", "ms", "us", "ns"),
+        help="of the times (default: that in the header, else s)",
+    )
+    parser.add_argument(
+        "--start",
+        metavar="S",
+        type=_start,
+        help="stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
+    )
+    parser.add_argument(
+        "--epoch",
+        metavar="S",
+        type=stamp,
+        help="stamp of t = 0 of the forcing (default: that of the file's time 0)",
+    )
+    parser.add_argument("--sort", action="store_true", help="the rows may stand in any order")
+
+
+def _start(text: str) -> int:
+    """A stamp given in seconds; 0 for times that are stamps themselves."""
+    return 0 if text.strip("0.") == "" and "0" in text else stamp(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    return import_csv(
+        args.csv,
+        args.output,
+        model=args.model,
+        unit=args.time_unit,
+        start=args.start,
+        epoch=args.epoch,
+        sort=args.sort,
+    )
+
+
+def import_csv(
+    csv: Path,
+    output: Path,
+    *,
+    model: str | None = None,
+    unit: str | None = None,
+    start: int | None = None,
+    epoch: int | None = None,
+    sort: bool = False,
+) -> int:
+    """Import a file and say what it has become.
+
+    Args:
+        csv: the file.
+        output: the bag to make.
+        model: a model file or a sample's name; None for none.
+        unit: of the times; None for that in the header, else s.
+        start: stamp of the file's time 0, ns; None to tell by its first time.
+        epoch: stamp of ``t = 0``, ns; None for the file's time 0.
+        sort: whether the rows may stand in any order.
+
+    Returns:
+        0.
+
+    Raises:
+        UsageError, ModelError: the file or the arguments cannot be used.
+        BagError: the bag cannot be written.
+    """
+    from impact_observer.bag import importing
+    from impact_observer.cli.progress import Progress
+    from impact_observer.model import read_model
+
+    read = None if model is None else read_model(model)
+    with Progress() as progress:
+
+        def show(rows: int) -> None:
+            if rows % 1000 == 0:
+                progress.show(f"{csv}: {rows} rows")
+
+        imported = importing.import_csv(
+            csv,
+            output,
+            model=read,
+            unit=unit,
+            start=start,
+            epoch=epoch,
+            sort=sort,
+            progress=show,
+        )
+        progress.line(f"{output}: {_said(imported)}")
+        if imported.ignored:
+            progress.line(f"note: columns left out: {', '.join(imported.ignored)}")
+    return 0
+
+
+def _said(imported: "Imported") -> str:
+    """What has become of a file, in words."""
+    from impact_observer.stamps import text
+
+    span = f"stamps {text(imported.first)} to {text(imported.last)} s"
+    zero = f"time 0 is stamp {text(imported.start)} s"
+    epoch = "epoch unknown"
+    if imported.epoch:
+        epoch = f"epoch {text(imported.epoch)} s"
+    return f"{imported.events} events of {imported.switches} rows, {span}; {zero}, {epoch}"

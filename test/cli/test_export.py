@@ -1,0 +1,239 @@
+"""export: what a bag says, as a table of exact numbers."""
+
+import csv
+import struct
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from impact_observer.bag import BagReader, BagWriter, exporting
+from impact_observer.bag.comparisons import compare_bag
+from impact_observer.bag.messages import bag_messages
+from impact_observer.bag.recordings import carried_model
+from impact_observer.cli.main import main
+from impact_observer.events import ImpactEvent, Kind, Switch
+
+TRUTH, ESTIMATE = "/plant/joint_states", "/observer/state"
+EPOCH = 1_000_000_000
+Table = Mapping[str, Sequence[object]]
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten seconds of two masses and an observer whose sensor jitters."""
+    folder = tmp_path_factory.mktemp("bags")
+    plant, bag = str(folder / "plant"), str(folder / "bag")
+    how = ("--duration", "10", "--rate", "400", "--jitter", "0.002", "--seed", "3")
+    assert main(["simulate", "two_mass", *how, "-o", plant]) == 0
+    assert main(["observe", plant, "--initial", "random:1", "-o", bag]) == 0
+    return folder / "bag"
+
+
+def exported(bag: Path, file: Path, *options: str) -> Table:
+    """The table that a bag becomes, read back by another library."""
+    if file.suffix == ".parquet":
+        pytest.importorskip("pyarrow")
+    assert main(["export", str(bag), "-o", str(file), *options]) == 0
+    assert [each.name for each in file.parent.iterdir() if each.name.startswith(".")] == []
+    if file.suffix == ".parquet":
+        table = pytest.importorskip("pyarrow.parquet").read_table(file)
+        return {name: table[name].to_pylist() for name in table.column_names}
+    with file.open(newline="", encoding="utf-8") as lines:
+        rows = list(csv.DictReader(lines))
+    return {name: [row[name] for row in rows] for name in rows[0]}
+
+
+def bits(values: Sequence[object]) -> bytes:
+    """Numbers bit by bit, from texts too."""
+    return struct.pack(f"{len(values)}d", *(float(str(value)) for value in values))
+
+
+def of_topic(table: Table, topic: str, column: str) -> list[object]:
+    """A column's rows of one topic."""
+    return [v for v, own in zip(table[column], table["topic"], strict=True) if own == topic]
+
+
+def same(column: Sequence[object], wanted: NDArray[np.float64]) -> bool:
+    """Whether a column has exactly these numbers."""
+    return bits(column) == np.ascontiguousarray(wanted).tobytes()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_states_are_those_of_the_bag_bit_by_bit(
+    observed: Path, tmp_path: Path, suffix: str
+) -> None:
+    """With stamps as integers and seconds since the epoch."""
+    table = exported(observed, tmp_path / f"states{suffix}")
+    head = ["topic", "stamp_ns", "time_s", "q_x1", "q_x2", "u_x1", "u_x2"]
+    assert list(table) == head
+    with BagReader(observed) as reader:
+        states = {
+            TRUTH: reader.joint_states(TRUTH),
+            ESTIMATE: reader.observer_states(ESTIMATE),
+        }
+    assert len(table["topic"]) == sum(each.stamps.size for each in states.values()) == 8002
+    for topic, each in states.items():
+        stamps = [int(str(stamp)) for stamp in of_topic(table, topic, "stamp_ns")]
+        assert stamps == each.stamps.tolist()
+        assert same(of_topic(table, topic, "time_s"), (each.stamps - EPOCH) / 1e9)
+        for k, name in enumerate(each.names):
+            assert same(of_topic(table, topic, f"q_{name}"), each.q[:, k])
+            assert same(of_topic(table, topic, f"u_{name}"), each.u[:, k])
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_errors_are_what_compare_counts(observed: Path, tmp_path: Path, suffix: str) -> None:
+    """Samples between the jumps of truth and estimate are left out; V comes along."""
+    table = exported(observed, tmp_path / f"errors{suffix}", "--what", "errors")
+    with BagReader(observed) as reader:
+        comparison = compare_bag(reader, carried_model(reader).system).comparisons["/observer"]
+    assert comparison.mismatch.samples > 0
+    assert [int(str(stamp)) for stamp in table["stamp_ns"]] == comparison.stamps.tolist()
+    assert same(table["V"], comparison.V)
+    for k, name in enumerate(("dq_x1", "dq_x2", "du_x1", "du_x2")):
+        assert same(table[name], comparison.error[:, k])
+    assert set(table["law"]) == {"geometric"}
+    assert set(table["topic"]) == {ESTIMATE}
+
+
+def test_estimates_before_their_events_are_left_out(tmp_path: Path, sample_bag: Path) -> None:
+    """As of a live observer: here none has heard of any event."""
+    file = tmp_path / "errors.csv"
+    assert main(["export", str(sample_bag), "-o", str(file), "--what", "errors"]) == 1
+    assert not file.exists()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_events_are_imported_again(tmp_path: Path, suffix: str) -> None:
+    """A row for each contact; stamps to the nanosecond."""
+    make, bag = bag_messages(), tmp_path / "bag"
+    events = [
+        ImpactEvent(5_000_000_001, (Switch("a"), Switch("b", Kind.CLOSE)), 1, 2, 4_000_000_000),
+        ImpactEvent(5_123_456_789, (Switch("b", Kind.OPEN),), 2, 2, 4_000_000_000),
+    ]
+    with BagWriter(bag) as writer:
+        for event in events:
+            writer.write("/impacts", event.stamp, make.event(event))
+    table = exported(bag, tmp_path / f"events{suffix}", "--what", "events")
+    assert table["contact"] == ["a", "b", "b"]
+    assert table["kind"] == ["impact", "close", "open"]
+    assert [int(str(each)) for each in table["sequence"]] == [1, 1, 2]
+    assert [int(str(each)) for each in table["episode"]] == [2, 2, 2]
+    if suffix == ".csv":
+        again = tmp_path / "again"
+        file = str(tmp_path / "events.csv")
+        assert main(["import", file, "-o", str(again), "--start", "4"]) == 0
+        with BagReader(again) as reader:
+            found = [(e.stamp, e.switches, e.epoch) for e in reader.events()]
+        assert found == [(e.stamp, e.switches, e.epoch) for e in events]
+
+
+def test_only_the_topics_asked_for_are_exported(
+    observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By topic or by observer; the epoch may be another."""
+    file = tmp_path / "states.csv"
+    table = exported(observed, file, "--topics", "observer", "--epoch", "0.5")
+    assert set(table["topic"]) == {ESTIMATE}
+    assert table["time_s"][0] == "0.500000000"
+    assert f"4001 rows of states: 4001 of {ESTIMATE}" in capsys.readouterr().out
+    joint = "/observer/joint_states"
+    assert set(exported(observed, file, "--topics", joint, TRUTH)["topic"]) == {joint, TRUTH}
+
+
+def test_long_bags_are_written_in_row_groups(
+    observed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """So that memory stays constant."""
+    pq = pytest.importorskip("pyarrow.parquet")
+    from impact_observer.bag import parquet
+
+    monkeypatch.setattr(parquet, "_GROUP", 3000)
+    exported(observed, tmp_path / "states.parquet")
+    found = pq.ParquetFile(tmp_path / "states.parquet")
+    assert found.metadata.num_row_groups > 1
+    assert found.metadata.num_rows == 8002
+    assert found.schema_arrow.metadata[b"epoch_ns"] == b"1000000000"
+
+
+def test_without_pyarrow_the_extra_is_named(
+    observed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """In one line; CSV needs nothing."""
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.delitem(sys.modules, "impact_observer.bag.parquet", raising=False)
+    assert main(["export", str(observed), "-o", str(tmp_path / "states.parquet")]) == 2
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert "Parquet needs pyarrow" in error
+    assert "pip install impact_observer[parquet]" in error
+    exported(observed, tmp_path / "states.csv")
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "said"),
+    [
+        (("-o", "x.xlsx"), 2, "x.xlsx: expected a file's name that ends with .csv or .parquet"),
+        (("-o", "no/x.csv"), 2, "no/x.csv: cannot be made: No such file or directory"),
+        (("-o", "x.csv", "--topics", "/absent"), 2, "no topic or observer /absent; in the bag: /"),
+        (("-o", "x.csv", "--topics", "/impacts"), 1, "/impacts is impact_observer_msgs/msg/Impac"),
+        (("-o", "x.csv", "--what", "events", "--topics", "/a"), 2, "events have their own topic"),
+        (("-o", "x.csv", "--what", "errors", "--topics", TRUTH), 1, "has no estimates; make them"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_no_file(
+    observed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...],
+    code: int,
+    said: str,
+) -> None:
+    """And what was there stays."""
+    monkeypatch.chdir(tmp_path)
+    Path("x.csv").write_text("kept")
+    assert main(["export", str(observed), *options]) == code
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert said in error
+    assert [each.name for each in tmp_path.iterdir()] == ["x.csv"]
+    assert Path("x.csv").read_text() == "kept"
+
+
+def test_a_bag_without_states_says_what_it_has(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And without events likewise."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.declare("/impacts")
+        writer.declare("/plant/joint_states")
+    for what, said in (("states", "has no states; topics: /impacts"), ("events", "no events")):
+        given = ["-o", str(tmp_path / "x.csv"), "--what", what]
+        assert main(["export", str(tmp_path / "bag"), *given]) == 1
+        assert said in capsys.readouterr().err
+
+
+def test_an_interruption_leaves_what_was_there(tmp_path: Path) -> None:
+    """The file is replaced at the end only."""
+    path = tmp_path / "x.csv"
+    path.write_text("kept")
+
+    def interrupted() -> None:
+        with exporting.finished(path, exporting.CsvSink) as sink:
+            stamps = np.array([1], dtype=np.int64)
+            sink.write(exporting.Block(0, stamps, {"topic": "/x"}))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert path.read_text() == "kept"
+    assert [each.name for each in tmp_path.iterdir()] == ["x.csv"]

@@ -1,0 +1,212 @@
+"""import: a CSV file of impact times becomes a bag that observe runs on."""
+
+from decimal import Decimal
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from systems import examples
+
+from impact_observer.bag import BagReader
+from impact_observer.bag.importing import Row, Table
+from impact_observer.bag.recordings import carried_model
+from impact_observer.cli.main import main
+from impact_observer.events import ImpactEvent, Kind, Switch
+
+STOP = (Switch("stop"),)
+EPOCH = 1_000_000_000
+TABS = "1.500000000\tstop\t1\r\n \t\t\r\n2.5\tstop\topen"
+QUOTED = '"2500.0","stop","open"\n'
+
+
+def written(folder: Path, text: str) -> Path:
+    """A file with a text, byte for byte."""
+    path = folder / "rig.csv"
+    path.write_bytes(text.encode())
+    return path
+
+
+def imported(folder: Path, text: str, *options: str) -> list[ImpactEvent]:
+    """The events that a text becomes."""
+    path = written(folder, text)
+    assert main(["import", str(path), "-o", str(folder / "bag"), *options]) == 0
+    with BagReader(folder / "bag") as reader:
+        return list(reader.events())
+
+
+def refused(
+    folder: Path, text: str, capsys: pytest.CaptureFixture[str], *options: str, code: int = 2
+) -> str:
+    """The one line that is said of a text, without the file's name; no bag is left."""
+    path = written(folder, text)
+    assert main(["import", str(path), "-o", str(folder / "bag"), *options]) == code
+    error = capsys.readouterr().err
+    assert len(error.splitlines()) == 1
+    assert not (folder / "bag").exists()
+    start = f"impact-observer: {path}"
+    assert error.startswith(start)
+    return error[len(start) :].strip()
+
+
+def test_observe_runs_on_what_was_imported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the model in the bag; without truth it needs a rate, and says so."""
+    events = imported(tmp_path, "0.53\n2.7\n3.1\n", "--model", "two_mass")
+    assert [event.stamp for event in events] == [1_530_000_000, 3_700_000_000, 4_100_000_000]
+    assert all(event.switches == STOP for event in events)
+    assert [event.sequence for event in events] == [1, 2, 3]
+    assert {event.epoch for event in events} == {EPOCH}
+    with BagReader(tmp_path / "bag") as reader:
+        assert carried_model(reader).system.name == "two_mass"
+    bags = [str(tmp_path / "bag"), "-o", str(tmp_path / "observed")]
+    assert main(["observe", *bags]) == 2
+    assert "carries no truth to sample with; give --rate" in capsys.readouterr().err
+    assert main(["observe", *bags, "--rate", "50"]) == 0
+    assert "3 applied" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time,contact,kind\n0.5,stop,impact\n1.5,stop,close\n2.5,stop,open\n",
+        "0.5,stop\n1.5,stop,CLOSE\n2.5,stop,2\n",
+        "kind;force;Time;contact\n;3,7;0,5;stop\nClose;;1,5;stop\nopen;;2,5;stop\n",
+        "\ufefftime\tcontact\tkind\r\n\r\n# no ; here\r\n5e-1\tstop\r\n" + TABS,
+        "# by a logger\ntime [ms],contact,kind\n500,stop\n1500, stop ,close\n" + QUOTED,
+        "time_ns,contact,kind\n500000000,stop,\n1500000000,stop,close\n2500000000,stop,open\n",
+    ],
+)
+def test_files_as_people_and_programs_write_them(tmp_path: Path, text: str) -> None:
+    """Headers in any order or none, three separators, decimal commas, comments, BOM, CRLF."""
+    events = imported(tmp_path, text)
+    assert [event.stamp - EPOCH for event in events] == [500_000_000, 1_500_000_000, 2_500_000_000]
+    kinds = [(event.switches[0].contact, event.switches[0].kind) for event in events]
+    assert kinds == [("stop", Kind.IMPACT), ("stop", Kind.CLOSE), ("stop", Kind.OPEN)]
+
+
+@examples(100)
+@given(
+    whole=st.integers(0, 2_000_000_000),
+    part=st.integers(0, 999_999_999),
+    unit=st.sampled_from(["s", "ms", "us", "ns"]),
+)
+def test_times_are_exact_to_the_nanosecond(
+    tmp_path_factory: pytest.TempPathFactory, whole: int, part: int, unit: str
+) -> None:
+    """However large they are: no float has so many digits."""
+    stamp = whole * 10**9 + part
+    decimals = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
+    text = format(Decimal(stamp).scaleb(-decimals), "f")
+    path = written(tmp_path_factory.mktemp("csv"), f"time,contact\n{text},stop\n")
+    assert list(Table(path, unit=unit).rows()) == [Row(2, stamp, Switch("stop"))]
+
+
+def test_rows_of_equal_time_are_one_event(tmp_path: Path) -> None:
+    """Equal to the nanosecond, however they are written."""
+    text = "0.5,left\n0.500000000,right\n0.500000001,left\n0.5000000014,right,close\n"
+    first, second = imported(tmp_path, text, "--model", "three_mass")
+    assert first.switches == (Switch("left"), Switch("right"))
+    assert second.switches == (Switch("left"), Switch("right", Kind.CLOSE))
+    assert second.stamp - first.stamp == 1
+
+
+def test_time_zero_is_where_it_is_said_to_be(tmp_path: Path) -> None:
+    """Times since 1970 are stamps; others begin at 1 s; the epoch may be another instant."""
+    cases: list[tuple[str, tuple[str, ...], int, int]] = [
+        ("0,stop", (), EPOCH, EPOCH),
+        ("1700000000.123456789,stop", (), 1_700_000_000_123_456_789, 0),
+        ("1700000000.5,stop", ("--epoch", "1700000000"), 1_700_000_000_500_000_000, 17 * 10**17),
+        ("0.25,stop", ("--start", "7.5"), 7_750_000_000, 7_500_000_000),
+        ("0.25,stop", ("--start", "7.5", "--epoch", "7"), 7_750_000_000, 7_000_000_000),
+        ("0.25,stop", ("--start", "0"), 250_000_000, 0),
+        ("250,stop", ("--time-unit", "ms"), EPOCH + 250_000_000, EPOCH),
+    ]
+    for k, (text, options, stamp, epoch) in enumerate(cases):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        (event,) = imported(folder, text, *options)
+        assert (event.stamp, event.epoch) == (stamp, epoch)
+
+
+def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And only then; what is left out is told."""
+    text = "time,contact,peak,note\n2.5,stop,1,a\n0.5,stop,2,b\n"
+    said = refused(tmp_path, text, capsys)
+    assert said == (
+        ", line 3: time 0.500000000 s comes after 2.500000000 s; sort the rows, or say --sort"
+    )
+    events = imported(tmp_path, text, "--sort")
+    assert [event.stamp for event in events] == [1_500_000_000, 3_500_000_000]
+    printed = capsys.readouterr().out
+    assert "2 events of 2 rows, stamps 1.500000000 to 3.500000000 s" in printed
+    assert "time 0 is stamp 1.000000000 s, epoch 1.000000000 s" in printed
+    assert "note: columns left out: peak, note" in printed
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "said"),
+    [
+        ("", (), ": holds no impact; expected rows time[, contact[, kind]]"),
+        ("\n# nothing\n\n", (), ": holds no impact"),
+        ("time,contact\n", (), ": holds no impact; expected rows time[, contact[, kind]] below"),
+        ("when,contact\n", (), ", line 1: 'when' found; expected a header with a column time"),
+        ("0.5,stop\n\n0.6x,stop\n", (), ", line 3: '0.6x' found; expected a time as a decimal"),
+        ("0.5,stop\nnan,stop\n", (), ", line 2: 'nan' found; expected a time"),
+        ("time,contact\n,stop\n", (), ", line 2: '' found; expected a time"),
+        ("0.5,stop\n1e12,stop\n", (), ", line 2: time 1e12 is too large; stamps end at"),
+        ("# x\n0.5\n", (), ", line 2: names no contact; expected a column contact, or a --model"),
+        ("time,contact\n0.5,\n", ("--model", "three_mass"), "no contact; expected one of right,"),
+        ("0.5,anvil\n", ("--model", "two_mass"), ", line 1: contact 'anvil' is none of the model"),
+        ("0.5,stop,hit\n", (), ", line 1: kind 'hit' found; expected one of impact, close, open"),
+        ("0.5,stop,0,9\n", (), ", line 1: 4 columns found; expected time[, contact[, kind]], at"),
+        ("time,contact\n0.5,stop,0\n", (), ", line 2: 3 columns found; the header has 2"),
+        ("time,time_s\n", (), ", line 1: two columns of time, time, time_s; expected one"),
+        ("time,contact,contact\n", (), ", line 1: two columns contact found; expected one"),
+        ("time_ms\n5\n", ("--time-unit", "s"), ", line 1: the header says ms, --time-unit s"),
+        ("0.5,stop\n0.5,stop\n", (), ", line 2: impact of 'stop' stands in line 1 already"),
+        ("-1,stop\n", ("--start", "1"), ", line 1: the stamp would be 0.000000000 s; expected"),
+        (
+            "0,stop\n",
+            ("--start", "0"),
+            ", line 1: the stamp would be 0.000000000 s; expected more",
+        ),
+        (
+            "0.5,stop\n",
+            ("--epoch", "9"),
+            ", line 1: the stamp would be 1.500000000 s; expected 9.",
+        ),
+        ('0.5,stop\n"0.6,stop\n', (), ", line 2: cannot be read as CSV: unexpected end of data"),
+    ],
+)
+def test_a_mistake_is_one_line_with_its_number(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    text: str,
+    options: tuple[str, ...],
+    said: str,
+) -> None:
+    """What was found and what is wanted; exit code 2 and no bag."""
+    assert said in refused(tmp_path, text, capsys, *options)
+
+
+def test_a_file_that_cannot_be_read_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Because it is not there, or no text in UTF-8."""
+    path = tmp_path / "rig.csv"
+    assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
+    assert "rig.csv: cannot be read: No such file" in capsys.readouterr().err
+    path.write_bytes("0.5,stöp\n".encode("latin-1"))
+    assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
+    assert "rig.csv: is no text in UTF-8; save it as CSV UTF-8" in capsys.readouterr().err
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_bag_that_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing is written over."""
+    (tmp_path / "bag").mkdir()
+    path = written(tmp_path, "0.5,stop\n")
+    assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
+    assert "exists already" in capsys.readouterr().err
