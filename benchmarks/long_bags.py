@@ -23,7 +23,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from impact_observer.bag.bulk import layout_of
-from impact_observer.bag.interfaces import interface
+from impact_observer.bag.interfaces import PLANT_MODEL, interface
 from impact_observer.bag.reader import BagReader, RawMessage
 from impact_observer.bag.writer import BagWriter
 from impact_observer.cli.main import main as run_command
@@ -103,36 +103,33 @@ def _make(bag: Path, folder: Path, size: float, console: Console) -> None:
         task = progress.add_task("making the bag", total=passes)
         for topic, info in reader.topics.items():
             writer.declare(topic, type_name=info.type, quality=info.quality)
+        once = [(message, [*_stamps_in(message)]) for message in reader.raw()]
         for k in range(passes):
-            for message in reader.raw():
-                if k == 0 or message.topic != "/plant/model":
-                    writer.write_raw(*_later(message, k))
+            for message, places in once:
+                if not k:
+                    writer.write_raw(*message)
+                elif places:
+                    writer.write_raw(*_later(message, places, k * (SECONDS + 1)))
             progress.advance(task)
     console.print(f"{writer.message_count} messages", highlight=False)
 
 
-def _later(message: RawMessage, k: int) -> RawMessage:
-    """The message of the ``k``-th repetition: its header's stamp is so much later.
-
-    The numbers of the events, and the stamps of the last event in the estimates, follow; where
-    they lie in the bytes is asked of the message itself.
-    """
-    later = k * (SECONDS + 1)
-    if k == 0 or message.topic == "/plant/model":
-        return message
+def _later(message: RawMessage, places: Sequence[int], seconds: int) -> RawMessage:
+    """The message with stamps so much later."""
     data = bytearray(message.data)
-    for place in _stamps_in(message):
-        seconds = int.from_bytes(data[place : place + 4], "little")
-        if seconds:
-            data[place : place + 4] = (seconds + later).to_bytes(4, "little")
-    return RawMessage(message.topic, message.log_time + later * NS_PER_S, bytes(data))
+    for place in places:
+        if stamp := int.from_bytes(data[place : place + 4], "little"):  # 0 is no stamp
+            data[place : place + 4] = (stamp + seconds).to_bytes(4, "little")
+    return RawMessage(message.topic, message.log_time + seconds * NS_PER_S, bytes(data))
 
 
 def _stamps_in(message: RawMessage) -> Iterator[int]:
-    """Where the seconds of stamps lie in a message."""
-    yield 4
+    """Where the seconds of stamps lie in a message; none for the model, which comes once."""
     known = interface(message.topic)
-    layout = layout_of(known.type, message.data) if known else None
+    if known is None or known is PLANT_MODEL:
+        return
+    yield 4
+    layout = layout_of(known.type, message.data)
     if layout is not None and layout.last_event is not None:
         yield layout.last_event
 
