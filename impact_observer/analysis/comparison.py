@@ -7,7 +7,7 @@ the truth has jumped and the estimate has not, or the other way round, is a *mis
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from tempfile import TemporaryFile
 from typing import IO
@@ -41,12 +41,16 @@ class Heard:
     Attributes:
         instants: stamps of what it applied or inserted, openings included, ns, ascending,
             shape (events,).
+        told: those of them that events told, which an estimate may be too early to know of,
+            shape (told,); an impact that was inserted has no event to wait for.
         impacts: stamp (ns) and contact of each impact among them, ascending.
-        rulings: how many switches it applied, rejected and inserted in the end; None where it
-            published no verdicts, and is taken to have applied all.
+        rulings: how many switches it applied, rejected and inserted in the end, insertions that
+            it has taken back left out; None where it published no verdicts, and is taken to have
+            applied all.
     """
 
     instants: Stamps
+    told: Stamps
     impacts: tuple[tuple[int, str], ...]
     rulings: Counter[Ruling] | None
 
@@ -166,7 +170,7 @@ class Comparing:
         impacts = [Impact(stamp, index[name]) for stamp, name in heard.impacts if name in index]
         self.pairing = Pairing()
         self._system, self._heard, self._threshold = system, heard, threshold
-        self._tally = Tally(system, heard.instants, impacts, threshold)
+        self._tally = Tally(system, heard.told, impacts, threshold)
 
     def proceed(self) -> None:
         """Compare what can be compared of the blocks that were added."""
@@ -287,15 +291,27 @@ def heard_of(events: Iterable[ImpactEvent], verdicts: Iterable[Verdict] | None) 
     """
     every = [*events]
     told = sorted({(stamp, contact) for stamp, contact, _ in hits(every)})
+    stamps = np.unique(np.array([event.stamp for event in every], dtype=np.int64))
     if verdicts is None:
-        stamps = np.unique(np.array([event.stamp for event in every], dtype=np.int64))
-        return Heard(stamps, tuple(told), None)
+        return Heard(stamps, stamps, tuple(told), None)
     last = final_rulings(verdicts)
     used = {(s, contact) for (s, _, contact), r in last.items() if r is not Ruling.REJECTED}
     inserted = {(s, contact) for (s, _, contact), r in last.items() if r is Ruling.INSERTED}
     # A verdict without a contact is on the whole event.
     impacts = {(s, c) for s, c in told if (s, c) in used or (s, "") in used} | inserted
-    return Heard(_instants(last), tuple(sorted(impacts)), Counter(last.values()))
+    instants = _instants(last)
+    both = np.intersect1d(instants, stamps)
+    return Heard(instants, both, tuple(sorted(impacts)), counted(last, set(stamps.tolist())))
+
+
+def counted(last: Mapping[tuple[int, int, str], Ruling], told: Collection[int]) -> Counter[Ruling]:
+    """How many switches have each ruling in the end.
+
+    An insertion that was taken back is none: its stamp is not one of those ``told`` (ns), and
+    nothing that came from the sensor was rejected.
+    """
+    rejected = Ruling.REJECTED
+    return Counter(r for (stamp, _, _), r in last.items() if r is not rejected or stamp in told)
 
 
 def applied_in(verdicts: Iterable[Verdict]) -> Stamps:

@@ -77,15 +77,21 @@ def window(
     of_truth = _nearest(rises, _LEAST * float(np.max(np.abs(truth[low:high]))), here)
     if of_truth is None:
         return None
-    at = int(near[of_truth])
-    if any(abs(at - other) < abs(at - impact.stamp) for other in others):
+    if _is_of_another(int(near[of_truth]), impact, others):
         return None
     # At the stamp an estimate may be thrown either way, or hardly; ahead of it only like the
     # truth, by a law that knows when the impact must be.
     least = _LIKE * float(rises[of_truth])
     of_estimate = _nearest(_rises(near, estimate[low:high]), least, here)
-    first, last = sorted((of_truth, here if of_estimate is None else of_estimate))
+    if of_estimate is None or _is_of_another(int(near[of_estimate]), impact, others):
+        of_estimate = here
+    first, last = sorted((of_truth, of_estimate))
     return Window(int(near[first]), int(near[last])) if first < last else None
+
+
+def _is_of_another(at: int, impact: Impact, others: Sequence[int]) -> bool:
+    """Whether a jump at the stamp ``at`` (ns) is nearer to another impact of the contact."""
+    return any(abs(at - other) < abs(at - impact.stamp) for other in others)
 
 
 def _rises(stamps: Stamps, speed: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -44,7 +44,7 @@ class Tally:
 
         Args:
             system: gives M and K for V.
-            instants: stamps of all events that it used, ns, ascending, shape (events,).
+            instants: stamps of the events told that it used, ns, ascending, shape (events,).
             impacts: those of them that are impacts, by stamp.
             threshold: V over V at the start below which an estimate has settled.
         """

@@ -119,13 +119,13 @@ class Observed:
 
     @property
     def name(self) -> str:
-        """The node's name."""
-        return self.prefix.rpartition("/")[2]
+        """The node's name, below its namespace if it has one."""
+        return self.prefix.lstrip("/")
 
     @property
     def monitor(self) -> str:
         """The absolute name of its monitor: ``monitor_<law>`` beside ``observer_<law>``."""
-        name = self.name
+        name = self.prefix.rpartition("/")[2]
         own = f"monitor{name.removeprefix('observer')}"
         return self.beside(own if name.startswith("observer") else f"monitor_{name}")
 
@@ -189,7 +189,7 @@ def curves(
 
     Args:
         system: names coordinates and contacts, and itself in the diagnostics.
-        observers: whose estimates are to be seen; the plant is that beside the first.
+        observers: whose estimates are to be seen, each with the plant beside it.
         topics: only curves of these absolute names, such as those of a bag; None for all.
 
     Returns:
@@ -206,7 +206,7 @@ def curves(
         *_errors(system, observers),
         *(curve for each in observers for curve in _distances(each)),
         *(curve for each in observers if each.filters for curve in _deviations(system, each)),
-        *_impacts(system, observers[0]),
+        *_impacts(system, observers),
         *(curve for each in observers for curve in _verdicts(each)),
         *(curve for each in observers for curve in _learnt(each)),
         *(curve for each in observers for curve in _diagnostics(system, each)),
@@ -219,14 +219,23 @@ def _states(
     system: System, observers: Sequence[Observed], group: Group, field: str, unit: str
 ) -> Iterator[Curve]:
     """Truth and estimates of each coordinate, in one plot."""
-    truth = observers[0].beside(interfaces.PLANT_JOINT_STATES.name)
-    places = [("plant", truth)]
-    places += [(each.name, each.own(interfaces.OBSERVER_JOINT_STATES)) for each in observers]
+    truths = _beside(observers, interfaces.PLANT_JOINT_STATES)
+    places = [("plant", f"{rig}plant", topic) for rig, topic in truths]
+    joints = interfaces.OBSERVER_JOINT_STATES
+    places += [(each.name, each.name, each.own(joints)) for each in observers]
     for i, name in enumerate(system.coordinates):
-        for source, topic in places:
+        for source, label, topic in places:
             steps = (Step(field, i),)
             plot = f"{name} {field} [{unit}]"
-            yield Curve(f"{name} {source}", source, topic, steps, group, plot, element=name)
+            yield Curve(f"{name} {label}", source, topic, steps, group, plot, element=name)
+
+
+def _beside(observers: Sequence[Observed], interface: Interface) -> Iterator[tuple[str, str]]:
+    """Each topic of the plants beside observers once, with what tells several plants apart."""
+    topics = dict.fromkeys(each.beside(interface.name) for each in observers)
+    for topic in topics:
+        rig = topic.removesuffix(interface.name).lstrip("/")
+        yield rig if len(topics) > 1 else "", topic
 
 
 def _errors(system: System, observers: Sequence[Observed]) -> Iterator[Curve]:
@@ -271,13 +280,14 @@ def _deviations(system: System, observer: Observed) -> Iterator[Curve]:
         )
 
 
-def _impacts(system: System, observer: Observed) -> Iterator[Curve]:
+def _impacts(system: System, observers: Sequence[Observed]) -> Iterator[Curve]:
     """How each contact switches: 0 IMPACT, 1 CLOSE, 2 OPEN."""
-    topic = observer.beside(interfaces.IMPACTS.name)
-    for name in system.contact_names:
-        steps = (Step("switches", where=("contact", name)), Step("kind"))
-        plot = "kind of switch: 0 impact, 1 close, 2 open"
-        yield Curve(name, "plant", topic, steps, Group.EVENTS, plot, states=True)
+    plot = "kind of switch: 0 impact, 1 close, 2 open"
+    for rig, topic in _beside(observers, interfaces.IMPACTS):
+        for name in system.contact_names:
+            steps = (Step("switches", where=("contact", name)), Step("kind"))
+            label = f"{rig}{name}"
+            yield Curve(label, "plant", topic, steps, Group.EVENTS, plot, states=True)
 
 
 def _verdicts(observer: Observed) -> Iterator[Curve]:

@@ -109,7 +109,7 @@ def finished(path: Path, make: Callable[[Path], Sink]) -> Iterator[Sink]:
         UsageError: it cannot be made.
         BagError: the disk is full or gone.
     """
-    if path.suffix not in SUFFIXES:
+    if path.suffix.lower() not in SUFFIXES:
         raise UsageError(f"{path}: expected a file's name that ends with {' or '.join(SUFFIXES)}")
     part = path.with_name(f".{path.name}.part")
     try:
@@ -305,7 +305,7 @@ class _Differing:
         heard = heard_of(events, told)
         index = {name: c for c, name in enumerate(system.contact_names)}
         impacts = [Impact(stamp, index[name]) for stamp, name in heard.impacts if name in index]
-        self._tally = Tally(system, heard.instants, impacts, SETTLED)
+        self._tally = Tally(system, heard.told, impacts, SETTLED)
         self._tally.curve = self._sieve = _Sieve()
 
     def add(self, block: JointStates, *, is_truth: bool, is_own: bool) -> None:

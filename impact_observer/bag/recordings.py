@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_observer import __version__
+from impact_observer.analysis.comparison import counted
 from impact_observer.bag import interfaces
 from impact_observer.bag.messages import JointState, bag_messages
 from impact_observer.bag.reader import BagReader, RawMessage
@@ -243,7 +244,7 @@ def observe_bag(
             else:
                 settled |= final_rulings([item])
                 told[item.ruling] += item.ruling not in SETTLING
-    return count, +(told + Counter(settled.values()))
+    return count, +(told + counted(settled, {event.stamp for event in events}))
 
 
 def _logged(items: Iterable[Estimate | Verdict]) -> Iterator[tuple[int, Estimate | Verdict]]:

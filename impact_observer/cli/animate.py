@@ -22,6 +22,8 @@ FPS = 25.0
 LONGEST = 60.0
 """How long a film may become without being asked to, s."""
 MOST_PICTURES = 20_000
+_RANGES = {"speed": (1e-6, 1e6), "fps": (1e-3, 1e3), "start": (0.0, 1e9), "duration": (0.0, 1e9)}
+"""What numbers may be, so that all stamps are 64 bits long."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -124,18 +126,20 @@ def animate(
     from impact_observer.cli.film_files import writer_for
     from impact_observer.cli.progress import Progress
 
+    _check(speed=speed, fps=fps, start=start, duration=duration or 0.0)
     write = writer_for(output, fps)
     stretch = Stretch(start, LONGEST * speed if duration is None else duration)
     with BagReader(bag) as reader, Progress(sys.stderr) as progress:
         progress.show(f"reading {bag}")
         film = read_film(reader, system_of(reader, model), stretch, observers)
         left = _left_out(reader, film) if duration is None else ""
-        stamps = film.stamps(fps, speed).tolist()
-        if len(stamps) > MOST_PICTURES:
+        count = film.count(fps, speed)
+        if count > MOST_PICTURES:
             raise UsageError(
-                f"{len(stamps)} pictures: too many for a film; expected at most {MOST_PICTURES},"
+                f"{count} pictures: too many for a film; expected at most {MOST_PICTURES},"
                 " with a shorter --duration, a lower --fps or a higher --speed"
             )
+        stamps = film.stamps(fps, speed).tolist()
         moving = Moving(film, title=_title(film, speed), speed=speed)
         with write(output, moving.size) as add:
             for done, stamp in enumerate(stamps, start=1):
@@ -144,6 +148,18 @@ def animate(
     shown = (film.end - film.start) * 1e-9
     print(f"film: {output}, {len(stamps)} pictures of {shown:.2f} s{left}")
     return 0
+
+
+def _check(**given: float) -> None:
+    """Raise unless all numbers are in their ranges.
+
+    Raises:
+        UsageError: one is not.
+    """
+    for name, value in given.items():
+        low, high = _RANGES[name]
+        if not low <= value <= high:
+            raise UsageError(f"--{name} {value:g}: expected a number from {low:g} to {high:g}")
 
 
 def _title(film: "Film", speed: float) -> str:

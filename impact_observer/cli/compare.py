@@ -189,7 +189,7 @@ def _write(
     if output.csv is not None:
         write_csv(labelled, output.csv)
     if output.plot is not None:
-        draw(labelled, results[0][1], output.plot)
+        draw(labelled, results, output.plot)
     if output.report is not None:
         from impact_observer.cli.report import write_report
 
@@ -220,12 +220,16 @@ def _compare_one(
         return compare_bag(reader, system, made, choice=choice, progress=show)
 
 
-def draw(labelled: "dict[str, Comparison]", first: "BagComparison", plot: Path) -> None:
-    """Draw V over time; impacts and epoch are those of the first bag."""
-    from impact_observer.analysis.figures import lyapunov_figure, save
+def draw(
+    labelled: "dict[str, Comparison]",
+    results: "Sequence[tuple[Path, BagComparison]]",
+    plot: Path,
+) -> None:
+    """Draw V over time, of each bag since its epoch."""
+    from impact_observer.analysis.figures import save
+    from impact_observer.cli.comparison_figures import distance_figure
 
-    title = f"{first.system.name}: distance of the estimates from the truth"
-    save(lyapunov_figure(labelled, first.impacts, title=title, epoch=first.epoch), plot)
+    save(distance_figure(labelled, results), plot)
 
 
 def labelled_by_law(results: "Sequence[tuple[Path, BagComparison]]") -> "dict[str, Comparison]":

@@ -1,6 +1,8 @@
 """The figures of comparisons as tables, as CSV and for ``--json``."""
 
 import csv
+import os
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +12,11 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from impact_observer.analysis.comparison import Comparison
+
+_NARROW = 80
+"""Columns of a terminal below which figures would be cut."""
+_WIDTH = 140
+"""Columns where there is no terminal."""
 
 
 def figures(comparison: "Comparison") -> dict[str, object]:
@@ -75,10 +82,28 @@ def print_tables(labelled: "dict[str, Comparison]") -> None:
     """Tables of V, of the impacts, and of the errors coordinate by coordinate."""
     from rich.console import Console
 
-    console = Console()
+    # Names of bags are no markup. What is not on a terminal has room for them.
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH
+    console = Console(highlight=False, markup=False, emoji=False, width=width)
     for table in (table_of(labelled), impacts_table(labelled), errors_table(labelled)):
-        console.print(table)
+        console.print(table if console.width >= _NARROW else _upright(table))
     print_blindness(labelled)
+
+
+def _upright(table: "Table") -> "Table":
+    """A table for a narrow terminal: the figures of a row stand below each other."""
+    from rich.table import Table
+
+    upright = Table(box=None, title=table.title, title_justify="left", show_header=False)
+    upright.add_column()
+    upright.add_column(overflow="fold")
+    headings = [str(column.header) for column in table.columns]
+    for row in zip(*(column.cells for column in table.columns), strict=True):
+        for heading, cell in zip(headings, row, strict=True):
+            if cell:
+                upright.add_row(heading, str(cell))
+        upright.add_row("", "")
+    return upright
 
 
 def table_of(labelled: "dict[str, Comparison]") -> "Table":

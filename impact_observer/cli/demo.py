@@ -121,9 +121,10 @@ def _judge(bag: Path, picture: Path) -> int:
 
     with BagReader(bag) as reader:
         result = compare_bag(reader, carried_model(reader).system)
-    labelled = labelled_by_law([(bag, result)])
+    results = [(bag, result)]
+    labelled = labelled_by_law(results)
     print_tables(labelled)
-    draw(labelled, result, picture)
+    draw(labelled, results, picture)
     print(f"picture: {picture}\nbag:     {bag}")
     ratio = labelled[LAWS[0]].ratio
     if ratio is None:

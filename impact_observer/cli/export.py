@@ -135,7 +135,7 @@ def _sink(output: Path) -> "Callable[[Path], Sink]":
     """
     from impact_observer.bag.exporting import CsvSink
 
-    if output.suffix != ".parquet":
+    if output.suffix.lower() != ".parquet":
         return CsvSink
     try:
         from impact_observer.bag.parquet import ParquetSink

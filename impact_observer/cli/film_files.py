@@ -1,6 +1,7 @@
 """Films as files: MP4 by ffmpeg, GIF, or one HTML page with everything in it."""
 
 import base64
+import html
 import io
 import shutil
 import struct
@@ -200,7 +201,8 @@ def _changed(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[int, 
 def _html(path: Path, size: tuple[int, int], *, fps: float) -> Iterator[Add]:
     """A page with all pictures in it, and buttons."""
     page = _PAGE.replace("FPS", f"{fps:g}").replace("WIDTH", str(size[0]))
-    head, tail = page.replace("NAME", path.stem).split("PICTURES")
+    head, tail = page.split("PICTURES")
+    head = head.replace("NAME", html.escape(path.stem))
     with _replacing(path) as made, made.open("w", encoding="utf-8") as file:
         file.write(head)
 

@@ -118,6 +118,7 @@ def import_csv(
 
 def _said(imported: "Imported") -> str:
     """What has become of a file, in words."""
+    from impact_observer.bag.checks.findings import times
     from impact_observer.stamps import text
 
     span = f"stamps {text(imported.first)} to {text(imported.last)} s"
@@ -125,4 +126,5 @@ def _said(imported: "Imported") -> str:
     epoch = "epoch unknown"
     if imported.epoch:
         epoch = f"epoch {text(imported.epoch)} s"
-    return f"{imported.events} events of {imported.switches} rows, {span}; {zero}, {epoch}"
+    events = f"{times(imported.events, 'event')} of {times(imported.switches, 'row')}"
+    return f"{events}, {span}; {zero}, {epoch}"

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Literal, cast
 
 if TYPE_CHECKING:
@@ -127,7 +128,10 @@ def summarize(bag: Path) -> BagSummary:
     try:
         return _summarized(bag)
     except BagError as error:
-        raise BagError(f"{error}; impact-observer check {bag} tells what can be read") from error
+        if "impact-observer check" in str(error):
+            raise
+        command = f"impact-observer check {quote(str(bag))}"
+        raise BagError(f"{error}; `{command}` tells what can be read") from error
 
 
 def _summarized(bag: Path) -> BagSummary:
@@ -280,18 +284,20 @@ def _print(summary: BagSummary) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from impact_observer.bag.checks.findings import times
     from impact_observer.stamps import text
 
     width = None if sys.stdout.isatty() else _WIDTH
-    console = Console(highlight=False, markup=False, width=width)
+    console = Console(highlight=False, markup=False, emoji=False, width=width)
     facts = Table.grid(padding=(0, 2))
     facts.add_column(no_wrap=True)
     facts.add_column(overflow="fold")
     facts.add_row("bag", f"{summary.path} ({summary.storage}, {_bytes(summary.size)})")
     if summary.chunks:
         facts.add_row("chunks", _packed(summary.chunks))
-    facts.add_row("time", f"{text(summary.start)} to {text(summary.end)} s")
-    facts.add_row("duration", f"{summary.duration:.6g} s, {summary.messages} messages")
+    if summary.messages:
+        facts.add_row("time", f"{text(summary.start)} to {text(summary.end)} s")
+    facts.add_row("duration", f"{summary.duration:.6g} s, {times(summary.messages, 'message')}")
     if summary.model:
         facts.add_row("model", _said(summary.model))
         if isinstance(troubles := summary.model.get("sensor"), Mapping):

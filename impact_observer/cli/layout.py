@@ -92,7 +92,8 @@ def _of_model(model: str, observers: Sequence[str]) -> "tuple[Curve, ...]":
     from impact_observer.bag.curves import Observed, curves
     from impact_observer.model import read_model
 
-    return curves(read_model(model).system, [Observed.named(name) for name in observers])
+    named = dict.fromkeys(Observed.named(name) for name in observers)
+    return curves(read_model(model).system, list(named))
 
 
 def _of_bag(
@@ -109,7 +110,7 @@ def _of_bag(
         if not found:
             raise BagError(f"{bag}: has no estimates; make them with observe, or name a model")
         by_prefix = {each.prefix: each for each in found}
-        wanted = [Observed.named(name).prefix for name in observers or by_prefix]
+        wanted = dict.fromkeys(Observed.named(name).prefix for name in observers or by_prefix)
         if missing := [prefix for prefix in wanted if prefix not in by_prefix]:
             there = ", ".join(by_prefix)
             raise UsageError(f"{bag}: no observer {missing[0]}; in the bag: {there}")

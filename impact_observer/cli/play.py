@@ -174,7 +174,7 @@ def play(bag: Path, how: "Playing", *, delay: float = _DELAY) -> int:
         count = player.play(
             bag, how, delay=delay, on_progress=show, controls=lambda: controls_of(keyboard)
         )
-        progress.line(f"{count} messages played from {bag}")
+        progress.line(f"{count} {'message' if count == 1 else 'messages'} played from {bag}")
     return 0
 
 

@@ -108,7 +108,8 @@ def record(
         )
         for line in _account(recorded):
             progress.line(line)
-        progress.line(f"{sum(recorded.counts.values()):>9} messages in {output}")
+        count = sum(recorded.counts.values())
+        progress.line(f"{count:>9} {'message' if count == 1 else 'messages'} in {output}")
     return 0
 
 

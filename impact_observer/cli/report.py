@@ -113,35 +113,30 @@ def _bags(results: "Sequence[tuple[Path, BagComparison]]") -> Iterator[str]:
 def _distances(
     labelled: "dict[str, Comparison]", results: "Sequence[tuple[Path, BagComparison]]"
 ) -> Iterator[str]:
-    """A picture of V for each bag."""
-    from impact_observer.analysis.figures import lyapunov_figure, svg
+    """A picture of V."""
+    from impact_observer.analysis.figures import svg
+    from impact_observer.cli.comparison_figures import distance_figure
 
-    for bag, result, those in _by_bag(labelled, results):
-        title = f"{result.system.name}: distance of the estimates from the truth"
-        figure = lyapunov_figure(those, result.impacts, title=title, epoch=result.epoch)
-        yield from _figure(svg(figure), f"V over time, {bag}")
+    caption = f"V over time, {_listed([bag for bag, _ in results])}"
+    yield from _figure(svg(distance_figure(labelled, results)), caption)
 
 
 def _errors(
     labelled: "dict[str, Comparison]", results: "Sequence[tuple[Path, BagComparison]]"
 ) -> Iterator[str]:
-    """A picture of the errors for each bag."""
-    from impact_observer.analysis.figures import MOST_COORDINATES, error_figure, svg
+    """A picture of the errors for each kind of system."""
+    from impact_observer.analysis.figures import MOST_COORDINATES, svg
+    from impact_observer.cli.comparison_figures import error_figures
 
-    for bag, result, those in _by_bag(labelled, results):
-        most = f", the {MOST_COORDINATES} coordinates with the largest"
-        which = most if result.system.n > MOST_COORDINATES else ""
-        drawn = error_figure(those, epoch=result.epoch)
-        yield from _figure(svg(drawn), f"Sizes of the errors, {bag}{which}")
+    for bags, n, figure in error_figures(labelled, results):
+        most = f"; the {MOST_COORDINATES} coordinates with the largest"
+        which = most if n > MOST_COORDINATES else ""
+        yield from _figure(svg(figure), f"Sizes of the errors, {_listed(bags)}{which}")
 
 
-def _by_bag(
-    labelled: "dict[str, Comparison]", results: "Sequence[tuple[Path, BagComparison]]"
-) -> "Iterator[tuple[Path, BagComparison, dict[str, Comparison]]]":
-    """The estimates of each bag."""
-    labels = iter(labelled.items())
-    for bag, result in results:
-        yield bag, result, dict(next(labels) for _ in result.comparisons)
+def _listed(bags: Sequence[Path]) -> str:
+    """Bags, each once."""
+    return ", ".join(dict.fromkeys(map(str, bags)))
 
 
 def _figure(picture: str, caption: str) -> Iterator[str]:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 _BODY, _STOP = (0.40, 0.61, 0.78), (0.45, 0.45, 0.45)
 _FIXED = "_fixed"
 """What follows a stop's name in that of its joint."""
+_FARTHEST, _MOST_ROWS = 1e6, 1000
+"""How far a body may be taken to move, m, as in the viewer, and the last row."""
 _LIMIT = 1e9
 """What a joint is limited to: a URDF wants a number, our coordinates end at their stops."""
 
@@ -84,11 +86,15 @@ def urdf(
         0.
 
     Raises:
-        UsageError, ModelError: the model is none, or the file cannot be written.
+        UsageError, ModelError: the model is none, a number is too large, or the file cannot be
+            written.
     """
     from impact_observer.analysis.scene.scene import Scene
     from impact_observer.model import read_model
 
+    for name, value, most in (("reach", reach, _FARTHEST), ("row", row, _MOST_ROWS)):
+        if value > most:
+            raise UsageError(f"--{name} {value:g}: expected at most {most:g}")
     read = read_model(model)
     known = () if read.position is None else [read.position]
     scene = Scene.of(read.system, known, reach)

@@ -1,6 +1,6 @@
 """What ``watch`` shows: a pure function from a glance to something that rich can print."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -20,6 +20,8 @@ _NARROWEST = 58
 """Columns that an observer needs beside another one."""
 _SILENCE = 2.0
 """After so long without a message a topic is said to be silent, s."""
+_LOWEST = 12
+"""Rows that an observer needs under another one."""
 _LOW = 36
 """A screen of fewer rows shows the topics of the plant in one."""
 _MOST_CHART = 6
@@ -63,11 +65,17 @@ def screen(glance: Glance, look: Look) -> RenderableType:
         return Group(*head, Panel(Text(words), box=box.ROUNDED), *foot)
     columns = max(min(len(glance.observers), look.width // _NARROWEST), 1)
     rows = -(-len(glance.observers) // columns)
-    budget = None
+    budget, shown = None, glance.observers
     if look.height is not None:
-        budget = max((look.height - len(head) - len(foot)) // rows, 8)
+        room = look.height - len(head) - len(foot)
+        if rows > 1 and room < rows * _LOWEST:
+            rows = max((room - 1) // _LOWEST, 1)
+            shown = shown[: rows * columns]
+            foot = [*_others(glance.observers[len(shown) :]), *foot]
+            room -= 1
+        budget = max(room // rows, 3)
     width = look.width // columns
-    panels = [_observer(each, glance, width, budget, look.levels) for each in glance.observers]
+    panels = [_observer(each, glance, width, budget, look.levels) for each in shown]
     grid = Table.grid(expand=True)
     for _ in range(columns):
         grid.add_column(ratio=1)
@@ -105,7 +113,7 @@ def _head(glance: Glance, look: Look) -> list[RenderableType]:
     ]
     if not glance.truth:
         first.append("no truth")
-    texts = [Text(each, style="bold") for each in _packed(first, look.width)]
+    texts = [_cut(each, "bold") for each in _packed(first, look.width)]
     low = look.height is not None and look.height < _LOW
     flows = list(_packed(map(_flow, glance.flows), look.width - 4 * low))
     if low and len(flows) > 1:
@@ -118,10 +126,18 @@ def _foot(glance: Glance, look: Look) -> list[RenderableType]:
     words = ["FROZEN: space goes on" if look.frozen else "space freezes", "q ends"]
     foot: list[RenderableType] = []
     if glance.trouble:
-        foot.append(Text(f"not understood: {glance.trouble}", no_wrap=True, overflow="ellipsis"))
+        foot.append(_cut(f"not understood: {glance.trouble}"))
     if look.keys:
-        foot.append(Text("   ".join(words), style="reverse" if look.frozen else "dim"))
+        foot.append(_cut("   ".join(words), "reverse" if look.frozen else "dim"))
     return foot
+
+
+def _others(observers: Sequence[ObserverGlance]) -> list[RenderableType]:
+    """Those that there is no room for, and how to see them."""
+    if not observers:
+        return []
+    names = ", ".join(each.name.lstrip("/") for each in observers)
+    return [_cut(f"... {len(observers)} more, seen with --observer: {names}", "dim")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,12 +193,15 @@ def _observer(
     parts += map(_cut, belief)
     counts = ", ".join(f"{n} {ruling}" for ruling, n in seen.counts) or "waiting for impacts ..."
     parts.append(_cut(f"events  {counts}"))
-    parts += [_verdict(*each, glance) for each in seen.verdicts[: plan.verdicts]]
+    epoch = seen.epoch or glance.epoch
+    parts += [_verdict(*each, epoch) for each in seen.verdicts[: plan.verdicts]]
     parts.append(_cut(f"health  {_health(seen)}", _STYLES[_level(seen)]))
     parts += [_cut(each, "dim") for each in flows[: plan.flows]]
     law = f" ({seen.law})" if seen.law else ""
     title = Text(f"{seen.name.lstrip('/')}{law}", style="bold")
-    return Panel(Group(*parts), title=title, title_align="left", box=box.ROUNDED)
+    taken = 2 + len(parts) + min(plan.lines, len(seen.lines))
+    cut = rows if rows is not None and rows < taken else None
+    return Panel(Group(*parts), title=title, title_align="left", box=box.ROUNDED, height=cut)
 
 
 def _table(seen: ObserverGlance, rows: int, width: int) -> list[RenderableType]:
@@ -273,10 +292,10 @@ def _distance(seen: ObserverGlance, glance: Glance, *, brief: bool = False) -> s
     return f"{seen.distance.now:.2e} J{teller}, last {span:.0f} s"
 
 
-def _verdict(verdict: Verdict, latency: float, glance: Glance) -> Text:
+def _verdict(verdict: Verdict, latency: float, epoch: int) -> Text:
     """What became of one event."""
     words = [
-        f"{seconds_between(glance.epoch, verdict.stamp):>13.6f} s",
+        f"{seconds_between(epoch, verdict.stamp):>13.6f} s",
         verdict.contact or "all",
         verdict.ruling.name.lower().replace("_", " "),
         f"{verdict.innovation:.1f} deviations" if verdict.innovation >= 0 else "",

@@ -66,6 +66,7 @@ class ObserverGlance:
     Attributes:
         name: of its node, absolute.
         law: its law; empty before its first state.
+        epoch: stamp of ``t = 0`` of its events, ns; 0 while none has told it.
         stamp: when the lines hold, ns; 0 before the first state.
         lines: coordinates, then velocities; estimates only where no truth has their stamp.
         distance: V, J.
@@ -83,6 +84,7 @@ class ObserverGlance:
 
     name: str
     law: str = ""
+    epoch: int = 0
     stamp: int = 0
     lines: tuple[Line, ...] = ()
     distance: Course = Course()
@@ -105,7 +107,7 @@ class Glance:
     Attributes:
         clock: now, by the clock of the stamps, ns.
         simulated: whether that is ``/clock``.
-        epoch: stamp of ``t = 0``, ns; 0 while no event has told it.
+        epoch: stamp of ``t = 0``, ns; 0 while no event has told it, or plants have several.
         model: its name; empty while no plant has told it and none was named.
         truth: whether a plant publishes true states.
         impacts: events so far.
@@ -129,4 +131,4 @@ class Glance:
     @property
     def is_empty(self) -> bool:
         """Whether nobody has been heard."""
-        return not self.flows and not self.observers
+        return not self.flows and not any(each.flows for each in self.observers)

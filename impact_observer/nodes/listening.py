@@ -67,6 +67,7 @@ class _Heard:
         """Time has jumped back: what was, is not yet."""
         self.distances, self.convergences = Trace(seconds), Trace(seconds)
         self.states, self.joints, self.errors = Newest(), Newest(), Newest()
+        self.bound = None
         self.verdicts.clear()
         self.counts.clear()
 
@@ -104,7 +105,8 @@ class Listening:
         self._heard: dict[str, _Heard] = {}
         self._truth: dict[str, Newest] = {}
         self._simulated: int | None = None
-        self._epoch = self._impacts = 0
+        self._epochs: dict[str, int] = {}
+        self._impacts = 0
         self._last_impact: tuple[int, str] | None = None
         self._trouble = ""
         for each in named or ():
@@ -121,7 +123,7 @@ class Listening:
     def wants(self, topic: str, type_name: str) -> bool:
         """Whether a topic is one to be heard."""
         known = interface(topic)
-        if known is None or known.type != type_name:
+        if known is None or known.type != type_name or not self._can_take(known):
             return False
         if self._wanted is None:
             return True
@@ -139,11 +141,11 @@ class Listening:
             wall: the system's clock, ns.
         """
         known = interface(topic)
-        if known is None:
+        if known is None or not self._can_take(known):
             return
         latency = None
         try:
-            if known.type in _HEADED and known != interfaces.OBSERVER_BOUND:
+            if known not in self._handlers:
                 stamp = _stamp(data)
                 self._keep(known, topic, stamp, data)
                 latency = seconds_between(stamp, self._now(wall))
@@ -161,12 +163,13 @@ class Listening:
             wall: the system's clock, ns.
         """
         seen = tuple(self._look(self._heard[name], now) for name in sorted(self._heard))
+        epochs = set(self._epochs.values())
         owned = {flow.topic for each in seen for flow in each.flows}
         systems = [*self._systems.values(), *([self._system] if self._system else [])]
         return Glance(
             clock=self._now(wall),
             simulated=self._simulated is not None,
-            epoch=self._epoch,
+            epoch=epochs.pop() if len(epochs) == 1 else 0,
             model=systems[0].name if systems else "",
             truth=bool(self._truth),
             impacts=self._impacts,
@@ -178,6 +181,10 @@ class Listening:
             ),
             trouble=self._trouble,
         )
+
+    def _can_take(self, known: Interface) -> bool:
+        """Whether messages of an interface say something here."""
+        return known in self._handlers or known.type in _HEADED
 
     def _now(self, wall: int) -> int:
         """The clock that stamps follow."""
@@ -204,10 +211,11 @@ class Listening:
                 if each.observed.error == topic:
                     each.errors.add(stamp, data)
 
-    def _on_event(self, _: str, message: EventMessage) -> None:
+    def _on_event(self, topic: str, message: EventMessage) -> None:
         event = read_event(message)
         self._impacts += 1
-        self._epoch = event.epoch or self._epoch
+        if event.epoch:
+            self._epochs[topic] = event.epoch
         contacts = ", ".join(switch.contact for switch in event.switches)
         self._last_impact = (event.stamp, contacts)
 
@@ -244,6 +252,7 @@ class Listening:
         topics = [t for t in self._arrivals if _owner(t) == observed.prefix or t == observed.error]
         seen = ObserverGlance(
             observed.prefix,
+            epoch=self._epochs.get(observed.beside(interfaces.IMPACTS.name), 0),
             bound=heard.bound,
             verdicts=tuple(heard.verdicts),
             counts=tuple(sorted(heard.counts.items())),

@@ -81,7 +81,7 @@ class Recorder:
         self.counts: dict[str, int] = {}
         self._node = node
         self._writer = writer
-        self._wanted = None if topics is None else {node.resolve_topic_name(t) for t in topics}
+        self._wanted = None if topics is None else {_resolved(node, t) for t in topics}
         self._unwanted = tuple(
             each if each.startswith(("/", "*")) else f"{_namespace(node)}/{each}"
             for each in exclude
@@ -240,7 +240,8 @@ def record(
         What came, and what did not.
 
     Raises:
-        UsageError: something is at ``path`` already, or the duration is not positive.
+        UsageError: something is at ``path`` already, a topic cannot be called so, or the
+            duration is not positive. Then no bag is made.
         BagError: the bag cannot be written.
     """
     if duration is not None and not 0 < duration < float("inf"):
@@ -248,7 +249,7 @@ def record(
     with (
         Stop() as stop,
         ros_node("recorder", use_sim_time=use_sim_time) as (node, executor),
-        BagWriter(path, compressed=compressed) as writer,
+        _writer(path, node, topics, compressed=compressed) as writer,
     ):
         recorder = Recorder(node, writer, topics, exclude=exclude, on_topic=on_topic)
         begin = shown = time.monotonic()
@@ -260,6 +261,28 @@ def record(
         drain(executor, writer)
         recorder.close()
         return Recorded(recorder.counts, tuple(recorder.missing))
+
+
+def _writer(
+    path: Path | str, node: Node, topics: Collection[str] | None, *, compressed: bool
+) -> BagWriter:
+    """An open bag; none is made where a topic cannot be called so."""
+    for topic in topics or ():
+        _resolved(node, topic)
+    return BagWriter(path, compressed=compressed)
+
+
+def _resolved(node: Node, topic: str) -> str:
+    """The absolute name of a topic, as a node sees it.
+
+    Raises:
+        UsageError: nothing can be called so.
+    """
+    try:
+        return str(node.resolve_topic_name(topic))
+    except Exception as error:  # noqa: BLE001 (what rclpy raises it does not make public)
+        reason = str(error).partition(", at ")[0].removeprefix("failed to resolve name: ")
+        raise UsageError(f"topic {topic!r}: {reason}") from None
 
 
 def _namespace(node: Node) -> str:

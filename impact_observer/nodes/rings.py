@@ -11,7 +11,9 @@ _MEMORY = 2000
 _BINS = 240
 """Values of a course."""
 _ARRIVALS = 64
-"""Arrivals that a rate is taken from."""
+"""Arrivals that a rate or a latency is taken from."""
+_APART = 0.1
+"""How far apart those of a rate are at least, s: what waits for us comes in bursts."""
 _SETTLE = 1.0
 """How long a topic is heard before its rate counts, s: what was kept for us comes at once."""
 
@@ -22,7 +24,7 @@ class Arrivals:
     def __init__(self) -> None:
         self.count = 0
         self._begin = self._last = 0.0
-        self._times: deque[float] = deque(maxlen=_ARRIVALS)
+        self._times: deque[tuple[float, int]] = deque(maxlen=_ARRIVALS)
         self._latencies: deque[float] = deque(maxlen=_ARRIVALS)
 
     def add(self, now: float, latency: float | None) -> None:
@@ -32,14 +34,17 @@ class Arrivals:
         self.count += 1
         self._last = now
         if now > self._begin + _SETTLE:
-            self._times.append(now)
+            if not self._times or now >= self._times[-1][0] + _APART:
+                self._times.append((now, self.count))
             if latency is not None:
                 self._latencies.append(latency)
 
     def flow(self, topic: str, now: float) -> Flow:
         """How they come, at wall time ``now`` (s)."""
-        span = self._times[-1] - self._times[0] if self._times else 0.0
-        rate = (len(self._times) - 1) / span if span > 0 else None
+        rate = None
+        if len(self._times) > 1:
+            (begin, first), (end, last) = self._times[0], self._times[-1]
+            rate = (last - first) / (end - begin)
         latency = statistics.median(self._latencies) if self._latencies else None
         return Flow(topic, self.count, rate, latency, now - self._last)
 

@@ -6,6 +6,7 @@ from rclpy.node import Node
 
 from impact_observer.analysis.scene.scene import Scene
 from impact_observer.bag import interfaces
+from impact_observer.bag.curves import Observed
 from impact_observer.bag.messages import (
     EventMessage,
     JointState,
@@ -25,6 +26,8 @@ from impact_observer.stamps import NS_PER_S
 
 _GLOW = NS_PER_S // 5
 """How long a stop that was hit is lit, ns."""
+PLANT_ROW = "plant"
+"""Name of the row of the plant, and of its node."""
 
 
 class ViewerNode(Node):
@@ -86,6 +89,8 @@ class ViewerNode(Node):
             )
             return
         order = [state.names.index(each) for each in names]
+        if name == PLANT_ROW and name in self._states and state.stamp < self._states[name].stamp:
+            self._closed.clear()  # as of a bag that is played again
         self._states[name] = JointState(state.stamp, names, state.q[order], state.u[order])
 
     def _on_event(self, message: EventMessage) -> None:
@@ -106,7 +111,7 @@ class ViewerNode(Node):
             if switch.kind is Kind.OPEN:
                 self._closed.discard(contact)
                 continue
-            self._hits[contact] = max(event.stamp, self._hits.get(contact, 0))
+            self._hits[contact] = event.stamp
             if switch.kind is Kind.CLOSE:
                 self._closed.add(contact)
 
@@ -134,12 +139,16 @@ def _rows(observers: str) -> tuple[Row, ...]:
     """The plant first, then the observers that are named, each once.
 
     Raises:
-        UsageError: a name is empty.
+        UsageError: a name is empty, none of a node, or the plant's.
     """
     names = list(dict.fromkeys(name.strip() for name in observers.split(","))) if observers else []
-    if "" in names:
-        raise UsageError(
-            f"parameter observers: {observers!r} has an empty name; expected NAME,NAME,..."
-        )
-    rows = [Row("plant", 0, PLANT)]
+    for name in names:
+        if not name:
+            raise UsageError(
+                f"parameter observers: {observers!r} has an empty name; expected NAME,NAME,..."
+            )
+        if name == PLANT_ROW:
+            raise UsageError("parameter observers: the plant is shown in any case; leave it out")
+        Observed.named(name)
+    rows = [Row(PLANT_ROW, 0, PLANT)]
     return (*rows, *(Row(name, i, ESTIMATE) for i, name in enumerate(names, start=1)))

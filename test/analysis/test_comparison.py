@@ -10,6 +10,7 @@ from systems import sample
 
 from impact_observer.analysis.comparison import Comparing, Comparison, compare_law, heard_of
 from impact_observer.analysis.lyapunov import distance
+from impact_observer.analysis.mismatch import Impact, window
 from impact_observer.analysis.pairing import HOLD, Pairing, Series
 from impact_observer.analysis.tally import MOST_ROWS, Curve, Rows
 from impact_observer.errors import BagError
@@ -120,6 +121,19 @@ def test_jumps_at_the_same_sample_are_no_mismatch() -> None:
         assert found.samples == RUN.stamps.size
 
 
+def test_a_jump_of_the_estimate_at_the_next_impact_belongs_to_that_one() -> None:
+    """It hardly jumps at the first of two impacts 80 ms apart: nothing lies between there."""
+    stamps = np.arange(1, 301) * 1_000_000
+    first, second = int(stamps[100]), int(stamps[180])
+    falling = -np.arange(300) / 40.0
+    truth = falling + 2.0 * (stamps >= first) + 2.0 * (stamps >= second)
+    estimate = falling + 0.1 * (stamps >= first) + 2.0 * (stamps >= second)
+    assert window(stamps, truth, estimate, Impact(first, 0), [second]) is None
+    assert window(stamps, truth, estimate, Impact(second, 0), [first]) is None
+    alone = window(stamps, truth, estimate, Impact(first, 0))
+    assert alone == (first, second), "without another impact it is this one's"
+
+
 def test_an_invented_impact_is_an_error_and_no_mismatch() -> None:
     """Where the truth has not jumped, the estimate's jump is its own."""
     instant = (RUN.events[2].stamp + RUN.events[3].stamp) // 2
@@ -190,6 +204,39 @@ def test_an_estimate_without_its_event_is_late() -> None:
     assert found.late == 6
     assert found.mismatch.samples == 0
     assert not found.largest.any()
+
+
+def test_an_impact_that_was_not_heard_makes_no_estimate_late() -> None:
+    """No event was on its way: until it is inserted the estimate is wrong, and that counts."""
+    stamps, missed, later = RUN.stamps, RUN.events[4], 60
+    instants = np.array([e.stamp for e in RUN.events])
+    last_event = np.concatenate([[0], instants])[np.searchsorted(instants, stamps, side="right")]
+    here = int(np.searchsorted(stamps, missed.stamp))
+    last_event[here : here + later] = instants[3]
+    x = RUN.states.copy()
+    x[here : here + later, 1] += 2.0
+    verdicts = [
+        Verdict(e.stamp, Ruling.INSERTED if e is missed else Ruling.APPLIED, 0, "stop")
+        for e in RUN.events
+    ]
+    told = [e for e in RUN.events if e is not missed]
+    found = compared([Series(stamps, RUN.states)], [Series(stamps, x, last_event)], told, verdicts)
+    assert found.late == 0
+    assert found.largest[1] == pytest.approx(2.0)
+    assert found.heard.until(int(stamps[-1])) == len(RUN.events)
+
+
+def test_an_insertion_that_was_taken_back_is_no_rejected_event() -> None:
+    """The sensor has told nothing there that could be rejected."""
+    events = [ImpactEvent(2 * NS_PER_S, (Switch("stop"),), 1)]
+    verdicts = [
+        Verdict(2 * NS_PER_S, Ruling.APPLIED, 1, "stop"),
+        Verdict(3 * NS_PER_S, Ruling.INSERTED, 0, "stop"),
+        Verdict(3 * NS_PER_S, Ruling.REJECTED, 0, "stop", revises=True),
+    ]
+    heard = heard_of(events, verdicts)
+    assert heard.rulings == {Ruling.APPLIED: 1}
+    assert heard.impacts == ((2 * NS_PER_S, "stop"),)
 
 
 def test_ranges_that_do_not_overlap_are_both_said() -> None:

@@ -70,6 +70,18 @@ def test_every_coordinate_is_drawn_for_plant_and_observer() -> None:
     assert contacts == ["right", "left"]
 
 
+def test_observers_of_two_rigs_are_told_apart() -> None:
+    """By names and colours, and each is drawn beside its own plant and contacts."""
+    rigs = [Observed.named(name) for name in ("/a/observer", "/b/observer")]
+    found = curves(read_model("two_mass").system, rigs)
+    assert len({(each.group, each.plot, each.name) for each in found}) == len(found)
+    assert {each.source for each in found} == {"plant", "a/observer", "b/observer"}
+    of_plants = [(each.name, each.topic) for each in found if each.source == "plant"]
+    assert ("x1 a/plant", "/a/plant/joint_states") in of_plants
+    assert ("x1 b/plant", "/b/plant/joint_states") in of_plants
+    assert of_plants[-2:] == [("a/stop", "/a/impacts"), ("b/stop", "/b/impacts")]
+
+
 def test_v_and_what_bounds_it_are_drawn_as_logarithms() -> None:
     """On one pair of axes; deviations are roots of variances, on the covariance's diagonal."""
     system = read_model("two_mass").system

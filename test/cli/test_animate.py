@@ -1,6 +1,7 @@
 """animate: films of a bag, as three kinds of files."""
 
 import base64
+import html
 import io
 import re
 import shutil
@@ -67,6 +68,14 @@ def test_page_needs_nothing_else(sample_bag: Path, tmp_path: Path) -> None:
         rest = rest.replace(data, "")
     assert not re.search(r"https?:|//|src=|href=|@import|\bimport\b|fetch\(", rest)
     assert "const fps = 20," in page
+
+
+def test_page_has_the_name_of_its_file_whatever_that_is(sample_bag: Path, tmp_path: Path) -> None:
+    """As text, even where it is a word of the page's own."""
+    for name in ("PICTURES", "a <b> & FPS"):
+        output = tmp_path / f"{name}.html"
+        assert main(["animate", str(sample_bag), "-o", str(output), "--duration", "0.05"]) == 0
+        assert f"<title>{html.escape(name)}</title>" in output.read_text("utf-8")
 
 
 def test_mp4_is_a_film(sample_bag: Path, tmp_path: Path) -> None:
@@ -148,6 +157,10 @@ def test_longer_bags_are_cut_and_that_is_said(
         (["--observers", "observer_b", "-o", "film.gif"], "observer /observer_b: not in"),
         (["--start", "90", "-o", "film.gif"], "no states between"),
         (["--speed", "1e-4", "-o", "film.html"], "pictures: too many for a film"),
+        (["--speed", "1e-6", "-o", "film.html"], "pictures: too many for a film"),
+        (["--speed", "1e300", "-o", "film.html"], "--speed 1e+300: expected a number from 1e-06"),
+        (["--start", "1e300", "-o", "film.gif"], "--start 1e+300: expected a number from 0 to"),
+        (["--fps", "1e-300", "-o", "film.gif"], "--fps 1e-300: expected a number from 0.001"),
     ],
 )
 def test_what_cannot_be_filmed_is_one_line(

@@ -7,12 +7,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rosbags")
 
+from impact_observer.bag.comparisons import BagComparison, compare_bag
 from impact_observer.bag.reader import BagReader
+from impact_observer.bag.recordings import carried_model
 from impact_observer.bag.writer import BagWriter, copy_topics
+from impact_observer.cli.compare import labelled_by_law
+from impact_observer.cli.comparison_figures import distance_figure, error_figures
 from impact_observer.cli.main import main
 
 
@@ -168,3 +173,38 @@ def test_what_cannot_be_compared_or_written_is_one_line(
     assert code in {1, 2}
     assert error.count("\n") == 1
     assert re.search(said, error), error
+
+
+def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: Path) -> None:
+    """One curve each from 0 on; impacts are told apart where they are not of one run."""
+    plant, later = tmp_path / "plant", tmp_path / "later"
+    simulated = ["simulate", "two_mass", "--duration", "4", "--epoch", "1000"]
+    assert main([*simulated, "-o", str(plant)]) == 0
+    observed = ["observe", str(plant), "--law", "kinematic", "--ensemble", "1"]
+    assert main([*observed, "-o", str(later)]) == 0
+    results = [(each, compared(each)) for each in (bag, later)]
+    labelled = labelled_by_law(results)
+    axes = distance_figure(labelled, results).axes[0]
+    times = [np.asarray(line.get_xdata()) for line in axes.lines]
+    assert [time[0] for time in times[:2]] == [0.0, 0.0]
+    assert [time[-1] for time in times[:2]] == [pytest.approx(8.0), pytest.approx(4.0)]
+    assert [line.get_label() for line in axes.lines[2:]] == [
+        "impacts at stop, estimates",
+        "impacts at stop, later",
+    ]
+    ((bags, n, figure),) = error_figures(labelled, results)
+    assert (bags, n) == ([bag, later], 2)
+    assert [len(each.lines) for each in figure.axes] == [2] * 4
+
+
+def test_impacts_of_one_run_are_drawn_once(bag: Path) -> None:
+    """However many bags have its estimates."""
+    results = [(bag, compared(bag)), (bag, compared(bag))]
+    axes = distance_figure(labelled_by_law(results), results).axes[0]
+    assert [line.get_label() for line in axes.lines[2:]] == ["impacts at stop"]
+
+
+def compared(bag: Path) -> BagComparison:
+    """All estimates of a bag against its truth."""
+    with BagReader(bag) as reader:
+        return compare_bag(reader, carried_model(reader).system)

@@ -189,7 +189,11 @@ def test_failures_keep_their_exit_codes(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="does not exist") as absent:
         info.run(parsed(str(tmp_path / "absent")))
     (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP0\r\n")
-    said = r"bag\.mcap: cannot be read as a bag: .*; impact-observer check .*bag\.mcap tells what"
+    said = r"bag\.mcap: cannot be read as a bag: .*; if it was cut short, `impact-observer check"
     with pytest.raises(BagError, match=said) as damaged:
         info.run(parsed(str(tmp_path / "bag.mcap")))
+    assert str(damaged.value).count("impact-observer check") == 1, "one remedy is enough"
+    (tmp_path / "my bag").mkdir()
+    with pytest.raises(BagError, match=r"no metadata.*; `impact-observer check '.*my bag'` tells"):
+        info.run(parsed(str(tmp_path / "my bag")))
     assert (absent.value.exit_code, damaged.value.exit_code) == (2, 1)

@@ -85,6 +85,14 @@ def test_a_bag_must_have_what_is_asked_of_it(
     assert "has no estimates; make them with observe" in capsys.readouterr().err
 
 
+def test_an_observer_that_is_named_twice_is_drawn_once(tmp_path: Path) -> None:
+    """With or without the first slash."""
+    once, twice = tmp_path / "once.json", tmp_path / "twice.json"
+    assert main(["layout", "two_mass", "--observers", "observer", "-o", str(once)]) == 0
+    assert main(["layout", "two_mass", "--observers", "observer,/observer", "-o", str(twice)]) == 0
+    assert once.read_bytes() == twice.read_bytes()
+
+
 def test_a_layout_of_ones_own_model_names_its_coordinates(tmp_path: Path) -> None:
     """Also where they are many: twenty coordinates are drawn in columns."""
     n = 20

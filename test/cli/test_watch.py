@@ -274,6 +274,32 @@ def test_it_fits_whatever_the_system(coordinates: int, width: int, height: int) 
     assert any("health  warning" in row for row in found)
 
 
+@pytest.mark.parametrize("several", [1, 2, 3, 5])
+@pytest.mark.parametrize(("width", "height"), [(40, 12), (60, 16), (80, 24), (120, 24), (200, 60)])
+def test_observers_without_room_are_named(several: int, width: int, height: int) -> None:
+    """The last row tells that the picture is frozen, and the one above who else there is."""
+    observers = tuple(replace(GEOMETRIC, name=f"/rig{i}/observer") for i in range(several))
+    shown = replace(both(), observers=observers)
+    found = printed(shown, Look(width, height, keys=True, frozen=True)).splitlines()
+    assert len(found) <= height
+    assert max(map(cell_len, found)) <= width
+    assert "FROZEN" in found[-1]
+    framed = sum(row.count("╭") for row in found)
+    assert framed == sum(row.count("╰") for row in found)
+    if framed < several:
+        assert found[-2].startswith(f"... {several - framed} more, seen with --observer: ")
+
+
+def test_times_of_events_are_since_their_own_epoch() -> None:
+    """Two plants that began at different times have one each."""
+    later = replace(GEOMETRIC, name="/rig/observer", epoch=at(1.0))
+    found = printed(
+        replace(both(), epoch=0, observers=(replace(later, epoch=EPOCH), later)), Look(80)
+    )
+    assert "    12.000000 s  stop" in found
+    assert "    11.000000 s  stop" in found
+
+
 def test_as_high_as_it_takes_everything_is_shown() -> None:
     """Where there is no terminal to fit into."""
     found = printed(both(), Look(80))

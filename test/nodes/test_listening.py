@@ -13,6 +13,7 @@ from impact_observer.bag import BagReader, JointState
 from impact_observer.bag.messages import bag_messages
 from impact_observer.bag.typestores import typestore
 from impact_observer.errors import UsageError
+from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import read_model
 from impact_observer.nodes.glance import Glance
 from impact_observer.nodes.listening import Listening
@@ -161,6 +162,7 @@ def test_only_wanted_observers_are_heard() -> None:
         ("/plant/joint_states", joint): True,
         ("/plant/joint_states", error): False,
         ("/camera", joint): False,
+        ("/viewer/markers", "visualization_msgs/msg/MarkerArray"): False,
     }
     assert {each: listening.wants(*each) for each in wanted} == wanted
     assert Listening().wants("/observer_b/joint_states", joint)
@@ -240,6 +242,35 @@ def test_a_namespace_keeps_to_itself() -> None:
         listening.hear(f"{rig}/observer/joint_states", state(EPOCH), 0.0, EPOCH)
     seen = listening.glance(0.0, EPOCH).observers
     assert [each.lines[0].truth for each in seen] == [1.0, 2.0]
+
+
+def test_each_rig_has_its_own_epoch() -> None:
+    """So that the times of its events are its own; there is no common one then."""
+    listening, kind = Listening(), "impact_observer_msgs/msg/ImpactEvent"
+    for rig, epoch in (("/a", EPOCH), ("/b", EPOCH + SECOND)):
+        event = ImpactEvent(epoch + 5 * SECOND, (Switch("stop", Kind.IMPACT),), epoch=epoch)
+        listening.hear(f"{rig}/impacts", serialized(MAKE.event(event), kind), 0.0, EPOCH)
+        listening.hear(f"{rig}/observer/joint_states", state(EPOCH), 0.0, EPOCH)
+        assert listening.glance(0.0, EPOCH).epoch == (EPOCH if rig == "/a" else 0)
+    seen = listening.glance(0.0, EPOCH).observers
+    assert [each.epoch for each in seen] == [EPOCH, EPOCH + SECOND]
+
+
+def test_a_rate_is_that_of_the_messages_and_not_of_their_bursts() -> None:
+    """Of 1 kHz, heard 20 times a second, all that wait within a tenth of a millisecond."""
+    arrivals = Arrivals()
+    for burst in range(200):
+        for k in range(50):
+            arrivals.add(0.05 * burst + 2e-6 * k, None)
+    assert arrivals.flow("t", 10.0).rate == pytest.approx(1000.0, rel=1e-3)
+
+
+def test_nobody_is_heard_while_those_who_were_named_are_silent() -> None:
+    """An observer is shown because it was asked for, and yet it has said nothing."""
+    listening = Listening(["observer"])
+    assert listening.glance(0.0, EPOCH).is_empty
+    listening.hear("/observer/joint_states", state(EPOCH), 0.0, EPOCH)
+    assert not listening.glance(0.0, EPOCH).is_empty
 
 
 def test_memory_is_constant() -> None:

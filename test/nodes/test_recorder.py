@@ -354,9 +354,13 @@ def test_later_publisher_of_less_quality_is_warned_of_once(
 
 
 def test_wrong_use_is_told_before_anything_is_made(tmp_path: Path) -> None:
-    """A duration that is none; a bag that is there."""
+    """A duration or a topic that is none; a bag that is there."""
     with pytest.raises(UsageError, match=r"duration is 0\.0; expected a positive number"):
         record(tmp_path / "bag", duration=0.0)
+    with pytest.raises(
+        UsageError, match=r"^topic 'bad name': topic name must not contain [^\n]*$"
+    ):
+        record(tmp_path / "bag", ["/impacts", "bad name"], duration=1.0)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "bag").mkdir()
     with pytest.raises(UsageError, match="exists already"):

@@ -142,6 +142,20 @@ def test_viewer_lights_stops_that_are_hit_or_closed(rig: Rig) -> None:
     assert not is_lit(shapes(shown, "plant", "stops")[0])
 
 
+def test_viewer_begins_again_with_a_bag_that_is_played_again(rig: Rig) -> None:
+    """The second pass lights what the first one did, and what it left closed is open."""
+    for _ in range(2):
+        for ms, lit in ((1050, True), (1500, False)):
+            stamp = EPOCH + ms * 1_000_000
+            rig.hit(EPOCH + 1_000_000_000, Kind.IMPACT, 1)
+            rig.spinner.settle(0.1)
+            rig.say("plant", stamp, [0.0, 0.5])
+            assert is_lit(shapes(rig.shown("plant", stamp), "plant", "stops")[0]) is lit
+        rig.hit(EPOCH + 5_000_000_000, Kind.CLOSE, 2)
+        rig.spinner.settle(0.1)
+        rig.heard.clear()
+
+
 def test_viewer_takes_columns_by_name_and_refuses_others(rig: Rig) -> None:
     """A state of another model is not shown."""
     wrong = JointState(EPOCH + 1, ("x1", "y"), np.zeros(2), np.zeros(2))
@@ -219,6 +233,10 @@ def test_wrong_parameters_are_one_line(ros_environment: dict[str, str]) -> None:
     arguments = ros_arguments({"model": "two_mass", "observers": "'a,,b'"})
     line = refusal("impact_observer.nodes.viewer", arguments, ros_environment)
     assert "parameter observers: 'a,,b' has an empty name" in line
+    for names, said in (("a-b", "no name of a node"), ("plant", "leave it out")):
+        wrong = ros_arguments({"model": "two_mass", "observers": names})
+        with spinning(wrong), pytest.raises(UsageError, match=said):
+            ViewerNode()
     wrong = ros_arguments({"model": "two_mass", "reach": -1.0})
     with spinning(wrong), pytest.raises(UsageError, match="parameter reach"):
         ViewerNode()

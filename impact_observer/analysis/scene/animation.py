@@ -193,10 +193,7 @@ def _mark_hits(axes: Axes, film: Film) -> None:
 
 
 def _looks(film: Film) -> list[Look]:
-    """Blue for the plant; for estimates white, with edges like their curves."""
+    """Blue for the plant; for estimates white, with edges of the colour of their curves."""
     found = styles([each.law for each in film.estimates])
-    looks = [
-        Look("white", each["color"], each["linestyle"], max(each["linewidth"], 1.3))
-        for each in found
-    ]
-    return looks if film.truth is None else [Look(_PLANT, "black", "-", 1.3), *looks]
+    looks = [Look("white", each["color"], max(each["linewidth"], 1.3)) for each in found]
+    return looks if film.truth is None else [Look(_PLANT, "black", 1.3), *looks]

@@ -180,9 +180,12 @@ class Film:
             fps: pictures a second of the film.
             speed: recorded seconds a second of the film.
         """
-        step = NS_PER_S * speed / fps
-        count = int((self.end - self.start) / step + 1e-9) + 1
-        return np.asarray(self.start + np.rint(np.arange(count) * step).astype(np.int64))
+        steps = np.arange(self.count(fps, speed)) * (NS_PER_S * speed / fps)
+        return np.asarray(self.start + np.rint(steps).astype(np.int64))
+
+    def count(self, fps: float, speed: float) -> int:
+        """How many pictures these are."""
+        return int((self.end - self.start) / (NS_PER_S * speed / fps) + 1e-9) + 1
 
     def seconds(self, stamps: Stamps) -> Vector:
         """``stamps`` as seconds since the epoch."""

@@ -49,14 +49,12 @@ class Look:
 
     Attributes:
         fill: of its bodies.
-        line: of its bodies' edges.
-        dashes: of them.
+        line: of its bodies' edges, which are never dashed: the plant behind an estimate is.
         width: of them.
     """
 
     fill: str
     line: str
-    dashes: Any
     width: float
 
 
@@ -70,7 +68,7 @@ class Row:
         self._scene = scene
         _draw_still(axes, scene, track.label)
         width, size = 2 * scene.half, _name_size(axes, scene)
-        line: Style = {"edgecolor": look.line, "linestyle": look.dashes, "linewidth": look.width}
+        line: Style = {"edgecolor": look.line, "linewidth": look.width}
         self._bodies = [_box(axes, width, facecolor=look.fill, **line) for _ in scene.order]
         self._names = [
             axes.text(0, 0.5, name, ha="center", va="center", size=size[0], rotation=size[1])

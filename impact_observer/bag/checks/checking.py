@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from shlex import quote
 from typing import cast
 
 from impact_observer.bag import interfaces
@@ -280,8 +281,8 @@ class Checker:
                 NOTE,
                 info.name,
                 f"{info.type} looks like {what}",
-                remedy=f"impact-observer detect {self._path} --contact NAME --topic {info.name}"
-                f"{options} -o NEW",
+                remedy=f"impact-observer detect {quote(str(self._path))} --contact NAME"
+                f" --topic {info.name}{options} -o NEW",
             )
 
     def _unknown_types(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
@@ -335,7 +336,8 @@ def _chosen(
 
 def _damage(source: Salvage, trouble: str) -> Iterator[Finding]:
     """What is wrong with the files, and what can still be read."""
-    name, again = _named(source.path), f"impact-observer check {source.path} --salvage -o NEW"
+    name, path = _named(source.path), quote(str(source.path))
+    again = f"impact-observer check {path} --salvage -o NEW"
     if not source.counts:
         yield Finding(ERROR, name, trouble, remedy=f"nothing can be read: {summary(source)}")
         return
@@ -367,7 +369,8 @@ def _leftovers(path: Path) -> Iterator[Finding]:
                 WARNING,
                 journal.name,
                 f"{journal.stat().st_size} bytes that are not in the database yet",
-                remedy=f"put them in: sqlite3 {database} 'PRAGMA wal_checkpoint(TRUNCATE)'",
+                remedy=f"put them in: sqlite3 {quote(str(database))}"
+                " 'PRAGMA wal_checkpoint(TRUNCATE)'",
             )
 
 

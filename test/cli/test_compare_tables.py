@@ -1,0 +1,58 @@
+"""The tables of ``compare``: nothing is cut off, and names stay what they are."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rosbags")
+
+from impact_observer.cli.main import main
+
+FIGURE = re.compile(r"[+-]?[0-9.]+(e[+-][0-9]+)?")
+
+
+@pytest.fixture(scope="module")
+def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three seconds of a plant, with an estimate."""
+    folder = tmp_path_factory.mktemp("tables")
+    plant, estimates = folder / "plant", folder / "estimates"
+    assert main(["simulate", "two_mass", "--duration", "3", "-o", str(plant)]) == 0
+    assert main(["observe", str(plant), "--initial", "random:1", "-o", str(estimates)]) == 0
+    return estimates
+
+
+@pytest.mark.parametrize("columns", [30, 60, 79])
+def test_narrow_terminals_have_every_figure_of_wide_ones(
+    observed: Path,
+    columns: int,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """They stand below each other there, and no line is longer than the terminal."""
+    printed = {}
+    for width in (200, columns):
+        monkeypatch.setenv("COLUMNS", str(width))
+        capsys.readouterr()
+        assert main(["compare", str(observed)]) == 0
+        printed[width] = capsys.readouterr().out
+    wide, narrow = printed[200], printed[columns]
+    assert "…" not in narrow
+    assert max(map(len, narrow.splitlines())) <= columns
+    figures = [word for word in wide.split() if FIGURE.fullmatch(word)]
+    assert len(figures) > 12
+    assert set(figures) <= set(narrow.split())
+
+
+def test_names_of_bags_are_printed_as_they_are(
+    observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Brackets and colons in them are no markup."""
+    names = ["[red]first", ":smile: second"]
+    bags = [shutil.copytree(observed, tmp_path / name) for name in names]
+    capsys.readouterr()
+    assert main(["compare", *map(str, bags)]) == 0
+    said = capsys.readouterr().out
+    assert "geometric [red]first" in said
+    assert "geometric :smile: second" in said
