@@ -80,6 +80,7 @@ class BagReader:
 
     Attributes:
         path: the folder or file.
+        namespace: where plant and observers are looked for, such as ``/rig``; empty for anywhere.
         storage: ``mcap`` or ``sqlite3``.
         topics: what the bag says of each topic, by absolute name.
         start: log time of the first message, ns; 0 when the bag is empty.
@@ -87,14 +88,19 @@ class BagReader:
         message_count: messages on all topics.
     """
 
-    def __init__(self, path: Path | str) -> None:
-        """Open the bag at ``path``: a rosbag2 folder, or a bare ``.mcap`` or ``.db3`` file.
+    def __init__(self, path: Path | str, namespace: str = "") -> None:
+        """Open a bag.
+
+        Args:
+            path: a rosbag2 folder, or a bare ``.mcap`` or ``.db3`` file.
+            namespace: of the rig that is meant, in a bag of several; empty for any.
 
         Raises:
-            UsageError: there is nothing at ``path``.
+            UsageError: there is nothing at ``path``, or no topic in the ``namespace``.
             BagError: what is there is no bag, or a damaged one.
         """
         self.path = Path(path)
+        self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
         with self._translated():
             self.storage = _storage_of(self.path)
             self._reader = Reader(self.path)
@@ -106,6 +112,10 @@ class BagReader:
                 topic: _topic_info(topic, connections)
                 for topic, connections in self._connections.items()
             }
+        if self.topics and not any(map(self._is_here, self.topics)):
+            found = ", ".join(self.topics)
+            self.close()
+            raise UsageError(f"{self.path}: no topic in {self.namespace}; in the bag: {found}")
         self._store: Typestore | None = None
         self.message_count = self._reader.message_count
         self.start = self._reader.start_time if self.message_count else 0
@@ -142,14 +152,19 @@ class BagReader:
         Raises:
             BagError: several topics fit, none of them at the top.
         """
-        fitting = [topic for topic in self.topics if wanted.fits(topic)]
+        fitting = [topic for topic in self.topics if self._is_here(topic) and wanted.fits(topic)]
         if wanted.topic in fitting:
             return wanted.topic
         if len(fitting) > 1:
             raise BagError(
                 f"{self.path}: {' and '.join(fitting)} both fit {wanted.topic}; name the one meant"
+                " with --namespace"
             )
         return fitting[0] if fitting else None
+
+    def _is_here(self, topic: str) -> bool:
+        """Whether a topic is in the namespace."""
+        return topic.startswith(f"{self.namespace}/")
 
     def truth_topic(self) -> str | None:
         """The topic of the plant's true states; None when the bag has none.
@@ -162,7 +177,8 @@ class BagReader:
     def observers(self) -> tuple[str, ...]:
         """Prefixes of the observers in the bag, such as ``/observer_geometric``, sorted."""
         own = (interfaces.OBSERVER_STATES, interfaces.OBSERVER_JOINT_STATES)
-        fitting = (topic for topic in self.topics if any(each.fits(topic) for each in own))
+        here = filter(self._is_here, self.topics)
+        fitting = (topic for topic in here if any(each.fits(topic) for each in own))
         return tuple(sorted({topic.rpartition("/")[0] for topic in fitting}))
 
     def raw(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[RawMessage]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import not_negative, positive
+from impact_observer.cli.arguments import add_namespace, not_negative, positive
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -64,6 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=FPS,
         help=f"pictures a second of the film (default {FPS:g})",
     )
+    add_namespace(parser)
     parser.add_argument(
         "--observers",
         metavar="PREFIX,...",
@@ -86,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
         fps=args.fps,
         observers=observers,
         model=args.model,
+        namespace=args.namespace,
     )
 
 
@@ -99,6 +101,7 @@ def animate(
     fps: float = FPS,
     observers: Sequence[str] | None = None,
     model: str | None = None,
+    namespace: str = "",
 ) -> int:
     """Make a film of a bag.
 
@@ -111,6 +114,7 @@ def animate(
         fps: pictures a second of the film.
         observers: prefixes of the estimates' topics; None for all.
         model: a model file or a sample's name; None for the model in the bag.
+        namespace: of the rig that is meant; empty for the only one.
 
     Returns:
         0.
@@ -129,7 +133,7 @@ def animate(
     _check(speed=speed, fps=fps, start=start, duration=duration or 0.0)
     write = writer_for(output, fps)
     stretch = Stretch(start, LONGEST * speed if duration is None else duration)
-    with BagReader(bag) as reader, Progress(sys.stderr) as progress:
+    with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"reading {bag}")
         film = read_film(reader, system_of(reader, model), stretch, observers)
         left = _left_out(reader, film) if duration is None else ""

@@ -60,6 +60,16 @@ def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_namespace(parser: argparse.ArgumentParser) -> None:
+    """Which rig is meant in a bag of several."""
+    parser.add_argument(
+        "--namespace",
+        metavar="NS",
+        default="",
+        help="of the rig that is meant, in a bag of several, such as /rig_a (default: any)",
+    )
+
+
 def add_ensemble_arguments(parser: argparse.ArgumentParser) -> None:
     """The same of what tells whether an estimate has converged."""
     parser.add_argument(

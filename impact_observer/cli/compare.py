@@ -13,7 +13,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_observer_arguments, observer_options, positive
+from impact_observer.cli.arguments import (
+    add_namespace,
+    add_observer_arguments,
+    observer_options,
+    positive,
+)
 from impact_observer.cli.comparison_tables import figures, print_tables, write_csv
 from impact_observer.errors import UsageError
 
@@ -38,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", metavar="MODEL", help="a model file or a sample (default: the one in each bag)"
     )
+    add_namespace(parser)
     parser.add_argument(
         "--estimates",
         metavar="NAME",
@@ -82,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
         truth=args.truth,
         estimates=args.estimates,
         threshold=args.threshold,
+        namespace=args.namespace,
         output=Output(args.plot, args.report, args.csv, args.json),
     )
 
@@ -143,6 +150,7 @@ def compare(
     truth: str | None = None,
     estimates: Sequence[str] | None = None,
     threshold: float = SETTLED,
+    namespace: str = "",
     output: Output | None = None,
 ) -> int:
     """Compare bags and print what comes out.
@@ -155,6 +163,7 @@ def compare(
         truth: the topic of the true states; None for the plant's.
         estimates: names of observers or topics; None for every observer.
         threshold: V over V at the start at which an estimate has settled.
+        namespace: of the rig that is meant; empty for the only one.
         output: where it goes; None for tables on the terminal.
 
     Returns:
@@ -170,7 +179,7 @@ def compare(
     given = output or Output()
     given.check()
     choice = Choice(truth, None if estimates is None else tuple(estimates), threshold)
-    results = [(bag, _compare_one(bag, model, observers, choice)) for bag in bags]
+    results = [(bag, _compare_one(bag, namespace, model, observers, choice)) for bag in bags]
     labelled = labelled_by_law(results)
     if given.json:
         print(json_module.dumps({k: figures(v) for k, v in labelled.items()}, indent=2))
@@ -201,7 +210,11 @@ def _write(
 
 
 def _compare_one(
-    bag: Path, model: str | None, observers: "Sequence[Options]", choice: "Choice"
+    bag: Path,
+    namespace: str,
+    model: str | None,
+    observers: "Sequence[Options]",
+    choice: "Choice",
 ) -> "BagComparison":
     """Compare one bag, and show on a terminal how far that is."""
     from impact_observer.bag.comparisons import compare_bag
@@ -209,7 +222,7 @@ def _compare_one(
     from impact_observer.bag.recordings import system_of
     from impact_observer.cli.progress import Progress
 
-    with BagReader(bag) as reader, Progress(sys.stderr) as progress:
+    with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"{bag}: reading")
         system = system_of(reader, model)
 

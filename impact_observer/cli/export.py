@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import stamp
+from impact_observer.cli.arguments import add_namespace, stamp
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.usage = (
         "%(prog)s BAG -o FILE [--what {states,errors,events}] [--topics TOPIC ...] "
-        "[--model MODEL] [--epoch S]"
+        "[--model MODEL] [--epoch S] [--namespace NS]"
     )
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
     parser.add_argument(
@@ -40,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=STATES,
         help="states of truth and estimates (default), errors of estimates with V, or events",
     )
+    add_namespace(parser)
     parser.add_argument(
         "--topics",
         metavar="TOPIC",
@@ -68,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
         topics=args.topics,
         model=args.model,
         epoch=args.epoch,
+        namespace=args.namespace,
     )
 
 
@@ -79,6 +81,7 @@ def export(
     topics: Sequence[str] | None = None,
     model: str | None = None,
     epoch: int | None = None,
+    namespace: str = "",
 ) -> int:
     """Export a bag and say what came out.
 
@@ -89,6 +92,7 @@ def export(
         topics: topics of states, or observers' prefixes; None for the truth and all observers.
         model: for errors, a model file or a sample's name; None for the model in the bag.
         epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
+        namespace: of the rig that is meant; empty for the only one.
 
     Returns:
         0.
@@ -105,7 +109,7 @@ def export(
     if topics is not None and what == EVENTS:
         raise UsageError(f"topics: {', '.join(topics)} given; {EVENTS} have their own topic")
     make = _sink(output)
-    with BagReader(bag) as reader, Progress() as progress:
+    with BagReader(bag, namespace) as reader, Progress() as progress:
 
         def show(done: int, total: int) -> None:
             progress.step(f"exporting {bag.name}", done, total)

@@ -247,14 +247,14 @@ def _hits(events: "Iterable[ImpactEvent]") -> "Iterator[tuple[str, Kind]]":
 
 def _model(reader: "BagReader") -> dict[str, object] | None:
     """Name and origin of the model that the bag carries; or why it cannot be read."""
-    from impact_observer.errors import ModelError
+    from impact_observer.errors import BagError, ModelError
     from impact_observer.model import parse_model
 
-    if (text := reader.model_text()) is None:
-        return None
     try:
+        if (text := reader.model_text()) is None:
+            return None
         model = parse_model(text, "model")
-    except ModelError as error:
+    except (BagError, ModelError) as error:
         return {"error": str(error)}
     keys = ("version", "seed", "integrator", "sensor")
     version, seed, how, sensor = (model.provenance.get(key) for key in keys)

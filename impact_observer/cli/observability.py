@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from impact_observer.cli.arguments import positive
+from impact_observer.cli.arguments import add_namespace, positive
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", metavar="MODEL", help="a model file or a sample (default: the one in the bag)"
     )
+    add_namespace(parser)
     parser.add_argument(
         "--deviation",
         metavar="D",
@@ -53,6 +54,7 @@ def run(args: argparse.Namespace) -> int:
     return observe(
         args.bag,
         model=args.model,
+        namespace=args.namespace,
         deviation=args.deviation,
         tolerance=args.tolerance,
         plot=args.plot,
@@ -64,6 +66,7 @@ def observe(
     bag: Path,
     *,
     model: str | None = None,
+    namespace: str = "",
     deviation: str = "1",
     tolerance: float | None = None,
     plot: Path | None = None,
@@ -74,6 +77,7 @@ def observe(
     Args:
         bag: has impacts.
         model: a model file or a sample's name; None for the model that the bag carries.
+        namespace: of the rig that is meant; empty for the only one.
         deviation: standard deviations of the initial state; see ``deviation_of``.
         tolerance: singular value that counts as none, over the largest; None for the default.
         plot: a picture to write; None for none.
@@ -97,7 +101,7 @@ def observe(
         from impact_observer.analysis.figures import check_picture
 
         check_picture(plot)
-    with BagReader(bag) as reader:
+    with BagReader(bag, namespace) as reader:
         system = system_of(reader, model)
         events = events_in(reader)
     try:

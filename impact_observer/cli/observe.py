@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_ensemble_arguments,
+    add_namespace,
     add_observer_arguments,
     observer_options,
     positive,
@@ -21,6 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", metavar="MODEL", help="a model file or a sample (default: the one in the bag)"
     )
+    add_namespace(parser)
     parser.add_argument(
         "--law", metavar="LAW", default="geometric", help="of the observer (default geometric)"
     )
@@ -42,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
         model=args.model,
         options=observer_options(args, args.law),
         rate=args.rate,
+        namespace=args.namespace,
     )
 
 
@@ -52,6 +55,7 @@ def observe(
     model: str | None = None,
     options: "Options | None" = None,
     rate: float | None = None,
+    namespace: str = "",
 ) -> int:
     """Observe a bag into another one.
 
@@ -61,6 +65,7 @@ def observe(
         model: a model file or a sample's name; None for the model that the bag carries.
         options: of the observer; None for the defaults.
         rate: of the estimates, Hz; None for the stamps of the truth.
+        namespace: of the rig that is meant; empty for the only one.
 
     Returns:
         0.
@@ -78,7 +83,7 @@ def observe(
     from impact_observer.observer import Options
 
     chosen = options or Options()
-    with BagReader(bag) as reader, Progress() as progress:
+    with BagReader(bag, namespace) as reader, Progress() as progress:
         system = system_of(reader, model)
         observer = chosen.observer(system)
 

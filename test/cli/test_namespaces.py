@@ -1,0 +1,73 @@
+"""Two rigs in one bag: one is meant."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rosbags")
+
+from impact_observer.bag.reader import BagReader
+from impact_observer.bag.writer import BagWriter
+from impact_observer.cli.main import main
+
+
+@pytest.fixture(scope="module")
+def rigs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of two plants and their observers, in the namespaces of their models."""
+    folder = tmp_path_factory.mktemp("rigs")
+    with BagWriter(folder / "rigs") as writer:
+        for model in ("two_mass", "three_mass"):
+            plant, estimates = str(folder / f"{model}_plant"), str(folder / model)
+            simulated = ["simulate", model, "--duration", "4", "--rate", "50", "-o", plant]
+            assert main(simulated) == 0
+            observed = ["observe", plant, "--ensemble", "1", "--initial", "random:1"]
+            assert main([*observed, "-o", estimates]) == 0
+            with BagReader(estimates) as reader:
+                for topic, info in reader.topics.items():
+                    name = f"/{model}{topic}"
+                    writer.declare(name, type_name=info.type, quality=info.quality)
+                for message in reader.raw():
+                    writer.write_raw(f"/{model}{message.topic}", message.log_time, message.data)
+    return folder / "rigs"
+
+
+@pytest.mark.parametrize("namespace", ["three_mass", "/three_mass", "/three_mass/"])
+def test_a_namespace_says_which_rig_is_meant(
+    rigs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], namespace: str
+) -> None:
+    """The figures are those of a bag of that rig alone; a new observer can be run on it."""
+    capsys.readouterr()
+    assert main(["compare", str(rigs.parent / "three_mass"), "--json"]) == 0
+    alone = json.loads(capsys.readouterr().out)
+    assert main(["compare", str(rigs), "--namespace", namespace, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == alone
+    arguments = ["--namespace", namespace, "--ensemble", "1", "--initial", "random:1"]
+    assert main(["observe", str(rigs), *arguments, "-o", str(tmp_path / "new")]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(tmp_path / "new"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == alone
+
+
+def test_without_one_the_line_says_how_to_name_it(
+    rigs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And a namespace that the bag does not have is said to be none."""
+    for arguments, said in (
+        ([], r"both fit /plant/model; name the one meant with --namespace\n"),
+        (["--namespace", "x"], r"no topic in /x; in the bag: /three_mass/impacts, "),
+    ):
+        assert main(["compare", str(rigs), *arguments]) in {1, 2}
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1
+        assert re.search(said, error), error
+
+
+def test_info_lists_both_rigs(rigs: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It asks for nothing."""
+    assert main(["info", str(rigs)]) == 0
+    out = capsys.readouterr().out
+    assert "/two_mass/observer: geometric" in out
+    assert "/three_mass/observer: geometric" in out
+    assert "/three_mass/plant/model and /two_mass/plant/model" in out
