@@ -33,6 +33,7 @@ def estimates(bag: Path, output: Path) -> list[bytes]:
         return [raw.data for raw in reader.raw(["/observer/state"])]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_every_command_takes_every_form(
     recording: Path,

@@ -16,6 +16,8 @@ from mcap_ros2.decoder import DecoderFactory
 from impact_observer.bag.reader import BagReader
 from impact_observer.cli.main import main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:

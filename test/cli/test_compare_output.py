@@ -23,10 +23,10 @@ from impact_observer.cli.main import main
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight seconds of a sensor that is late, with an estimate."""
+    """Six seconds of a sensor that is late, with an estimate."""
     folder = tmp_path_factory.mktemp("compare")
     plant, estimates = str(folder / "plant"), str(folder / "estimates")
-    simulated = ["simulate", "two_mass", "--duration", "8", "--rate", "500", "--delay", "0.004"]
+    simulated = ["simulate", "two_mass", "--duration", "6", "--rate", "250", "--delay", "0.008"]
     assert main([*simulated, "-o", plant]) == 0
     observed = ["observe", plant, "--initial", "random:1", "--ensemble", "1"]
     assert main([*observed, "-o", estimates]) == 0
@@ -111,14 +111,14 @@ def test_the_csv_has_every_figure_of_the_json(
 def test_a_late_sensor_is_told_apart_from_a_bad_estimate(
     bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two samples of 2 ms lie between the jumps, at each impact."""
+    """Two samples of 4 ms lie between the jumps, at each impact."""
     found = figures(capsys, str(bag))["geometric"]
     assert found["mismatch_windows"] == found["impacts_used"]
     assert found["mismatch_samples"] == 2 * found["impacts_used"]
-    assert found["mismatch_longest"] == pytest.approx(0.004)
+    assert found["mismatch_longest"] == pytest.approx(0.008)
     main(["compare", str(bag)])
     table = capsys.readouterr().out
-    assert re.search(r"geometric +\d+ +0 +0 +0 +\d+ +4 ms +\d\.\d\de[+-]\d\d J", table)
+    assert re.search(r"geometric +\d+ +0 +0 +0 +\d+ +8 ms +\d\.\d\de[+-]\d\d J", table)
 
 
 def test_a_topic_of_somebody_else_can_be_compared(
@@ -187,7 +187,7 @@ def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: P
     axes = distance_figure(labelled, results).axes[0]
     times = [np.asarray(line.get_xdata()) for line in axes.lines]
     assert [time[0] for time in times[:2]] == [0.0, 0.0]
-    assert [time[-1] for time in times[:2]] == [pytest.approx(8.0), pytest.approx(4.0)]
+    assert [time[-1] for time in times[:2]] == [pytest.approx(6.0), pytest.approx(4.0)]
     assert [line.get_label() for line in axes.lines[2:]] == [
         "impacts at stop, estimates",
         "impacts at stop, later",

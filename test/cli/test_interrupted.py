@@ -14,6 +14,8 @@ pytest.importorskip("rosbags")
 from impact_observer.bag.reader import BagReader
 from impact_observer.cli.main import main
 
+pytestmark = pytest.mark.slow
+
 
 def test_an_observer_that_is_interrupted_leaves_a_whole_bag(tmp_path: Path) -> None:
     """It says so, ends with 1, and what is in the bag is the beginning of all."""

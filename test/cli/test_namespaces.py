@@ -12,6 +12,8 @@ from impact_observer.bag.reader import BagReader
 from impact_observer.bag.writer import BagWriter
 from impact_observer.cli.main import main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def rigs(tmp_path_factory: pytest.TempPathFactory) -> Path:

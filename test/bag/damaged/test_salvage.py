@@ -274,6 +274,7 @@ def test_type_that_nobody_defines_is_left_out_of_a_new_bag(whole: Path) -> None:
     assert len(messages(Path("new"))) == 405
 
 
+@pytest.mark.slow
 @settings(examples(25), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     flips=st.lists(st.tuples(st.floats(0, 1), st.integers(1, 255)), max_size=3),
