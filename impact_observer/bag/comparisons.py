@@ -18,9 +18,10 @@ from impact_observer.analysis.comparison import (
 from impact_observer.analysis.pairing import Series
 from impact_observer.bag import interfaces
 from impact_observer.bag.columns import JointStates, ObserverStates
+from impact_observer.bag.naming import first_stamp, named_states, named_topic
 from impact_observer.bag.reader import BagReader
 from impact_observer.bag.recordings import events_in
-from impact_observer.errors import BagError, UsageError
+from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.observer import Observer
@@ -110,13 +111,13 @@ def compare_bag(
                 progress=partial(progress, law),
             )
     epochs = (event.epoch for event in events if event.epoch)
-    epoch = next(epochs, 0) or _first_stamp(reader, truth)
+    epoch = next(epochs, 0) or first_stamp(reader, [truth]) or 0
     return BagComparison(system, comparisons, impacts_in(events), epoch)
 
 
 def _truth_topic(reader: BagReader, named: str | None) -> str:
     if named is not None:
-        return _named_topic(reader, named)
+        return named_topic(reader, named)
     if (found := reader.truth_topic()) is None:
         raise BagError(
             f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
@@ -126,24 +127,8 @@ def _truth_topic(reader: BagReader, named: str | None) -> str:
 
 def _estimate_topics(reader: BagReader, named: Sequence[str] | None) -> dict[str, str]:
     """Topics of estimates by what they are called: an observer's prefix, or the topic itself."""
-    prefixes = reader.observers()
-    topics = {}
-    for each in prefixes if named is None else named:
-        name = each if each.startswith("/") else f"/{each}"
-        if name in prefixes:
-            state = f"{name}/state"
-            topics[name] = state if state in reader.topics else f"{name}/joint_states"
-        else:
-            topics[name] = _named_topic(reader, name)
-    return topics
-
-
-def _named_topic(reader: BagReader, name: str) -> str:
-    topic = name if name.startswith("/") else f"/{name}"
-    if topic not in reader.topics:
-        found = ", ".join(reader.topics) or "none"
-        raise UsageError(f"{reader.path}: no topic or observer {topic}; in the bag: {found}")
-    return topic
+    names = reader.observers() if named is None else [f"/{each.strip('/')}" for each in named]
+    return {name: named_states(reader, name) for name in names}
 
 
 def _compare_recorded(
@@ -189,12 +174,6 @@ def _compare_recorded(
 def _truth_of(reader: BagReader, topic: str, system: System) -> Iterator[Series]:
     """The plant's states, block by block."""
     return (_series(block) for _, block in reader.blocks([topic], system.coordinates))
-
-
-def _first_stamp(reader: BagReader, topic: str) -> int:
-    """The first stamp of a topic of states, ns; 0 when there is none."""
-    stamps = next(iter(reader.blocks([topic])))[1].stamps
-    return int(stamps[0]) if stamps.size else 0
 
 
 @contextmanager

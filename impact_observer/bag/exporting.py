@@ -17,6 +17,7 @@ from impact_observer.analysis.pairing import Pairing, Series
 from impact_observer.analysis.tally import Curve, Rows, Tally
 from impact_observer.bag import interfaces
 from impact_observer.bag.columns import JointStates, ObserverStates
+from impact_observer.bag.naming import first_block, first_stamp, named_states, states_of
 from impact_observer.bag.reader import BLOCK, BagReader
 from impact_observer.bag.recordings import events_in
 from impact_observer.errors import BagError, UsageError
@@ -154,7 +155,7 @@ def export_states(
         BagError: there are no states, topics have different coordinates, or the bag is damaged.
     """
     chosen = _state_topics(reader, topics)
-    first = next((b for topic in chosen for b in _first(reader, topic)), None)
+    first = first_block(reader, chosen)
     if first is None:
         raise BagError(f"{reader.path}: has no states; topics: {', '.join(reader.topics)}")
     zero = _epoch(reader, int(first.stamps[0])) if epoch is None else epoch
@@ -204,8 +205,7 @@ def export_errors(
     chosen = [topic for topic in _state_topics(reader, topics) if topic != truth]
     if not chosen:
         raise BagError(f"{reader.path}: has no estimates; make them with observe")
-    started = [int(block.stamps[0]) for block in _first(reader, truth)]
-    zero = _epoch(reader, next(iter(started), 0)) if epoch is None else epoch
+    zero = _epoch(reader, first_stamp(reader, [truth]) or 0) if epoch is None else epoch
     events = events_in(reader) if reader.find(interfaces.IMPACTS) else []
     differing = {topic: _Differing(reader, topic, system, events) for topic in chosen}
     rows: Counter[str] = Counter()
@@ -341,32 +341,9 @@ def _state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]
         truth = reader.truth_topic()
         return [
             *([truth] if truth else []),
-            *(_of_observer(reader, prefix) for prefix in reader.observers()),
+            *(states_of(reader, prefix) for prefix in reader.observers()),
         ]
-    found = []
-    for name in named:
-        topic = f"/{name.strip('/')}"
-        if topic in reader.observers():
-            topic = _of_observer(reader, topic)
-        elif topic not in reader.topics:
-            there = ", ".join(reader.topics) or "none"
-            raise UsageError(f"{reader.path}: no topic or observer {topic}; in the bag: {there}")
-        found.append(topic)
-    return [*dict.fromkeys(found)]
-
-
-def _of_observer(reader: BagReader, prefix: str) -> str:
-    """The topic of an observer's states, which say more than its joint states."""
-    state = f"{prefix}/state"
-    return state if state in reader.topics else f"{prefix}/joint_states"
-
-
-def _first(reader: BagReader, topic: str) -> Iterator[JointStates]:
-    """The first block of a topic, unless it is empty."""
-    for _, block in reader.blocks([topic]):
-        if block.stamps.size:
-            yield block
-        return
+    return [*dict.fromkeys(named_states(reader, name) for name in named)]
 
 
 def _epoch(reader: BagReader, otherwise: int) -> int:

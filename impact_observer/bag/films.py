@@ -13,6 +13,7 @@ from impact_observer.analysis.pairing import HOLD
 from impact_observer.analysis.scene.film import Contacts, Distance, Film, Track, scene_of
 from impact_observer.bag import interfaces
 from impact_observer.bag.columns import JointStates, ObserverStates, joined
+from impact_observer.bag.naming import first_stamp, states_of
 from impact_observer.bag.reader import BagReader
 from impact_observer.bag.recordings import events_in
 from impact_observer.errors import BagError, UsageError
@@ -54,7 +55,7 @@ def read_film(
     """
     prefixes = _chosen(reader, observers)
     truth_topic = reader.truth_topic()
-    topics = {prefix: _topic(reader, prefix) for prefix in prefixes}
+    topics = {prefix: states_of(reader, prefix) for prefix in prefixes}
     wanted = [*([] if truth_topic is None else [truth_topic]), *topics.values()]
     if not wanted:
         raise BagError(
@@ -62,7 +63,7 @@ def read_film(
             f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
         )
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
-    epoch = next((e.epoch for e in events if e.epoch), 0) or _first(reader, wanted)
+    epoch = next((e.epoch for e in events if e.epoch), 0) or first_stamp(reader, wanted) or 1
     start = epoch + from_seconds(stretch.start)
     window = (start, start + from_seconds(stretch.duration))
     states = _read(reader, system, wanted, window)
@@ -104,21 +105,6 @@ def _chosen(reader: BagReader, observers: Sequence[str] | None) -> tuple[str, ..
             f" {', '.join(known)}"
         )
     return tuple(dict.fromkeys(chosen))
-
-
-def _topic(reader: BagReader, prefix: str) -> str:
-    """Where an observer's estimates are: with the law where it is told."""
-    state = f"{prefix}/state"
-    return state if state in reader.topics else f"{prefix}/joint_states"
-
-
-def _first(reader: BagReader, topics: Sequence[str]) -> int:
-    """The stamp of the first state on the first of some topics that has one, ns; 1 for none."""
-    for topic in topics:
-        for _, block in reader.blocks([topic]):
-            if block.stamps.size:
-                return int(block.stamps.min())
-    return 1
 
 
 def _read(
