@@ -41,6 +41,8 @@ _SHUT_DOWN = 10.0
 """How long a process may take to end after SIGINT, s."""
 _SILENCE = 20.0
 """How long the plant may say nothing before it counts as dead, s."""
+_CATCH_UP = 5.0
+"""How long the observers may go on after the plant has ended, s."""
 _DISCOVERY = 1.5
 """How long to look for others on the same ROS domain, s."""
 _SPIN = 0.05
@@ -59,11 +61,13 @@ class Live:
         time: simulated time since the epoch, s.
         impacts: events so far.
         v: latest Lyapunov distance of each law, J.
+        reached: how far each law's estimates have come, simulated time since the epoch, s.
     """
 
     time: float = 0.0
     impacts: int = 0
     v: dict[str, float] = field(default_factory=dict)
+    reached: dict[str, float] = field(default_factory=dict)
 
 
 def run(setting: Setting, folder: Path, show: Callable[[Live], None]) -> Path:
@@ -111,6 +115,7 @@ def run(setting: Setting, folder: Path, show: Callable[[Live], None]) -> Path:
                 if stop.requested:
                     raise DemonstrationError(f"interrupted; what was recorded is in {bag}")
                 _check("plant", master, logs)
+            _let_catch_up(executor, setting, live)
             drain(executor, writer)
             recorder.close()
     return bag
@@ -134,7 +139,8 @@ def _subscribe(node: Node, setting: Setting, live: Live) -> None:
     def on_error(message: ErrorMessage) -> None:
         live.v[message.law] = message.v
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        live.time = max(live.time, (stamp - setting.epoch) * 1e-9)
+        at = live.reached[message.law] = (stamp - setting.epoch) * 1e-9
+        live.time = max(live.time, at)
 
     node.create_subscription(
         message_class(interfaces.IMPACT_EVENT),
@@ -192,6 +198,15 @@ def _wait_until_heard(
             raise DemonstrationError(
                 f"{missing[0]}: not heard after {_START_UP:g} s; does DDS work on this machine?"
             )
+
+
+def _let_catch_up(executor: SingleThreadedExecutor, setting: Setting, live: Live) -> None:
+    """The plant has ended; an observer that lags behind is heard to the end as well."""
+    until, end = time.monotonic() + _CATCH_UP, setting.duration - 1.5 / setting.rate
+    while any(live.reached.get(law, 0.0) < end for law in setting.laws):
+        if time.monotonic() > until:
+            return
+        executor.spin_once(timeout_sec=_SPIN)
 
 
 @contextlib.contextmanager
