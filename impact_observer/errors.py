@@ -43,6 +43,10 @@ class BagError(ImpactObserverError):
     """A bag that cannot be read, written or used for what is asked."""
 
 
+class IdentificationError(ImpactObserverError):
+    """Parameters that the recorded impacts do not tell."""
+
+
 class DynamicsError(ImpactObserverError, ArithmeticError):
     """A motion that cannot be computed."""
 

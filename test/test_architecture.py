@@ -28,6 +28,7 @@ FIGURES = {
     "analysis/scene/row.py",
     "analysis/scene/animation.py",
     "analysis/figures.py",
+    "analysis/identification_figure.py",
     "analysis/observability_figure.py",
 }
 """Modules that draw, the only ones of the core that may import matplotlib."""

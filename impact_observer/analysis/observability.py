@@ -12,21 +12,19 @@ An instant with several impacts counts as if all of them were equally fast. What
 (``g >= 0`` at all other times, ``gamma- <= 0``, loads that only press) is not counted.
 """
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.analysis.heard import Moment, heard
 from impact_observer.dynamics import ImpactLaw, Phase, Phases
-from impact_observer.errors import BagError, ImpactLawError, UsageError
+from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.observer import Contacts, Touch, Uncertainty
-from impact_observer.observer.order import Key, once, readings
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector, frozen
 
@@ -145,17 +143,18 @@ def observability(
     scale = np.diag(Uncertainty(deviation).root(system.n))
     if not np.any(scale):
         raise UsageError("deviation: 0 throughout; expected a state that is not known already")
-    heard = _heard(system, events)
+    told = heard(system, events)
+    moments = told.moments
     errors = _Errors(system, scale)
-    factor, singular = _factored(errors, heard.moments)
-    telling = [(each, names) for each in heard.moments if (names := errors.telling(each.touch))]
+    factor, singular = _factored(errors, moments)
+    telling = [(each, names) for each in moments if (names := errors.telling(each.touch))]
     found = [np.count_nonzero(each > tolerance * each[0]) for each in singular]
     rank = np.maximum.accumulate(np.array(found, dtype=np.int64))
     directions = linalg.svd(factor)[2]
     unknown = _readable(directions[rank[-1] :])
     return Observability(
         system=system,
-        start=heard.start,
+        start=told.start,
         deviation=frozen(scale),
         tolerance=tolerance,
         stamps=np.array([each.stamp for each, _ in telling], dtype=np.int64),
@@ -166,66 +165,10 @@ def observability(
         unknown=frozen(_placed(unknown, scale)),
         left=frozen(unknown @ errors.map.T),
         least=frozen(_placed(_upright(directions[-1:]), scale)[0]),
-        foreign=heard.foreign,
-        left_out=heard.left_out,
-        episodes=heard.episodes,
+        foreign=told.foreign,
+        left_out=told.left_out,
+        episodes=told.episodes,
     )
-
-
-class _Moment(NamedTuple):
-    """What the plant's contacts do at a stamp, ns."""
-
-    stamp: int
-    touch: Touch
-
-
-class _Heard(NamedTuple):
-    """What an observer would make of a recording; see ``Observability``."""
-
-    start: int
-    moments: list[_Moment]
-    foreign: Mapping[str, int]
-    left_out: int
-    episodes: int
-
-
-def _heard(system: System, events: Sequence[ImpactEvent]) -> _Heard:
-    """The last episode's events, each once and in order, as an observer takes them.
-
-    Raises:
-        BagError: they tell no impact of the system's contacts.
-    """
-    index = {name: i for i, name in enumerate(system.contact_names)}
-    last = _last_episode(events)
-    foreign = Counter(s.contact for e in last for s in e.switches if s.contact not in index)
-    epoch = max((e.epoch for e in last), default=0)
-    first = min((e.sequence for e in last if e.sequence), default=0)
-    start = epoch if epoch and first <= 1 else min((e.stamp for e in last), default=0)
-    heard = [
-        Key(event.stamp, event.sequence, tuple(sorted(kinds)))
-        for event in last
-        if (kinds := {(index[s.contact], s.kind) for s in event.switches if s.contact in index})
-    ]
-    keys = [key for key in once(heard) if key.stamp >= start]
-    moments = [
-        _Moment(key.stamp, Touch.of(seconds_between(start, key.stamp), closed, reading.switches))
-        for key, (closed, reading) in zip(keys, readings(keys), strict=True)
-    ]
-    if not any(moment.touch.hit for moment in moments):
-        wanted, found = (", ".join(each) or "none" for each in (index, sorted(foreign)))
-        raise BagError(
-            f"tells no impact of the model's contacts ({wanted}); others in it: {found}"
-        )
-    episodes = len({(e.epoch, e.episode) for e in events})
-    return _Heard(start, moments, dict(foreign), len(heard) - len(moments), episodes)
-
-
-def _last_episode(events: Sequence[ImpactEvent]) -> list[ImpactEvent]:
-    """Events of the latest epoch and, in that, of the latest episode."""
-    epoch = max((e.epoch for e in events), default=0)
-    of_epoch = [e for e in events if e.epoch in {0, epoch}]
-    episode = max((e.episode for e in of_epoch), default=0)
-    return [e for e in of_epoch if e.episode == episode]
 
 
 class _Errors:
@@ -289,7 +232,7 @@ class _Errors:
         return np.asarray(self._timescale**2 * pushed * (loads @ forces))
 
 
-def _factored(errors: _Errors, moments: Sequence[_Moment]) -> tuple[Matrix, Matrix]:
+def _factored(errors: _Errors, moments: Sequence[Moment]) -> tuple[Matrix, Matrix]:
     """The triangular factor of all rows, and its singular values after each telling event.
 
     Returns:

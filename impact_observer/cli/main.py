@@ -18,6 +18,7 @@ COMMANDS = {
     "demo": "plant, observers and monitors as processes, a bag, a comparison, a picture",
     "check-model": "what a model means for an observer: modes, contacts, impact law",
     "observability": "what the impacts in a bag have told of the state: rank, condition, unknowns",
+    "identify": "learn a model's parameters from impact times, or check it against them",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
     "detect": "find the impacts in a bag of switches, accelerations, forces",
     "import": "make a bag of impact times in a CSV file",

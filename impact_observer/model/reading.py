@@ -1,6 +1,7 @@
 """A model file: a system, and where the plant starts."""
 
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +22,8 @@ from impact_observer.states import Matrix, Vector, frozen
 _MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "forcing", "contacts")
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """What ruamel raises: besides its own errors, those of values such as ``2020-13-45``."""
+_LONGEST = 1_000_000
+"""Columns of a line of YAML, more than any has: lines stay as they are."""
 _COMMON_KEYS = ("name", "initial_state", "provenance")
 
 
@@ -168,6 +171,29 @@ def load_yaml(text: str) -> Value:
         where = f" at line {mark.line + 1}, column {mark.column + 1}" if mark else ""
         problem = str(getattr(error, "problem", None) or error).splitlines()[0]
         raise ModelError("", f"is not YAML{where}: {problem}") from None
+
+
+def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
+    """A model file with other values in some places, and all else as it stands, comments too.
+
+    Args:
+        text: the YAML of a valid model.
+        changes: new values by where they stand, such as ``("stops", 0, "limit")``.
+    """
+    yaml = YAML()
+    yaml.width = _LONGEST
+    yaml.preserve_quotes = True
+    if re.search(r"^ +- ", text, re.MULTILINE):
+        yaml.indent(sequence=4, offset=2)
+    document = yaml.load(text)
+    for (*path, last), value in changes.items():
+        place = document
+        for part in path:
+            place = place[part]
+        place[last] = value
+    stream = io.StringIO()
+    yaml.dump(document, stream)
+    return stream.getvalue()
 
 
 def _model(document: Value, folder: Path | None) -> Model:

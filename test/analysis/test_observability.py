@@ -24,7 +24,8 @@ from systems import (
     systems,
 )
 
-from impact_observer.analysis.observability import Observability, _Errors, _heard, observability
+from impact_observer.analysis.heard import heard
+from impact_observer.analysis.observability import Observability, _Errors, observability
 from impact_observer.analysis.observability_figure import observability_figure
 from impact_observer.dynamics import Phases
 from impact_observer.errors import BagError, UsageError
@@ -147,16 +148,16 @@ def test_events_are_read_as_an_observer_reads_them(data: st.DataObject) -> None:
     )
     events = [told_by(t, *some, sequence=k) for k, (t, some) in enumerate(steps, start=1)]
     events.append(told_by(4, ("c1", Kind.IMPACT), sequence=20))
-    heard = _heard(model, data.draw(st.permutations([*events, *events])))
+    said = heard(model, data.draw(st.permutations([*events, *events])))
     watcher = observer(model, "open-loop", np.zeros(4), epoch=EPOCH, ensemble=1)
     for each in events:
         watcher.receive(each)
-    assert heard.start == watcher.start
+    assert said.start == watcher.start
     assert watcher._timeline is not None
     entries = watcher._timeline.entries[1:]
-    assert [moment.stamp for moment in heard.moments] == [entry.key.stamp for entry in entries]
-    assert [moment.touch.closed for moment in heard.moments] == [e.closed for e in entries]
-    assert heard.left_out == len(entries)
+    assert [moment.stamp for moment in said.moments] == [entry.key.stamp for entry in entries]
+    assert [moment.touch.closed for moment in said.moments] == [e.closed for e in entries]
+    assert said.left_out == len(entries)
 
 
 def test_impact_that_a_close_supersedes_tells_nothing_of_its_own() -> None:
@@ -190,7 +191,7 @@ def test_rows_solve_for_the_initial_state_of_a_plant(name: str) -> None:
     model = sample(name)
     plant, n = model.system, model.system.n
     truth = np.concatenate(model.initial_state())
-    told = _heard(plant, run(plant, truth[:n], truth[n:], seconds=30.0).events)
+    told = heard(plant, run(plant, truth[:n], truth[n:], seconds=30.0).events)
     errors, phase = _Errors(plant, np.ones(2 * n)), Phases(plant).phase()
     rows, gaps, x, t = [], [], np.zeros(2 * n), 0.0
     for _, touch in told.moments:

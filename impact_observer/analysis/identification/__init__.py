@@ -1,0 +1,1 @@
+"""Learning a model from impact times: parameters, exact sensitivities, maximum likelihood."""

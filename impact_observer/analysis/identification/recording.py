@@ -1,0 +1,84 @@
+"""A recording to be explained: which of its switches are believed, and what was not heard."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from impact_observer.analysis.heard import Heard
+from impact_observer.analysis.identification.family import Family
+from impact_observer.analysis.identification.motion import Moment
+from impact_observer.analysis.identification.solving import Problem
+from impact_observer.dynamics import ImpactLaw, Phases
+from impact_observer.events import Kind
+from impact_observer.observer import Touch
+from impact_observer.observer.order import Key, readings
+from impact_observer.stamps import seconds_between
+
+Hit: TypeAlias = tuple[int, int]
+"""A stamp, ns, and the index of a contact."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """What was heard, and what is made of it.
+
+    Attributes:
+        told: what was heard.
+        doubted: impacts that are not believed.
+        inserted: impacts that nobody heard, and that the motion cannot do without.
+    """
+
+    told: Heard
+    doubted: frozenset[Hit] = field(default=frozenset())
+    inserted: frozenset[Hit] = field(default=frozenset())
+
+    @property
+    def start(self) -> float:
+        """Where the initial state holds, s since the epoch."""
+        return seconds_between(self.told.epoch, self.told.start)
+
+    def marked(self, doubted: Iterable[Hit], inserted: Iterable[Hit]) -> "Recording":
+        """The same, and other impacts believed."""
+        return replace(self, doubted=frozenset(doubted), inserted=frozenset(inserted))
+
+    @property
+    def _keys(self) -> list[Key]:
+        """The events that are believed, in order."""
+        kept = [
+            key._replace(switches=tuple(s for s in key.switches if not self._doubts(key, s)))
+            for key in self.told.keys
+        ]
+        added = [Key(stamp, 0, ((contact, Kind.IMPACT),)) for stamp, contact in self.inserted]
+        return sorted([*(key for key in kept if key.switches), *added])
+
+    def _doubts(self, key: Key, switch: tuple[int, Kind]) -> bool:
+        return switch[1] is not Kind.OPEN and (key.stamp, switch[0]) in self.doubted
+
+    def hits(self) -> list[tuple[int, tuple[int, ...]]]:
+        """Stamps (ns) and contacts of the believed moments at which something hits."""
+        return [(stamp, touch.hit) for stamp, touch in self._touches()]
+
+    def _touches(self) -> list[tuple[int, Touch]]:
+        keys = self._keys
+        return [
+            (key.stamp, Touch.of(0.0, closed, reading.switches))
+            for key, (closed, reading) in zip(keys, readings(keys), strict=True)
+        ]
+
+    def problem(self, family: Family) -> Problem:
+        """What a motion has to explain.
+
+        Raises:
+            ImpactLawError: the impact law has no solution at an event.
+        """
+        newton, phases = ImpactLaw(family.system), Phases(family.system)
+        moments = []
+        for stamp, touch in self._touches():
+            pressed = touch.pressed(newton, -np.ones(len(touch.hit))) if touch.hit else ()
+            inserted = any((stamp, i) in self.inserted for i in touch.hit)
+            t = seconds_between(self.told.epoch, stamp)
+            held = phases.independent(touch.closed)
+            moments.append(Moment(t, touch.hit, pressed, held, not inserted))
+        return Problem(family, moments, self.start)

@@ -1,0 +1,90 @@
+"""The command that learns a model from the impacts in a bag."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_observer.cli.main import main
+from impact_observer.model import read_model
+from impact_observer.shares import shared
+
+BAG, ROUGH = "two_mass", "jitter"
+
+
+def bag(name: str) -> str:
+    """A recorded sample bag."""
+    return str(shared("bags") / name)
+
+
+@pytest.fixture
+def model(tmp_path: Path) -> Path:
+    """The sample model with a wrong restitution and stiffness, and its comments."""
+    text = (shared("config") / "two_mass.yaml").read_text()
+    assert "restitution: 0.7" in text
+    path = tmp_path / "guess.yaml"
+    path.write_text(text.replace("restitution: 0.7", "restitution: 0.8"))
+    return path
+
+
+def test_what_is_learnt_is_printed_and_written(
+    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The file reads as a model again, says where it is from, and keeps its comments."""
+    output, plot = tmp_path / "learnt.yaml", tmp_path / "learnt.svg"
+    words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution,gap"]
+    assert main([*words, "-o", str(output), "--plot", str(plot)]) == 0
+    said = capsys.readouterr().out
+    assert "restitution.stop" in said
+    assert "standard error" in said
+    learnt = read_model(output)
+    np.testing.assert_allclose(learnt.system.eps, [0.7], rtol=1e-6)
+    assert set(learnt.provenance["parameters"]) == {"restitution.stop", "gap.stop"}  # type: ignore[call-overload]
+    assert output.read_text().count("#") == model.read_text().count("#")
+    assert plot.stat().st_size > 0
+    assert main([*words, "-o", str(output)]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_json_has_every_figure(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """And nothing else on standard output."""
+    words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution", "--json"]
+    assert main(words) == 0
+    figures = json.loads(capsys.readouterr().out)
+    told = figures["parameters"]["restitution.stop"]
+    assert told["given"] == 0.8
+    assert told["value"] == pytest.approx(0.7, rel=1e-6)
+    assert figures["converged"]
+    assert len(figures["shifts"]["shift"]) == figures["impacts"]
+
+
+@pytest.mark.slow
+def test_check_ends_with_1_where_the_model_does_not_fit(
+    model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And with 0 where it does; the bag carries the right one."""
+    assert main(["identify", bag(BAG), "--check", "--clock-error", "1e-6"]) == 0
+    assert "The model fits." in capsys.readouterr().out
+    words = ["identify", bag(BAG), "--model", str(model), "--check", "--clock-error", "1e-3"]
+    assert main(words) == 1
+    assert "does not fit; worst: stop" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ([], "names no parameter"),
+        (["--free", "gap", "--check"], "learns nothing"),
+        (["--free", "colour"], "colour"),
+        (["--free", "mass-scale,damping-scale,stiffness-scale,forcing-amplitude"], "no impact"),
+    ],
+)
+def test_what_cannot_be_learnt_is_one_line(
+    words: list[str], problem: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """That names it; 2 for wrong use, 1 for what the impacts do not tell."""
+    assert main(["identify", bag(BAG), *words]) in {1, 2}
+    error = capsys.readouterr().err
+    assert problem in error
+    assert len(error.splitlines()) == 1
