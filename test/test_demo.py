@@ -42,7 +42,7 @@ def run_demo(folder: Path, environment: dict[str, str], *arguments: str) -> Run:
         env=environment,
         capture_output=True,
         text=True,
-        timeout=90,
+        timeout=120,
         check=False,
     )
     return Run(folder, done.returncode, done.stdout, done.stderr)

@@ -30,8 +30,12 @@ _LONGEST_SLEEP = 0.05
 """Between two looks at a clock that is not the node's own, s."""
 _LAST_WORDS = Duration(seconds=1.0)
 """How long the last messages may take to be heard before the node ends."""
-_SETTLE = 0.2
-"""Between the last subscriber's appearance and the beginning, s of wall time."""
+_SETTLE = 3.5
+"""Between the last subscriber's appearance and the beginning, s of wall time.
+
+That we know of a subscriber does not say that it knows of us: DDS announces a participant anew
+only every 3 s, should the first announcements have been lost.
+"""
 
 
 class PlantNode(Node):
