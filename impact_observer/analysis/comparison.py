@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from impact_observer.analysis.mismatch import Impact
 from impact_observer.analysis.pairing import Pairing, Series
-from impact_observer.analysis.tally import Tally
+from impact_observer.analysis.tally import Curve, Rows, Tally
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.model import System
@@ -158,23 +158,35 @@ class Comparing:
         pairing: takes the blocks of both.
     """
 
-    def __init__(self, system: System, heard: Heard, threshold: float = SETTLED) -> None:
+    def __init__(
+        self,
+        system: System,
+        heard: Heard,
+        threshold: float = SETTLED,
+        keep: Callable[[Rows], None] | None = None,
+    ) -> None:
         """Compare an observer's estimates.
 
         Args:
             system: gives M and K for V.
             heard: what the observer made of the events.
             threshold: V over V at the start below which the estimate has settled.
+            keep: given the rows that count, in order; None to keep them for the result.
         """
         index = {name: c for c, name in enumerate(system.contact_names)}
         impacts = [Impact(stamp, index[name]) for stamp, name in heard.impacts if name in index]
         self.pairing = Pairing()
         self._system, self._heard, self._threshold = system, heard, threshold
-        self._tally = Tally(system, heard.told, impacts, threshold)
+        self._curve = Curve(2 * system.n)
+        self._tally = Tally(system, heard.told, impacts, threshold, keep or self._curve.add)
 
     def proceed(self) -> None:
         """Compare what can be compared of the blocks that were added."""
         self._tally.add(self.pairing.settled())
+
+    def finish(self) -> None:
+        """Compare what is left, when all blocks have been added."""
+        self._tally.add(self.pairing.settled(done=True), done=True)
 
     def result(self, law: str) -> Comparison:
         """The comparison, when all blocks have been added.
@@ -182,8 +194,8 @@ class Comparing:
         Raises:
             BagError: no stamp is in both, or every estimate came before its events.
         """
+        self.finish()
         tally = self._tally
-        tally.add(self.pairing.settled(done=True), done=True)
         if not (tally.samples or tally.late or tally.between):
             raise BagError(
                 f"{law}: truth and estimate have no stamp in common: {self.pairing.ranges()};"
@@ -191,7 +203,7 @@ class Comparing:
             )
         if not tally.samples:
             raise BagError(f"{law}: every estimate came before its events; nothing to compare")
-        rows = tally.curve.rows()
+        rows = self._curve.rows()
         start = float(rows.V[0])
         settled = tally.settled if start > 0 or tally.rise == 0 else None
         return Comparison(
@@ -299,7 +311,7 @@ def heard_of(events: Iterable[ImpactEvent], verdicts: Iterable[Verdict] | None) 
     inserted = {(s, contact) for (s, _, contact), r in last.items() if r is Ruling.INSERTED}
     # A verdict without a contact is on the whole event.
     impacts = {(s, c) for s, c in told if (s, c) in used or (s, "") in used} | inserted
-    instants = _instants(last)
+    instants = np.array(sorted({stamp for stamp, _ in used}), dtype=np.int64)
     both = np.intersect1d(instants, stamps)
     return Heard(instants, both, tuple(sorted(impacts)), counted(last, set(stamps.tolist())))
 
@@ -312,16 +324,6 @@ def counted(last: Mapping[tuple[int, int, str], Ruling], told: Collection[int]) 
     """
     rejected = Ruling.REJECTED
     return Counter(r for (stamp, _, _), r in last.items() if r is not rejected or stamp in told)
-
-
-def applied_in(verdicts: Iterable[Verdict]) -> Stamps:
-    """Stamps of what an observer applied or inserted in the end, ns, shape (events,)."""
-    return _instants(final_rulings(verdicts))
-
-
-def _instants(last: Mapping[tuple[int, int, str], Ruling]) -> Stamps:
-    stamps = {stamp for (stamp, _, _), ruling in last.items() if ruling is not Ruling.REJECTED}
-    return np.array(sorted(stamps), dtype=np.int64)
 
 
 def impacts_in(events: Iterable[ImpactEvent]) -> dict[str, Stamps]:

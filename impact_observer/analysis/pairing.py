@@ -167,3 +167,17 @@ def _by_stamp(series: Series) -> Series:
     order = stamps.size - 1 - from_behind
     last_event = None if series.last_event is None else series.last_event[order]
     return Series(stamps[order], series.x[order], last_event)
+
+
+def arrived(stamps: Stamps, last_event: Stamps | None, told: Stamps) -> NDArray[np.bool_]:
+    """Which estimates contain the events before them; the others were published too early.
+
+    Args:
+        stamps: of the estimates, ns, shape (samples,).
+        last_event: as of ``Series``.
+        told: stamps of the events that the observer used, ns, ascending, shape (told,).
+    """
+    if last_event is None:
+        return np.ones(stamps.size, dtype=np.bool_)
+    due = np.concatenate([[0], told])
+    return np.asarray(last_event >= due[np.searchsorted(due, stamps, side="right") - 1])

@@ -1,7 +1,7 @@
 """The figures of a comparison, summed up while pairs of truth and estimate go by."""
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from impact_observer.analysis.lyapunov import distance
 from impact_observer.analysis.mismatch import REACH, Impact, Window, window
-from impact_observer.analysis.pairing import Pairs
+from impact_observer.analysis.pairing import Pairs, arrived
 from impact_observer.model import System
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Stamps, Vector
@@ -34,27 +34,32 @@ class Tally:
         largest: largest absolute errors, shape (2n,).
         rise: largest rise of V from one sample to the next, J.
         settled: stamp from which on V is below the threshold, ns; None while it is not.
-        curve: the rows kept.
     """
 
     def __init__(
-        self, system: System, instants: Stamps, impacts: list[Impact], threshold: float
+        self,
+        system: System,
+        told: Stamps,
+        impacts: list[Impact],
+        threshold: float,
+        keep: "Callable[[Rows], None]",
     ) -> None:
         """Sum up the errors of an observer.
 
         Args:
             system: gives M and K for V.
-            instants: stamps of the events told that it used, ns, ascending, shape (events,).
-            impacts: those of them that are impacts, by stamp.
+            told: stamps of the events told that it used, ns, ascending, shape (told,).
+            impacts: those that it used, inserted ones too, by stamp.
             threshold: V over V at the start below which an estimate has settled.
+            keep: given the rows that count, in order.
         """
         self.samples = self.late = self.between = self.windows = 0
         self.longest = self.peak = self.rise = 0.0
         self.squares, self.largest = np.zeros(2 * system.n), np.zeros(2 * system.n)
         self.settled: int | None = None
-        self.curve = Curve(2 * system.n)
+        self._keep = keep
         self._system = system
-        self._instants = np.concatenate([[0], instants])
+        self._told = told
         self._impacts = impacts
         self._of_contact = [[i.stamp for i in impacts if i.contact == c] for c in range(system.m)]
         self._threshold = threshold
@@ -111,15 +116,12 @@ class Tally:
         n, stamps = self._system.n, pairs.stamps
         error = pairs.estimate - pairs.truth
         V = distance(self._system, error[:, :n], error[:, n:])
-        arrived = np.ones(stamps.size, dtype=np.bool_)
-        if pairs.last_event is not None:
-            due = self._instants[np.searchsorted(self._instants, stamps, side="right") - 1]
-            arrived = pairs.last_event >= due
-        between = arrived & self._is_between(stamps)
-        self.late += int(np.count_nonzero(~arrived))
+        punctual = arrived(stamps, pairs.last_event, self._told)
+        between = punctual & self._is_between(stamps)
+        self.late += int(np.count_nonzero(~punctual))
         self.between += int(np.count_nonzero(between))
         self.peak = max(self.peak, float(np.max(V[between], initial=0.0)))
-        kept = arrived & ~between
+        kept = punctual & ~between
         if kept.any():
             self._sum_up(stamps[kept], error[kept], V[kept])
 
@@ -145,7 +147,7 @@ class Tally:
         after = int(above[-1]) + 1 if above.size else 0
         if above.size or self.settled is None:
             self.settled = int(stamps[after]) if after < stamps.size else None
-        self.curve.add(Rows(stamps, error, V))
+        self._keep(Rows(stamps, error, V))
 
 
 class Rows(NamedTuple):

@@ -12,7 +12,6 @@ from impact_observer.analysis.comparison import (
     Comparing,
     Comparison,
     compare_law,
-    heard_of,
     impacts_in,
 )
 from impact_observer.analysis.pairing import Series
@@ -20,7 +19,7 @@ from impact_observer.bag import interfaces
 from impact_observer.bag.columns import JointStates, ObserverStates
 from impact_observer.bag.naming import first_stamp, named_states, named_topic
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import events_in
+from impact_observer.bag.recordings import epoch_of, events_in, heard_in
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
@@ -110,8 +109,7 @@ def compare_bag(
                 threshold=choice.threshold,
                 progress=partial(progress, law),
             )
-    epochs = (event.epoch for event in events if event.epoch)
-    epoch = next(epochs, 0) or first_stamp(reader, [truth]) or 0
+    epoch = epoch_of(events) or first_stamp(reader, [truth]) or 0
     return BagComparison(system, comparisons, impacts_in(events), epoch)
 
 
@@ -144,31 +142,47 @@ def _compare_recorded(
     truth, topics = where
     if not topics:
         return {}
-    comparing = {
-        name: Comparing(
-            system,
-            heard_of(events, reader.verdicts(verdicts) if verdicts in reader.topics else None),
-            choice.threshold,
+    recorded = {
+        name: Recorded(
+            topic,
+            Comparing(system, heard_in(reader, topic, events), choice.threshold),
+            law=name.rpartition("/")[2],
         )
         for name, topic in topics.items()
-        for verdicts in [f"{topic.rpartition('/')[0]}/verdicts"]
     }
-    laws = {name: name.rpartition("/")[2] for name in topics}
     wanted = dict.fromkeys([truth, *topics.values()])
     total, done = sum(reader.topics[topic].count for topic in wanted), 0
     for topic, block in reader.blocks([*wanted], system.coordinates):
-        series = _series(block)
-        for name, each in comparing.items():
-            if topic == truth:
-                each.pairing.truth.add(series)
-            if topic == topics[name]:
-                each.pairing.estimates.add(series)
-                laws[name] = getattr(block, "law", "") or laws[name]
-                each.proceed()
+        for each in recorded.values():
+            each.add(topic, block, truth)
+            each.comparing.proceed()
         done += block.stamps.size
         progress("comparing", done, total)
     with _named(reader):
-        return {name: each.result(laws[name]) for name, each in comparing.items()}
+        return {name: each.comparing.result(each.law) for name, each in recorded.items()}
+
+
+@dataclass(slots=True)
+class Recorded:
+    """The estimates on a topic, against the truth while both go by.
+
+    Attributes:
+        topic: of the estimates.
+        comparing: takes the blocks of both.
+        law: of the estimates; the observer's name while they have not said it.
+    """
+
+    topic: str
+    comparing: Comparing
+    law: str
+
+    def add(self, topic: str, block: JointStates, truth: str) -> None:
+        """Take the next states of any topic; ``truth`` is that of the plant's."""
+        if topic == truth:
+            self.comparing.pairing.truth.add(_series(block))
+        if topic == self.topic:
+            self.comparing.pairing.estimates.add(_series(block))
+            self.law = getattr(block, "law", "") or self.law
 
 
 def _truth_of(reader: BagReader, topic: str, system: System) -> Iterator[Series]:

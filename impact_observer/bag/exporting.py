@@ -11,17 +11,14 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.analysis.comparison import SETTLED, heard_of
-from impact_observer.analysis.mismatch import Impact
-from impact_observer.analysis.pairing import Pairing, Series
-from impact_observer.analysis.tally import Curve, Rows, Tally
+from impact_observer.analysis.comparison import Comparing
+from impact_observer.analysis.tally import Rows
 from impact_observer.bag import interfaces
-from impact_observer.bag.columns import JointStates, ObserverStates
+from impact_observer.bag.comparisons import Recorded
 from impact_observer.bag.naming import first_block, first_stamp, named_states, states_of
 from impact_observer.bag.reader import BLOCK, BagReader
-from impact_observer.bag.recordings import events_in
+from impact_observer.bag.recordings import epoch_of, events_in, heard_in
 from impact_observer.errors import BagError, UsageError
-from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.stamps import text
 from impact_observer.states import Stamps
@@ -207,26 +204,39 @@ def export_errors(
         raise BagError(f"{reader.path}: has no estimates; make them with observe")
     zero = _epoch(reader, first_stamp(reader, [truth]) or 0) if epoch is None else epoch
     events = events_in(reader) if reader.find(interfaces.IMPACTS) else []
-    differing = {topic: _Differing(reader, topic, system, events) for topic in chosen}
+    fresh: dict[str, list[Rows]] = {topic: [] for topic in chosen}
+    recorded = [
+        Recorded(
+            topic,
+            Comparing(system, heard_in(reader, topic, events), keep=fresh[topic].append),
+            law=topic.split("/")[-2],
+        )
+        for topic in chosen
+    ]
     rows: Counter[str] = Counter()
     done, total = 0, sum(reader.topics[topic].count for topic in (truth, *chosen))
 
-    def write(*, last: bool = False) -> None:
-        for topic, each in differing.items():
-            for found in each.settled(last=last):
+    def write() -> None:
+        for each in recorded:
+            for found in fresh[each.topic]:
                 numbers = {"V": found.V, **_columns(("dq", "du"), system.coordinates, found.error)}
-                sink.write(Block(zero, found.stamps, {"topic": topic, "law": each.law}, numbers))
-                rows[topic] += found.stamps.size
+                texts = {"topic": each.topic, "law": each.law}
+                sink.write(Block(zero, found.stamps, texts, numbers))
+                rows[each.topic] += found.stamps.size
+            fresh[each.topic].clear()
 
     for topic, block in reader.blocks([truth, *chosen], system.coordinates):
-        for own, each in differing.items():
-            each.add(block, is_truth=topic == truth, is_own=topic == own)
+        for each in recorded:
+            each.add(topic, block, truth)
+            each.comparing.proceed()
         write()
         done += block.stamps.size
         progress(done, total)
-    write(last=True)
+    for each in recorded:
+        each.comparing.finish()
+    write()
     if not rows:
-        ranges = next(iter(differing.values())).pairing.ranges()
+        ranges = recorded[0].comparing.pairing.ranges()
         raise BagError(f"{reader.path}: truth and estimates have nothing in common: {ranges}")
     return rows
 
@@ -273,60 +283,6 @@ def export_events(
     return Counter({reader.find(interfaces.IMPACTS) or "": len(flat)})
 
 
-class _Sieve(Curve):
-    """Takes the rows that a tally counts, and keeps them until they are asked for."""
-
-    def __init__(self) -> None:
-        super().__init__(0)
-        self.fresh: list[Rows] = []
-
-    def add(self, rows: Rows) -> None:
-        """Keep rows."""
-        self.fresh.append(rows)
-
-
-class _Differing:
-    """One estimate against the truth while both go by.
-
-    Attributes:
-        law: of the estimate; its observer's name where it does not say.
-        pairing: takes the blocks of both.
-    """
-
-    def __init__(
-        self, reader: BagReader, topic: str, system: System, events: Sequence[ImpactEvent]
-    ) -> None:
-        """Compare the estimates on ``topic``; ``events`` are all of the bag."""
-        prefix = topic.rpartition("/")[0]
-        self.law = prefix.rpartition("/")[2]
-        self.pairing = Pairing()
-        verdicts = f"{prefix}/verdicts"
-        told = reader.verdicts(verdicts) if verdicts in reader.topics else None
-        heard = heard_of(events, told)
-        index = {name: c for c, name in enumerate(system.contact_names)}
-        impacts = [Impact(stamp, index[name]) for stamp, name in heard.impacts if name in index]
-        self._tally = Tally(system, heard.told, impacts, SETTLED)
-        self._tally.curve = self._sieve = _Sieve()
-
-    def add(self, block: JointStates, *, is_truth: bool, is_own: bool) -> None:
-        """Add states of the truth or of the estimate."""
-        if not (is_truth or is_own):
-            return
-        last_event = block.last_event if isinstance(block, ObserverStates) else None
-        series = Series(block.stamps, np.hstack([block.q, block.u]), last_event)
-        if is_truth:
-            self.pairing.truth.add(series)
-        else:
-            self.pairing.estimates.add(series)
-            self.law = getattr(block, "law", "") or self.law
-
-    def settled(self, *, last: bool) -> list[Rows]:
-        """The rows of which nothing more can come."""
-        self._tally.add(self.pairing.settled(done=last), done=last)
-        fresh, self._sieve.fresh = self._sieve.fresh, []
-        return fresh
-
-
 def _columns(
     kinds: tuple[str, str], names: Sequence[str], x: NDArray[np.float64]
 ) -> dict[str, Numbers]:
@@ -349,5 +305,4 @@ def _state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]
 def _epoch(reader: BagReader, otherwise: int) -> int:
     """The stamp of ``t = 0`` that the events say, ns."""
     topic = reader.find(interfaces.IMPACTS)
-    events = () if topic is None else reader.events(topic)
-    return next((event.epoch for event in events if event.epoch), otherwise)
+    return epoch_of(() if topic is None else reader.events(topic)) or otherwise

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.analysis.comparison import applied_in
-from impact_observer.analysis.pairing import HOLD
+from impact_observer.analysis.pairing import HOLD, arrived
 from impact_observer.analysis.scene.film import Contacts, Distance, Film, Track, scene_of
 from impact_observer.bag import interfaces
 from impact_observer.bag.columns import JointStates, ObserverStates, joined
 from impact_observer.bag.naming import first_stamp, states_of
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import events_in
+from impact_observer.bag.recordings import epoch_of, events_in, heard_in
 from impact_observer.errors import BagError, UsageError
 from impact_observer.model import System
 from impact_observer.stamps import from_seconds, text
+from impact_observer.states import Stamps
 
 MOST_ESTIMATES = 6
 """Most estimates above each other."""
@@ -63,7 +63,7 @@ def read_film(
             f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
         )
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
-    epoch = next((e.epoch for e in events if e.epoch), 0) or first_stamp(reader, wanted) or 1
+    epoch = epoch_of(events) or first_stamp(reader, wanted) or 1
     start = epoch + from_seconds(stretch.start)
     window = (start, start + from_seconds(stretch.duration))
     states = _read(reader, system, wanted, window)
@@ -74,9 +74,9 @@ def read_film(
     labels = _labels({prefix: states[topic] for prefix, topic in topics.items()})
     estimates = []
     for prefix, topic in topics.items():
-        applied = _applied(reader, prefix, heard)
-        punctual = _punctual(states[topic], applied)
-        estimates.append(_track(labels[prefix], punctual, heard | set(applied)))
+        made = heard_in(reader, topic, events)
+        punctual = _punctual(states[topic], made.told)
+        estimates.append(_track(labels[prefix], punctual, heard | set(made.instants.tolist())))
     present = [each.stamps for each in states.values() if each.stamps.size]
     return Film(
         scene=scene_of(system, [*([] if truth is None else [truth]), *estimates]),
@@ -172,21 +172,11 @@ def _labels(states: Mapping[str, JointStates]) -> dict[str, str]:
     }
 
 
-def _applied(reader: BagReader, prefix: str, heard: Collection[int]) -> list[int]:
-    """Stamps of what an observer applied, heard or not, ascending, ns: there it jumps."""
-    topic = f"{prefix}/verdicts"
-    if topic in reader.topics:
-        return [int(stamp) for stamp in applied_in(reader.verdicts(topic))]
-    return sorted(heard)
-
-
-def _punctual(states: JointStates, applied: Sequence[int]) -> JointStates:
-    """The estimates that contain the events before them.
+def _punctual(states: JointStates, told: Stamps) -> JointStates:
+    """The estimates that contain the events before them, of which ``told`` are the stamps.
 
     The others were published before an event arrived, and are on the wrong side of its jump.
     """
     if not isinstance(states, ObserverStates) or not states.last_event.any():
         return states  # which events they contain they do not say
-    due = np.array([0, *applied], dtype=np.int64)
-    last_due = due[np.searchsorted(due, states.stamps, side="right") - 1]
-    return _part(states, states.last_event >= last_due)
+    return _part(states, arrived(states.stamps, states.last_event, told))

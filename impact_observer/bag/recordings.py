@@ -3,7 +3,7 @@
 import heapq
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from operator import itemgetter
 from pathlib import Path
@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_observer import __version__
-from impact_observer.analysis.comparison import counted
+from impact_observer.analysis.comparison import Heard, counted, heard_of
 from impact_observer.bag import interfaces
 from impact_observer.bag.messages import JointState, bag_messages
 from impact_observer.bag.reader import BagReader, RawMessage
@@ -157,6 +157,26 @@ def events_in(reader: BagReader) -> list[ImpactEvent]:
             f" {interfaces.IMPACTS.topic}, topics in the bag: {found}"
         )
     return sorted(reader.events(topic), key=lambda e: (e.episode, e.stamp, e.sequence))
+
+
+def heard_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) -> Heard:
+    """What the observer whose states are on a topic made of the events of a bag.
+
+    Args:
+        reader: the bag.
+        topic: of its states; its verdicts are beside them, if it gave any.
+        events: all of the bag.
+
+    Raises:
+        BagError: a verdict is none.
+    """
+    verdicts = f"{topic.rpartition('/')[0]}/verdicts"
+    return heard_of(events, reader.verdicts(verdicts) if verdicts in reader.topics else None)
+
+
+def epoch_of(events: Iterable[ImpactEvent]) -> int:
+    """The stamp of ``t = 0`` that events say, ns; 0 where none does."""
+    return next((event.epoch for event in events if event.epoch), 0)
 
 
 def sample_stamps(

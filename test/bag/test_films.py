@@ -149,6 +149,29 @@ def test_estimate_jumps_where_its_observer_inserted_an_impact(tmp_path: Path) ->
     assert track.cuts.tolist() == [EPOCH + 197_000_000]
 
 
+def test_inserted_impact_makes_no_earlier_estimate_late(tmp_path: Path) -> None:
+    """Nobody told the observer of it, so no estimate waits for it."""
+    make, names = bag_messages(), SYSTEM.coordinates
+    heard = EPOCH + 50_000_000
+
+    def write(writer: BagWriter, stamp: int, q: Vector) -> None:
+        last = heard if stamp >= heard else 0
+        estimate = Estimate(stamp, "minimum-variance", q, np.zeros(2), last_event=last)
+        writer.write("/observer/state", stamp, make.estimate(estimate, names))
+        if stamp == EPOCH:
+            event = ImpactEvent(heard, (Switch("stop"),), 1, 0, EPOCH)
+            writer.write("/impacts", stamp, make.event(event))
+        if stamp == EPOCH + 200_000_000:
+            missed = Verdict(stamp - 3_000_000, Ruling.INSERTED, 0, "stop", "missed")
+            for verdict in (Verdict(heard, Ruling.APPLIED, 1, "stop"), missed):
+                writer.write("/observer/verdicts", stamp, make.verdict(verdict))
+
+    with BagReader(bag_of(tmp_path, write)) as reader:
+        (track,) = read_film(reader, SYSTEM, WHOLE).estimates
+    assert track.stamps.size == 51
+    assert track.cuts.tolist() == [heard, EPOCH + 197_000_000]
+
+
 def test_estimates_that_came_before_their_event_are_left_out(tmp_path: Path) -> None:
     """A live observer may hear of an impact late; until then it is on the wrong side of it."""
     make, names = bag_messages(), SYSTEM.coordinates
