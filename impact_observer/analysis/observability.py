@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.analysis.heard import Moment, heard
+from impact_observer.analysis.episode import last_episode
 from impact_observer.dynamics import ImpactLaw, Phase, Phases
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent
@@ -143,11 +143,11 @@ def observability(
     scale = np.diag(Uncertainty(deviation).root(system.n))
     if not np.any(scale):
         raise UsageError("deviation: 0 throughout; expected a state that is not known already")
-    told = heard(system, events)
-    moments = told.moments
+    told = last_episode(system, events)
+    touches = told.touches
     errors = _Errors(system, scale)
-    factor, singular = _factored(errors, moments)
-    telling = [(each, names) for each in moments if (names := errors.telling(each.touch))]
+    factor, singular = _factored(errors, touches)
+    telling = [(each, names) for each in touches if (names := errors.telling(each))]
     found = [np.count_nonzero(each > tolerance * each[0]) for each in singular]
     rank = np.maximum.accumulate(np.array(found, dtype=np.int64))
     directions = linalg.svd(factor)[2]
@@ -158,7 +158,7 @@ def observability(
         deviation=frozen(scale),
         tolerance=tolerance,
         stamps=np.array([each.stamp for each, _ in telling], dtype=np.int64),
-        released=np.array([not each.touch.hit for each, _ in telling]),
+        released=np.array([not each.hit for each, _ in telling]),
         contacts=tuple(tuple(system.contact_names[i] for i in names) for _, names in telling),
         singular=frozen(singular),
         rank=rank,
@@ -232,7 +232,7 @@ class _Errors:
         return np.asarray(self._timescale**2 * pushed * (loads @ forces))
 
 
-def _factored(errors: _Errors, moments: Sequence[Moment]) -> tuple[Matrix, Matrix]:
+def _factored(errors: _Errors, touches: Sequence[Touch]) -> tuple[Matrix, Matrix]:
     """The triangular factor of all rows, and its singular values after each telling event.
 
     Returns:
@@ -243,11 +243,11 @@ def _factored(errors: _Errors, moments: Sequence[Moment]) -> tuple[Matrix, Matri
     """
     factor = np.zeros((errors.size, errors.size))
     singular = []
-    for stamp, touch in moments:
+    for touch in touches:
         try:
             rows = errors.cross(touch)
         except ImpactLawError as error:
-            raise ImpactLawError(f"at {text(stamp)} s: {error}") from None
+            raise ImpactLawError(f"at {text(touch.stamp)} s: {error}") from None
         if errors.telling(touch):
             factor = linalg.qr(np.vstack([factor, rows]), mode="r")[0][: errors.size]
             singular.append(np.linalg.svd(factor, compute_uv=False))

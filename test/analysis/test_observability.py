@@ -24,7 +24,7 @@ from systems import (
     systems,
 )
 
-from impact_observer.analysis.heard import heard
+from impact_observer.analysis.episode import last_episode
 from impact_observer.analysis.observability import Observability, _Errors, observability
 from impact_observer.analysis.observability_figure import observability_figure
 from impact_observer.dynamics import Phases
@@ -148,15 +148,15 @@ def test_events_are_read_as_an_observer_reads_them(data: st.DataObject) -> None:
     )
     events = [told_by(t, *some, sequence=k) for k, (t, some) in enumerate(steps, start=1)]
     events.append(told_by(4, ("c1", Kind.IMPACT), sequence=20))
-    said = heard(model, data.draw(st.permutations([*events, *events])))
+    said = last_episode(model, data.draw(st.permutations([*events, *events])))
     watcher = observer(model, "open-loop", np.zeros(4), epoch=EPOCH, ensemble=1)
     for each in events:
         watcher.receive(each)
     assert said.start == watcher.start
     assert watcher._timeline is not None
     entries = watcher._timeline.entries[1:]
-    assert [moment.stamp for moment in said.moments] == [entry.key.stamp for entry in entries]
-    assert [moment.touch.closed for moment in said.moments] == [e.closed for e in entries]
+    assert [touch.stamp for touch in said.touches] == [entry.key.stamp for entry in entries]
+    assert [touch.closed for touch in said.touches] == [e.closed for e in entries]
     assert said.left_out == len(entries)
 
 
@@ -191,10 +191,10 @@ def test_rows_solve_for_the_initial_state_of_a_plant(name: str) -> None:
     model = sample(name)
     plant, n = model.system, model.system.n
     truth = np.concatenate(model.initial_state())
-    told = heard(plant, run(plant, truth[:n], truth[n:], seconds=30.0).events)
+    told = last_episode(plant, run(plant, truth[:n], truth[n:], seconds=30.0).events)
     errors, phase = _Errors(plant, np.ones(2 * n)), Phases(plant).phase()
     rows, gaps, x, t = [], [], np.zeros(2 * n), 0.0
-    for _, touch in told.moments:
+    for touch in told.touches:
         x = phase.start(t, x).state(touch.t - t)
         gaps.append(plant.gap(x[:n])[list(touch.hit)])
         x, t = reset(plant, *touch.hit) @ x, touch.t

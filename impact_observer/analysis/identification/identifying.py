@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from impact_observer.analysis.heard import heard
+from impact_observer.analysis.episode import last_episode
 from impact_observer.analysis.identification.family import Family
 from impact_observer.analysis.identification.judging import first_word, judged
 from impact_observer.analysis.identification.recording import Recording
@@ -149,7 +149,7 @@ def identify(
         IdentificationError: fewer impacts than unknowns, or parameters that no impact tells.
         ImpactLawError: the impact law has no solution at an event.
     """
-    told = heard(family.system, events)
+    told = last_episode(family.system, events)
     if horizon is not None:
         keys = [key for key in told.keys if seconds_between(told.start, key.stamp) <= horizon]
         told = told._replace(keys=keys)

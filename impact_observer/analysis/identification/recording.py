@@ -1,19 +1,19 @@
 """A recording to be explained: which of its switches are believed, and what was not heard."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
 
-from impact_observer.analysis.heard import Heard
+from impact_observer.analysis.episode import Episode, touches
 from impact_observer.analysis.identification.family import Family
 from impact_observer.analysis.identification.motion import Moment
 from impact_observer.analysis.identification.solving import Problem
 from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.events import Kind
 from impact_observer.observer import Touch
-from impact_observer.observer.order import Key, readings
+from impact_observer.observer.order import Key
 from impact_observer.stamps import seconds_between
 
 Hit: TypeAlias = tuple[int, int]
@@ -30,7 +30,7 @@ class Recording:
         inserted: impacts that nobody heard, and that the motion cannot do without.
     """
 
-    told: Heard
+    told: Episode
     doubted: frozenset[Hit] = field(default=frozenset())
     inserted: frozenset[Hit] = field(default=frozenset())
 
@@ -58,14 +58,10 @@ class Recording:
 
     def hits(self) -> list[tuple[int, tuple[int, ...]]]:
         """Stamps (ns) and contacts of the believed moments at which something hits."""
-        return [(stamp, touch.hit) for stamp, touch in self._touches()]
+        return [(touch.stamp, touch.hit) for touch in self._touches()]
 
-    def _touches(self) -> list[tuple[int, Touch]]:
-        keys = self._keys
-        return [
-            (key.stamp, Touch.of(0.0, closed, reading.switches))
-            for key, (closed, reading) in zip(keys, readings(keys), strict=True)
-        ]
+    def _touches(self) -> Iterator[Touch]:
+        return touches(self._keys, self.told.epoch)
 
     def problem(self, family: Family) -> Problem:
         """What a motion has to explain.
@@ -75,10 +71,9 @@ class Recording:
         """
         newton, phases = ImpactLaw(family.system), Phases(family.system)
         moments = []
-        for stamp, touch in self._touches():
+        for touch in self._touches():
             pressed = touch.pressed(newton, -np.ones(len(touch.hit))) if touch.hit else ()
-            inserted = any((stamp, i) in self.inserted for i in touch.hit)
-            t = seconds_between(self.told.epoch, stamp)
+            inserted = any((touch.stamp, i) in self.inserted for i in touch.hit)
             held = phases.independent(touch.closed)
-            moments.append(Moment(t, touch.hit, pressed, held, not inserted))
+            moments.append(Moment(touch.t, touch.hit, pressed, held, not inserted))
         return Problem(family, moments, self.start)

@@ -1,7 +1,7 @@
 """What an observer would make of a recording: its last episode, each event once and in order."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from impact_observer.errors import BagError
@@ -12,14 +12,7 @@ from impact_observer.observer.order import Key, once, readings
 from impact_observer.stamps import seconds_between
 
 
-class Moment(NamedTuple):
-    """What the plant's contacts do at a stamp, ns."""
-
-    stamp: int
-    touch: Touch
-
-
-class Heard(NamedTuple):
+class Episode(NamedTuple):
     """What an observer would make of a recording.
 
     Attributes:
@@ -40,25 +33,31 @@ class Heard(NamedTuple):
     episodes: int
 
     @property
-    def moments(self) -> list[Moment]:
+    def touches(self) -> list[Touch]:
         """What the events mean, with seconds since the start."""
-        return [
-            Moment(
-                key.stamp,
-                Touch.of(seconds_between(self.start, key.stamp), closed, reading.switches),
-            )
-            for key, (closed, reading) in zip(self.keys, readings(self.keys), strict=True)
-        ]
+        return [*touches(self.keys, self.start)]
 
 
-def heard(system: System, events: Sequence[ImpactEvent]) -> Heard:
+def touches(keys: Sequence[Key], start: int) -> Iterator[Touch]:
+    """What events mean, all contacts open at first.
+
+    Args:
+        keys: in order, each once.
+        start: since which their seconds count, ns.
+    """
+    for key, (closed, reading) in zip(keys, readings(keys), strict=True):
+        t = seconds_between(start, key.stamp)
+        yield Touch.of(t, closed, reading.switches, stamp=key.stamp, sequence=key.sequence)
+
+
+def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
     """The last episode's events, each once and in order, as an observer takes them.
 
     Raises:
         BagError: they tell no impact of the system's contacts.
     """
     index = {name: i for i, name in enumerate(system.contact_names)}
-    last = _last_episode(events)
+    last = _latest(events)
     foreign = Counter(s.contact for e in last for s in e.switches if s.contact not in index)
     epoch = max((e.epoch for e in last), default=0)
     first = min((e.sequence for e in last if e.sequence), default=0)
@@ -70,8 +69,8 @@ def heard(system: System, events: Sequence[ImpactEvent]) -> Heard:
     ]
     keys = [key for key in once(told) if key.stamp >= start]
     episodes = len({(e.epoch, e.episode) for e in events})
-    found = Heard(start, epoch or start, keys, dict(foreign), len(told) - len(keys), episodes)
-    if not any(moment.touch.hit for moment in found.moments):
+    found = Episode(start, epoch or start, keys, dict(foreign), len(told) - len(keys), episodes)
+    if not any(touch.hit for touch in found.touches):
         wanted, others = (", ".join(each) or "none" for each in (index, sorted(foreign)))
         raise BagError(
             f"tells no impact of the model's contacts ({wanted}); others in it: {others}"
@@ -79,7 +78,7 @@ def heard(system: System, events: Sequence[ImpactEvent]) -> Heard:
     return found
 
 
-def _last_episode(events: Sequence[ImpactEvent]) -> list[ImpactEvent]:
+def _latest(events: Sequence[ImpactEvent]) -> list[ImpactEvent]:
     """Events of the latest epoch and, in that, of the latest episode."""
     epoch = max((e.epoch for e in events), default=0)
     of_epoch = [e for e in events if e.epoch in {0, epoch}]
