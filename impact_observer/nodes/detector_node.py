@@ -1,8 +1,6 @@
 """The detector node: what sensors publish in, impact events out."""
 
-from collections.abc import Iterator, Mapping
-from functools import partial
-from itertools import islice
+from collections.abc import Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
@@ -16,7 +14,8 @@ from impact_observer.detector import Detection, Detector, Source, Tally, read_so
 from impact_observer.detector.source import SWITCH
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
-from impact_observer.nodes.quality import offered_quality, qos_profile
+from impact_observer.nodes.quality import qos_profile
+from impact_observer.nodes.subscribing import Info, common_offer, waiting
 from impact_observer.stamps import text
 
 _LOOK = 0.1
@@ -27,9 +26,6 @@ _DEPTH = 5000
 """Messages that a sensor may be ahead of the node: half a second at 10 kHz."""
 _BURST = 500
 """Messages taken at once, before the timers have their turn."""
-
-Info = Mapping[str, int]
-"""What the middleware says of a message: its ``source_timestamp`` among other things, ns."""
 
 
 class DetectorNode(Node):
@@ -91,7 +87,7 @@ class DetectorNode(Node):
         publishers = self.get_publishers_info_by_topic(topic)
         if not publishers:
             return
-        offered = Quality.common(offered_quality(each.qos_profile) for each in publishers)
+        offered = common_offer(topic, publishers)
         before = self._asked.get(topic)
         reliable = offered.reliable and (before is None or before.reliable)
         latched = reliable and offered.transient_local and self._has_latched_switch(topic)
@@ -116,21 +112,13 @@ class DetectorNode(Node):
     def _on_message(self, topic: str, message: object, info: Info) -> None:
         """Hear a message that the executor brings, and at once those that wait behind it.
 
-        The executor's own work for a message is several times that of taking it. Under simulated
-        time they wait for the clock's next tick, which stamps them.
+        Under simulated time they wait for the clock's next tick, which stamps them.
         """
         self._hear(topic, message, info)
         if self.get_clock().ros_time_is_active:
             return
-        for behind, its_info in self._waiting(self._subscriptions_by_topic[topic]):
+        for behind, its_info in waiting(self._subscriptions_by_topic[topic], _BURST):
             self._hear(topic, behind, its_info)
-
-    @staticmethod
-    def _waiting(subscription: Subscription) -> Iterator[tuple[object, Info]]:
-        """Messages that have come already."""
-        with subscription.handle:
-            take = partial(subscription.handle.take_message, subscription.msg_type, False)
-            yield from islice(iter(take, None), _BURST)
 
     def _hear(self, topic: str, message: object, info: Info) -> None:
         """Detect, unless simulated time has not begun."""

@@ -2,10 +2,8 @@
 
 import time
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import partial
-from itertools import islice
 from pathlib import Path
 
 from rclpy.clock import Clock, ClockType
@@ -14,20 +12,19 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from impact_observer.bag.interfaces import Quality, usual_quality
+from impact_observer.bag.interfaces import Quality
 from impact_observer.bag.reader import RawMessage
 from impact_observer.bag.typestores import installed_definition, typestore
 from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.nodes.messages import message_class
-from impact_observer.nodes.quality import offered_quality, qos_profile
 from impact_observer.nodes.session import Stop, ros_node
+from impact_observer.nodes.subscribing import common_offer, subscribe_raw
 
 _DISCOVERY_PERIOD = 0.1
 """How often the graph is looked at for new topics, s."""
 _BURST = 5000
 """Messages a topic may be ahead of the recorder; more than any of our publishers keeps."""
-_SERIALIZED = True
 _DRAIN = 0.05
 """How long the network must be silent before a stopped recording is closed, s."""
 _LONGEST_DRAIN = 1.0
@@ -121,12 +118,11 @@ class Recorder:
         """Subscribe to the topics that have appeared since the last look."""
         for topic, _ in self._node.get_topic_names_and_types():
             if self._is_wanted(topic) and (publishers := self._publishers(topic)):
-                depth = usual_quality(topic).depth
-                offers = [offered_quality(each.qos_profile, depth) for each in publishers]
+                offer = common_offer(topic, publishers)
                 if topic in self.counts:
-                    self._check(topic, Quality.common(offers))
+                    self._check(topic, offer)
                 else:
-                    self._subscribe(topic, publishers[0].topic_type, Quality.common(offers))
+                    self._subscribe(topic, publishers[0].topic_type, offer)
 
     def _is_wanted(self, topic: str) -> bool:
         """Whether a topic is to be recorded."""
@@ -161,9 +157,9 @@ class Recorder:
             return
         self.counts[topic] = 0
         self._asked[topic] = offer
-        quality = Quality(offer.reliable, offer.transient_local, depth=_BURST)
-        self._subscriptions[topic] = self._node.create_subscription(
-            message_type, topic, partial(self._take, topic), qos_profile(quality), raw=True
+        quality = replace(offer, depth=_BURST)
+        self._subscriptions[topic] = subscribe_raw(
+            self._node, topic, message_type, quality, self._write
         )
         if self._on_topic:
             self._on_topic(topic, type_name)
@@ -180,19 +176,6 @@ class Recorder:
                 f"{topic} has a new publisher that is less reliable or durable than the first; "
                 "its messages are not recorded"
             )
-
-    def _take(self, topic: str, data: bytes) -> None:
-        """Write a message that the executor brings, and at once those that wait behind it.
-
-        The executor's own work for a message is several times that of taking it, so a burst
-        would run ahead of it.
-        """
-        self._write(topic, data)
-        subscription = self._subscriptions[topic]
-        with subscription.handle:
-            take = partial(subscription.handle.take_message, subscription.msg_type, _SERIALIZED)
-            for data_behind, _ in islice(iter(take, None), _BURST):
-                self._write(topic, data_behind)
 
     def _write(self, topic: str, data: bytes) -> None:
         """Write a message; what comes before simulated time runs waits for its first instant."""

@@ -2,19 +2,17 @@
 
 import time
 from collections.abc import Callable
-from functools import partial
-from itertools import islice
+from dataclasses import replace
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-from impact_observer.bag.interfaces import Quality, usual_quality
 from impact_observer.nodes.glance import Glance
 from impact_observer.nodes.listening import Listening
 from impact_observer.nodes.messages import message_class
-from impact_observer.nodes.quality import offered_quality, qos_profile
 from impact_observer.nodes.session import Stop, ros_node
+from impact_observer.nodes.subscribing import common_offer, subscribe_raw
 
 _DISCOVERY_PERIOD = 0.25
 """How often the graph is looked at for new topics, s."""
@@ -22,7 +20,6 @@ _BURST = 2000
 """Messages a topic may be ahead of us."""
 _PATIENCE = 0.05
 """How long a key may go unnoticed, s."""
-_SERIALIZED = True
 
 
 class Watcher:
@@ -49,26 +46,10 @@ class Watcher:
             publishers = self._node.get_publishers_info_by_topic(topic)
             if not publishers:
                 continue
-            depth = usual_quality(topic).depth
-            offers = [offered_quality(each.qos_profile, depth) for each in publishers]
-            offer = Quality.common(offers)
-            quality = Quality(offer.reliable, offer.transient_local, depth=_BURST)
-            self._subscriptions[topic] = self._node.create_subscription(
-                message_class(types[0]),
-                topic,
-                partial(self._take, topic),
-                qos_profile(quality),
-                raw=True,
+            quality = replace(common_offer(topic, publishers), depth=_BURST)
+            self._subscriptions[topic] = subscribe_raw(
+                self._node, topic, message_class(types[0]), quality, self._hear
             )
-
-    def _take(self, topic: str, data: bytes) -> None:
-        """Hand on a message that the executor brings, and at once those that wait behind it."""
-        self._hear(topic, data)
-        subscription = self._subscriptions[topic]
-        with subscription.handle:
-            take = partial(subscription.handle.take_message, subscription.msg_type, _SERIALIZED)
-            for data_behind, _ in islice(iter(take, None), _BURST):
-                self._hear(topic, data_behind)
 
     def _hear(self, topic: str, data: bytes) -> None:
         self._listening.hear(topic, data, time.monotonic(), time.time_ns())
