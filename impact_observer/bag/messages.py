@@ -47,6 +47,17 @@ class JointState:
     q: Vector
     u: Vector
 
+    def ordered(self, names: tuple[str, ...]) -> "JointState":
+        """The same with its coordinates in the order of ``names``.
+
+        Raises:
+            MessageError: it has others.
+        """
+        if sorted(self.names) != sorted(names):
+            raise MessageError(f"names {', '.join(self.names)}; expected {', '.join(names)}")
+        order = [self.names.index(name) for name in names]
+        return JointState(self.stamp, names, self.q[order], self.u[order])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimateError:

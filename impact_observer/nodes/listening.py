@@ -24,6 +24,7 @@ from impact_observer.bag.messages import (
     EventMessage,
     JointState,
     JointStateMessage,
+    MessageError,
     StringMessage,
     VerdictMessage,
     read_estimate,
@@ -350,10 +351,13 @@ def _as_estimate(state: JointState) -> tuple[tuple[str, ...], Estimate]:
 
 def _ordered(truth: JointState | None, names: tuple[str, ...]) -> tuple[Vector, Vector] | None:
     """The truth in the order of ``names``; None where there is none, or it has others."""
-    if truth is None or sorted(truth.names) != sorted(names):
+    if truth is None:
         return None
-    order = [truth.names.index(name) for name in names]
-    return truth.q[order], truth.u[order]
+    try:
+        found = truth.ordered(names)
+    except MessageError:
+        return None
+    return found.q, found.u
 
 
 def _lines(

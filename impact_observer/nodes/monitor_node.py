@@ -12,12 +12,10 @@ from impact_observer.bag.messages import (
     EstimateError,
     JointState,
     JointStateMessage,
-    MessageError,
-    read_joint_state,
 )
 from impact_observer.model import read_model
 from impact_observer.nodes import parameters
-from impact_observer.nodes.messages import message_class, ros_messages
+from impact_observer.nodes.messages import message_class, ros_messages, state_of
 from impact_observer.nodes.quality import qos_profile
 
 _MEMORY = 2000
@@ -47,7 +45,7 @@ class MonitorNode(Node):
         self._law = values.text("law") or estimates.topic_name.rpartition("/")[0].lstrip("/")
 
     def _on_truth(self, message: JointStateMessage) -> None:
-        state = self._read(message, "plant/joint_states")
+        state = state_of(self, "plant/joint_states", message, self._system.coordinates)
         if state is None:
             return
         _keep(self._truth, state)
@@ -57,7 +55,7 @@ class MonitorNode(Node):
 
     def _on_estimate(self, message: JointStateMessage) -> None:
         """An estimate may come twice: the second time corrected by an event that was late."""
-        state = self._read(message, "observer/joint_states")
+        state = state_of(self, "observer/joint_states", message, self._system.coordinates)
         if state is None:
             return
         truth = self._truth.get(state.stamp)
@@ -65,23 +63,6 @@ class MonitorNode(Node):
             _keep(self._waiting, state)
         else:
             self._compare(truth, state)
-
-    def _read(self, message: JointStateMessage, topic: str) -> JointState | None:
-        """The state with its columns in the model's order; None, and a line, if it has others."""
-        try:
-            state = read_joint_state(message)
-        except MessageError as error:
-            self.get_logger().error(f"{topic}: {error}", throttle_duration_sec=5.0)
-            return None
-        names = self._system.coordinates
-        if sorted(state.names) != sorted(names):
-            self.get_logger().error(
-                f"{topic}: names {', '.join(state.names)}; expected {', '.join(names)}",
-                throttle_duration_sec=5.0,
-            )
-            return None
-        order = [state.names.index(name) for name in names]
-        return JointState(state.stamp, names, state.q[order], state.u[order])
 
     def _compare(self, truth: JointState, estimate: JointState) -> None:
         q, u = estimate.q - truth.q, estimate.u - truth.u

@@ -13,14 +13,13 @@ from impact_observer.bag.messages import (
     JointStateMessage,
     MessageError,
     read_event,
-    read_joint_state,
 )
 from impact_observer.errors import UsageError
 from impact_observer.events import Kind
 from impact_observer.model import read_model
 from impact_observer.nodes import parameters
 from impact_observer.nodes.markers import ESTIMATE, PLANT, Painter, Row
-from impact_observer.nodes.messages import message_class, ros_messages
+from impact_observer.nodes.messages import message_class, ros_messages, state_of
 from impact_observer.nodes.quality import qos_profile
 from impact_observer.stamps import NS_PER_S
 
@@ -75,23 +74,12 @@ class ViewerNode(Node):
 
     def _on_state(self, name: str, message: JointStateMessage) -> None:
         """Remember the last state that came."""
-        try:
-            state = read_joint_state(message)
-        except MessageError as error:
-            self.get_logger().error(f"{name}/joint_states: {error}", throttle_duration_sec=5.0)
+        state = state_of(self, f"{name}/joint_states", message, self._system.coordinates)
+        if state is None:
             return
-        names = self._system.coordinates
-        if sorted(state.names) != sorted(names):
-            self.get_logger().error(
-                f"{name}/joint_states: names {', '.join(state.names)};"
-                f" expected {', '.join(names)}",
-                throttle_duration_sec=5.0,
-            )
-            return
-        order = [state.names.index(each) for each in names]
         if name == PLANT_ROW and name in self._states and state.stamp < self._states[name].stamp:
             self._closed.clear()  # as of a bag that is played again
-        self._states[name] = JointState(state.stamp, names, state.q[order], state.u[order])
+        self._states[name] = state
 
     def _on_event(self, message: EventMessage) -> None:
         """Remember when contacts were hit, and which stay closed."""

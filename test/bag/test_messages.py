@@ -239,6 +239,17 @@ def test_arrays_that_do_not_fit_the_names_are_refused() -> None:
         bag_messages().estimate(replace(ESTIMATE, covariance=np.eye(2)), STATE.names)
 
 
+def test_state_has_its_columns_by_name() -> None:
+    """In the order that is asked for; other names, one too many or one twice, are refused."""
+    state = JointState(7, ("a", "b"), np.array([1.0, 2.0]), np.array([3.0, 4.0]))
+    turned = state.ordered(("b", "a"))
+    assert (turned.stamp, turned.names) == (7, ("b", "a"))
+    assert (turned.q.tolist(), turned.u.tolist()) == ([2.0, 1.0], [4.0, 3.0])
+    for others in (("a",), ("a", "c"), ("a", "b", "c"), ("a", "b", "b")):
+        with pytest.raises(MessageError, match=f"^names a, b; expected {', '.join(others)}$"):
+            state.ordered(others)
+
+
 def test_received_stamp_must_be_a_time() -> None:
     """A second has less than 10^9 nanoseconds, and an event has a stamp."""
     message = bag_messages().event(ImpactEvent(5, ()))
