@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.bag.interfaces import JOINT_STATE, OBSERVER_STATE
-from impact_observer.stamps import NS_PER_S
+from impact_observer.stamps import MAX_STAMP, NS_PER_S
 from impact_observer.states import Stamps
 
 _START = 4
@@ -41,6 +41,14 @@ class Rows(NamedTuple):
     u: NDArray[np.float64]
     last_sequence: NDArray[np.uint64]
     last_event: Stamps
+
+    @property
+    def sound(self) -> NDArray[np.bool_]:
+        """Which of them are finite and at stamps that a message may carry, shape (k,)."""
+        finite = np.isfinite(self.q).all(axis=1) & np.isfinite(self.u).all(axis=1)
+        stamped = (self.stamps > 0) & (self.stamps <= MAX_STAMP)
+        told = (self.last_event >= 0) & (self.last_event <= MAX_STAMP)
+        return np.asarray(finite & stamped & told)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +152,7 @@ def layout_of(type_name: str, data: bytes) -> Layout | None:
 def decode(type_name: str, block: Sequence[bytes]) -> tuple[list[Rows], list[int]]:
     """What state messages say that have a layout, and which of them have none.
 
-    Nothing is checked here of what they say: finite numbers, stamps.
+    Nothing is checked here of what they say; see ``Rows.sound``.
 
     Args:
         type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.

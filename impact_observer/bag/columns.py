@@ -17,7 +17,6 @@ from impact_observer.bag.messages import (
     read_joint_state,
 )
 from impact_observer.errors import BagError
-from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Stamps
 
 
@@ -106,7 +105,8 @@ class Columns:
             self._names = self._one(block, 0)[0]
         for rows in together:
             names, first = self._one(block, int(rows.at[0]))
-            if _is_sound(rows) and _begins_with(rows, first):
+            # Where a row could be refused each is read alone, to say which and why.
+            if rows.sound.all() and _begins_with(rows, first):
                 table.put(rows, self._order(names))
             else:
                 alone += rows.at.tolist()
@@ -198,14 +198,6 @@ class _Table:
         self.x[rows.at] = np.hstack([rows.q[:, order], rows.u[:, order]])
         self.last_sequence[rows.at] = rows.last_sequence
         self.last_event[rows.at] = rows.last_event
-
-
-def _is_sound(rows: Rows) -> bool:
-    """Whether no row could be refused: else each is read alone, to say which and why."""
-    stamps = (rows.stamps > 0) & (rows.stamps <= MAX_STAMP)
-    events = (rows.last_event >= 0) & (rows.last_event <= MAX_STAMP)
-    finite = np.isfinite(rows.q).all() and np.isfinite(rows.u).all()
-    return bool(finite and stamps.all() and events.all())
 
 
 def _begins_with(rows: Rows, first: Rows) -> bool:

@@ -4,9 +4,8 @@ from collections.abc import Callable, Iterator
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from impact_observer.bag.bulk import Rows, decode
+from impact_observer.bag.bulk import decode
 from impact_observer.bag.checks.findings import ERROR, NOTE, WARNING, Finding, Seen, listed, times
 from impact_observer.bag.interfaces import JOINT_STATE
 from impact_observer.bag.messages import JointStateMessage, MessageError, read_joint_state
@@ -105,7 +104,7 @@ class StateCheck:
             except BagError:  # names that are no text: all of these have them
                 alone += rows.at.tolist()
                 continue
-            sound = _sound(rows)
+            sound = rows.sound
             if not sound.all():
                 alone += rows.at[~sound].tolist()
             self._note_stamps(rows.stamps[sound])
@@ -135,9 +134,3 @@ class StateCheck:
         if stamps.size:
             self.first = min(self.first or MAX_STAMP, int(stamps.min()))
             self.last = max(self.last, int(stamps.max()))
-
-
-def _sound(rows: Rows) -> NDArray[np.bool_]:
-    """Which rows are valid states."""
-    finite = np.isfinite(rows.q).all(axis=1) & np.isfinite(rows.u).all(axis=1)
-    return np.asarray(finite & (rows.stamps > 0) & (rows.stamps <= MAX_STAMP))
