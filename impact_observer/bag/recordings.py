@@ -19,7 +19,8 @@ from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import SETTLING, ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.integrators import EVENT_DRIVEN
-from impact_observer.model import Model, System, parse_model, read_model
+from impact_observer.model import Model, System, parse_model
+from impact_observer.model.reading import ModelText, model_text
 from impact_observer.observer import Observer, replay
 from impact_observer.plant import IDEAL, Run, Sensor, sense
 from impact_observer.stamps import grid, text
@@ -120,6 +121,21 @@ def write_run(
     return len(told)
 
 
+def text_of_model(reader: BagReader, model: str | None) -> ModelText:
+    """The text of a model file or sample that is named, else of the model in the bag.
+
+    Raises:
+        BagError: none is named, and the bag carries none.
+        UsageError: there is no such file.
+    """
+    if model is not None:
+        return model_text(model)
+    carried = reader.model_text()
+    if carried is None:
+        raise BagError(f"{reader.path}: carries no model; name one with --model")
+    return ModelText(carried, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
+
+
 def carried_model(reader: BagReader) -> Model:
     """The model that a bag carries.
 
@@ -127,10 +143,7 @@ def carried_model(reader: BagReader) -> Model:
         BagError: it carries none.
         ModelError: the model it carries is not valid.
     """
-    carried = reader.model_text()
-    if carried is None:
-        raise BagError(f"{reader.path}: carries no model; name one with --model")
-    return parse_model(carried, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
+    return parse_model(*text_of_model(reader, None))
 
 
 def system_of(reader: BagReader, model: str | None) -> System:
@@ -140,7 +153,7 @@ def system_of(reader: BagReader, model: str | None) -> System:
         BagError: none is named, and the bag carries none.
         UsageError, ModelError: the model cannot be read, or is none.
     """
-    return (carried_model(reader) if model is None else read_model(model)).system
+    return parse_model(*text_of_model(reader, model)).system
 
 
 def events_in(reader: BagReader) -> list[ImpactEvent]:

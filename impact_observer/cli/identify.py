@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from impact_observer.analysis.identification.checking import Check
     from impact_observer.analysis.identification.identifying import Identified
     from impact_observer.model import Model
+    from impact_observer.model.reading import ModelText
 
 _WIDTH = 100
 """Columns where there is no terminal."""
@@ -116,14 +117,14 @@ def identify(
     from impact_observer.analysis.identification import checking, identifying
     from impact_observer.analysis.identification.parameters import family_of
     from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import events_in
+    from impact_observer.bag.recordings import events_in, text_of_model
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
 
     _check_usage(free, output, plot, check=check)
     with BagReader(bag) as reader:
-        text, source, folder = _text_of(reader, model)
-        parsed, document = _parsed(text, source, folder)
+        given = text_of_model(reader, model)
+        parsed, document = _parsed(given)
         events = events_in(reader)
     family = family_of(parsed.system, document, free)
     with Progress(sys.stderr if json else None) as progress:
@@ -145,8 +146,8 @@ def identify(
     else:
         print_found(found, verdict, check=check)
     if output is not None and good:
-        written = text_of(text, document, found, str(bag))
-        _parsed(written, str(output), folder)
+        written = text_of(given.text, document, found, str(bag))
+        _parsed(given._replace(text=written, source=str(output)))
         output.write_text(written, encoding="utf-8")
         print(f"model: {output}", file=sys.stderr if json else sys.stdout)
     if plot is not None:
@@ -174,28 +175,12 @@ def _check_usage(
         check_picture(plot)
 
 
-def _text_of(reader: "object", model: str | None) -> tuple[str, str, Path | None]:
-    """Text of the model, what errors call it, and the folder of the files that it names."""
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.errors import BagError
-    from impact_observer.shares import read_declared
-
-    assert isinstance(reader, BagReader)
-    if model is not None:
-        path, text = read_declared(model, "config", "a model file, or a sample model")
-        return text, str(path), path.parent
-    carried = reader.model_text()
-    if carried is None:
-        raise BagError(f"{reader.path}: carries no model; name one with --model")
-    return carried, f"{reader.path}: model", None
-
-
-def _parsed(text: str, source: str, folder: Path | None) -> tuple["Model", dict[str, object]]:
+def _parsed(given: "ModelText") -> tuple["Model", dict[str, object]]:
     """The model, and what its file says."""
     from impact_observer.model import parse_model
     from impact_observer.model.reading import load_yaml
 
-    model, document = parse_model(text, source, folder), load_yaml(text)
+    model, document = parse_model(*given), load_yaml(given.text)
     assert isinstance(document, dict), "a model is a mapping"
     return model, document
 

@@ -5,6 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from ruamel.yaml import YAML
@@ -129,6 +130,30 @@ def _forcing_of(system: System) -> Value:
     }
 
 
+class ModelText(NamedTuple):
+    """What ``parse_model`` reads a model from.
+
+    Attributes:
+        text: the YAML.
+        source: what to call it in errors, such as the file's path.
+        folder: where matrix files lie; without it a model may not name any.
+    """
+
+    text: str
+    source: str
+    folder: Path | None = None
+
+
+def model_text(source: str | Path) -> ModelText:
+    """The text of a model file, or of a sample model by its name, such as ``two_mass``.
+
+    Raises:
+        UsageError: there is no such file.
+    """
+    path, text = read_declared(source, "config", "a model file, or a sample model")
+    return ModelText(text, str(path), path.parent)
+
+
 def read_model(source: str | Path) -> Model:
     """Read a model file, or a sample model by its name, such as ``two_mass``.
 
@@ -136,8 +161,7 @@ def read_model(source: str | Path) -> Model:
         ModelError: one line that names the file, the key and what is wanted.
         UsageError: there is no such file.
     """
-    path, text = read_declared(source, "config", "a model file, or a sample model")
-    return parse_model(text, str(path), path.parent)
+    return parse_model(*model_text(source))
 
 
 def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
