@@ -15,6 +15,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.analysis import SETTLED
 from impact_observer.analysis.mismatch import Impact
 from impact_observer.analysis.pairing import Pairing, Series
 from impact_observer.analysis.tally import Curve, Rows, Tally
@@ -26,8 +27,6 @@ from impact_observer.observer.order import hits
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Estimate, Stamps, Vector
 
-SETTLED = 1e-2
-"""V over V at the start below which an estimate counts as settled, unless told otherwise."""
 _NEAR_END = 10.0
 """V over V at the end up to which V counts as falling still."""
 _BLOCK = 4096

@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
+from impact_observer.analysis import SETTLED
 from impact_observer.analysis.comparison import (
-    SETTLED,
     Comparing,
     Comparison,
     compare_law,

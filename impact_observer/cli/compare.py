@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from impact_observer.analysis import SETTLED
 from impact_observer.cli.arguments import (
     add_namespace,
     add_observer_arguments,
@@ -26,9 +27,6 @@ if TYPE_CHECKING:
     from impact_observer.analysis.comparison import Comparison
     from impact_observer.bag.comparisons import BagComparison, Choice
     from impact_observer.observer import Options
-
-SETTLED = 1e-2
-"""V over V at the start below which an estimate counts as settled, unless told otherwise."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
