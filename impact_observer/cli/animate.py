@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_namespace, not_negative, positive
+from impact_observer.cli.arguments import add_model, add_namespace, not_negative, positive
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -70,9 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PREFIX,...",
         help="estimates to show, by prefix of their topics (default: all)",
     )
-    parser.add_argument(
-        "--model", metavar="MODEL", help="a model file or a sample (default: the one in the bag)"
-    )
+    add_model(parser)
 
 
 def run(args: argparse.Namespace) -> int:

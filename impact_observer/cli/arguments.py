@@ -60,6 +60,14 @@ def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_model(
+    parser: argparse.ArgumentParser,
+    meaning: str = "a model file or a sample (default: the one in the bag)",
+) -> None:
+    """Which model is meant."""
+    parser.add_argument("--model", metavar="MODEL", help=meaning)
+
+
 def add_namespace(parser: argparse.ArgumentParser) -> None:
     """Which rig is meant in a bag of several."""
     parser.add_argument(

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from impact_observer.cli.arguments import add_model
+
 if TYPE_CHECKING:
     from impact_observer.bag.checks.checking import Report
     from impact_observer.bag.checks.findings import Finding
@@ -23,9 +25,7 @@ _WIDTH = max(map(len, _STYLES))
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
-    parser.add_argument(
-        "--model", metavar="MODEL", help="a model file or a sample (default: the one in the bag)"
-    )
+    add_model(parser)
     parser.add_argument(
         "--salvage", action="store_true", help="write a new bag of what can be read of this one"
     )

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from impact_observer.analysis import SETTLED
 from impact_observer.cli.arguments import (
+    add_model,
     add_namespace,
     add_observer_arguments,
     observer_options,
@@ -38,9 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run observers with these laws on each bag, or with all that are installed",
     )
     add_observer_arguments(parser)
-    parser.add_argument(
-        "--model", metavar="MODEL", help="a model file or a sample (default: the one in each bag)"
-    )
+    add_model(parser, "a model file or a sample (default: the one in each bag)")
     add_namespace(parser)
     parser.add_argument(
         "--estimates",

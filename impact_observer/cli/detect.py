@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import stamp
+from impact_observer.cli.arguments import add_model, stamp
 
 if TYPE_CHECKING:
     from impact_observer.detector import Source, Tally
@@ -47,9 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--inverted", action="store_true", default=None, help="the switch is closed when low"
     )
-    parser.add_argument(
-        "--model", metavar="MODEL", help="a model file or a sample, to be put into the bag"
-    )
+    add_model(parser, "a model file or a sample, to be put into the bag")
     parser.add_argument(
         "--epoch", metavar="S", type=stamp, help="stamp of t = 0 (default: unknown)"
     )

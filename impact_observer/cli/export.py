@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_namespace, stamp
+from impact_observer.cli.arguments import add_model, add_namespace, stamp
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -47,11 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="topics of states, or observers, only (default: the truth and every observer)",
     )
-    parser.add_argument(
-        "--model",
-        metavar="MODEL",
-        help="for V: a model file or a sample (default: the one in the bag)",
-    )
+    add_model(parser, "for V: a model file or a sample (default: the one in the bag)")
     parser.add_argument(
         "--epoch",
         metavar="S",

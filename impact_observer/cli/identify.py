@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import not_negative, positive
+from impact_observer.cli.arguments import add_model, not_negative, positive
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,9 +28,7 @@ _SHOWN = 6
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
-    parser.add_argument(
-        "--model", metavar="MODEL", help="a model file or a sample (default: the one in the bag)"
-    )
+    add_model(parser)
     parser.add_argument(
         "--free",
         metavar="LIST",

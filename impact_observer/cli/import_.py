@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import stamp
+from impact_observer.cli.arguments import add_model, stamp
 
 if TYPE_CHECKING:
     from impact_observer.bag.importing import Imported
@@ -20,9 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
     )
-    parser.add_argument(
-        "--model", metavar="MODEL", help="a model file or a sample, to be put into the bag"
-    )
+    add_model(parser, "a model file or a sample, to be put into the bag")
     parser.add_argument(
         "--time-unit",
         choices=("s", "ms", "us", "ns"),

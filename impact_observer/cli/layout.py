@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from impact_observer.cli.arguments import add_model
+
 if TYPE_CHECKING:
     from impact_observer.bag.curves import Curve
 
@@ -26,9 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="names of observer nodes, such as observer_geometric,observer_kinematic"
         " (default: those in the bag; with a model: observer)",
     )
-    parser.add_argument(
-        "--model", metavar="MODEL", help="of a bag (default: the one that it carries)"
-    )
+    add_model(parser, "of a bag (default: the one that it carries)")
     parser.add_argument(
         "-o",
         "--output",

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from impact_observer.cli.arguments import add_namespace, positive
+from impact_observer.cli.arguments import add_model, add_namespace, positive
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,9 +26,7 @@ _SMALL = 0.005
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
-    parser.add_argument(
-        "--model", metavar="MODEL", help="a model file or a sample (default: the one in the bag)"
-    )
+    add_model(parser)
     add_namespace(parser)
     parser.add_argument(
         "--deviation",

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_ensemble_arguments,
+    add_model,
     add_namespace,
     add_observer_arguments,
     observer_options,
@@ -19,9 +20,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
-    parser.add_argument(
-        "--model", metavar="MODEL", help="a model file or a sample (default: the one in the bag)"
-    )
+    add_model(parser)
     add_namespace(parser)
     parser.add_argument(
         "--law", metavar="LAW", default="geometric", help="of the observer (default geometric)"

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import positive
+from impact_observer.cli.arguments import add_model, positive
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,10 +28,8 @@ _ONCE = 5.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument(
-        "--model",
-        metavar="MODEL",
-        help="to compute V with where no monitor tells it (default: as the plant publishes)",
+    add_model(
+        parser, "to compute V with where no monitor tells it (default: as the plant publishes)"
     )
     parser.add_argument(
         "--observer",
