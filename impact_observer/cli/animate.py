@@ -127,6 +127,7 @@ def animate(
     from impact_observer.bag.recordings import system_of
     from impact_observer.cli.film_files import writer_for
     from impact_observer.cli.progress import Progress
+    from impact_observer.stamps import seconds_between
 
     _check(speed=speed, fps=fps, start=start, duration=duration or 0.0)
     write = writer_for(output, fps)
@@ -147,7 +148,7 @@ def animate(
             for done, stamp in enumerate(stamps, start=1):
                 add(moving.picture(stamp))
                 progress.step(f"drawing {output}", done, len(stamps))
-    shown = (film.end - film.start) * 1e-9
+    shown = seconds_between(film.start, film.end)
     print(f"film: {output}, {len(stamps)} pictures of {shown:.2f} s{left}")
     return 0
 

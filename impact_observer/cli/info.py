@@ -161,7 +161,9 @@ def _summarized(bag: Path) -> BagSummary:
 
 def _topics(reader: "BagReader") -> list[TopicSummary]:
     """The topics of a bag, as its index tells: no message is read."""
-    length = (reader.end - reader.start) / 1e9
+    from impact_observer.stamps import seconds_between
+
+    length = seconds_between(reader.start, reader.end)
     summaries = []
     for topic in reader.topics.values():
         quality = topic.quality

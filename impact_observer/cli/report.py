@@ -93,17 +93,19 @@ def _page(
 
 def _bags(results: "Sequence[tuple[Path, BagComparison]]") -> Iterator[str]:
     """What was compared."""
+    from impact_observer.stamps import seconds_between
+
     yield '<div class="scroll"><table><tr><th>bag</th><th>system</th><th>from [s]</th>'
     yield "<th>to [s]</th><th>impacts</th></tr>"
     for bag, result in results:
         stamps = [(each.stamps[0], each.stamps[-1]) for each in result.comparisons.values()]
-        begin, end = min(a for a, _ in stamps), max(b for _, b in stamps)
+        begin, end = int(min(a for a, _ in stamps)), int(max(b for _, b in stamps))
         impacts = ", ".join(f"{v.size} at {name}" for name, v in result.impacts.items()) or "none"
         cells = (
             escape(str(bag)),
             escape(result.system.name),
-            f"{(begin - result.epoch) / 1e9:.6g}",
-            f"{(end - result.epoch) / 1e9:.6g}",
+            f"{seconds_between(result.epoch, begin):.6g}",
+            f"{seconds_between(result.epoch, end):.6g}",
             escape(impacts),
         )
         yield "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
