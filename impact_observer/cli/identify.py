@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_model, not_negative, positive
+from impact_observer.cli.arguments import add_model, add_namespace, not_negative, positive
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -29,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
+    add_namespace(parser)
     parser.add_argument(
         "--free",
         metavar="LIST",
@@ -71,6 +72,7 @@ def run(args: argparse.Namespace) -> int:
         horizon=args.horizon,
         believe=args.believe,
         check=args.check,
+        namespace=args.namespace,
         output=args.output,
         plot=args.plot,
         json=args.json,
@@ -86,6 +88,7 @@ def identify(
     horizon: float | None = None,
     believe: bool = False,
     check: bool = False,
+    namespace: str = "",
     output: Path | None = None,
     plot: Path | None = None,
     json: bool = False,
@@ -100,6 +103,7 @@ def identify(
         horizon: seconds of the recording that count; None for all.
         believe: whether no impact is taken for invented or missing.
         check: whether to check the model instead.
+        namespace: of the rig that is meant; empty for the only one.
         output: the model file to make; None for none.
         plot: a picture to write; None for none.
         json: print JSON instead of tables and words.
@@ -120,7 +124,7 @@ def identify(
     from impact_observer.errors import BagError
 
     _check_usage(free, output, plot, check=check)
-    with BagReader(bag) as reader:
+    with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
         parsed, document = _parsed(given)
         events = events_in(reader)

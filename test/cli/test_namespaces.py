@@ -52,6 +52,21 @@ def test_a_namespace_says_which_rig_is_meant(
     assert json.loads(capsys.readouterr().out) == alone
 
 
+def test_identify_takes_model_and_impacts_of_the_rig_that_is_meant(
+    rigs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What it says of so short a bag is what it says of that rig alone."""
+    for model, said in (("two_mass", "for 4 unknowns"), ("three_mass", "for 6 unknowns")):
+        capsys.readouterr()
+        assert main(["identify", str(rigs.parent / model), "--check"]) == 1
+        alone = capsys.readouterr().err
+        assert said in alone
+        assert main(["identify", str(rigs), "--check", "--namespace", model]) == 1
+        assert capsys.readouterr().err == alone
+    assert main(["identify", str(rigs), "--check"]) == 1
+    assert "name the one meant with --namespace" in capsys.readouterr().err
+
+
 def test_without_one_the_line_says_how_to_name_it(
     rigs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
