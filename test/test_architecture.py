@@ -3,6 +3,7 @@
 import ast
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -48,10 +49,15 @@ def named(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-def imports(tree: ast.AST, path: Path) -> Iterator[str]:
+@cache
+def imports(path: Path) -> tuple[str, ...]:
     """Full names of everything that a module imports, wherever in it."""
+    return tuple(_imports(path))
+
+
+def _imports(path: Path) -> Iterator[str]:
     package = path.relative_to(ROOT).parent.parts
-    for node in ast.walk(tree):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -61,6 +67,7 @@ def imports(tree: ast.AST, path: Path) -> Iterator[str]:
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
+@cache
 def parsed(path: Path) -> ast.Module:
     """The syntax tree of a file."""
     return ast.parse(path.read_text(encoding="utf-8"), str(path))
@@ -90,10 +97,10 @@ def test_module_imports_only_rooms_to_its_left(path: Path) -> None:
     """Data flows one way; plant and observer do not know each other."""
     own = room(path)
     if not own and path.name in ENTRANCE:
-        assert all(room_of_name(name) in {None, "cli"} for name in imports(parsed(path), path))
+        assert all(room_of_name(name) in {None, "cli"} for name in imports(path))
         return
     level = LEVELS.get(own, 0)
-    for name in imports(parsed(path), path):
+    for name in imports(path):
         other = room_of_name(name)
         allowed = other is None or other == own or LEVELS[other] < level
         assert allowed, f"{named(path)} imports {name}"
@@ -107,7 +114,7 @@ def test_core_needs_numpy_and_scipy_only(path: Path) -> None:
         extra = {"yaml", "ruamel"}
     if str(path.relative_to(PACKAGE)) in FIGURES:
         extra = {"matplotlib"}
-    for name in imports(parsed(path), path):
+    for name in imports(path):
         top = name.split(".")[0]
         assert top == PACKAGE.name or top in ALLOWED | extra, f"{named(path)} imports {name}"
 
@@ -117,7 +124,7 @@ def test_core_needs_numpy_and_scipy_only(path: Path) -> None:
 )
 def test_vocabulary_needs_numpy_only(path: Path) -> None:
     """The words beside the rooms are the cheapest of all."""
-    for name in imports(parsed(path), path):
+    for name in imports(path):
         top = name.split(".")[0]
         assert top in {PACKAGE.name, *ALLOWED}, f"{named(path)} imports {name}"
 

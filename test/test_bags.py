@@ -94,6 +94,7 @@ def test_there_is_a_bag_for_every_trouble() -> None:
     assert {f"--{each.name.replace('_', '-')}" for each in TROUBLES} <= options
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SENSED)
 def test_a_bag_of_a_troubled_sensor_is_what_its_command_makes(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -141,6 +142,7 @@ def detected(name: str, path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "late"), [("switch", 0), ("accelerometer", 20_000)])
 def test_every_impact_is_detected_in_the_bag_of_a_rig(
     name: str, late: int, tmp_path: Path

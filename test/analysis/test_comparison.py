@@ -147,6 +147,7 @@ def test_an_invented_impact_is_an_error_and_no_mismatch() -> None:
     assert found.largest[3] == pytest.approx(5.0)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_jitters_is_seen_in_the_windows_of_an_observer() -> None:
     """The windows are those between the plant's true instants and the stamps it heard."""
     sensor = Sensor(delay=0.004, jitter=0.002)

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
+from systems import examples
 
 from impact_observer.bag import interfaces
 from impact_observer.bag import messages as m
@@ -147,7 +148,7 @@ MAKERS: SearchStrategy[tuple[str, Callable[[Messages], object]]] = st.one_of(
 )
 
 
-@settings(deadline=None, max_examples=300)
+@examples(300)
 @given(maker=MAKERS)
 def test_ros_and_bag_messages_are_the_same_bytes_but_for_padding(
     maker: tuple[str, Callable[[Messages], object]],

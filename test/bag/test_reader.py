@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from systems import examples
 
 from impact_observer.bag import BagReader, BagWriter, JointState, Quality, interfaces
 from impact_observer.bag.messages import bag_messages
@@ -228,7 +229,7 @@ def test_damaged_bag_is_one_line(bag: Path, damage: Callable[[Path], Path], expe
     assert "\n" not in str(caught.value)
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(examples(100), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     flips=st.lists(st.tuples(st.floats(0, 1), st.integers(1, 255)), max_size=4),
     keep=st.floats(0, 1) | st.just(1.0),

@@ -134,6 +134,7 @@ def test_encoder_that_fails_is_one_line(
     assert not output.exists()
 
 
+@pytest.mark.slow
 def test_longer_bags_are_cut_and_that_is_said(
     sample_bag: Path,
     tmp_path: Path,

@@ -57,7 +57,8 @@ def test_all_laws_are_one_curve_each(drawn: list[Figure], tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("ending", "magic"), [("png", b"\x89PNG"), ("SVG", b"<?xml"), ("pdf", b"%PDF")]
+    ("ending", "magic"),
+    [("png", b"\x89PNG"), ("SVG", b"<?xml"), pytest.param("pdf", b"%PDF", marks=pytest.mark.slow)],
 )
 def test_the_ending_says_the_format(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str, magic: bytes

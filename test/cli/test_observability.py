@@ -123,7 +123,9 @@ def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> No
     assert "The rank is 3 of 4: 1 combination of the initial state has never been told" in output
 
 
-@pytest.mark.parametrize("ending", ["png", "svg", "pdf"])
+@pytest.mark.parametrize(
+    "ending", ["png", *(pytest.param(each, marks=pytest.mark.slow) for each in ("svg", "pdf"))]
+)
 def test_picture_is_written(
     tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

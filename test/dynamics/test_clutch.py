@@ -182,7 +182,7 @@ def ratchet(s: Array, c: float, w: float, mass: float) -> Array:
 
 @pytest.mark.parametrize("frequency", [0.9, 1.9838269257012868, 5.5])
 @pytest.mark.parametrize("load", [0.3397695124299078, 0.6095693498571635, 0.9])
-@pytest.mark.parametrize("mass", [0.34462461592702853, 1.0])
+@pytest.mark.parametrize("mass", [0.34462461592702853, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_pressed_mass_is_released_and_caught_each_turn(
     frequency: float, load: float, mass: float
 ) -> None:

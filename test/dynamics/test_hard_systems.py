@@ -143,6 +143,7 @@ def test_chain_of_any_length_moves_in_its_known_modes(n: int) -> None:
         assert energy(model, state - expected) < 2e-12 * energy(model, x)
 
 
+@pytest.mark.slow
 def test_flow_of_three_hundred_coordinates_not_proportionally_damped() -> None:
     """Against a Taylor method that multiplies with the state matrix only."""
     n = 300
@@ -166,7 +167,7 @@ def faster(model: System, factor: float) -> System:
     return system(model.M, model.C * factor, model.K * square, force=scaled)
 
 
-@pytest.mark.parametrize("factor", [1e6, 1e-4])
+@pytest.mark.parametrize("factor", [1e6, pytest.param(1e-4, marks=pytest.mark.slow)])
 @examples(30)
 @given(data=st.data())
 def test_clock_that_runs_faster_sees_the_same_motion(factor: float, data: st.DataObject) -> None:

@@ -63,7 +63,11 @@ def energy(model: System, x: Array) -> Array:
 
 
 @pytest.mark.parametrize("hold", HOLDS)
-@pytest.mark.parametrize("time", [UNEVEN, EVEN, FINE], ids=["uneven", "even", "fine"])
+@pytest.mark.parametrize(
+    "time",
+    [UNEVEN, pytest.param(EVEN, marks=pytest.mark.slow), FINE],
+    ids=["uneven", "even", "fine"],
+)
 @pytest.mark.parametrize("base", WITHOUT.values(), ids=list(WITHOUT))
 def test_flow_is_exact_between_samples_and_across_them(
     base: System, time: Array, hold: str

@@ -189,7 +189,9 @@ def test_event_that_nobody_expects_ends_the_agreement() -> None:
 
 
 @CERTIFIED
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(each, marks=pytest.mark.slow) for each in (1, 2, 3))]
+)
 def test_certified_bound_holds(law: str, seed: int) -> None:
     """It begins above V, falls, and V stays below it."""
     start = random_start(seed)
@@ -270,6 +272,7 @@ def test_replica_whose_impact_has_no_solution_stays_apart() -> None:
     assert found.convergence > 1e-3
 
 
+@pytest.mark.slow
 def test_ball_that_has_come_to_rest_is_known() -> None:
     """Its energy is gone, and so is that of all differences but what stamps of 1 ns leave."""
     ball = sample("bouncing_ball")

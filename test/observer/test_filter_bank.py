@@ -242,7 +242,7 @@ def checked(watcher: Observer, stamp: int) -> None:
 CLOSES = (("c1", Kind.CLOSE), ("c1", Kind.IMPACT), ("c1", Kind.CLOSE), ("c2", Kind.OPEN))
 
 
-@pytest.mark.parametrize("declared", [0.0, 0.9])
+@pytest.mark.parametrize("declared", [0.0, pytest.param(0.9, marks=pytest.mark.slow)])
 def test_absurd_streams_end_in_no_nan(declared: float) -> None:
     """One stamp again and again; a contact at rest that hits; the last stamp first."""
     everything = {"missed": declared, "invented": declared, "mislabelled": declared}
@@ -266,6 +266,7 @@ def test_absurd_streams_end_in_no_nan(declared: float) -> None:
     checked(watcher, EPOCH + 4 * NS_PER_S)
 
 
+@pytest.mark.slow
 def test_events_that_do_nothing_multiply_no_hypotheses() -> None:
     """A switch that says OPEN again and again while the estimate falls through stops."""
     model, start, _ = truth("three_mass", 20.0)

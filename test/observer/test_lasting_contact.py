@@ -233,7 +233,9 @@ def test_open_loop_has_no_contacts_to_close() -> None:
     np.testing.assert_allclose(estimates(deaf, stamps), estimates(silent, stamps), atol=1e-12)
 
 
-@pytest.mark.parametrize(("law", "height"), [("kinematic", 1.2), ("geometric", 0.0)])
+@pytest.mark.parametrize(
+    ("law", "height"), [pytest.param("kinematic", 1.2, marks=pytest.mark.slow), ("geometric", 0.0)]
+)
 def test_ball_at_rest_is_known_at_rest(law: str, height: float) -> None:
     """The geometric estimate is exact; the kinematic one, K = 0, never learns its height."""
     model = sample("bouncing_ball").system

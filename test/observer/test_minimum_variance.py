@@ -161,6 +161,7 @@ def test_covariance_is_honest(name: str) -> None:
     assert np.max(innovations) < 5
 
 
+@pytest.mark.slow
 @BOTH
 def test_jitter_costs_it_far_less_than_the_geometric_law(name: str) -> None:
     """1 ms, 30 s, median of 8: more than a hundred times less in V, whether declared or not."""
@@ -362,6 +363,7 @@ def test_contacts_closed_at_the_start_hold_at_once() -> None:
     np.testing.assert_allclose(P, np.diag([1.0, 0, 1.0, 0]), atol=1e-13)
 
 
+@pytest.mark.slow
 def test_model_error_lets_covariance_grow_and_leaves_the_estimate() -> None:
     """By ``w^2 t`` in the velocity of a free ball; nothing when it is 0."""
     model, x = sample("bouncing_ball").system, np.array([1.0, 0.5])

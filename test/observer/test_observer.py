@@ -63,7 +63,9 @@ def state(watcher: Observer, seconds: float) -> list[float]:
 
 
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-@pytest.mark.parametrize("law", ["kinematic", "geometric", "unilateral"])
+@pytest.mark.parametrize(
+    "law", ["kinematic", "geometric", pytest.param("unilateral", marks=pytest.mark.slow)]
+)
 def test_distance_to_the_plant_never_rises(name: str, law: str) -> None:
     """The paper's theorem on its kind of examples, through events rounded to 1 ns."""
     model, truth = sample(name).system, true_run(name, 30.0, rate=20.0)
@@ -317,6 +319,7 @@ def test_lost_events_are_counted() -> None:
     assert watcher.missing == 2
 
 
+@pytest.mark.slow
 def test_memory_is_bounded() -> None:
     """Thousands of events leave the history only, and old duplicates are still known as such."""
     model = chain(1, contacts=[([-1], 0.5, 0.7)])

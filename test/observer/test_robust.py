@@ -126,6 +126,7 @@ def closed_at(whole: Run, stamp: int) -> tuple[str, ...]:
     return tuple(sorted(closed))
 
 
+@pytest.mark.slow
 def test_lasting_contact_that_nobody_tells_is_found() -> None:
     """Impacts only: every CLOSE and every OPEN is inserted, and the estimate is right at all."""
     model, _, whole = truth("pressed", 7.0)
@@ -292,7 +293,14 @@ def test_error_of_the_clock_is_learnt_in_any_run(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("delay", "jitter", "seed"), [(0.01, 0.0, 0), (-0.03, 0.0, 1), (0.02, 1e-4, 1)]
+    ("delay", "jitter", "seed"),
+    [
+        (-0.03, 0.0, 1),
+        *(
+            pytest.param(*each, marks=pytest.mark.slow)
+            for each in ((0.01, 0.0, 0), (0.02, 1e-4, 1))
+        ),
+    ],
 )
 def test_offset_of_the_clock_is_learnt(delay: float, jitter: float, seed: int) -> None:
     """Within four of the deviations that are told, which are small; and it survives a message."""

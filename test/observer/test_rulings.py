@@ -90,7 +90,10 @@ LOCKED = {"two_mass": 12.0, "three_mass": 14.0}
 """From when on all that was heard before is enough, s."""
 
 
-@pytest.mark.parametrize(("name", "seed"), [("two_mass", 1), ("two_mass", 2), ("three_mass", 1)])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [("two_mass", 1), ("two_mass", 2), pytest.param("three_mass", 1, marks=pytest.mark.slow)],
+)
 def test_once_locked_every_event_is_what_it_is(name: str, seed: int) -> None:
     """Invented: rejected. True: applied. Missed: inserted where it was, within 2 ns."""
     seconds, since = 30.0, LOCKED[name]
@@ -185,6 +188,7 @@ def test_final_rulings_do_not_depend_on_the_order_of_arrival() -> None:
         assert_same(final(run_of(seed)[2]), final(run_of(seed, late=True)[2]))
 
 
+@pytest.mark.slow
 def test_verdict_that_is_taken_back_says_so_and_is_counted() -> None:
     """``revises`` and the reason; of an event that was ruled upon; as often as is remarked."""
     count = 0
@@ -203,6 +207,7 @@ def test_verdict_that_is_taken_back_says_so_and_is_counted() -> None:
     assert count > 0
 
 
+@pytest.mark.slow
 def test_comparison_counts_what_was_applied_in_the_end() -> None:
     """``heard_of`` goes by the last verdict on each event and on what was inserted."""
     differs = 0

@@ -212,6 +212,7 @@ def test_what_no_plant_could_tell_is_no_failure() -> None:
     assert watcher.estimate(int(stamps[-1])).bound == -1.0
 
 
+@pytest.mark.slow
 def test_true_gaps_make_the_estimate_better_than_geometric_on_three_masses() -> None:
     """Median of V/V0 after 15 s over five seeds; bodies with one stop gain nothing."""
     model = sample("three_mass")

@@ -78,7 +78,7 @@ class Ball:
         return np.where(resting, 0.0, height), np.where(resting, 0.0, speed - GRAVITY * s)
 
 
-@pytest.mark.parametrize("floor", [0.0, 1.0, -3.0])
+@pytest.mark.parametrize("floor", [0.0, 1.0, pytest.param(-3.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("eps", [0.0, 0.2, 0.5, 0.9, pytest.param(0.99, marks=pytest.mark.slow)])
 def test_ball_comes_to_rest_within_its_bound(eps: float, floor: float) -> None:
     """Few impacts, the instant and the errors are as ``plant/rest.py`` says; then exact rest."""

@@ -89,7 +89,10 @@ def test_ball_bounces_at_the_times_of_the_closed_form_to_first_order() -> None:
     assert errors(1e-3)[0] < 10e-3
 
 
-@pytest.mark.parametrize("eps", [0.0, 0.5, 0.8])
+@pytest.mark.parametrize(
+    "eps",
+    [pytest.param(0.0, marks=pytest.mark.slow), 0.5, pytest.param(0.8, marks=pytest.mark.slow)],
+)
 def test_ball_comes_to_rest_where_its_impacts_accumulate(eps: float) -> None:
     """Its last event is CLOSE, to first order at the closed form; then it lies still."""
     first = np.sqrt(2 / 9.81)
@@ -239,6 +242,7 @@ def test_bodies_at_rest_on_each_other_stay_so() -> None:
     np.testing.assert_allclose(times(found), times(exact), atol=4e-3)
 
 
+@pytest.mark.slow
 def test_gaps_are_violated_by_a_step_of_motion_at_most() -> None:
     """The body gets into its stop by up to ``h`` times its speed, which vanishes with ``h``."""
     model, start = sample("three_mass").system, sample("three_mass").initial_state()
