@@ -28,11 +28,11 @@ from rich.table import Table
 from scipy import stats
 
 from impact_observer.analysis.identification.identifying import Identified, identify
-from impact_observer.analysis.identification.parameters import family_of
 from impact_observer.analysis.lyapunov import distance
 from impact_observer.errors import IdentificationError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System, read_model
+from impact_observer.model.parameters import family_of
 from impact_observer.observer import Observer, Uncertainty, initial_state, law_named, replay
 from impact_observer.plant import Plant, Run, Sensor, sense, simulate
 from impact_observer.stamps import NS_PER_S, from_seconds, grid
@@ -87,7 +87,7 @@ def errors(found: Identified, model: System) -> np.ndarray:
 def exact(name: str) -> dict[str, object]:
     """The first table."""
     model = read_model(name).system
-    found = identify(family_of(wrong(model), {}, FREE), told(name, Sensor(), 0))
+    found = identify(family_of(wrong(model), FREE), told(name, Sensor(), 0))
     error = errors(found, model)
     return {
         "model": name,
@@ -100,7 +100,7 @@ def exact(name: str) -> dict[str, object]:
 def jittered(name: str, seeds: int) -> dict[str, object]:
     """The second table."""
     model = read_model(name).system
-    family = family_of(wrong(model), {}, FREE)
+    family = family_of(wrong(model), FREE)
     weights, sizes = [], []
     for seed in track(range(seeds), f"{name}: jitter", console=Console(stderr=True)):
         events = told(name, Sensor(jitter=JITTER), seed)
@@ -123,7 +123,7 @@ def jittered(name: str, seeds: int) -> dict[str, object]:
 def invented(name: str, jitter: float, seeds: int) -> dict[str, object]:
     """The third table."""
     model = read_model(name).system
-    family = family_of(wrong(model), {}, FREE)
+    family = family_of(wrong(model), FREE)
     rate = INVENTED * len(recorded(name).events) / END
     sizes, failed = [], 0
     for seed in track(range(seeds), f"{name}: invented", console=Console(stderr=True)):
@@ -152,7 +152,7 @@ def floors(name: str) -> Iterator[dict[str, object]]:
     model = read_model(name).system
     off = replace(model, K=1.02 * model.K)
     events = told(name, Sensor(), 0)
-    found = identify(family_of(off, {}, ["stiffness-scale"]), events)
+    found = identify(family_of(off, ["stiffness-scale"]), events)
     for law in LAWS:
         before, after = (_floor(name, law, each, events) for each in (off, found.system))
         yield {"model": name, "law": law, "before_J": before, "after_J": after}

@@ -117,18 +117,18 @@ def identify(
         IdentificationError: too few impacts, or parameters that no impact tells.
     """
     from impact_observer.analysis.identification import checking, identifying
-    from impact_observer.analysis.identification.parameters import family_of
     from impact_observer.bag.reader import BagReader
     from impact_observer.bag.recordings import events_in, text_of_model
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
+    from impact_observer.model.parameters import family_of
 
     _check_usage(free, output, plot, check=check)
     with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
         parsed, document = _parsed(given)
         events = events_in(reader)
-    family = family_of(parsed.system, document, free)
+    family = family_of(parsed.system, free, parsed.elements)
     with Progress(sys.stderr if json else None) as progress:
         try:
             found = identifying.identify(

@@ -3,6 +3,7 @@
 It assembles to the same matrices as the matrix form.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,25 @@ from impact_observer.states import Matrix, Vector
 
 GROUND = "ground"
 KEYS = ("bodies", "springs", "forces", "forcing", "stops")
+KINDS = ("mass", "stiffness", "damping")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Element:
+    """A mass, a spring or a damper.
+
+    Attributes:
+        kind: ``mass``, ``stiffness`` or ``damping``.
+        label: the body, or the two ends of a spring, such as ``ground-x1``; of several alike the
+            second is ``ground-x1#2``.
+        value: kg, N/m or Ns/m.
+        matrix: what it adds to the system's matrix is ``value`` times this, shape (n, n).
+    """
+
+    kind: str
+    label: str
+    value: float
+    matrix: Matrix
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +49,7 @@ class Assembly:
     K: Matrix
     forcing: Forcing
     contacts: tuple[Contact, ...]
+    elements: tuple[Element, ...]
 
 
 class _Line:
@@ -83,23 +104,48 @@ def assemble(document: Section, folder: Path | None = None) -> Assembly:
             raise ModelError(body.key("name"), f"{GROUND!r} is reserved; choose another name")
         if name in line.names[:i]:
             raise ModelError(body.key("name"), f"{name!r} is taken already; names must differ")
-    M = np.diag([body.positive("mass") for body in bodies])
-    C, K = np.zeros((line.n, line.n)), np.zeros((line.n, line.n))
-    for key, value in document.items("springs"):
-        spring = Section(key, value, ("between", "stiffness", "damping"))
-        direction = line.relative(spring)
-        dyad = np.outer(direction, direction)
-        K += spring.positive("stiffness", or_zero=True) * dyad
-        if "damping" in spring:
-            C += spring.positive("damping", or_zero=True) * dyad
+    elements = [*_masses(line, bodies), *_springs(line, document.items("springs"))]
+    matrices = {kind: np.zeros((line.n, line.n)) for kind in KINDS}
+    for each in elements:
+        matrices[each.kind] += each.value * each.matrix
     return Assembly(
         coordinates=tuple(line.names),
-        M=M,
-        C=C,
-        K=K,
+        M=matrices["mass"],
+        C=matrices["damping"],
+        K=matrices["stiffness"],
         forcing=_forcing(line, document, folder),
         contacts=tuple(_stop(line, key, value) for key, value in document.items("stops")),
+        elements=tuple(each for each in elements if each.value),
     )
+
+
+def _masses(line: _Line, bodies: list[Section]) -> Iterator[Element]:
+    for body, name, axis in zip(bodies, line.names, np.eye(line.n), strict=True):
+        yield Element("mass", name, body.positive("mass"), np.outer(axis, axis))
+
+
+def _springs(line: _Line, items: list[tuple[str, Value]]) -> Iterator[Element]:
+    springs = [Section(key, value, ("between", *KINDS[1:])) for key, value in items]
+    directions = [line.relative(spring) for spring in springs]
+    names = labels([spring.value("between") for spring in springs])
+    for spring, direction, name in zip(springs, directions, names, strict=True):
+        dyad = np.outer(direction, direction)
+        yield Element("stiffness", name, spring.positive("stiffness", or_zero=True), dyad)
+        if "damping" in spring:
+            yield Element("damping", name, spring.positive("damping", or_zero=True), dyad)
+
+
+def labels(pairs: Iterable[Value]) -> list[str]:
+    """Names of springs by the two ends of each; of several alike the second is ``..#2``."""
+    plain: list[str] = []
+    for pair in pairs:
+        assert isinstance(pair, list), "a spring that was read has two ends"
+        plain.append("-".join(map(str, pair)))
+    counts = [plain[: i + 1].count(label) for i, label in enumerate(plain)]
+    return [
+        label if count == 1 else f"{label}#{count}"
+        for label, count in zip(plain, counts, strict=True)
+    ]
 
 
 def _forcing(line: _Line, document: Section, folder: Path | None) -> Forcing:

@@ -15,6 +15,7 @@ from ruamel.yaml.representer import SafeRepresenter
 from impact_observer.errors import ModelError
 from impact_observer.model import elements, tables
 from impact_observer.model.document import Section, Value
+from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.system import LARGEST_STATE, Contact, System
 from impact_observer.shares import read_declared
@@ -38,6 +39,7 @@ class Model:
         velocity: the plant's velocities at the epoch, shape (n,); None when not given.
         provenance: who wrote the file, free of meaning for the dynamics.
         source: what errors call the file.
+        elements: what the system was assembled of; none where the file gives matrices.
     """
 
     system: System
@@ -45,6 +47,7 @@ class Model:
     velocity: Vector | None = None
     provenance: Mapping[str, Value] = field(default_factory=dict)
     source: str = ""
+    elements: tuple[Element, ...] = ()
 
     def initial_state(self) -> tuple[Vector, Vector]:
         """The plant's state at the epoch.
@@ -231,18 +234,21 @@ def _model(document: Value, folder: Path | None) -> Model:
         )
     section = Section("", document, (*_COMMON_KEYS, *form))
     name = section.text("name")
+    parts: tuple[Element, ...] = ()
     if form is elements.KEYS:
-        system = _system_of_elements(name, section, folder)
+        system, parts = _system_of_elements(name, section, folder)
     else:
         system = _system_of_matrices(name, section, folder)
     position, velocity = _initial_state(section, system)
-    return Model(system, position, velocity, _provenance(section))
+    return Model(system, position, velocity, _provenance(section), elements=parts)
 
 
-def _system_of_elements(name: str, section: Section, folder: Path | None) -> System:
+def _system_of_elements(
+    name: str, section: Section, folder: Path | None
+) -> tuple[System, tuple[Element, ...]]:
     a = elements.assemble(section, folder)
     try:
-        return System(name, a.coordinates, a.M, a.C, a.K, a.forcing, a.contacts)
+        return System(name, a.coordinates, a.M, a.C, a.K, a.forcing, a.contacts), a.elements
     except ModelError as error:
         raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
 

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from systems import EPOCH, Harmonic, chain, examples, forcing, run, sample, system, systems
 
-from impact_observer.analysis.identification.family import Family, Numbers
 from impact_observer.analysis.identification.motion import Moment, shoot
-from impact_observer.analysis.identification.parameters import family_of
 from impact_observer.dynamics import Phases
 from impact_observer.errors import UsageError
 from impact_observer.model import System
+from impact_observer.model.family import Family, Numbers
+from impact_observer.model.parameters import family_of
 from impact_observer.stamps import seconds_between
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ def test_derivatives_are_those_of_differences(model: System, data: st.DataObject
     kinds = [k for k in EVERYTHING if k != "damping-scale" or np.any(model.C)]
     kinds = [k for k in kinds if k != "stiffness-scale" or np.any(model.K)]
     kinds += OF_FORCING[:2] if model.forcing.frequency.size else ()
-    family = family_of(model, {}, kinds)
+    family = family_of(model, kinds)
     m, phases = model.m, Phases(model)
     some = st.sets(st.integers(0, m - 1)).map(lambda found: tuple(sorted(found)))
     moments, t = [], 0.0
@@ -81,7 +81,7 @@ def test_derivatives_are_those_of_differences(model: System, data: st.DataObject
 
 def test_clock_offset_is_a_phase_of_every_harmonic() -> None:
     """Its derivative too."""
-    family = family_of(sample("three_mass").system, {}, ["clock-offset"])
+    family = family_of(sample("three_mass").system, ["clock-offset"])
     moments = moments_of(family.system, np.zeros(6), 5.0)
     t = np.array([each.t for each in moments])
     assert t.size > 2
@@ -117,7 +117,7 @@ def test_bouncing_ball_answers_as_the_closed_form() -> None:
     ball = system(1.0, 0.0, 0.0, contacts=[([1.0], 0.0, e)], force=forcing(1, -a))
     first = np.sqrt(2 * h / a)
     second = first * (1 + 2 * e)
-    family = family_of(ball, {}, ["restitution"])
+    family = family_of(ball, ["restitution"])
     moments = [Moment(t, (0,), (0,)) for t in (first, second)]
     shot = shoot(family, np.array([h, 0.0, e]), moments, np.array([first, second]), 0.0)
     np.testing.assert_allclose(shot.gaps, 0.0, atol=1e-14)
@@ -135,7 +135,7 @@ def test_bouncing_ball_answers_as_the_closed_form() -> None:
 def test_a_family_has_the_given_system_and_others() -> None:
     """Each parameter changes what it is named after."""
     model = sample("three_mass").system
-    family = family_of(model, {}, [*EVERYTHING, *OF_FORCING[:2]])
+    family = family_of(model, [*EVERYTHING, *OF_FORCING[:2]])
     same = family.system_at(family.given)
     for part in ("M", "C", "K", "q_r", "eps"):
         np.testing.assert_array_equal(getattr(same, part), getattr(model, part))
@@ -159,7 +159,7 @@ def test_what_cannot_be_free_is_refused_by_name() -> None:
         (["stiffness.ground-x1"], "has none"),
     ):
         with pytest.raises(UsageError, match=found):
-            family_of(model.system, {}, wanted)
+            family_of(model.system, wanted)
 
 
 def test_an_effect_has_the_shapes_of_the_system() -> None:

@@ -8,7 +8,6 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.analysis.episode import last_episode
-from impact_observer.analysis.identification.family import Family
 from impact_observer.analysis.identification.judging import first_word, judged
 from impact_observer.analysis.identification.recording import Recording
 from impact_observer.analysis.identification.solving import (
@@ -19,9 +18,10 @@ from impact_observer.analysis.identification.solving import (
     solved,
     start_of,
 )
-from impact_observer.errors import IdentificationError
+from impact_observer.errors import IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
+from impact_observer.model.family import Family
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -145,10 +145,16 @@ def identify(
         progress: told what is being done.
 
     Raises:
+        UsageError: the forcing is sampled.
         BagError: no event tells an impact of the system's contacts.
         IdentificationError: fewer impacts than unknowns, or parameters that no impact tells.
         ImpactLawError: the impact law has no solution at an event.
     """
+    if family.system.forcing.sampled is not None:
+        raise UsageError(
+            f"{family.system.name}: its forcing is sampled, which identify cannot take; expected"
+            " a constant and harmonics"
+        )
     told = last_episode(family.system, events)
     if horizon is not None:
         keys = [key for key in told.keys if seconds_between(told.start, key.stamp) <= horizon]

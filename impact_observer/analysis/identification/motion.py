@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from impact_observer.analysis.identification.family import Family, Numbers
 from impact_observer.events import Contacts
+from impact_observer.model.family import Family, Numbers
 from impact_observer.states import Matrix, Vector
 
 

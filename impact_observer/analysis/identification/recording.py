@@ -7,11 +7,11 @@ from typing import TypeAlias
 import numpy as np
 
 from impact_observer.analysis.episode import Episode, touches
-from impact_observer.analysis.identification.family import Family
 from impact_observer.analysis.identification.motion import Moment
 from impact_observer.analysis.identification.solving import Problem
 from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.events import Kind
+from impact_observer.model.family import Family
 from impact_observer.observer import Touch
 from impact_observer.observer.order import Key
 from impact_observer.stamps import seconds_between

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, optimize
 
-from impact_observer.analysis.identification.family import Family
 from impact_observer.analysis.identification.motion import Moment, Shot, shoot
 from impact_observer.errors import IdentificationError
+from impact_observer.model.family import Family
 from impact_observer.states import Matrix, Vector
 
 RANK = 1e-9

@@ -5,8 +5,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from impact_observer.analysis.identification.family import Family
-from impact_observer.analysis.identification.parameters import springs_of
+from impact_observer.model.elements import labels
+from impact_observer.model.family import Family
 from impact_observer.states import Vector
 
 Place: TypeAlias = tuple[str | int, ...]
@@ -53,7 +53,9 @@ def _turns(told: Mapping[str, float], k: int) -> bool:
 def _of_elements(document: Mapping[str, object], told: Mapping[str, float]) -> Iterator[Change]:
     for i, body in enumerate(_list(document, "bodies")):
         yield from _of_element(("bodies", i), body, "mass", str(body["name"]), told)
-    for i, (label, spring) in enumerate(springs_of(document)):
+    springs = _list(document, "springs")
+    names = labels(spring["between"] for spring in springs)
+    for i, (label, spring) in enumerate(zip(names, springs, strict=True)):
         for kind in ("stiffness", "damping"):
             if kind in spring:
                 yield from _of_element(("springs", i), spring, kind, label, told)

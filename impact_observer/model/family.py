@@ -4,7 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from impact_observer.model import Contact, Forcing, System
+from impact_observer.model.forcing import Forcing
+from impact_observer.model.system import Contact, System
 from impact_observer.states import Matrix, Vector, frozen
 
 
