@@ -84,7 +84,7 @@ def _parameters(
     """The file, if there is one, and what beats it."""
     given = context.launch_configurations
     values = {
-        each.name: ParameterValue(LaunchConfiguration(each.name), value_type=type(each.default))
+        each.name: ParameterValue(LaunchConfiguration(each.name), value_type=each.value_type)
         for each in table
         if given[each.name]
     }

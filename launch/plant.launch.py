@@ -44,7 +44,7 @@ def _argument(parameter: Parameter) -> DeclareLaunchArgument:
 def _plant(context: LaunchContext) -> list[Node]:
     given = context.launch_configurations
     values = {
-        each.name: ParameterValue(LaunchConfiguration(each.name), value_type=type(each.default))
+        each.name: ParameterValue(LaunchConfiguration(each.name), value_type=each.value_type)
         for each in PARAMETERS
         if given[each.name]
     }

@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from impact_observer.analysis.comparison import Comparison
 from impact_observer.bag.comparisons import compare_bag
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import carried_model, events_in
+from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.cli.main import main
 from impact_observer.events import Kind, Ruling, Verdict
 from impact_observer.model import read_model
@@ -45,7 +45,7 @@ JUDGED = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
 def test_a_recorded_bag_is_what_its_model_does(name: str) -> None:
     """Its events and its truth are those of the plant in it, started anew."""
     with BagReader(shared(f"bags/{name}")) as reader:
-        model, events = carried_model(reader), events_in(reader)
+        model, events = model_of(reader), events_in(reader)
         truth = reader.joint_states("/plant/joint_states")
     assert model.system.name == name
     assert model.provenance["version"] == "0.1.0"
@@ -63,7 +63,7 @@ def observed(bag: Path, law: str, options: str, output: Path) -> tuple[Compariso
     arguments = ["observe", str(bag), "--law", law, "--initial", "random:1", *options.split()]
     assert main([*arguments, "-o", str(output)]) == 0
     with BagReader(output) as reader:
-        comparison = compare_bag(reader, carried_model(reader).system).comparisons["/observer"]
+        comparison = compare_bag(reader, model_of(reader).system).comparisons["/observer"]
         return comparison, list(reader.verdicts("/observer/verdicts"))
 
 
@@ -105,7 +105,7 @@ def test_a_bag_of_a_troubled_sensor_is_what_its_command_makes(
     assert main([*COMMANDS[name], *given]) == 0
     with BagReader(BAGS / name) as recorded, BagReader(tmp_path / "bag") as made:
         assert list(recorded.raw(["/impacts"])) == list(made.raw(["/impacts"]))
-        model, anew = carried_model(recorded), carried_model(made)
+        model, anew = model_of(recorded), model_of(made)
         states, truth = (each.joint_states("/plant/joint_states") for each in (recorded, made))
     assert model.provenance["version"] == "0.1.0"
     assert model.provenance["seed"] == 1

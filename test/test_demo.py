@@ -15,7 +15,7 @@ pytest.importorskip("impact_observer_msgs")
 
 from impact_observer.bag.comparisons import compare_bag
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import carried_model, events_in
+from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.cli.main import main
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import grid
@@ -63,7 +63,7 @@ def test_a_demonstration_shows_records_and_judges(demo: Run) -> None:
     assert (demo.folder / "lyapunov.png").read_bytes().startswith(b"\x89PNG")
     bag = demo.folder / "bag"
     with BagReader(bag) as reader:
-        model = carried_model(reader)
+        model = model_of(reader)
         result = compare_bag(reader, model.system)
         events = events_in(reader)
     count = len(events)

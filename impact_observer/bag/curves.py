@@ -17,6 +17,7 @@ from impact_observer.bag.messages import EstimateMessage
 from impact_observer.bag.reader import BagReader
 from impact_observer.errors import UsageError
 from impact_observer.model import System
+from impact_observer.model.parameters import with_unit
 from impact_observer.stamps import NS_PER_S
 
 _BOUNDED = ("geometric", "unilateral")
@@ -319,7 +320,8 @@ def _learnt(observer: Observed) -> Iterator[Curve]:
         what = parameter.replace("_", " ")
         for field, label in (("parameter", what), ("parameter_deviation", f"{what} deviation")):
             steps = (Step(field, i),)
-            yield Curve(f"{label} {name}", name, topic, steps, Group.LEARNT, f"{what} [s]")
+            plot = with_unit(parameter)
+            yield Curve(f"{label} {name}", name, topic, steps, Group.LEARNT, plot)
 
 
 def _diagnostics(system: System, observer: Observed) -> Iterator[Curve]:

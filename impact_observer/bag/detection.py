@@ -8,7 +8,7 @@ from impact_observer import __version__
 from impact_observer.bag import interfaces
 from impact_observer.bag.messages import bag_messages
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import all_or_nothing, carried_model
+from impact_observer.bag.recordings import all_or_nothing, model_of
 from impact_observer.bag.writer import BagWriter
 from impact_observer.detector import Detection, Detector, Source, Tally
 from impact_observer.detector.sensors import PATIENCE
@@ -102,7 +102,7 @@ def _check_contacts(reader: BagReader, model: Model | None, sources: Sequence[So
     if model is None:
         if reader.model_text() is None:
             return
-        model = carried_model(reader)
+        model = model_of(reader)
     names = model.system.contact_names
     for source in sources:
         if source.contact not in names:

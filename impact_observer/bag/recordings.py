@@ -136,24 +136,19 @@ def text_of_model(reader: BagReader, model: str | None) -> ModelText:
     return ModelText(carried, f"{reader.path} ({interfaces.PLANT_MODEL.topic})")
 
 
-def carried_model(reader: BagReader) -> Model:
-    """The model that a bag carries.
-
-    Raises:
-        BagError: it carries none.
-        ModelError: the model it carries is not valid.
-    """
-    return parse_model(*text_of_model(reader, None))
-
-
-def system_of(reader: BagReader, model: str | None) -> System:
-    """The system of a model file or sample that is named, else of the model in the bag.
+def model_of(reader: BagReader, model: str | None = None) -> Model:
+    """A model file or sample that is named, else the model in the bag.
 
     Raises:
         BagError: none is named, and the bag carries none.
         UsageError, ModelError: the model cannot be read, or is none.
     """
-    return parse_model(*text_of_model(reader, model)).system
+    return parse_model(*text_of_model(reader, model))
+
+
+def system_of(reader: BagReader, model: str | None) -> System:
+    """The system of ``model_of``."""
+    return model_of(reader, model).system
 
 
 def events_in(reader: BagReader) -> list[ImpactEvent]:

@@ -56,6 +56,19 @@ def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
         help="of the model's accelerations, as white noise, m/s^1.5 (default 0)",
     )
     parser.add_argument(
+        "--estimate-parameters",
+        metavar="NAME[=D],...",
+        type=_names,
+        help="minimum-variance: parameters of the model, as of identify --free, that are learnt"
+        " with the state, perhaps with standard deviations: restitution=0.1,stiffness-scale=0.03",
+    )
+    parser.add_argument(
+        "--parameter-drift",
+        metavar="R",
+        type=not_negative,
+        help="by what share of their deviations these go astray in a minute (default 0)",
+    )
+    parser.add_argument(
         "--epoch", metavar="S", type=stamp, help="stamp of t = 0 (default: as in the bag)"
     )
 
@@ -143,6 +156,11 @@ def seed(text: str) -> int:
     if not (text.isascii() and text.isdigit()):
         raise argparse.ArgumentTypeError(f"{text} found; expected a whole number, 0 or more")
     return int(text)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    """Names with commas between them."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _number(text: str) -> float:

@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
     laws = () if args.laws is None else laws_in(args.laws)
-    options = [observer_options(args, law) for law in laws]
+    options = _options(args, laws)
     if not options and observer_options(args, "") != observer_options(argparse.Namespace(), ""):
         raise UsageError("laws: none named, but how to run observers; name some with --laws")
     return compare(
@@ -88,6 +88,20 @@ def run(args: argparse.Namespace) -> int:
         namespace=args.namespace,
         output=Output(args.plot, args.report, args.csv, args.json),
     )
+
+
+def _options(args: argparse.Namespace, laws: Sequence[str]) -> "list[Options]":
+    """An observer for each law; parameters are learnt by those that can, if there is one."""
+    from impact_observer.observer import law_named
+
+    options = [observer_options(args, law) for law in laws]
+    learning = [law_named(each.law).learns for each in options]
+    if not any(learning):
+        return options
+    return [
+        each if learns else replace(each, estimate_parameters=())
+        for each, learns in zip(options, learning, strict=True)
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,18 +230,19 @@ def _compare_one(
     """Compare one bag, and show on a terminal how far that is."""
     from impact_observer.bag.comparisons import compare_bag
     from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import system_of
+    from impact_observer.bag.recordings import model_of
     from impact_observer.cli.progress import Progress
 
     with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"{bag}: reading")
-        system = system_of(reader, model)
+        read = model_of(reader, model)
 
         def show(what: str, done: int, total: int) -> None:
             progress.step(f"{bag}: {what}", done, total)
 
-        made = [replace(each, ensemble=1).observer(system) for each in observers]
-        return compare_bag(reader, system, made, choice=choice, progress=show)
+        alone = [replace(each, ensemble=1) for each in observers]
+        made = [each.observer(read.system, read.elements) for each in alone]
+        return compare_bag(reader, read.system, made, choice=choice, progress=show)
 
 
 def draw(

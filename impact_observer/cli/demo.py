@@ -115,12 +115,12 @@ def _judge(bag: Path, picture: Path) -> int:
     """Compare, draw, and say whether the geometric law has made it."""
     from impact_observer.bag.comparisons import compare_bag
     from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import carried_model
+    from impact_observer.bag.recordings import model_of
     from impact_observer.cli.compare import draw, labelled_by_law
     from impact_observer.cli.comparison_tables import print_tables
 
     with BagReader(bag) as reader:
-        result = compare_bag(reader, carried_model(reader).system)
+        result = compare_bag(reader, model_of(reader).system)
     results = [(bag, result)]
     labelled = labelled_by_law(results)
     print_tables(labelled)

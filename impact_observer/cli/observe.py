@@ -75,7 +75,7 @@ def observe(
         ImpactLawError: the replica cannot follow an event.
     """
     from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import observe_bag, system_of
+    from impact_observer.bag.recordings import model_of, observe_bag
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
     from impact_observer.events import Ruling
@@ -83,8 +83,8 @@ def observe(
 
     chosen = options or Options()
     with BagReader(bag, namespace) as reader, Progress() as progress:
-        system = system_of(reader, model)
-        observer = chosen.observer(system)
+        read = model_of(reader, model)
+        system, observer = read.system, chosen.observer(read.system, read.elements)
 
         def show(done: int, total: int) -> None:
             progress.step(chosen.law, done, total)

@@ -13,6 +13,7 @@ from rich.text import Text
 
 from impact_observer.cli.blocks import BLOCKS, bars, decades, known
 from impact_observer.events import Verdict
+from impact_observer.model.parameters import with_unit
 from impact_observer.nodes.glance import Course, Flow, Glance, Line, ObserverGlance
 from impact_observer.stamps import seconds_between
 
@@ -271,7 +272,9 @@ def _belief(seen: ObserverGlance, width: int, levels: str) -> list[str]:
         words = f"V <= {seen.bound:.3g} J, certified" if seen.bound >= 0 else "none certified"
         rows.append(f"bound  {words}")
     for name, value, deviation in seen.learnt:
-        rows.append(f"learnt  {name.replace('_', ' ')} {value:.2e} s +- {deviation:.1e}")
+        what, _, unit = with_unit(name).rstrip("]").partition(" [")
+        number = f"{value:.2e}" if name.startswith("clock") else f"{value:.6g}"
+        rows.append(f"learnt  {' '.join(filter(None, (what, number, unit)))} +- {deviation:.1e}")
     if seen.closed:
         rows.append(f"closed  {', '.join(seen.closed)}")
     return rows

@@ -7,6 +7,7 @@ from impact_observer.dynamics.impact_law import ImpactLaw
 from impact_observer.dynamics.lasting import Resting, resting
 from impact_observer.dynamics.location import DEPTH, Crossing, Search
 from impact_observer.dynamics.noise import diffusion
+from impact_observer.dynamics.parametric import Map, Sensitivity, led
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.projection import KEPT, PositionProjection
 from impact_observer.dynamics.spectral import flow_of
@@ -23,6 +24,7 @@ __all__ = [
     "Expansion",
     "Flow",
     "ImpactLaw",
+    "Map",
     "Measured",
     "Mirror",
     "Motion",
@@ -32,10 +34,12 @@ __all__ = [
     "Rates",
     "Resting",
     "Search",
+    "Sensitivity",
     "Watched",
     "correction",
     "diffusion",
     "flow_of",
+    "led",
     "product",
     "resting",
     "triangular",

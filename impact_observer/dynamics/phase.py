@@ -187,16 +187,23 @@ class Phases:
             return accelerations
         return np.asarray(linalg.solve_triangular(self._factor.T, accelerations, lower=False))
 
-    def stopped(self, x: Vector, contacts: tuple[int, ...]) -> Vector:
+    def stopped(
+        self, x: Vector, contacts: tuple[int, ...], projection: PositionProjection | None = None
+    ) -> Vector:
         """The state (q, u) nearest to ``x`` with ``g = 0`` and ``gamma = 0`` on ``contacts``.
 
         Nearest in elastic and in kinetic energy.
+
+        Args:
+            x: state (q, u), shape (2n,).
+            contacts: indices.
+            projection: of a system that differs by its gaps only; None for this one.
         """
         n = self.system.n
         basis = linalg.qr(self.B[:, list(self.independent(contacts))], mode="economic")[0]
         velocity = self._factor.T @ x[n:]
         velocity -= basis @ (basis.T @ velocity)
-        position = self.projection.position_after(x[:n], contacts)
+        position = (projection or self.projection).position_after(x[:n], contacts)
         return np.concatenate([position, self.unwhite(velocity)])
 
     def still(self, u: Vector) -> Vector:

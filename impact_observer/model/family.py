@@ -72,6 +72,12 @@ class Parameter:
     unit: str
     effect: Numbers
 
+    @property
+    def moves(self) -> bool:
+        """Whether the motion between impacts depends on it."""
+        motion = ("M", "C", "K", "amplitude", "phase")
+        return any(np.any(getattr(self.effect, name)) for name in motion)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
@@ -124,6 +130,21 @@ class Family:
         found = self.numbers
         for each, value in zip(self.parameters, values, strict=True):
             found = found.plus(float(value) - each.value, each.effect)
+        return found
+
+    def force_changes(self, values: Vector, t: float) -> Matrix:
+        """How the force at ``t`` (s since the epoch) changes with each parameter, shape (p, n).
+
+        Args:
+            values: of the parameters, shape (p,).
+            t: s since the epoch.
+        """
+        numbers, forcing = self.at(values), self.system.forcing
+        wave = np.exp(1j * (forcing.frequency * t + numbers.phase))
+        found = np.zeros((self.size, self.system.n))
+        for j, each in enumerate(self.parameters):
+            turn = (each.effect.amplitude + 1j * numbers.amplitude * each.effect.phase) * wave
+            found[j] = turn.real @ forcing.cosine + turn.imag @ forcing.sine
         return found
 
     def system_at(self, values: Vector) -> System:

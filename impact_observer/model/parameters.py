@@ -10,22 +10,21 @@ from impact_observer.model.elements import Element
 from impact_observer.model.family import Family, Numbers, Parameter
 from impact_observer.model.system import System
 
-KINDS = (
-    "restitution",
-    "gap",
-    "stiffness-scale",
-    "damping-scale",
-    "mass-scale",
-    "stiffness",
-    "damping",
-    "mass",
-    "forcing-amplitude",
-    "forcing-phase",
-    "clock-offset",
-)
-"""What can be free; of those of contacts, springs, bodies and harmonics one by one, or all."""
+UNITS = {
+    "restitution": "",
+    "gap": "m",
+    "stiffness-scale": "",
+    "damping-scale": "",
+    "mass-scale": "",
+    "stiffness": "N/m",
+    "damping": "Ns/m",
+    "mass": "kg",
+    "forcing-amplitude": "",
+    "forcing-phase": "rad",
+    "clock-offset": "s",
+}
+"""What can be free, of contacts, springs, bodies and harmonics one by one or all; its unit."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
-_UNITS = {"stiffness": "N/m", "damping": "Ns/m", "mass": "kg"}
 _LARGEST_RATIO = 1e3
 """Most by which a scale may be wrong, up or down."""
 _LONGEST = 0.1
@@ -62,6 +61,13 @@ def family_of(system: System, wanted: Sequence[str], elements: Sequence[Element]
     return Family(system, tuple(known[name] for name in names))
 
 
+def with_unit(name: str) -> str:
+    """The name in words, with the unit, of something that is learnt: a parameter, or a clock's."""
+    unit = UNITS.get(name.partition(".")[0], "s")
+    words = name.replace("_", " ")
+    return f"{words} [{unit}]" if unit else words
+
+
 def _all(system: System, elements: Sequence[Element]) -> Iterator[Parameter]:
     """Every parameter that ``system`` has."""
     for i, contact in enumerate(system.contacts):
@@ -80,7 +86,7 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[Parameter]:
     for each in elements:
         effect = Numbers.change(system, **{_SCALES[each.kind]: each.matrix})
         low, high = (each.value / _LARGEST_RATIO if each.kind == "mass" else 0.0), np.inf
-        name, unit = f"{each.kind}.{each.label}", _UNITS[each.kind]
+        name, unit = f"{each.kind}.{each.label}", UNITS[each.kind]
         yield Parameter(name, each.value, low, high, each.value, unit, effect)
     yield from _of_forcing(system)
 

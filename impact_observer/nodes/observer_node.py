@@ -21,6 +21,7 @@ from impact_observer.bag.messages import EventMessage, JointState, MessageError,
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
 from impact_observer.model import read_model
+from impact_observer.model.parameters import with_unit
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
@@ -53,7 +54,8 @@ class ObserverNode(Node):
         if lag > history:
             found = f"parameter lag: {lag:g} found"
             raise UsageError(f"{found}; expected at most history, {history:g}")
-        system = read_model(values.text("model")).system
+        model = read_model(values.text("model"))
+        system = model.system
         clock_error = values.number("clock_error")
         self._initial = initial_state(values.text("initial_state"), system)
         self._observer = Options(
@@ -70,7 +72,9 @@ class ObserverNode(Node):
             agreed=values.number("agreed"),
             epoch=values.integer("epoch"),
             history=history,
-        ).observer(system)
+            estimate_parameters=values.texts("estimate_parameters"),
+            parameter_drift=values.number("parameter_drift"),
+        ).observer(system, model.elements)
         self._names = system.coordinates
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
@@ -304,7 +308,7 @@ class ObserverNode(Node):
         bound, apart = self._last.bound, self._last.convergence
         without = "refuted" if self._last.refuted else "none"
         learnt = {
-            f"{name.replace('_', ' ')} [s]": f"{value:.3g} +- {deviation:.2g}"
+            with_unit(name): f"{value:.6g} +- {deviation:.2g}"
             for name, value, deviation in self._last.learnt
         }
         return {

@@ -2,16 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, List, TypeAlias  # noqa: UP035
 
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS
 from impact_observer.troubles import TROUBLES, Trouble
 
 if TYPE_CHECKING:
+    from rcl_interfaces.msg import ParameterDescriptor
     from rclpy.node import Node
 
-Value: TypeAlias = bool | int | float | str
+Value: TypeAlias = bool | int | float | str | tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +21,8 @@ class Parameter:
 
     Attributes:
         name: as in ``--ros-args -p name:=value``.
-        default: says the type too; an empty string means that one must be given.
+        default: says the type too; an empty string means that one must be given. A list of
+            strings is empty by default.
         meaning: one line, without the unit.
         unit: SI unit; empty for none.
         low: least value allowed, numbers only.
@@ -40,9 +42,15 @@ class Parameter:
 
     @property
     def type(self) -> str:
-        """``bool``, ``int``, ``double`` or ``string``."""
-        names = {bool: "bool", int: "int", float: "double", str: "string"}
+        """``bool``, ``int``, ``double``, ``string`` or ``string[]``."""
+        names = {bool: "bool", int: "int", float: "double", str: "string", tuple: "string[]"}
         return names[type(self.default)]
+
+    @property
+    def value_type(self) -> object:
+        """What launch files give it as."""
+        # launch_ros knows lists of strings by this name only
+        return List[str] if isinstance(self.default, tuple) else type(self.default)  # noqa: UP006
 
     @property
     def limits(self) -> str:
@@ -64,7 +72,7 @@ class Parameter:
     def description(self) -> str:
         """The summary, what is allowed and the default."""
         allowed = f"; {self.limits}" if self.limits else ""
-        default = f"; the node's default: {self.default}" if self.default != "" else ""
+        default = f"; the node's default: {self.default}" if self.default not in ("", ()) else ""
         return f"{self.summary}{allowed}{default}"
 
     def check(self, value: Value) -> None:
@@ -153,6 +161,18 @@ OBSERVER = (
         "model_error", 0.0, "of accelerations, as white noise", "m/s^1.5", low=0.0, high=1e6
     ),
     Parameter(
+        "estimate_parameters",
+        (),
+        "minimum-variance: of the model, learnt with the state, such as [restitution=0.1]",
+    ),
+    Parameter(
+        "parameter_drift",
+        0.0,
+        "share of their deviations by which these go astray in a minute",
+        low=0.0,
+        high=1e3,
+    ),
+    Parameter(
         "ensemble", 10, "replicas run together, to see whether they agree", low=1, high=1_000_000
     ),
     Parameter(
@@ -217,15 +237,26 @@ class Values:
 
     def number(self, name: str) -> float:
         """A double parameter."""
-        return float(self._values[name])
+        return float(self._number(name))
 
     def integer(self, name: str) -> int:
         """An int parameter."""
-        return int(self._values[name])
+        return int(self._number(name))
+
+    def texts(self, name: str) -> tuple[str, ...]:
+        """A list of strings, without empty ones."""
+        value = self._values[name]
+        assert isinstance(value, tuple), "a list of strings"
+        return tuple(filter(None, value))
 
     def flag(self, name: str) -> bool:
         """A bool parameter."""
         return bool(self._values[name])
+
+    def _number(self, name: str) -> float:
+        value = self._values[name]
+        assert isinstance(value, (int, float)), "its default is a number"
+        return value
 
 
 def declare(node: "Node", table: tuple[Parameter, ...]) -> Values:
@@ -253,7 +284,7 @@ def declare(node: "Node", table: tuple[Parameter, ...]) -> Values:
                 FloatingPointRange(from_value=float(each.low), to_value=to_value)
             ]
         try:
-            value = node.declare_parameter(each.name, each.default, descriptor).value
+            value = _declared(node, each, descriptor)
         except (InvalidParameterTypeException, InvalidParameterValueException) as error:
             article = "an" if each.type == "int" else "a"
             wanted = ", ".join(filter(None, (f"{article} {each.type}", each.limits)))
@@ -261,6 +292,15 @@ def declare(node: "Node", table: tuple[Parameter, ...]) -> Values:
         each.check(value)
         values[each.name] = value
     return Values(values)
+
+
+def _declared(node: "Node", each: Parameter, descriptor: "ParameterDescriptor") -> Value:
+    """The value of a parameter that is declared now."""
+    if each.default != ():
+        value: Value = node.declare_parameter(each.name, each.default, descriptor).value
+        return value
+    # An empty list has no type in ROS, whichever way it comes; one empty string stands for it.
+    return tuple(node.declare_parameter(each.name, [""], descriptor).value or ())
 
 
 def check(table: tuple[Parameter, ...], values: Mapping[str, Value]) -> None:
@@ -285,7 +325,7 @@ def markdown(table: tuple[Parameter, ...]) -> str:
         cells = (
             f"`{p.name}`",
             p.type,
-            f"`{default}`" if default != "" else "",
+            f"`{default}`" if default not in ("", ()) else "",
             p.unit,
             p.limits.replace("|", "\\|"),
             p.meaning,

@@ -19,40 +19,58 @@ class Known:
 
     Attributes:
         replicas: states (q, u), shape (N, 2n): the estimate, and others that began elsewhere.
-        root: a square root ``S`` of the covariance ``S S^T`` of (q, u), or of (q, u, b) where the
-            offset is unknown, shape (d, any).
-        offsets: b, what the sensor's stamps are late by, to each replica, shape (N,), s.
+        slow: what stays between events, to each replica, shape (N, k): the parameters theta that
+            are learnt, then, where it is unknown, what the sensor's stamps are late by.
+        root: a square root ``S`` of the covariance ``S S^T`` of (q, u, slow), shape (2n + k, any).
         closed: contacts that are closed.
+        parameters: how many are learnt, k or k - 1.
     """
 
     replicas: Matrix
+    slow: Matrix
     root: Matrix
-    offsets: Vector
     closed: Contacts = ()
+    parameters: int = 0
 
     @classmethod
     def of(cls, replicas: Matrix, root: Matrix, closed: Contacts = ()) -> "Known":
-        """With no offset yet."""
-        return cls(replicas, root, np.zeros(len(replicas)), closed)
+        """With nothing slow, or with an offset of 0 where ``root`` has a row for it."""
+        slow = np.zeros((len(replicas), len(root) - replicas.shape[1]))
+        return cls(replicas, slow, root, closed)
+
+    @property
+    def theta(self) -> Vector:
+        """The estimate's parameters, shape (p,)."""
+        return np.asarray(self.slow[0, : self.parameters])
 
     @property
     def offset(self) -> float:
-        """The estimate's offset, s."""
-        return float(self.offsets[0])
+        """What the sensor's stamps are late by to the estimate, s."""
+        return float(np.sum(self.slow[0, self.parameters :]))
 
     @property
     def x(self) -> Vector:
         """The estimate (q, u), shape (2n,)."""
         return np.asarray(self.replicas[0])
 
-    def carried(self, x: Vector, map_: Matrix) -> "Known":
-        """What ``map_``, shape (2n, 2n), makes of errors, and ``x`` of the estimate itself."""
+    def carried(self, x: Vector, map_: Matrix, turn: Matrix | None = None) -> "Known":
+        """What ``map_`` makes of errors, and ``x`` of the estimate itself.
+
+        Args:
+            x: the estimate (q, u) afterwards, shape (2n,).
+            map_: shape (2n, 2n).
+            turn: how the state changes with the parameters, shape (2n, p); None where it does not.
+        """
+        size, p = x.size, self.parameters
         replicas = (self.replicas - self.x) @ map_.T + x
+        root = map_ @ self.root[:size]
+        if turn is not None:
+            replicas += (self.slow[:, :p] - self.theta) @ turn.T
+            root += turn @ self.root[size : size + p]
         replicas[0] = x  # in every bit, however many others there are
-        root = map_ @ self.root[: x.size]
-        if len(self.root) > x.size:
-            root = np.vstack([root, self.root[x.size :]])
-        return Known(replicas, root, self.offsets, self.closed)
+        if len(self.root) > size:
+            root = np.vstack([root, self.root[size:]])
+        return replace(self, replicas=replicas, root=root)
 
 
 class Note(NamedTuple):

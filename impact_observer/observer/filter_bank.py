@@ -12,7 +12,7 @@ can compete.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -97,11 +97,13 @@ class FilterBank:
         invented, plain = _logs(uncertainty.invented)
         self._invented = invented - plain + math.log(RARE) + self._slow
         self._deep = DEEP * filter_.system.n
-        self._flight = lru_cache(_FLIGHTS)(partial(Flight, filter_))
+        self._flight = lru_cache(_FLIGHTS)(Flight)
 
     def forecast(self, t: float, known: Known) -> Forecast:
         """What ``known`` comes to from ``t`` (s since the epoch) on."""
-        return Forecast(self._flight(t, known.closed), self.filter.course(t, known), known)
+        members = self.filter.members
+        flight = self._flight(members.unmoved(self.filter.member(known)), t, known.closed)
+        return Forecast(flight, self.filter.course(t, known), known, members, t)
 
     def predicted(
         self, hypotheses: Sequence[Hypothesis], t: float, s: float

@@ -15,7 +15,8 @@ from scipy import optimize, special
 from impact_observer.dynamics import Measured
 from impact_observer.events import Contacts, Kind
 from impact_observer.observer.belief import Known
-from impact_observer.observer.impact_filter import ImpactFilter, Linear
+from impact_observer.observer.linear import Linear
+from impact_observer.observer.members import Member, Members
 from impact_observer.states import Matrix, Vector
 
 FINE = 6.0
@@ -82,7 +83,7 @@ class _Samples(NamedTuple):
 class Flight:
     """What must stay above zero from an instant on, while the same contacts are closed.
 
-    It depends linearly on the state at the start, so that all hypotheses share it.
+    It depends linearly on the state at the start, so that hypotheses of one system share it.
 
     Attributes:
         contacts: of which something is watched: open ones' gaps, then held ones' loads.
@@ -90,12 +91,12 @@ class Flight:
         c: what is watched is ``c x`` and an offset, shape (watched, 2n).
     """
 
-    def __init__(self, filter_: ImpactFilter, t: float, closed: Contacts) -> None:
+    def __init__(self, member: Member, t: float, closed: Contacts) -> None:
         """Look on from ``t``, s since the epoch, with ``closed`` contacts."""
-        self._system = filter_.system
+        self._system = member.system
         self._t = t
-        self._phase = filter_.phase(closed)
-        self._scales = filter_.phases.scales
+        self._phase = member.moving.phase(closed)
+        self._scales = member.moving.phases.scales
         self._step = self._scales.timescale / FINE
         open_ = tuple(i for i in range(self._system.m) if i not in closed)
         self.gaps, self.contacts = len(open_), (*open_, *self._phase.held)
@@ -143,11 +144,15 @@ class Forecast:
         course: how it goes on.
     """
 
-    def __init__(self, flight: Flight, course: Linear, known: Known) -> None:
-        """Look along ``flight`` from ``known``, which goes on as ``course``."""
+    def __init__(
+        self, flight: Flight, course: Linear, known: Known, members: Members, t: float
+    ) -> None:
+        """Look along ``flight`` from ``known``, which goes on as ``course`` from ``t`` on."""
         self.course = course
         self._flight = flight
         self._known = known
+        self._members = members
+        self._t = t
 
     def dips(self, duration: float) -> list[Dip]:
         """All of them within ``duration`` seconds, in the order in which they begin."""
@@ -206,9 +211,23 @@ class Forecast:
 
     def _deviation(self, j: int, s: float) -> float:
         """Standard deviation of function ``j`` after ``s`` seconds, rounding included."""
-        spread = self._flight.c[j] @ self.course.root(s)
+        if self._known.parameters:
+            row = self._row(j, s)
+            spread = row @ self.course.whole(s)[: row.size]
+        else:
+            spread = self._flight.c[j] @ self.course.root(s)
         rounded = _ROUNDED * self._flight.size(j, s, self.course.state(s))
         return math.hypot(float(np.linalg.norm(spread)), rounded)
+
+    def _row(self, j: int, s: float) -> Vector:
+        """How function ``j`` changes with state and parameters after ``s`` seconds, (2n + p,)."""
+        which, member = (self._flight.contacts[j],), self._members.at(self._known.theta)
+        if j < self._flight.gaps:
+            turn = self._members.gap_rows(which)
+        else:
+            x, closed = self.course.state(s), self._known.closed
+            turn = self._members.load_rows(member, closed, which, x, self._t + s)
+        return np.append(self._flight.c[j], turn)
 
     def root(self, dip: Dip) -> float:
         """Where what dips falls through zero, s."""

@@ -2,31 +2,29 @@
 
 import math
 from dataclasses import replace
-from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, special
 
 from impact_observer.dynamics import (
-    KEPT,
     ROUNDING,
-    ImpactLaw,
+    Map,
     Measured,
-    Mirror,
-    Motion,
-    Phase,
-    Phases,
-    Rates,
+    Sensitivity,
     correction,
-    diffusion,
+    led,
     product,
     triangular,
 )
 from impact_observer.events import Contacts
 from impact_observer.model import System
+from impact_observer.model.family import Family
 from impact_observer.observer.belief import Known, Touch
 from impact_observer.observer.joint import Expected, Joint
+from impact_observer.observer.learning import Unknowns
+from impact_observer.observer.linear import Astray, Linear
+from impact_observer.observer.members import Member, Members
 from impact_observer.states import Matrix, Vector
 
 _SHORT = 1e-8
@@ -70,39 +68,49 @@ class ImpactFilter:
     A filter with saltation matrices, but with measured instants for its guards: Kong, Payne,
     Council and Johnson, The salted Kalman filter, 2021.
 
+    Parameters of the model that are not known either stay between events; gaps, loads and what an
+    impact does change with them.
+
     Attributes:
-        system: what moves.
-        phases: its linear phases.
+        system: what moves, as the model says.
+        members: the family of what may move.
+        phases: linear phases of ``system``.
         short: flights that a plant may leave out before it is at rest, s.
         brief: flights that are left out where they are not known from rest, s.
     """
 
-    def __init__(self, system: System, model_error: float = 0.0) -> None:
+    def __init__(
+        self,
+        system: System,
+        model_error: float = 0.0,
+        unknowns: Unknowns | None = None,
+    ) -> None:
         """Prepare impact law and phases.
 
         Args:
             system: what moves.
             model_error: of the accelerations, as white noise, m/s^1.5.
+            unknowns: parameters of ``system`` that are learnt; None for none.
         """
         self.system = system
-        self.phases = Phases(system)
+        unknowns = unknowns or Unknowns(Family(system, ()), np.empty(0))
+        self.members = Members(unknowns.family)
+        self.phases = self.members.given.moving.phases
         self.short = _SHORT * self.phases.scales.timescale
         self.brief = _BRIEF * self.phases.scales.timescale
-        self._model_error = model_error
-        self._newton = ImpactLaw(system)
-        self.phase = lru_cache(KEPT)(self._phase_of)
-        self._rates = lru_cache(KEPT)(self._rates_of)
-        self._gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
-        self._mirror = lru_cache(KEPT)(self._mirror_of)
-        self._forces = lru_cache(KEPT)(self._forces_at)
+        self._astray = Astray(model_error, unknowns.drift * unknowns.deviations)
 
     def begin(self, known: Known) -> Known:
         """``known``, and that its closed contacts rest."""
         return self._rested(known, known.closed, np.zeros(len(known.closed)))
 
-    def course(self, t: float, known: Known) -> "Linear":
+    def course(self, t: float, known: Known) -> Linear:
         """How ``known`` goes on from ``t`` (s since the epoch) while nothing switches."""
-        return Linear(t, known, self.phase(known.closed), self._model_error)
+        return Linear(t, known, self.members, self._astray)
+
+    def member(self, known: Known | Joint) -> Member:
+        """The system whose parameters are those of an estimate."""
+        return self.members.at(known.theta)
 
     def prior(self, touch: Touch, known: Known, clock: float) -> Joint:
         """Instant and state as they are believed before an event is heard.
@@ -112,13 +120,13 @@ class ImpactFilter:
             known: when it is stamped.
             clock: standard deviation of the stamp, s.
         """
-        d, size = known.root.shape[0], known.x.size
+        d, p = known.root.shape[0], known.parameters
         root = np.zeros((1 + d, 1 + known.root.shape[1]))
         root[0, 0], root[1:, 1:] = clock, known.root
-        if d > size:
-            root[0, 1:] = known.root[size]
+        if d > known.x.size + p:
+            root[0, 1:] = known.root[-1]
             root = triangular(root)
-        joint = Joint(touch.t, known.offset, known.x, known.offset, root, self._apart(known))
+        joint = self._joint(touch.t, known.offset, known, root, self._apart(known))
         return self._at_its_instant(touch, joint) if known.offset else joint
 
     def evidence(self, touch: Touch, prior: Joint) -> Evidence:
@@ -132,7 +140,7 @@ class ImpactFilter:
             return Evidence(0.0, {})
         if (apart := self._far(touch, contacts, prior)) is not None:
             return apart
-        expected = self._expected(touch, contacts, prior, prior)
+        expected = self._expected(self.member(prior), touch, contacts, prior, prior)
         learnt, (_, H, D, _) = expected.learnt(prior), expected.expansion
         white = linalg.solve_triangular(learnt.innovation, expected.innovation, lower=True)
         density = -0.5 * float(white @ white) - len(contacts) * _NORMAL
@@ -150,13 +158,14 @@ class ImpactFilter:
         """The evidence of an event that is so far off that no more need be known; else None."""
         if not touch.hit:
             return None
-        gaps = self._gaps(contacts)
-        rate = self._rates(touch.before).along(prior.x, self._forces(prior.t))[0]
+        member = self.member(prior)
+        gaps, rates = member.gaps(contacts), member.moving.rates(touch.before)
+        rate = rates.along(prior.x, member.moving.forces(prior.t))[0]
         slope = -gaps.c @ rate
-        bend = np.abs(gaps.c @ self._rates(touch.before).A @ rate)
+        bent = np.abs(gaps.c @ rates.A @ rate)
         clock = prior.root[0, 0]
-        spread = np.linalg.norm(gaps.c @ prior.own[1:], axis=1)
-        most = np.hypot(spread, (np.abs(slope) + bend * clock) * clock)
+        seen = gaps.c @ prior.own[1:] + self.members.gap_rows(contacts) @ prior.root[prior.known]
+        most = np.hypot(np.linalg.norm(seen, axis=1), (np.abs(slope) + bent * clock) * clock)
         most += self._rounding(touch, gaps, prior.x)
         value = np.abs(gaps.value(prior.x) + slope * prior.e)
         sizes = value / most
@@ -171,15 +180,14 @@ class ImpactFilter:
         They are looked at where the event is believed to have been.
         """
         contacts = self._telling(touch)
-        found = prior
+        found, member = prior, self.member(prior)
         for _ in range(_ROUNDS if contacts else 0):
-            view = prior.moved(self.phase(touch.before), found.t - prior.t)
-            expected = self._expected(touch, contacts, view, found)
-            found = view.corrected(
-                expected.learnt(view), expected.expansion.H, expected.innovation
-            )
+            view = self._moved(member, touch.before, prior, found.t - prior.t)
+            expected = self._expected(member, touch, contacts, view, found)
+            found = view.corrected(expected.learnt(view), expected.rows(view), expected.innovation)
             settled = expected.settled(found)
-            found = self._at_its_instant(touch, found)
+            found = self._bounded(found) if found.parameters else found
+            found = self._at_its_instant(touch, found, member)
             if settled:
                 break
         return found
@@ -192,14 +200,17 @@ class ImpactFilter:
             joint: what is known just before it.
             left: speed that a contact which closes may have left out before it rested, m/s.
         """
-        after = self._jumped(touch, joint)
+        after, member = self._jumped(touch, joint), self.member(joint)
         if touch.closed:
             new = tuple(i for i in touch.closed if i not in touch.before)
-            pressing = self._rates(touch.before).along(after.x, self._forces(joint.t))[0]
+            rates, forces = member.moving.rates(touch.before), member.moving.forces(joint.t)
+            pressing = rates.along(after.x, forces)[0]
             short = self.short * self.system.contact_speed(pressing[self.system.n :])
             after = self._rested(after, new, np.hypot(short[list(new)], left))
-        phase, s = self.phase(touch.closed), touch.t - joint.t
-        return after.carried(phase.moved(joint.t, after.x, s), phase.transition(s))
+        phase, s, turn = member.moving.phase(touch.closed), touch.t - joint.t, None
+        if joint.parameters:
+            turn = s * self.members.turning(member, touch.closed, after.x, joint.t)
+        return after.carried(phase.moved(joint.t, after.x, s), phase.transition(s), turn)
 
     def unheard(self, touch: Touch, known: Known, left: float = 0.0) -> Known:
         """What is known after an event that nobody heard, at the instant of ``touch``.
@@ -211,26 +222,28 @@ class ImpactFilter:
             known: then.
             left: speed that a contact which closes may have left out before it rested, m/s.
         """
-        x, root = known.x, known.root
-        measured = self._watched(touch, touch.contacts[:1], touch.t)
-        value, H, D, E = measured.expanded(self._rates(touch.before), x, self._forces(touch.t))
-        late, deviation = -float(value[0]), float(np.linalg.norm(H[:, 1:] @ root[: x.size]))
+        x, root, member, contacts = known.x, known.root, self.member(known), touch.contacts[:1]
+        measured = self._watched(member, touch, contacts, touch.t)
+        forces = member.moving.forces(touch.t)
+        value, H, D, E = measured.expanded(member.moving.rates(touch.before), x, forces)
+        seen = np.hstack([H[:, 1:], self._turn(member, touch, contacts, x, touch.t)])
+        late = -float(value[0])
+        deviation = float(np.linalg.norm(seen @ root[: seen.size]))
         # Where it is slow, an acceleration decides when: s = sqrt(2 g / a), not g / gamma.
         falling = math.sqrt(abs(float(E[0])) * (deviation + abs(late)))
         slope = max(float(H[0, 0]), falling, _STILL)
-        row, e, deviation = -H[:1, 1:] / slope, late / slope, deviation / slope
+        row, e, deviation = -seen / slope, late / slope, deviation / slope
         bent = deviation * float(np.linalg.norm(D @ root[: x.size])) / slope
         bent += float(E[0]) / slope * deviation**2 / 2
         apart = self._apart(known)
-        apart[:, :1] = apart[:, 1 : 1 + x.size] @ row.T
+        apart[:, :1] = apart[:, 1 : 1 + row.size] @ row.T
         whole = np.zeros((1 + len(root), 1 + root.shape[1]))
-        whole[0, 0], whole[0, 1:], whole[1:, 1:] = bent, row @ root[: x.size], root
-        joint = Joint(touch.t, e, x, known.offset, triangular(whole), apart)
-        return self.after(touch, joint, left)
+        whole[0, 0], whole[0, 1:], whole[1:, 1:] = bent, row @ root[: row.size], root
+        return self.after(touch, self._joint(touch.t, e, known, triangular(whole), apart), left)
 
     def mirrored(self, contact: int, known: Known) -> Matrix:
         """What an impact of ``contact`` makes of errors, were it told when: shape (2n, 2n)."""
-        return self._mirror(tuple(sorted({*known.closed, contact}))).J
+        return self.member(known).mirror(tuple(sorted({*known.closed, contact}))).J
 
     def speed(self, contact: int, known: Known) -> float:
         """Speed of a contact, m/s."""
@@ -245,7 +258,8 @@ class ImpactFilter:
             known: at ``t``.
         """
         n, w, speed = self.system.n, self.system.W[:, contact], self.speed(contact, known)
-        rate = self._rates(known.closed).along(known.x, self._forces(t))[0]
+        moving = self.member(known).moving
+        rate = moving.rates(known.closed).along(known.x, moving.forces(t))[0]
         fall = -float(w @ rate[n:])
         if fall <= 0:
             return False
@@ -255,13 +269,24 @@ class ImpactFilter:
 
     def _telling(self, touch: Touch) -> Contacts:
         """The contacts that say something that is not known already."""
-        return touch.telling(self.phase(touch.before).held, self.system.forcing)
+        held = self.members.given.moving.phase(touch.before).held
+        return touch.telling(held, self.system.forcing)
 
-    def _watched(self, touch: Touch, contacts: Contacts, t: float) -> Measured:
+    @staticmethod
+    def _watched(member: Member, touch: Touch, contacts: Contacts, t: float) -> Measured:
         """What is zero at an event: the gaps of those that hit, or the load of one that opens."""
         if touch.hit:
-            return self._gaps(contacts)
-        return Measured.loads(self.phase(touch.before), contacts, self._forces(t))
+            return member.gaps(contacts)
+        moving = member.moving
+        return Measured.loads(moving.phase(touch.before), contacts, moving.forces(t))
+
+    def _turn(
+        self, member: Member, touch: Touch, contacts: Contacts, x: Vector, t: float
+    ) -> Matrix:
+        """How that changes with the parameters, shape (k, p)."""
+        if touch.hit:
+            return self.members.gap_rows(contacts)
+        return self.members.load_rows(member, touch.before, contacts, x, t)
 
     def _rounding(self, touch: Touch, measured: Measured, x: Vector) -> Vector:
         """Standard deviation of what is rounded in what an event measures, shape (k,)."""
@@ -269,55 +294,96 @@ class ImpactFilter:
             return measured.rounding(x)
         return measured.rounding(self.phases.scales.sizes(*np.split(x, 2)))
 
-    def _expected(self, touch: Touch, contacts: Contacts, view: Joint, about: Joint) -> Expected:
-        """What ``contacts`` should say of ``view``, linearised about another at its instant."""
-        measured = self._watched(touch, contacts, view.t)
-        forces = self._forces(view.t)
-        expansion = measured.expanded(self._rates(touch.before), about.x, forces)
+    def _expected(
+        self, member: Member, touch: Touch, contacts: Contacts, view: Joint, about: Joint
+    ) -> Expected:
+        """What ``contacts`` should say of ``view``, linearised about another at its instant.
+
+        ``member`` is the one of ``view``.
+        """
+        measured = self._watched(member, touch, contacts, view.t)
+        forces = member.moving.forces(view.t)
+        expansion = measured.expanded(member.moving.rates(touch.before), about.x, forces)
         mean, bent = product(about.own, expansion.D, expansion.E)
         value = measured.value(view.x)
         return Expected(
             about.x,
             expansion,
+            self._turn(member, touch, contacts, about.x, view.t),
             -(value + expansion.H[:, 0] * view.e + mean),
             np.column_stack([bent, np.diag(self._rounding(touch, measured, view.x))]),
         )
 
-    def _at_its_instant(self, touch: Touch, joint: Joint) -> Joint:
+    def _at_its_instant(self, touch: Touch, joint: Joint, member: Member | None = None) -> Joint:
         """``joint`` looked at where it believes the event to have been.
 
         Not where no forcing is known, nor so far back that what has faded would be rounding. But
         it may be before an earlier event: where clocks change the order of two impacts, the
         phase between them is wrong by what the first did to the second, within their distance.
         """
-        sampled = self.system.forcing.sampled
-        fading = max(self._rates(touch.before).decay, self._rates(touch.closed).decay)
+        sampled, moving = self.system.forcing.sampled, self.members.given.moving
+        fading = max(moving.rates(touch.before).decay, moving.rates(touch.closed).decay)
         back = on = _BACK / fading if fading else math.inf
         if sampled is not None:
             back = min(back, touch.t - float(sampled.time[0]))
             on = min(on, sampled.end - touch.t)
         early = touch.t - joint.t + joint.e
         s = touch.t - max(-on, min(early, back)) - joint.t
-        return joint.moved(self.phase(touch.before), s)
+        return self._moved(member or self.member(joint), touch.before, joint, s)
+
+    def _moved(self, member: Member, closed: Contacts, joint: Joint, s: float) -> Joint:
+        """``joint`` looked at ``s`` seconds later, as ``member`` moves; first order in ``s``."""
+        if not s:
+            return joint
+        phase = member.moving.phase(closed)
+        map_ = Map(phase.moved(joint.t, joint.x, s), phase.transition(s))
+        if not joint.parameters:
+            return joint.moved(s, map_)
+        turn = s * self.members.turning(member, closed, joint.x, joint.t)
+        other = turn @ (joint.theta - member.values)
+        return joint.moved(s, map_._replace(value=map_.value + other), turn)
+
+    def _bounded(self, joint: Joint) -> Joint:
+        """``joint`` with parameters that may be."""
+        return joint.shifted(self.members.inward(joint.theta, joint.root, joint.known))
 
     def _jumped(self, touch: Touch, joint: Joint) -> Known:
         """What is known after the jump, at the same instant."""
         pressed: Contacts = ()
+        member = self.member(joint)
+        moving = member.moving
         if touch.hit:
             gamma = self.system.contact_speed(joint.x[self.system.n :])[list(touch.hit)]
-            pressed = touch.pressed(self._newton, gamma)
-        before, after = self._rates(touch.before), self._rates(touch.closed)
-        x, H, D, E = self._mirror(pressed).expanded(before, after, joint.x, self._forces(joint.t))
+            pressed = touch.pressed(member.newton, gamma)
+        before, after = moving.rates(touch.before), moving.rates(touch.closed)
+        mirror, forces = member.mirror(pressed), moving.forces(joint.t)
+        x, H, D, E = mirror.expanded(before, after, joint.x, forces)
         mean, bent = product(joint.own, D, E)
         x = x + joint.e * (H[:, 0] + E * (joint.e / 2)) + mean
         # Nothing is known better than the motion's own size allows.
         rounded = np.diag(ROUNDING * self.phases.scales.sizes(*np.split(x, 2)))
-        root = np.column_stack([H @ joint.own, bent, rounded])
-        offsets = joint.root[1 + x.size :]
-        left = np.zeros((len(offsets), root.shape[1] - offsets.shape[1]))
-        root = triangular(np.vstack([root, np.hstack([offsets, left])]))
         replicas = x + joint.apart[:, : 1 + x.size] @ H.T
-        return Known(replicas, root, joint.offset + joint.apart[:, -1], touch.closed)
+        whole, moved = joint.root, H @ joint.own
+        if joint.parameters and pressed:
+            whole = led(joint.root, joint.known)
+            seen, own = self._seen(joint, pressed), whole[joint.known, : joint.parameters]
+            columns, noise = seen.added(whole[1 : 1 + x.size], own)
+            moved, bent = H @ whole[: 1 + x.size], np.hstack([bent, noise])
+            moved[:, : joint.parameters] += columns
+            replicas = replicas + joint.apart[:, joint.known] @ seen.first
+            replicas[0] = x
+        root, slow = np.column_stack([moved, bent, rounded]), whole[1 + x.size :]
+        left = np.zeros((len(slow), root.shape[1] - slow.shape[1]))
+        root = triangular(np.vstack([root, np.hstack([slow, left])]))
+        others = joint.slow + joint.apart[:, 1 + x.size :]
+        return Known(replicas, others, root, touch.closed, joint.parameters)
+
+    def _seen(self, joint: Joint, pressed: Contacts) -> Sensitivity:
+        """How the state after an impact changes with the parameters."""
+        steps = self.members.steps(joint.theta, joint.root[joint.known])
+        return Sensitivity.of(
+            lambda theta: self.members.jumped(theta, joint.x, pressed), joint.theta, steps
+        )
 
     def _rested(self, known: Known, new: Contacts, left: Vector) -> Known:
         """``g = 0`` and ``gamma = 0`` on closed contacts; those that are ``new`` tell it.
@@ -330,76 +396,50 @@ class ImpactFilter:
         closed = known.closed
         if not closed:
             return known
-        gaps, speeds, size = self._gaps(new), Measured.speeds(self.system, new), known.x.size
+        member, size, p = self.member(known), known.x.size, known.parameters
+        gaps, speeds = member.gaps(new), Measured.speeds(self.system, new)
         c = np.vstack([gaps.c, speeds.c])
         value = np.concatenate([gaps.value(known.x), speeds.value(known.x)])
         sizes = self.phases.scales.sizes(*np.split(known.x, 2))
         floor = [gaps.rounding(sizes), np.hypot(speeds.rounding(sizes), left)]
         H = np.hstack([c, np.zeros((len(c), known.root.shape[0] - size))])
+        H[: len(new), size : size + p] = self.members.gap_rows(new)
         learnt = correction(known.root, H, np.diag(np.concatenate(floor)))
-        gain = learnt.gain[:size]
-        values = value + (known.replicas - known.x) @ c.T
-        offsets = known.offsets - np.sum(values @ learnt.gain[size:].T, axis=1)
-        told = Known(known.replicas - values @ gain.T, learnt.root, offsets, closed)
-        # That was as good as exact. What is left goes by the way the plant itself comes to rest.
-        n, x = self.system.n, self.phases.stopped(told.x, closed)
-        slip = self.phases.projection.jump(closed) @ self.system.W[:, list(closed)].T
-        still = self.phase(closed).inverse @ self.system.M
-        return told.carried(x, linalg.block_diag(np.eye(n) - slip, still))
+        apart = np.hstack([known.replicas - known.x, known.slow - known.slow[0]])
+        change = (value + apart @ H.T) @ learnt.gain.T
+        told = replace(
+            known,
+            replicas=known.replicas - change[:, :size],
+            slow=known.slow - change[:, size:],
+            root=learnt.root,
+        )
+        if p:
+            change = self.members.inward(told.theta, told.root, slice(size, size + p))
+            replicas, slow = told.replicas + change[:size], told.slow + change[size:]
+            told = replace(told, replicas=replicas, slow=slow)
+        return self._stopped(told)
+
+    def _stopped(self, known: Known) -> Known:
+        """What is known, where it is as good as exact that closed contacts rest.
+
+        What is left goes by the way the plant itself comes to rest.
+        """
+        closed, n, member = known.closed, self.system.n, self.member(known)
+        W, projection = self.system.W[:, list(closed)].T, member.projection
+        x, Z = member.moving.phases.stopped(known.x, closed, projection), projection.jump(closed)
+        still = member.moving.phase(closed).inverse @ member.system.M
+        turn = np.zeros((2 * n, known.parameters))
+        turn[:n] = -Z @ self.members.gap_rows(closed)
+        return known.carried(x, linalg.block_diag(np.eye(n) - Z @ W, still), turn)
 
     @staticmethod
     def _apart(known: Known) -> Matrix:
-        """(e, x, b) of all replicas less those of the estimate, shape (N, 2 + 2n)."""
-        late = (known.offsets - known.offset)[:, None]
-        return np.hstack([late, known.replicas - known.x, late])
+        """(e, x, slow) of all replicas less those of the estimate, shape (N, 1 + 2n + k)."""
+        slow = known.slow - known.slow[0]
+        late = np.sum(slow[:, known.parameters :], axis=1, keepdims=True)
+        return np.hstack([late, known.replicas - known.x, slow])
 
-    def _forces_at(self, t: float) -> Matrix:
-        """f, df/dt and the next derivative at ``t``, shape (3, n)."""
-        return np.asarray(self.system.forcing.derivatives(np.array([t]), 2)[:, 0])
-
-    def _phase_of(self, closed: Contacts) -> Phase:
-        return self.phases.phase(self.phases.independent(closed))
-
-    def _rates_of(self, closed: Contacts) -> Rates:
-        return Rates(self.phase(closed))
-
-    def _mirror_of(self, pressed: Contacts) -> Mirror:
-        return Mirror.of(self.system, self._newton.jump(pressed), pressed)
-
-
-class Linear:
-    """What is known while one linear phase lasts.
-
-    Attributes:
-        motion: of the estimate.
-    """
-
-    def __init__(self, t: float, known: Known, phase: Phase, model_error: float) -> None:
-        """Begin at ``t``, s since the epoch."""
-        self._known = known
-        self._phase = phase
-        self._model_error = model_error
-        self.motion: Motion = phase.start(t, known.x)
-
-    def state(self, s: float) -> Vector:
-        """The estimate (q, u) after ``s`` seconds, shape (2n,)."""
-        return self.motion.state(s)
-
-    def root(self, s: float) -> Matrix:
-        """The rows of the covariance's root for (q, u) after ``s`` seconds, shape (2n, any)."""
-        size = self._known.x.size
-        return self._astray(self._phase.transition(s) @ self._known.root[:size], s)
-
-    def known(self, s: float) -> Known:
-        """All that is known after ``s`` seconds."""
-        found = self._known.carried(self.state(s), self._phase.transition(s))
-        return replace(found, root=self._astray(found.root, s))
-
-    def _astray(self, root: Matrix, s: float) -> Matrix:
-        """``root`` with what the model's own error adds in ``s`` seconds."""
-        if not (self._model_error and s > 0):
-            return root
-        added = diffusion(self._phase, s, self._model_error)
-        wide = np.zeros((len(root), added.shape[1]))
-        wide[: len(added)] = added
-        return triangular(np.hstack([root, wide]))
+    @staticmethod
+    def _joint(t: float, e: float, known: Known, root: Matrix, apart: Matrix) -> Joint:
+        """Instant and state, where the state is that of ``known`` at ``t``."""
+        return Joint(t, e, known.x, known.slow[0], root, apart, known.parameters)

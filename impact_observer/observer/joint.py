@@ -1,11 +1,11 @@
 """The instant of an event and the state then, together: one normal vector."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics import Correction, Expansion, Phase, correction, product
+from impact_observer.dynamics import Correction, Expansion, Map, correction, product
 from impact_observer.states import Matrix, Vector
 
 _SETTLED = 0.05
@@ -14,53 +14,73 @@ _SETTLED = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
-    """The instant of an event and the state then, as one normal vector (e, x, b).
+    """The instant of an event and the state then, as one normal vector (e, x, slow).
 
     Attributes:
         t: where the state is looked at, s since the epoch.
         e: how much earlier than ``t`` the event is believed to have been, s.
         x: state (q, u) at ``t``, before the event, shape (2n,).
-        offset: what the sensor's stamps are believed to be late by, b, s.
-        root: a square root of the covariance of (e, x), or of (e, x, b) where the offset is
-            unknown; its first row zero but for the first entry, shape (1 + d, 1 + d).
-        apart: (e, x, b) of all replicas less those of the estimate, shape (N, 2 + 2n).
+        slow: parameters and, where it is unknown, the offset: as of ``Known``, shape (k,).
+        root: a square root of the covariance of (e, x, slow); its first row zero but for the
+            first entry, shape (d, d), d = 1 + 2n + k.
+        apart: (e, x, slow) of all replicas less those of the estimate, shape (N, d).
+        parameters: how many are learnt, k or k - 1.
     """
 
     t: float
     e: float
     x: Vector
-    offset: float
+    slow: Vector
     root: Matrix
     apart: Matrix
+    parameters: int = 0
 
     @property
     def own(self) -> Matrix:
-        """The rows of ``root`` for (e, x), shape (1 + 2n, 1 + d)."""
+        """The rows of ``root`` for (e, x), shape (1 + 2n, d)."""
         return self.root[: 1 + self.x.size]
 
-    def moved(self, phase: Phase, s: float) -> "Joint":
-        """The same, looked at ``s`` seconds later."""
-        if not s:
-            return self
-        Phi, rows = phase.transition(s), slice(1, 1 + self.x.size)
+    @property
+    def known(self) -> slice:
+        """The rows of ``root`` for the parameters."""
+        return slice(1 + self.x.size, 1 + self.x.size + self.parameters)
+
+    @property
+    def theta(self) -> Vector:
+        """The parameters, shape (p,)."""
+        return self.slow[: self.parameters]
+
+    def moved(self, s: float, map_: Map, turn: Matrix | None = None) -> "Joint":
+        """The same, looked at ``s`` seconds later.
+
+        Args:
+            s: seconds.
+            map_: what becomes of the state.
+            turn: how that changes with the parameters, shape (2n, p); None where it does not.
+        """
+        rows = slice(1, 1 + self.x.size)
         root, apart = self.root.copy(), self.apart.copy()
-        root[rows] = Phi @ root[rows]
-        apart[:, rows] = apart[:, rows] @ Phi.T
-        x = phase.moved(self.t, self.x, s)
-        return Joint(self.t + s, self.e + s, x, self.offset, root, apart)
+        root[rows] = map_.linear @ root[rows]
+        apart[:, rows] = apart[:, rows] @ map_.linear.T
+        if turn is not None:
+            root[rows] += turn @ root[self.known]
+            apart[:, rows] += apart[:, self.known] @ turn.T
+        return replace(self, t=self.t + s, e=self.e + s, x=map_.value, root=root, apart=apart)
 
     def corrected(self, learnt: Correction, H: Matrix, innovation: Vector) -> "Joint":
-        """The same after a measurement of ``H (e, x)``."""
-        change, size = learnt.gain @ innovation, 1 + self.x.size
-        apart = self.apart.copy()
-        apart[:, : len(change)] -= (apart[:, :size] @ H.T) @ learnt.gain.T
-        return Joint(
-            self.t,
-            self.e + float(change[0]),
-            self.x + change[1:size],
-            self.offset + float(np.sum(change[size:])),
-            learnt.root,
-            apart,
+        """The same after a measurement of ``H (e, x, slow)``."""
+        change = learnt.gain @ innovation
+        apart = self.apart - (self.apart @ H.T) @ learnt.gain.T
+        return replace(self.shifted(change), root=learnt.root, apart=apart)
+
+    def shifted(self, change: Vector) -> "Joint":
+        """The same estimate but for a ``change`` of (e, x, slow), shape (d,)."""
+        size = 1 + self.x.size
+        return replace(
+            self,
+            e=self.e + float(change[0]),
+            x=self.x + change[1:size],
+            slow=self.slow + change[size:],
         )
 
 
@@ -70,20 +90,25 @@ class Expected(NamedTuple):
     Attributes:
         about: the state that it is linearised about, shape (2n,).
         expansion: of what is measured, about it.
+        turn: how that changes with the parameters, shape (k, p).
         innovation: by what it says something else than ``expansion`` does, shape (k,).
         noise: a square root of the covariance of what is not linear, shape (k, any).
     """
 
     about: Vector
     expansion: Expansion
+    turn: Matrix
     innovation: Vector
     noise: Matrix
 
+    def rows(self, view: Joint) -> Matrix:
+        """What is measured of (e, x, slow), shape (k, d)."""
+        H = np.hstack([self.expansion.H, self.turn])
+        return np.hstack([H, np.zeros((len(H), view.root.shape[0] - H.shape[1]))])
+
     def learnt(self, view: Joint) -> Correction:
         """What measuring it tells of ``view``."""
-        H = self.expansion.H
-        known = np.zeros((len(H), view.root.shape[0] - H.shape[1]))
-        return correction(view.root, np.hstack([H, known]), self.noise)
+        return correction(view.root, self.rows(view), self.noise)
 
     def settled(self, found: Joint) -> bool:
         """Whether linearising about ``found`` instead would change nothing."""

@@ -1,11 +1,15 @@
 """What users choose of an observer, as they write it: the same in nodes and commands."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from impact_observer.errors import UsageError
 from impact_observer.model import System
+from impact_observer.model.elements import Element
 from impact_observer.observer.agreement import AGREED
 from impact_observer.observer.initial import initial_state
 from impact_observer.observer.laws import law_named
+from impact_observer.observer.learning import Unknowns
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
 from impact_observer.observer.uncertainty import Uncertainty, deviation_of
 
@@ -28,6 +32,8 @@ class Options:
         agreed: V distance at which they count as synchronized, relative to the motion's energy.
         epoch: stamp of ``t = 0``, ns; 0 to learn it from the events.
         history: how late an event may be and still be applied, s.
+        estimate_parameters: of the model, to learn with the state; see ``Unknowns.named``.
+        parameter_drift: of their deviations, what these go astray by in a minute.
     """
 
     law: str = "geometric"
@@ -43,13 +49,27 @@ class Options:
     agreed: float = AGREED
     epoch: int = 0
     history: float = DEFAULT_HISTORY
+    estimate_parameters: tuple[str, ...] = ()
+    parameter_drift: float = 0.0
 
-    def observer(self, system: System) -> Observer:
+    def observer(self, system: System, elements: Sequence[Element] = ()) -> Observer:
         """An observer of ``system`` that has seen nothing yet.
+
+        Args:
+            system: what plant and replica share.
+            elements: what it was assembled of: their parameters can be learnt one by one.
 
         Raises:
             UsageError: something cannot be used, by its name.
         """
+        law, wanted, unknowns = law_named(self.law), self.estimate_parameters, None
+        if wanted:
+            unknowns = Unknowns.named(system, wanted, elements, self.parameter_drift)
+            if not law.learns:
+                raise UsageError(
+                    f"estimate_parameters: the law {self.law} learns none; expected"
+                    " minimum-variance, or leave them out"
+                )
         uncertainty = Uncertainty(
             deviation_of(self.deviation, system),
             self.clock_error,
@@ -58,10 +78,11 @@ class Options:
             self.missed,
             self.invented,
             self.mislabelled,
+            unknowns,
         )
         return Observer(
             system,
-            law_named(self.law)(system, uncertainty),
+            law(system, uncertainty),
             *initial_state(self.initial, system),
             epoch=self.epoch,
             history=self.history,

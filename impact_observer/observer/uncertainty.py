@@ -8,6 +8,7 @@ from scipy import linalg
 
 from impact_observer.errors import UsageError
 from impact_observer.model import System
+from impact_observer.observer.learning import Unknowns
 from impact_observer.states import Matrix, Vector, frozen
 
 DEFAULT_DEVIATION = 1.0
@@ -32,8 +33,8 @@ _SYMMETRY = 1e-9
 class Uncertainty:
     """What an observer is told wrongly, and how far.
 
-    Deviations are standard deviations. The last three are probabilities; where all are 0 every
-    event is believed.
+    Deviations are standard deviations. ``missed``, ``invented`` and ``mislabelled`` are
+    probabilities; where all are 0 every event is believed.
 
     Attributes:
         deviation: of the initial state (q, u), shape (2n,), or one number for all, SI units.
@@ -45,6 +46,7 @@ class Uncertainty:
         missed: of an impact, that it is not heard.
         invented: of an event, that nothing has happened.
         mislabelled: of an impact, that it was one of another contact.
+        unknowns: parameters of the model that are not known; None where all are.
     """
 
     deviation: Vector | float = DEFAULT_DEVIATION
@@ -54,6 +56,7 @@ class Uncertainty:
     missed: float = 0.1
     invented: float = 0.1
     mislabelled: float = 0.01
+    unknowns: Unknowns | None = None
 
     def __post_init__(self) -> None:
         """Check that every number is from 0 to the most that may be declared.

@@ -7,7 +7,7 @@ import pytest
 
 from impact_observer.bag.comparisons import compare_bag
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import carried_model
+from impact_observer.bag.recordings import model_of
 from impact_observer.cli.main import main
 from impact_observer.observer import Options, law_names
 from impact_observer.shares import shared
@@ -44,7 +44,7 @@ def test_laws_run_on_a_bag_equal_those_observed_into_bags(
     """Every error of every law, bit for bit, and every figure that is printed."""
     bags = [observed(plant_bag, tmp_path / law, law) for law in law_names()]
     with BagReader(plant_bag) as reader:
-        system = carried_model(reader).system
+        system = model_of(reader).system
         observers = [Options(law, "random:1", ensemble=1).observer(system) for law in law_names()]
         made = compare_bag(reader, system, observers).comparisons
     for bag in bags:

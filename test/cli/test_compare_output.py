@@ -14,7 +14,7 @@ pytest.importorskip("rosbags")
 
 from impact_observer.bag.comparisons import BagComparison, compare_bag
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import carried_model
+from impact_observer.bag.recordings import model_of
 from impact_observer.bag.writer import BagWriter, copy_topics
 from impact_observer.cli.compare import labelled_by_law
 from impact_observer.cli.comparison_figures import distance_figure, error_figures
@@ -208,4 +208,4 @@ def test_impacts_of_one_run_are_drawn_once(bag: Path) -> None:
 def compared(bag: Path) -> BagComparison:
     """All estimates of a bag against its truth."""
     with BagReader(bag) as reader:
-        return compare_bag(reader, carried_model(reader).system)
+        return compare_bag(reader, model_of(reader).system)

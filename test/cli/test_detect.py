@@ -10,7 +10,7 @@ import pytest
 
 from impact_observer.bag import BagReader, BagWriter, JointState, Quality
 from impact_observer.bag.messages import bag_messages
-from impact_observer.bag.recordings import carried_model, events_in
+from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.bag.typestores import typestore
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
@@ -137,7 +137,7 @@ def test_what_is_found_can_be_observed_without_naming_a_model(
     events = detected(rig_bag, bag, *given, "--model", "two_mass", "--epoch", "1")
     assert f"stop: {len(events)} impacts (/switch, switch)" in capsys.readouterr().out
     with BagReader(bag) as reader, BagReader(rig_bag) as source:
-        assert carried_model(reader).system.name == "two_mass"
+        assert model_of(reader).system.name == "two_mass"
         assert set(reader.topics) == {*source.topics, "/impacts", "/plant/model"}
         assert list(reader.raw(source.topics)) == list(source.raw())
         assert reader.topics["/imu"].quality == Quality(reliable=False)
@@ -194,7 +194,7 @@ def test_impacts_of_the_bag_make_way_for_those_that_are_found(
     assert [(e.stamp - EPOCH) // MS for e in events] == [0, 100, 200, 300, 400, 500]
     assert "/impacts of the bag is left out for the one found" in capsys.readouterr().out
     with BagReader(tmp_path / "out") as reader:
-        assert carried_model(reader).provenance["seed"] == 7
+        assert model_of(reader).provenance["seed"] == 7
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from impact_observer.bag import BagReader, BagWriter, exporting
 from impact_observer.bag.comparisons import compare_bag
 from impact_observer.bag.messages import bag_messages
-from impact_observer.bag.recordings import carried_model
+from impact_observer.bag.recordings import model_of
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
 
@@ -90,7 +90,7 @@ def test_errors_are_what_compare_counts(observed: Path, tmp_path: Path, suffix: 
     """Samples between the jumps of truth and estimate are left out; V comes along."""
     table = exported(observed, tmp_path / f"errors{suffix}", "--what", "errors")
     with BagReader(observed) as reader:
-        comparison = compare_bag(reader, carried_model(reader).system).comparisons["/observer"]
+        comparison = compare_bag(reader, model_of(reader).system).comparisons["/observer"]
     assert comparison.mismatch.samples > 0
     assert [int(str(stamp)) for stamp in table["stamp_ns"]] == comparison.stamps.tolist()
     assert same(table["V"], comparison.V)

@@ -10,7 +10,7 @@ from systems import examples
 
 from impact_observer.bag import BagReader
 from impact_observer.bag.importing import Row, Table
-from impact_observer.bag.recordings import carried_model
+from impact_observer.bag.recordings import model_of
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
 
@@ -59,7 +59,7 @@ def test_observe_runs_on_what_was_imported(
     assert [event.sequence for event in events] == [1, 2, 3]
     assert {event.epoch for event in events} == {EPOCH}
     with BagReader(tmp_path / "bag") as reader:
-        assert carried_model(reader).system.name == "two_mass"
+        assert model_of(reader).system.name == "two_mass"
     bags = [str(tmp_path / "bag"), "-o", str(tmp_path / "observed")]
     assert main(["observe", *bags]) == 2
     assert "carries no truth to sample with; give --rate" in capsys.readouterr().err

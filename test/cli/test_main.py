@@ -10,7 +10,7 @@ from systems import jammed
 
 from impact_observer import __version__
 from impact_observer.bag import BagReader
-from impact_observer.bag.recordings import carried_model
+from impact_observer.bag.recordings import model_of
 from impact_observer.cli.main import COMMANDS, main
 
 ROOT = Path(__file__).parents[2]
@@ -130,7 +130,7 @@ def test_negative_number_is_given_as_one_types_it(tmp_path: Path, value: str) ->
     given = ["--clock-offset", value, "--duration", "1", "-o", str(bag)]
     assert main(["simulate", "two_mass", *given]) == 0
     with BagReader(bag) as reader:
-        assert carried_model(reader).provenance["sensor"] == {"clock_offset": -0.001}
+        assert model_of(reader).provenance["sensor"] == {"clock_offset": -0.001}
 
 
 def test_negative_number_that_is_not_wanted_is_one_line(

@@ -10,7 +10,7 @@ from systems import jammed
 
 from impact_observer.bag.messages import ErrorMessage
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import carried_model, events_in
+from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.cli.main import main
 from impact_observer.model import read_model
 from impact_observer.observer import Observer, initial_state, law_named
@@ -40,7 +40,7 @@ def observed(bag: Path, name: str, *arguments: str) -> Path:
 def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
     """The model in the bag is the model it was made of; provenance says by whom."""
     with BagReader(run_bag) as reader:
-        model = carried_model(reader)
+        model = model_of(reader)
         events = events_in(reader)
     sample = read_model("two_mass")
     np.testing.assert_array_equal(model.system.K, sample.system.K)

@@ -7,7 +7,7 @@ import pytest
 
 from impact_observer.bag.interfaces import IMPACTS
 from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import carried_model, events_in
+from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.cli.main import main
 from impact_observer.plant import Plant, Sensor, sense, simulate
 from impact_observer.stamps import grid
@@ -49,7 +49,7 @@ def test_bag_holds_what_the_sensor_tells_when_it_arrives(
     assert main([*arguments, *options(TROUBLED)]) == 0
     said = capsys.readouterr()
     with BagReader(bag) as reader:
-        model = carried_model(reader)
+        model = model_of(reader)
         arrivals = [raw.log_time for raw in reader.raw([IMPACTS.topic])]
         events = list(reader.events(IMPACTS.topic))
         truth = reader.joint_states("/plant/joint_states")
@@ -70,7 +70,7 @@ def test_ideal_sensor_is_not_spoken_of(tmp_path: Path) -> None:
     bag = tmp_path / "bag"
     assert main(["simulate", "two_mass", "--duration", "5", "-o", str(bag)]) == 0
     with BagReader(bag) as reader:
-        model = carried_model(reader)
+        model = model_of(reader)
         arrivals = [raw.log_time for raw in reader.raw([IMPACTS.topic])]
         stamps = [event.stamp for event in events_in(reader)]
     assert "sensor" not in model.provenance

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -245,7 +246,11 @@ CLOSES = (("c1", Kind.CLOSE), ("c1", Kind.IMPACT), ("c1", Kind.CLOSE), ("c2", Ki
 @pytest.mark.parametrize("declared", [0.0, pytest.param(0.9, marks=pytest.mark.slow)])
 def test_absurd_streams_end_in_no_nan(declared: float) -> None:
     """One stamp again and again; a contact at rest that hits; the last stamp first."""
-    everything = {"missed": declared, "invented": declared, "mislabelled": declared}
+    everything: dict[str, Any] = {
+        "missed": declared,
+        "invented": declared,
+        "mislabelled": declared,
+    }
     model, start, _ = truth("three_mass", 20.0)
     streams = {
         "one stamp": [event(1.0, "left", "right", sequence=k + 1) for k in range(12)],

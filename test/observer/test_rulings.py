@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,7 +63,8 @@ def watching(name: str, seconds: float, seed: int, **declared: float) -> Observe
     """An observer that begins wrong."""
     model, start, _ = truth(name, seconds)
     x = start + np.random.default_rng(seed).normal(size=start.size)
-    told = Uncertainty(**{"clock_error": 0.0, **declared})
+    everything: dict[str, Any] = {"clock_error": 0.0, **declared}
+    told = Uncertainty(**everything)
     return observer(model, "minimum-variance", x, uncertainty=told, epoch=EPOCH, history=1e4)
 
 

@@ -1,6 +1,7 @@
 """What users declare not to know: read, checked, and spread over replicas."""
 
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,8 +44,9 @@ def test_deviation_that_is_none_is_one_line(text: str) -> None:
 )
 def test_uncertainty_checks_itself(name: str, value: float) -> None:
     """By name, with what was found."""
+    wrong: dict[str, Any] = {name: value}
     with pytest.raises(UsageError, match=f"{name}: .* found; expected 0 to "):
-        Uncertainty(**{name: value})
+        Uncertainty(**wrong)
 
 
 def test_options_name_what_cannot_be_used() -> None:

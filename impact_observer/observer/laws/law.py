@@ -18,12 +18,14 @@ class Law(ABC):
     Attributes:
         name: what users choose it by.
         hears: whether its replicas' agreement says anything: only if events correct them.
+        learns: whether it learns parameters of the model that are not known.
         system: what plant and replicas share.
         uncertainty: what the user declares not to know.
     """
 
     name: ClassVar[str]
     hears: ClassVar[bool] = True
+    learns: ClassVar[bool] = False
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the law for one ``system``.

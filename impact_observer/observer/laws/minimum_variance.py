@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from impact_observer.dynamics import triangular
 from impact_observer.errors import UsageError
@@ -14,9 +15,10 @@ from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Course, Fallback, Hypothesis, Known, Touch
 from impact_observer.observer.filter_bank import SURE, FilterBank
 from impact_observer.observer.forecast import FINE, Forecast
-from impact_observer.observer.impact_filter import ImpactFilter, Linear
+from impact_observer.observer.impact_filter import ImpactFilter
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.linear import Linear
 from impact_observer.observer.uncertainty import Uncertainty, spread
 from impact_observer.states import Matrix, Vector
 
@@ -43,6 +45,7 @@ class MinimumVariance(Law):
     """
 
     name: ClassVar[str] = "minimum-variance"
+    learns: ClassVar[bool] = True
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the filter.
@@ -60,7 +63,7 @@ class MinimumVariance(Law):
                 f"clock_offset_error: the offset cannot be known with {system.name}, as no force"
                 " depends on time: a later clock and a later motion look the same; leave it out"
             )
-        filter_ = ImpactFilter(system, self.uncertainty.model_error)
+        filter_ = ImpactFilter(system, self.uncertainty.model_error, self.uncertainty.unknowns)
         self._bank = FilterBank(filter_, self.uncertainty, self.clocks)
         self._geometric = Geometric(system)
 
@@ -68,7 +71,7 @@ class MinimumVariance(Law):
         """What is declared, and that closed contacts rest."""
         x = replicas[0]
         x = self._geometric.impact(x, closed, closed) if closed else x
-        known = self._bank.filter.begin(Known.of(replicas, self._with_offset(root), closed))
+        known = self._bank.filter.begin(self._known(replicas, root, closed))
         return self._belief(self._even(known), Fallback(x, np.linalg.norm(root, axis=1)))
 
     def event(self, touch: Touch, belief: Belief) -> Belief:
@@ -91,19 +94,17 @@ class MinimumVariance(Law):
             found = self._bank.predicted(hypotheses, t, s)
             return self._belief(found, replace(fallback, x=motion.state(s)))
 
-        assert belief.root is not None, "a belief of another law"
-        known = hypotheses[0].known
+        known, mixed = hypotheses[0].known, _mixed(hypotheses)
         if self.uncertainty.trusting:
-            mixed = replace(known, root=belief.root)
             return _Heard(self._bank.filter.course(t, mixed), later)
-        return _Foreseen(self._bank, t, (known, belief.root), later)
+        return _Foreseen(self._bank, t, (known, mixed.root), later)
 
     def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; of a bare one, that it is right."""
         if belief.fallback is not None:
             return belief.hypotheses, belief.fallback
         assert belief.root is not None, "a belief of another law"
-        known = Known.of(belief.replicas, self._with_offset(belief.root), closed)
+        known = self._known(belief.replicas, belief.root, closed)
         return self._even(known), Fallback(belief.x, np.linalg.norm(belief.root, axis=1))
 
     def _even(self, known: Known) -> tuple[Hypothesis, ...]:
@@ -111,20 +112,25 @@ class MinimumVariance(Law):
         weight = -math.log(len(self.clocks))
         return tuple(Hypothesis(known, clock, weight) for clock in self.clocks)
 
-    def _with_offset(self, root: Matrix) -> Matrix:
-        """``root`` with the unknown offset as its last row, where there is one."""
-        deviation = self.uncertainty.clock_offset_error
-        if not deviation:
-            return root
-        whole = np.zeros((len(root) + 1, root.shape[1] + 1))
-        whole[:-1, :-1], whole[-1, -1] = root, deviation
-        return whole
+    def _known(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Known:
+        """``replicas`` and ``root`` with what else is not known, as it was declared."""
+        declared, late = self.uncertainty.unknowns, self.uncertainty.clock_offset_error
+        deviations = [*([] if declared is None else declared.deviations)]
+        slow = np.diag([*deviations, *([late] if late else [])])
+        whole = linalg.block_diag(root, slow) if len(slow) else root
+        known = Known.of(replicas, whole, closed)
+        if declared is None:
+            return known
+        p, given = declared.family.size, np.append(replicas[0], declared.family.given)
+        others = spread(given, whole[: given.size, : root.shape[1] + p], len(replicas))
+        slow = np.hstack([others[:, replicas.shape[1] :], known.slow[:, p:]])
+        return replace(known, slow=slow, parameters=p)
 
     def _anew(self, fallback: Fallback, closed: Contacts, count: int) -> tuple[Hypothesis, ...]:
         """If nothing is believed any more: a motion as large as there was, any clock."""
         root = np.diag(fallback.reach)
         replicas = spread(fallback.x, root, count)
-        known = Known.of(replicas, self._with_offset(root), closed)
+        known = self._known(replicas, root, closed)
         return self._even(self._bank.filter.begin(known))
 
     def _belief(
@@ -141,7 +147,7 @@ class MinimumVariance(Law):
             innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
             applied=all(note.ruling is Ruling.APPLIED for note in notes),
             offset=best.known.offset,
-            learnt=self._learnt(hypotheses, root),
+            learnt=self._learnt(hypotheses, root[size:]),
             hypotheses=hypotheses,
             fallback=fallback,
         )
@@ -149,8 +155,15 @@ class MinimumVariance(Law):
     def _learnt(
         self, hypotheses: Sequence[Hypothesis], root: Matrix
     ) -> tuple[tuple[str, float, float], ...]:
-        """What is known of the clock, where that was not declared."""
-        found = []
+        """What is known of parameters and of the clock, where those are not given.
+
+        Args:
+            hypotheses: the likeliest first.
+            root: rows of the covariance's root for what is slow, shape (k, any).
+        """
+        best, deviations = hypotheses[0].known, np.linalg.norm(root, axis=1).tolist()
+        names = self._bank.filter.members.family.names
+        found = list(zip(names, best.theta.tolist(), deviations, strict=False))
         if len(self.clocks) > 1:
             weights = np.exp([h.weight for h in hypotheses])
             clocks = np.array([h.clock for h in hypotheses])
@@ -158,8 +171,7 @@ class MinimumVariance(Law):
             spread_ = math.sqrt(float(np.average((clocks - mean) ** 2, weights=weights)))
             found.append(("clock_error", mean, spread_))
         if self.uncertainty.clock_offset_error:
-            offset = hypotheses[0].known.offset
-            found.append(("clock_offset", offset, float(np.linalg.norm(root[-1]))))
+            found.append(("clock_offset", best.offset, deviations[-1]))
         return tuple(found)
 
 
@@ -171,7 +183,7 @@ def _mixed(hypotheses: Sequence[Hypothesis]) -> Known:
     weights = np.exp([h.weight for h in hypotheses])
     columns = []
     for weight, h in zip(np.sqrt(weights / np.sum(weights)), hypotheses, strict=True):
-        apart = np.append(h.known.x - best.x, h.known.offset - best.offset)[: len(best.root)]
+        apart = np.append(h.known.x - best.x, h.known.slow[0] - best.slow[0])
         columns += [weight * h.known.root, weight * apart[:, None]]
     return replace(best, root=triangular(np.hstack(columns)))
 
@@ -201,14 +213,14 @@ class _Part(NamedTuple):
         start: when it began, s since the last event.
         forecast: what it comes to.
         closed: contacts that it holds closed.
-        root: of the covariance of all accounts together, as it goes on.
+        linear: the covariance of all accounts together, as it goes on.
     """
 
     since: float
     start: float
     forecast: Forecast
     closed: Contacts
-    root: Callable[[float], Matrix]
+    linear: Linear
 
 
 class _Foreseen(Course):
@@ -238,7 +250,7 @@ class _Foreseen(Course):
 
     def root(self, s: float) -> Matrix:
         part = self._part(s)
-        return part.root(s - part.start)
+        return part.linear.root(s - part.start)
 
     def closed(self, s: float) -> Contacts:
         return self._part(s).closed
@@ -250,7 +262,7 @@ class _Foreseen(Course):
         """A stretch from ``start`` on."""
         t = self._t + start
         mixed = self._bank.filter.course(t, replace(known, root=root))
-        return _Part(since, start, self._bank.forecast(t, known), known.closed, mixed.root)
+        return _Part(since, start, self._bank.forecast(t, known), known.closed, mixed)
 
     def _part(self, s: float) -> _Part:
         """The stretch that is believed after ``s`` seconds."""
@@ -263,7 +275,7 @@ class _Foreseen(Course):
         if len(self._parts) > _IMPACTS:
             self._looked = math.inf
             return
-        _, start, forecast, _, root = self._parts[-1]
+        _, start, forecast, _, mixed = self._parts[-1]
         sure = (dip for dip in forecast.dips(self._window) if dip.depth >= SURE)
         dip = next(sure, None)
         if dip is None:
@@ -273,9 +285,9 @@ class _Foreseen(Course):
         t = self._t + start + at
         known, kind = self._bank.switched(t, forecast.course.known(at), dip)
         # The other accounts jump with it: how far they are apart is thrown back likewise.
-        apart = root(at)
+        apart, size = mixed.whole(at).copy(), known.x.size
         if kind is not Kind.OPEN:
-            apart = self._bank.filter.mirrored(dip.contact, known) @ apart
-        root_now = triangular(np.hstack([known.root[: len(apart)], apart]))
+            apart[:size] = self._bank.filter.mirrored(dip.contact, known) @ apart[:size]
+        root_now = triangular(np.hstack([known.root, apart]))
         self._parts.append(self._begun(since, start + at, known, root_now))
         self._looked, self._window = since, self._first

@@ -1,0 +1,118 @@
+"""What is known between two events, while one linear phase lasts."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.dynamics import Map, Motion, Sensitivity, diffusion, led, triangular
+from impact_observer.observer.belief import Known
+from impact_observer.observer.members import Members
+from impact_observer.states import Matrix, Vector
+
+_MINUTE = 60.0
+
+
+class Astray(NamedTuple):
+    """What is not known of a motion that nothing disturbs.
+
+    Attributes:
+        model_error: of the accelerations, as white noise, m/s^1.5.
+        drift: what parameters go astray by in a minute, shape (p,).
+    """
+
+    model_error: float
+    drift: Vector
+
+
+class Linear:
+    """What is known while one linear phase lasts.
+
+    Attributes:
+        motion: of the estimate.
+    """
+
+    def __init__(self, t: float, known: Known, members: Members, astray: Astray) -> None:
+        """Begin at ``t``, s since the epoch.
+
+        Args:
+            t: s since the epoch.
+            known: then.
+            members: the family of what moves.
+            astray: what makes it less sure in time.
+        """
+        self._t = t
+        self._known = known
+        self._members = members
+        self._phase = members.motion(known.theta).phase(known.closed)
+        self._noise = astray
+        self.motion: Motion = self._phase.start(t, known.x)
+        self._root = known.root
+        if members.moving:
+            size, p = known.x.size, known.parameters
+            self._root = led(known.root, slice(size, size + p))
+            self._own = self._root[size : size + members.moving]
+            self._steps = members.steps(known.theta, self._own)
+
+    def state(self, s: float) -> Vector:
+        """The estimate (q, u) after ``s`` seconds, shape (2n,)."""
+        return self.motion.state(s)
+
+    def root(self, s: float) -> Matrix:
+        """The rows of the covariance's root for (q, u) after ``s`` seconds, shape (2n, any)."""
+        if self._members.moving:
+            return self.whole(s)[: self._known.x.size]
+        size = self._known.x.size
+        return self._astray(self._phase.transition(s) @ self._root[:size], s)
+
+    def whole(self, s: float) -> Matrix:
+        """The covariance's root after ``s`` seconds, all its rows."""
+        if self._members.moving:
+            return self._astray(self._carried(s, self._seen(s)), s)
+        size = self._known.x.size
+        moved = self._phase.transition(s) @ self._root[:size]
+        return self._astray(np.vstack([moved, self._root[size:]]), s)
+
+    def known(self, s: float) -> Known:
+        """All that is known after ``s`` seconds."""
+        x, transition = self.state(s), self._phase.transition(s)
+        found = self._known.carried(x, transition)
+        if not self._members.moving:
+            return replace(found, root=self._astray(found.root, s))
+        seen, q = self._seen(s), self._members.moving
+        others = self._known.slow[:, :q] - self._known.theta[:q]
+        replicas = found.replicas + others @ seen.first
+        replicas[0] = x
+        root = triangular(self._carried(s, seen))
+        return replace(found, replicas=replicas, root=self._astray(root, s))
+
+    def _carried(self, s: float, seen: Sensitivity) -> Matrix:
+        """The root after ``s`` seconds, all rows, where parameters of the motion are learnt."""
+        size, q = self._known.x.size, self._members.moving
+        moved = self._phase.transition(s) @ self._root[:size]
+        columns, noise = seen.added(self._root[:size], self._own[:, :q])
+        moved[:, :q] += columns
+        blank = np.zeros((len(self._root) - size, noise.shape[1]))
+        return np.block([[moved, noise], [self._root[size:], blank]])
+
+    def _seen(self, s: float) -> Sensitivity:
+        """How the state after ``s`` seconds changes with the parameters of the motion."""
+        q, t, x, closed = self._members.moving, self._t, self._known.x, self._known.closed
+
+        def moved(theta: Vector) -> Map:
+            return self._members.motion(theta).moved(t, x, s, closed)
+
+        return Sensitivity.of(moved, self._known.theta[:q], self._steps)
+
+    def _astray(self, root: Matrix, s: float) -> Matrix:
+        """``root`` with what ``s`` seconds add by the model's error and by parameters' drift."""
+        error, drift, size = self._noise.model_error, self._noise.drift, self._known.x.size
+        columns = [root]
+        if error and s > 0:
+            added = diffusion(self._phase, s, error)
+            columns.append(np.pad(added, ((0, len(root) - size), (0, 0))))
+        if np.any(drift) and s > 0 and len(root) > size:
+            added = np.diag(drift * math.sqrt(s / _MINUTE))
+            columns.append(np.pad(added, ((size, len(root) - size - len(drift)), (0, 0))))
+        return triangular(np.hstack(columns)) if len(columns) > 1 else root
