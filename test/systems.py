@@ -99,6 +99,15 @@ def chain(n: int, stiffness: float = 10.0, damping: float = 0.1, **others: objec
     return system(np.eye(n), damping * laplacian, stiffness * laplacian, **others)  # type: ignore[arg-type]
 
 
+PRESSED = chain(
+    2,
+    damping=0.3,
+    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
+    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
+)
+"""Two masses that are pressed against a stop each, and let go, by turns."""
+
+
 def numbers(low: float = -2.0, high: float = 2.0) -> st.SearchStrategy[float]:
     """Multiples of 1/64 in [low, high]."""
     return st.integers(round(low * 64), round(high * 64)).map(lambda k: k / 64)

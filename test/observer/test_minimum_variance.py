@@ -8,7 +8,18 @@ from itertools import permutations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, Harmonic, believing, chain, estimates, forcing, run, sample, system
+from systems import (
+    EPOCH,
+    PRESSED,
+    Harmonic,
+    believing,
+    chain,
+    estimates,
+    forcing,
+    run,
+    sample,
+    system,
+)
 
 from impact_observer.analysis import lyapunov
 from impact_observer.dynamics import ImpactLaw, Phases
@@ -24,13 +35,6 @@ Array = NDArray[np.float64]
 BOTH = pytest.mark.parametrize("name", ["two_mass", "three_mass"])
 JITTER = 1e-3
 
-PRESSED = chain(
-    2,
-    damping=0.3,
-    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
-    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
-)
-"""Two masses that are pressed against a stop each, and let go, by turns."""
 HAMMER = system(
     np.diag([1.0, 0.5]),
     [[0.1, -0.1], [-0.1, 0.1]],

@@ -10,6 +10,7 @@ from systems import sample
 from impact_observer.errors import UsageError
 from impact_observer.nodes.parameters import OBSERVER
 from impact_observer.observer import Options, Uncertainty, deviation_of
+from impact_observer.observer.learning import MOST_DRIFT
 from impact_observer.observer.uncertainty import LARGEST, covariance_root, spread
 
 SYSTEM = sample("two_mass").system
@@ -114,3 +115,4 @@ def test_node_and_command_mean_the_same_by_nothing_said() -> None:
         assert table[renamed.get(option.name, option.name)].default == default
     limited = [name for name in LARGEST if name != "deviation"]
     assert [table[name].high for name in limited] == [LARGEST[name] for name in limited]
+    assert table["parameter_drift"].high == MOST_DRIFT
