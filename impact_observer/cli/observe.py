@@ -14,7 +14,9 @@ from impact_observer.cli.arguments import (
 )
 
 if TYPE_CHECKING:
-    from impact_observer.observer import Options
+    from collections.abc import Iterator
+
+    from impact_observer.observer import Observer, Options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -97,9 +99,21 @@ def observe(
         ]
         switches = f"switches: {', '.join(verdicts) or 'none'}"
         progress.line(f"{output}: {chosen.law}, {count} estimates, {switches}")
+        for line in learnt(observer):
+            progress.line(line)
     if rulings and not rulings[Ruling.APPLIED]:
         raise BagError(
             f"{bag}: none of its {sum(rulings.values())} switches was applied; is it a bag of the"
             f" model {system.name}, with contacts {', '.join(system.contact_names) or 'none'}?"
         )
     return 0
+
+
+def learnt(observer: "Observer") -> "Iterator[str]":
+    """What an observer has learnt besides the state, when it has heard everything."""
+    from impact_observer.model.parameters import with_unit
+
+    if not observer.last_event:
+        return
+    for name, value, deviation in observer.estimate(observer.last_event).learnt:
+        yield f"learnt: {with_unit(name)} {value:.9g} +- {deviation:.2g}"

@@ -91,6 +91,8 @@ class FilterBank:
             for i, clock in enumerate(clocks)
         }
         self._trusting = uncertainty.trusting
+        # Events may be beyond doubt, and an estimate that has to learn its model not.
+        self._sure = self._trusting and uncertainty.unknowns is None
         self._missed, self._heard = _logs(uncertainty.missed)
         self._mislabelled, _ = _logs(uncertainty.mislabelled)
         self._slow = -math.log(filter_.phases.scales.timescale)
@@ -192,7 +194,7 @@ class FilterBank:
         likely = [each for each in branches if each.weight >= enough][:MOST]
         made = [each.make() for each in likely]
         made = self._distinct([h for h in made if np.isfinite(h.known.replicas).all()])
-        if not (self._trusting or branches[0].foretold):
+        if not (self._sure or branches[0].foretold):
             made = sorted([*made, *self._anew(touch, made, anew)], key=_weight)
         total = float(special.logsumexp([h.weight for h in made])) if made else 0.0
         return tuple(replace(h, weight=h.weight - total) for h in made)
@@ -212,7 +214,7 @@ class FilterBank:
             far = f"{depth:.3g} deviations from what was to be expected"
             likelier = "" if depth > SURPRISED else "likelier than an impact "
             yield self._nothing(touch, h, f"invented: {likelier}{far}")
-        if leads and depth > SURPRISED and not self._trusting:
+        if leads and depth > SURPRISED and not self._sure:
             for factor in WIDER:
                 wider = replace(h.known, root=h.known.root * factor * depth)
                 reason = f"believed: the estimate is made {factor * depth:.3g} times less sure"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from systems import jammed
 
-from impact_observer.bag.messages import ErrorMessage
+from impact_observer.bag.messages import ErrorMessage, EstimateMessage, read_estimate
 from impact_observer.bag.reader import BagReader
 from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.cli.main import main
@@ -49,6 +49,32 @@ def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
     assert model.provenance["package"] == "impact_observer"
     assert [e.sequence for e in events] == list(range(1, len(events) + 1))
     assert {e.epoch for e in events} == {EPOCH}
+
+
+def test_observe_writes_the_parameters_that_it_learns(
+    run_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By name, in the order in which they are carried, with deviations that fall."""
+    free = ["--estimate-parameters", "restitution=0.02,stiffness-scale=0.01"]
+    free += ["--clock-error", "0", "--missed", "0", "--invented", "0", "--mislabelled", "0"]
+    bag = observed(run_bag, "learnt", "--law", "minimum-variance", *free, "--rate", "5")
+    with BagReader(bag) as reader:
+        read = (cast(EstimateMessage, each) for _, each in reader.messages("/observer/state"))
+        states = [read_estimate(each)[1] for each in read]
+    names = [name for name, _, _ in states[0].learnt]
+    assert names == ["stiffness-scale", "restitution.stop"]
+    for k, right in enumerate((1.0, 0.7)):
+        (_, _, before), (_, value, after) = states[0].learnt[k], states[-1].learnt[k]
+        assert after < 1e-2 * before
+        assert abs(value - right) < 5 * after
+    capsys.readouterr()
+    compared = ["compare", str(run_bag), "--laws", "geometric,minimum-variance", *free, "--json"]
+    assert main(compared) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"geometric", "minimum-variance"}
+    other = ["observe", str(run_bag), *free, "-o", str(run_bag.parent / "none")]
+    assert main(other) == 2
+    assert "the law geometric learns none" in capsys.readouterr().err
 
 
 def test_truth_in_a_bag_starts_at_the_epoch_and_follows_the_events(run_bag: Path) -> None:

@@ -27,7 +27,7 @@ from impact_observer.model import read_model
 from impact_observer.nodes.messages import ros_messages
 from impact_observer.nodes.observer_node import ObserverNode
 from impact_observer.nodes.quality import qos_profile
-from impact_observer.observer import Observer, initial_state, law_named
+from impact_observer.observer import Observer, Options, initial_state, law_named
 from impact_observer.states import Estimate
 
 pytestmark = pytest.mark.ros
@@ -112,7 +112,7 @@ def rig(ros_environment: dict[str, str]) -> Iterator[Rig]:
 
 
 @contextmanager
-def rig_with(**parameters: float) -> Iterator[Rig]:
+def rig_with(**parameters: object) -> Iterator[Rig]:
     """A rig that knows the epoch, whose observer has other parameters too."""
     with spinning(ros_arguments({**PARAMETERS, "epoch": EPOCH, **parameters})) as spinner:
         made = make_rig(spinner)
@@ -145,6 +145,33 @@ def test_estimates_stand_on_the_grid_of_the_epoch(rig: Rig) -> None:
     assert [each.stamp - EPOCH for each in heard] == [0, 10_000_000, 20_000_000, 30_000_000]
     for each in heard:
         assert_same(each, replica().estimate(each.stamp))
+
+
+def test_parameters_of_the_model_are_learnt_and_published(
+    ros_environment: dict[str, str],
+) -> None:
+    """Names, values and deviations stand in every state, and in the diagnostics with units."""
+    assert ros_environment
+    wanted = {"law": "minimum-variance", "estimate_parameters": "[gap=0.01, restitution]"}
+    with rig_with(**wanted) as rig:
+        rig.tick(EPOCH + 30_000_000)
+        rig.send(event(EPOCH + 25_000_000, 1))
+        rig.spinner.until(lambda: rig.states[-1].last_sequence == 1)
+        first, last = rig.states[0], rig.states[-1]
+        figures = rig.figures()
+    assert list(first.parameter_name[:2]) == ["gap.stop", "restitution.stop"]
+    np.testing.assert_allclose(first.parameter[:2], [0.5, 0.7])
+    np.testing.assert_allclose(first.parameter_deviation[:2], [0.01, 0.1])
+    options = Options(
+        "minimum-variance", "random:1", estimate_parameters=("gap=0.01", "restitution")
+    )
+    same = options.observer(SYSTEM)
+    same.receive(event(EPOCH + 25_000_000, 1))
+    learnt = same.estimate(EPOCH + 30_000_000).learnt
+    assert list(last.parameter) == [value for _, value, _ in learnt]
+    assert list(last.parameter_deviation) == [deviation for _, _, deviation in learnt]
+    assert figures["gap.stop [m]"].startswith("0.5")
+    assert "+-" in figures["restitution.stop"]
 
 
 def test_a_late_event_corrects_the_last_estimate_at_once(rig: Rig) -> None:
