@@ -50,6 +50,7 @@ setup(
     extras_require={
         "mp4": ["imageio-ffmpeg>=0.4.5"],
         "parquet": ["pyarrow>=14"],
+        "sweep": ["distributed>=2023.8", "joblib>=1.4", "pyarrow>=14"],
         "test": requirements("test"),
         "dev": [*requirements("test"), *requirements("lint")],
     },

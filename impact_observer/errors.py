@@ -47,6 +47,10 @@ class IdentificationError(ImpactObserverError):
     """Parameters that the recorded impacts do not tell."""
 
 
+class SweepError(ImpactObserverError):
+    """A sweep that cannot go on."""
+
+
 class DynamicsError(ImpactObserverError, ArithmeticError):
     """A motion that cannot be computed."""
 

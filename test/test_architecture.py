@@ -31,6 +31,7 @@ FIGURES = {
     "analysis/figures.py",
     "analysis/identification_figure.py",
     "analysis/observability_figure.py",
+    "analysis/sweep_figure.py",
 }
 """Modules that draw, the only ones of the core that may import matplotlib."""
 ALLOWED = {"numpy", "scipy", *sys.stdlib_module_names} - {"argparse"}

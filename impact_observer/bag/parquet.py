@@ -1,4 +1,4 @@
-"""Tables as Parquet files: the only module that needs ``pyarrow``."""
+"""Tables as Parquet files, by ``pyarrow``."""
 
 from pathlib import Path
 

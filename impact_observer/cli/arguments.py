@@ -8,16 +8,24 @@ if TYPE_CHECKING:
     from impact_observer.observer import Options
 
 
-def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
+def add_observer_arguments(
+    parser: "argparse._ActionsContainer", *, simulated: bool = False
+) -> None:
     """What users choose of observers; ``observer_options`` reads it.
 
     Defaults are those of ``observer.Options``, which knows the mathematics and is not imported
     for a ``--help``.
+
+    Args:
+        parser: of the subcommand, or a group of it.
+        simulated: the command has a sensor with options of the same names, runs with seeds, and
+            no bag.
     """
+    start = "q1,..,qn,u1,..,un, random:SEED or zero"
     parser.add_argument(
         "--initial",
         metavar="STATE",
-        help="q1,..,qn,u1,..,un, random:SEED or zero (default)",
+        help=f"{start} (default: random, of each run)" if simulated else f"{start} (default)",
     )
     parser.add_argument(
         "--deviation",
@@ -44,7 +52,8 @@ def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
         ("mislabelled", "of an impact that it was another contact's (default 0.01)"),
     ):
         parser.add_argument(
-            f"--{name}",
+            f"--observer-{name}" if simulated else f"--{name}",
+            dest=name,
             metavar="P",
             type=not_negative,
             help=f"minimum-variance: probability {meaning}",
@@ -69,7 +78,10 @@ def add_observer_arguments(parser: argparse.ArgumentParser) -> None:
         help="by what share of their deviations these go astray in a minute (default 0)",
     )
     parser.add_argument(
-        "--epoch", metavar="S", type=stamp, help="stamp of t = 0 (default: as in the bag)"
+        "--epoch",
+        metavar="S",
+        type=stamp,
+        help=f"stamp of t = 0 (default{' 1' if simulated else ': as in the bag'})",
     )
 
 

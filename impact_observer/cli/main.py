@@ -24,6 +24,7 @@ COMMANDS = {
     "import": "make a bag of impact times in a CSV file",
     "observe": "run an observer on the impacts in a bag",
     "compare": "estimates against the truth: V(t), errors, a picture",
+    "sweep": "Monte Carlo over laws, starts, sensors and wrong models, on all cores or a cluster",
     "figure": "from a model to the picture: V(t) of several laws",
     "animate": "plant and estimates of a bag, moving: a film or a page",
     "export": "states, errors or events of a bag as CSV or Parquet",

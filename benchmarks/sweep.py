@@ -1,0 +1,179 @@
+"""How a sweep scales: ``./dev bench sweep``.
+
+The same small sweep by one process, by two of joblib's, and by a local Dask cluster of two workers
+with a thread each, side by side in every round. Its cases are those of a real one in small: three
+laws that differ tenfold in cost, with and without jitter. Before anything is timed all three have
+run once, so that processes are there and modules imported, and their files must be equal byte for
+byte.
+
+Medians of the rounds; the speedup is the time of one process over that of the engine in the same
+round. In the row `2 copies` two processes do the whole work each, at once, and it counts twice: so
+much of two cores is there to be had.
+"""
+
+import argparse
+import json
+import logging
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from distributed import LocalCluster
+from rich import box
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from benchmarks.harness import DisagreementError
+from impact_observer.analysis.sweep.replicas import replicas_of
+from impact_observer.analysis.sweep.running import Outcome, run_case
+from impact_observer.analysis.sweep.sweep import Case, Rig, Sweep, sensors_of
+from impact_observer.bag.sweeps import write_outcomes
+from impact_observer.cli.sweep_engines import run_cases
+from impact_observer.model import read_model
+
+LAWS = ("geometric", "unilateral", "minimum-variance")
+JITTER = (0.0, 1e-3)
+WORKERS = 2
+Engine = Callable[[Sequence[Case]], "Iterator[Outcome]"]
+
+
+def swept(runs: int) -> Sweep:
+    """Half a minute of two masses."""
+    model = read_model("two_mass")
+    return Sweep(
+        Rig(model.text()), LAWS, sensors_of({"jitter": JITTER}), replicas_of(model, {}, {}), runs
+    )
+
+
+@contextmanager
+def engines() -> Iterator[dict[str, Engine]]:
+    """What runs cases, by name."""
+    with LocalCluster(
+        n_workers=WORKERS,
+        threads_per_worker=1,
+        dashboard_address=None,
+        silence_logs=logging.CRITICAL,
+    ) as cluster:
+        address = cluster.scheduler_address
+        yield {
+            "1 process": lambda cases: run_cases(cases, jobs=1),
+            "2 processes": lambda cases: run_cases(cases, jobs=WORKERS),
+            "Dask, 2 workers": lambda cases: run_cases(cases, scheduler=address),
+        }
+
+
+def check_equal(sweep: Sweep, contestants: Mapping[str, Engine]) -> None:
+    """Raise unless all of them make the same file.
+
+    Raises:
+        DisagreementError: they do not.
+    """
+    found: dict[str, bytes] = {}
+    with TemporaryDirectory() as folder:
+        for name, engine in contestants.items():
+            outcomes = {each.case: each for each in engine([*sweep.cases()])}
+            path = Path(folder) / "sweep.parquet"
+            write_outcomes(path, sweep, outcomes)
+            found[name] = path.read_bytes()
+            if any(each.error for each in outcomes.values()):
+                raise DisagreementError(f"{name}: a case has failed")
+    if len(set(found.values())) > 1:
+        raise DisagreementError("the engines do not make the same file")
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """How long it takes."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def serial(runs: int) -> None:
+    """All cases in this process."""
+    for case in swept(runs).cases():
+        run_case(case)
+
+
+def measured(runs: int, rounds: int) -> dict[str, list[float]]:
+    """Seconds of each engine in each round; ``2 copies`` is what the machine can do at once."""
+    sweep = swept(runs)
+    cases = [*sweep.cases()]
+    times: dict[str, list[float]] = {}
+    with engines() as contestants, ProcessPoolExecutor(WORKERS, get_context("spawn")) as pool:
+        check_equal(sweep, contestants)
+        list(pool.map(serial, [1] * WORKERS))
+        for _ in track(range(rounds), "rounds", console=Console(stderr=True), transient=True):
+            for name, engine in contestants.items():
+                taken = seconds(lambda engine=engine: list(engine(cases)))  # type: ignore[misc]
+                times.setdefault(name, []).append(taken)
+            taken = seconds(lambda: list(pool.map(serial, [runs] * WORKERS)))
+            times.setdefault("2 copies", []).append(taken)
+    return times
+
+
+def rows(times: Mapping[str, Sequence[float]], size: int) -> list[dict[str, object]]:
+    """Seconds, cases a second and the speedup of each engine; medians of the rounds."""
+    one = times["1 process"]
+    found: list[dict[str, object]] = []
+    for name, taken in times.items():
+        copies = WORKERS if name == "2 copies" else 1
+        speedups = [copies * base / own for base, own in zip(one, taken, strict=True)]
+        found.append(
+            {
+                "engine": name,
+                "seconds": statistics.median(taken),
+                "cases_per_second": copies * size / statistics.median(taken),
+                "speedup": statistics.median(speedups),
+                "least": min(speedups),
+                "largest": max(speedups),
+            }
+        )
+    return found
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(prog="./dev bench sweep", description=__doc__)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.add_argument("--runs", type=int, default=4, metavar="N", help="seeds (default 4)")
+    parser.add_argument("--rounds", type=int, default=5, metavar="N", help="(default 5)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every time to FILE")
+    given = parser.parse_args(args)
+    if given.runs < 1 or given.rounds < 1:
+        parser.error("argument --runs, --rounds: expected whole numbers above 0")
+    if given.json and not given.json.absolute().parent.is_dir():
+        parser.error(f"argument --json: no folder {given.json.parent}; make it first")
+    size = swept(given.runs).size
+    try:
+        times = measured(given.runs, given.rounds)
+    except DisagreementError as error:
+        print(f"bench sweep: {error}", file=sys.stderr)
+        return 1
+    table = Table(box=box.SIMPLE_HEAD, title=f"{size} cases, the same bits", title_justify="left")
+    for heading in ("", "s", "cases/s", "speedup", "of the rounds"):
+        table.add_column(heading, justify="right" if heading else "left")
+    found = rows(times, size)
+    for row in found:
+        table.add_row(
+            str(row["engine"]),
+            f"{row['seconds']:.2f}",
+            f"{row['cases_per_second']:.1f}",
+            f"{row['speedup']:.2f}",
+            f"{row['least']:.2f} to {row['largest']:.2f}",
+        )
+    Console().print(table)
+    if given.json:
+        document = {"cases": size, "rounds": given.rounds, "engines": found, "seconds": times}
+        given.json.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

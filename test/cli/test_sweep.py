@@ -1,0 +1,306 @@
+"""sweep: the same outcomes from one process, from several and from a cluster; going on."""
+
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("joblib")
+pytest.importorskip("pyarrow")
+
+import pyarrow.parquet as pq
+
+from impact_observer.analysis.sweep import running
+from impact_observer.analysis.sweep.running import Outcome
+from impact_observer.analysis.sweep.sweep import Case
+from impact_observer.cli import sweep as command
+from impact_observer.cli.main import main
+from impact_observer.errors import DynamicsError
+
+SMALL = (
+    *("two_mass", "--laws", "geometric,minimum-variance", "--runs", "2", "--duration", "3"),
+    *("--jitter", "0,0.001", "--off", "stiffness-scale=1,1.02"),
+)
+SIZE = 2 * 2 * 2 * 2
+Table = dict[str, list[object]]
+
+
+def table_of(path: Path) -> Table:
+    """What is in a file, as another program reads it."""
+    table = pq.read_table(path)
+    return {name: table[name].to_pylist() for name in table.column_names}
+
+
+@pytest.fixture(scope="module")
+def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small sweep by one process."""
+    path = tmp_path_factory.mktemp("serial") / "sweep.parquet"
+    assert main(["sweep", *SMALL, "--jobs", "1", "-o", str(path)]) == 0
+    return path
+
+
+def test_rows_say_what_was_run_and_what_came_out(serial: Path) -> None:
+    """In the order of the cases."""
+    table = table_of(serial)
+    assert table["case"] == [*range(SIZE)]
+    assert table["law"] == ["geometric"] * 8 + ["minimum-variance"] * 8
+    assert table["sensor_jitter"][:8] == [0.0] * 4 + [0.001] * 4
+    assert table["off_stiffness-scale"][:4] == [1.0, 1.0, 1.02, 1.02]
+    assert table["seed"][:4] == [0, 1, 0, 1]
+    assert table["initial"][:2] == ["random:0", "random:1"]
+    assert set(table["error"]) == {""}
+    assert all(isinstance(value, float) for value in table["V_ratio"])
+
+
+@pytest.mark.slow
+def test_two_processes_give_the_same_bits_as_one(serial: Path, tmp_path: Path) -> None:
+    """The whole file."""
+    path = tmp_path / "sweep.parquet"
+    assert main(["sweep", *SMALL, "--jobs", "2", "-o", str(path)]) == 0
+    assert path.read_bytes() == serial.read_bytes()
+
+
+@pytest.mark.slow
+def test_a_cluster_of_two_workers_gives_the_same_bits(serial: Path, tmp_path: Path) -> None:
+    """Workers are processes of their own, found by the address of their scheduler."""
+    distributed = pytest.importorskip("distributed")
+    path = tmp_path / "sweep.parquet"
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=50
+    ) as cluster:
+        address = cluster.scheduler_address
+        assert main(["sweep", *SMALL, "--scheduler", address, "-o", str(path)]) == 0
+    assert path.read_bytes() == serial.read_bytes()
+
+
+class Engine:
+    """Runs cases in this process, in another order, and counts them."""
+
+    def __init__(self, stop_after: int | None = None) -> None:
+        self.numbers: list[int] = []
+        self.stop_after = stop_after
+
+    def __call__(
+        self, cases: Sequence[Case], *, jobs: int | None, scheduler: str | None
+    ) -> Iterator[Outcome]:
+        """As ``run_cases``."""
+        del jobs, scheduler
+        for case in reversed(cases):
+            if len(self.numbers) == self.stop_after:
+                raise KeyboardInterrupt
+            self.numbers.append(case.number)
+            yield running.run_case(case)
+
+
+def test_what_is_finished_is_kept_and_not_done_again(
+    serial: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """After Ctrl-C the same command goes on, in any order, and ends with the same file."""
+    path = tmp_path / "sweep.parquet"
+    first, second, third = Engine(5), Engine(), Engine()
+    monkeypatch.setattr(command, "run_cases", first)
+    assert main(["sweep", *SMALL, "-o", str(path)]) == 1
+    told = "impact-observer: interrupted; 5 of 16 cases are done; the same command goes on\n"
+    assert capsys.readouterr().err == told
+    assert table_of(path)["case"] == sorted(first.numbers) == [11, 12, 13, 14, 15]
+    monkeypatch.setattr(command, "run_cases", second)
+    assert main(["sweep", *SMALL, "-o", str(path)]) == 0
+    assert "has 5 of 16 cases already" in capsys.readouterr().out
+    assert sorted(first.numbers + second.numbers) == [*range(SIZE)]
+    assert path.read_bytes() == serial.read_bytes()
+    monkeypatch.setattr(command, "run_cases", third)
+    assert main(["sweep", *SMALL, "-o", str(path)]) == 0
+    assert third.numbers == []
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]
+
+
+def test_what_takes_long_is_written_now_and_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that is killed loses seconds, not hours."""
+    path, seen = tmp_path / "sweep.parquet", []
+    monkeypatch.setattr(command, "PERIOD", 0.0)
+    monkeypatch.setattr(command, "_BURDEN", 0.0)
+
+    def looking(cases: Sequence[Case], **_: object) -> Iterator[Outcome]:
+        for case in cases:
+            yield Outcome(case.number, V_ratio=1.0)
+            seen.append(len(table_of(path)["case"]))
+
+    monkeypatch.setattr(command, "run_cases", looking)
+    assert main(["sweep", *SMALL, "-o", str(path)]) == 0
+    assert seen == [*range(1, SIZE + 1)]
+
+
+def test_another_sweep_is_never_written_over(
+    serial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor is anything else that is there."""
+    path = tmp_path / "sweep.parquet"
+    path.write_bytes(serial.read_bytes())
+    assert main(["sweep", *SMALL, "--seed", "1", "-o", str(path)]) == 2
+    told = f"{path}: holds another sweep: seed is 0 there and 1 here; name another file"
+    assert capsys.readouterr().err == f"impact-observer: {told}\n"
+    assert path.read_bytes() == serial.read_bytes()
+    path.write_text("a letter")
+    assert main(["sweep", *SMALL, "-o", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert "is no sweep" in error
+    assert len(error.splitlines()) == 1
+    assert path.read_text() == "a letter"
+    table = pq.read_table(serial)
+    pq.write_table(table.replace_schema_metadata(None), path)
+    assert main(["sweep", *SMALL, "-o", str(path)]) == 2
+    assert f"{path}: exists and is no sweep; name another file" in capsys.readouterr().err
+
+
+def test_a_case_that_fails_is_a_row_and_exit_code_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The others are there, in the file and in the figures; going on does not change it."""
+    whole, path = running._outcome, tmp_path / "sweep.parquet"
+
+    def broken(case: Case) -> Outcome:
+        if case.number == 3:
+            raise DynamicsError("no solution")
+        return whole(case)
+
+    monkeypatch.setattr(running, "_outcome", broken)
+    words = ["sweep", "two_mass", "--runs", "5", "--duration", "2", "--jobs", "1", "--json"]
+    for _ in range(2):
+        assert main([*words, "-o", str(path)]) == 1
+        printed = capsys.readouterr()
+        told = "impact-observer: 1 of 5 cases failed, such as case 3: no solution"
+        assert printed.err.splitlines()[-1] == told
+        figures = json.loads(printed.out)
+        assert figures["failed"] == figures["groups"][0]["failed"] == 1
+        assert figures["groups"][0]["runs"] == 5
+    table = table_of(path)
+    assert table["error"] == ["", "", "", "no solution", ""]
+    assert [value is None for value in table["V_end"]] == [False, False, False, True, False]
+
+
+def test_a_row_is_what_the_other_commands_say_of_its_seed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """simulate, observe and compare with the values of the row come to the same figures."""
+    path, plant, bag = tmp_path / "sweep.parquet", tmp_path / "plant", tmp_path / "bag"
+    how = ("--duration", "12", "--rate", "20", "--jitter", "0.002", "--missed", "0.1")
+    words = ("--laws", "unilateral", "--runs", "1", "--seed", "4", "--jobs", "1")
+    assert main(["sweep", "three_mass", *words, *how, "-o", str(path)]) == 0
+    assert main(["simulate", "three_mass", *how, "--seed", "4", "-o", str(plant)]) == 0
+    law = ("--law", "unilateral", "--initial", "random:4", "--epoch", "1")
+    assert main(["observe", str(plant), *law, "-o", str(bag)]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(bag), "--json"]) == 0
+    (figures,) = json.loads(capsys.readouterr().out).values()
+    table = table_of(path)
+    for name in ("V_start", "V_end", "V_ratio", "V_largest_rise", "settling_time"):
+        assert table[name] == [figures[name]], name
+    for name in ("rate_per_second", "rate_per_impact", "impacts_used", "switches_rejected"):
+        assert table[name] == [figures[name]], name
+
+
+def test_what_comes_out_is_a_table_and_a_picture(
+    serial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Made from a finished file without running anything again."""
+    path, plot = tmp_path / "sweep.parquet", tmp_path / "sweep.svg"
+    path.write_bytes(serial.read_bytes())
+    words = ["--plot", str(plot), "--against", "stiffness-scale"]
+    assert main(["sweep", *SMALL, *words, "-o", str(path)]) == 0
+    said = capsys.readouterr().out
+    for word in ("jitter [s]", "observer's stiffness-scale", "not settled", "minimum-variance"):
+        assert word in said
+    assert f"picture: {plot}" in said
+    assert plot.stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("package", "problem"),
+    [
+        ("joblib", "sweep needs joblib"),
+        ("distributed", "--scheduler needs Dask"),
+        ("pyarrow", "sweep needs pyarrow"),
+    ],
+)
+def test_a_package_that_is_not_here_is_named_with_its_extra(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    package: str,
+    problem: str,
+) -> None:
+    """One line that says what to install."""
+    import impact_observer.bag
+
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.delitem(sys.modules, "impact_observer.bag.sweeps", raising=False)
+    monkeypatch.delattr(impact_observer.bag, "sweeps", raising=False)
+    path = tmp_path / "sweep.parquet"
+    words = ["--scheduler", "tcp://127.0.0.1:1"] if package == "distributed" else []
+    assert main(["sweep", *SMALL, *words, "-o", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"impact-observer: {problem}")
+    assert error.endswith("pip install impact_observer[sweep]\n")
+    assert len(error.splitlines()) == 1
+    assert not path.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["-o", "sweep.csv"], "sweep.csv: expected a name that ends in .parquet"),
+        (["--laws", "magic"], "law 'magic': not installed"),
+        (["--off", "gap=0.4", "--off", "gap=0.5"], "off: gap found twice"),
+        (["--against", "jitter"], "there is no picture"),
+        (["--plot", "v.gif"], "v.gif: expected a name"),
+        (["--plot", "v.png", "--against", "jitter"], "has not several values"),
+        (["--mislabelled", "0.1"], "sensor mislabelled"),
+        (["--scheduler", "nowhere"], "--scheduler nowhere: cannot be reached: missing port"),
+    ],
+)
+def test_what_cannot_be_swept_is_one_line_and_exit_code_2(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    problem: str,
+) -> None:
+    """Before anything runs."""
+    if "--scheduler" in words:
+        pytest.importorskip("distributed")
+    monkeypatch.chdir(tmp_path)
+    assert main(["sweep", "two_mass", "-o", "sweep.parquet", *words]) == 2
+    error = capsys.readouterr().err
+    assert problem in error
+    assert len(error.splitlines()) == 1
+    assert [*tmp_path.iterdir()] == []
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["--jitter", "0,late"], "0,late found; expected values with commas, each 0 to 1 s"),
+        (["--jitter", "0,2"], "each 0 to 1 s"),
+        (["--impacts-only", "perhaps"], "each true or false"),
+        (["--off", "gap"], "expected NAME=V,V"),
+        (["--jobs", "2", "--scheduler", "tcp://a:1"], "not allowed with"),
+        (["--runs", "0"], "1 or more"),
+    ],
+)
+def test_a_wrong_argument_is_one_line(
+    capsys: pytest.CaptureFixture[str], words: list[str], problem: str
+) -> None:
+    """That says what is expected."""
+    with pytest.raises(SystemExit) as end:
+        main(["sweep", "two_mass", "-o", "sweep.parquet", *words])
+    assert end.value.code == 2
+    error = capsys.readouterr().err
+    assert problem in error
+    assert len(error.splitlines()) == 1
