@@ -48,7 +48,7 @@ def swept(runs: int) -> Sweep:
     """Half a minute of two masses."""
     model = read_model("two_mass")
     return Sweep(
-        Rig(model.text()), LAWS, sensors_of({"jitter": JITTER}), replicas_of(model, {}, {}), runs
+        Rig(model.text()), LAWS, sensors_of({"jitter": JITTER}), replicas_of(model, {}), runs
     )
 
 

@@ -53,6 +53,16 @@ def test_the_example_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> N
     assert max(difference) < 0.01
 
 
+def test_the_example_of_the_page_of_sweeps_runs() -> None:
+    """It makes outcomes that have figures."""
+    code = blocks((ROOT / "docs" / "sweep.md").read_text(), "python")[1]
+    space: dict[str, object] = {}
+    exec(compile(code, "sweep.md", "exec"), space)
+    outcomes = space["outcomes"]
+    assert isinstance(outcomes, list)
+    assert [each.error for each in outcomes] == [""] * 8
+
+
 def test_the_model_of_the_readme_is_a_model() -> None:
     """It can be copied as it stands."""
     (text,) = blocks(README, "yaml")

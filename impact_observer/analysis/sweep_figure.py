@@ -37,16 +37,13 @@ def against_of(sweep: Sweep, wanted: str | None) -> str:
         UsageError: it has no such label, or too many values beside it.
     """
     swept = sweep.swept
-    names = {
-        label.removeprefix(SENSOR).removeprefix(OFF).replace("_", "-"): label for label in swept
-    }
-    if wanted is None:
-        found = next(iter(swept), LAW)
-    elif (name := wanted.replace("_", "-")) in names:
-        found = names[name]
-    else:
-        told = f"expected one of: {', '.join(names)}" if names else "nothing but laws has"
-        raise UsageError(f"--against {wanted}: has not several values; {told}")
+    names = {each.removeprefix(SENSOR).removeprefix(OFF).replace("_", "-"): each for each in swept}
+    names[LAW] = LAW
+    found = next(iter(swept), LAW) if wanted is None else names.get(wanted.replace("_", "-"))
+    if found is None:
+        raise UsageError(
+            f"--against {wanted}: has not several values; expected one of {', '.join(names)}"
+        )
     panels = math.prod(len(values) for label, values in swept.items() if label != found)
     if panels > MOST_PANELS:
         raise UsageError(

@@ -86,11 +86,11 @@ def print_tables(labelled: "dict[str, Comparison]") -> None:
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH
     console = Console(highlight=False, markup=False, emoji=False, width=width)
     for table in (table_of(labelled), impacts_table(labelled), errors_table(labelled)):
-        console.print(table if console.width >= _NARROW else _upright(table))
+        console.print(table if console.width >= _NARROW else upright(table))
     print_blindness(labelled)
 
 
-def _upright(table: "Table") -> "Table":
+def upright(table: "Table") -> "Table":
     """A table for a narrow terminal: the figures of a row stand below each other."""
     from rich.table import Table
 

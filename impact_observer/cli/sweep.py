@@ -10,7 +10,8 @@ import argparse
 import json as json_module
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -75,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--duration", metavar="S", type=positive, default=30.0, help="how long, s (default 30)"
     )
     parser.add_argument(
-        "--rate", metavar="HZ", type=positive, default=20.0, help="samples, Hz (default 20)"
+        "--rate", metavar="HZ", type=positive, default=100.0, help="samples, Hz (default 100)"
     )
     parser.add_argument(
         "--settled",
@@ -183,13 +184,9 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     from impact_observer.analysis.sweep.replicas import replicas_of
     from impact_observer.analysis.sweep.sweep import RANDOM, Rig, Sweep, sensors_of
     from impact_observer.cli.compare import laws_in
-    from impact_observer.model import parse_model
-    from impact_observer.model.reading import load_yaml
-    from impact_observer.shares import read_declared
+    from impact_observer.model import read_model
 
-    path, text = read_declared(args.model, "config", "a model file, or a sample model")
-    model, document = parse_model(text, str(path), path.parent), load_yaml(text)
-    assert isinstance(document, dict), "a model is a mapping"
+    model = read_model(args.model)
     model.initial_state()
     troubles = {each.name: getattr(args, SENSOR + each.name) for each in SWEPT}
     epoch = EPOCH if args.epoch is None else args.epoch
@@ -198,7 +195,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
         rig=Rig(replace(model, provenance={}).text(), args.duration, args.rate, epoch),
         laws=laws_in(args.laws),
         sensors=sensors_of({name: found for name, found in troubles.items() if found}),
-        replicas=replicas_of(model, document, named_once(args.off)),
+        replicas=replicas_of(model, named_once(args.off)),
         runs=args.runs,
         seed=args.seed,
         options=replace(options, initial=args.initial or RANDOM, law="geometric"),
@@ -327,7 +324,7 @@ def _files() -> "ModuleType":
 
 
 def _finish(
-    work: "Iterator[Outcome]",
+    work: "Generator[Outcome, None, None]",
     wanted: "Sweep",
     output: Path,
     outcomes: "dict[int, Outcome]",
@@ -338,13 +335,14 @@ def _finish(
     progress.step(what, len(outcomes), wanted.size)
     due, before = time.monotonic() + PERIOD, len(outcomes)
     try:
-        for outcome in work:
-            outcomes[outcome.case] = outcome
-            progress.step(what, len(outcomes), wanted.size)
-            if (now := time.monotonic()) >= due:
-                write(output, wanted, outcomes)
-                done = time.monotonic()
-                due = done + max(PERIOD, _BURDEN * (done - now))
+        with closing(work):
+            for outcome in work:
+                outcomes[outcome.case] = outcome
+                progress.step(what, len(outcomes), wanted.size)
+                if (now := time.monotonic()) >= due:
+                    write(output, wanted, outcomes)
+                    done = time.monotonic()
+                    due = done + max(PERIOD, _BURDEN * (done - now))
     except KeyboardInterrupt:
         told = f"{len(outcomes)} of {wanted.size} cases are done; the same command goes on"
         raise KeyboardInterrupt(told) from None

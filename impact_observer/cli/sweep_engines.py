@@ -2,7 +2,7 @@
 
 import logging
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -36,7 +36,7 @@ def one_thread() -> None:
 
 def run_cases(
     cases: "Sequence[Case]", *, jobs: int | None = None, scheduler: str | None = None
-) -> "Iterator[Outcome]":
+) -> "Generator[Outcome, None, None]":
     """The outcomes of cases, as they are finished.
 
     Args:
@@ -52,7 +52,7 @@ def run_cases(
     return on_machine(cases, jobs) if scheduler is None else on_cluster(cases, scheduler)
 
 
-def on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Iterator[Outcome]":
+def on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome, None, None]":
     """With processes of this machine."""
     try:
         import joblib
@@ -74,7 +74,7 @@ def on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Iterator[Outcome]"
             raise SweepError(f"a process of the sweep has died: {line}") from None
 
 
-def on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Iterator[Outcome]":
+def on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Generator[Outcome, None, None]":
     """With the workers of a Dask cluster; those that come later are used too."""
     try:
         from distributed import as_completed
@@ -110,6 +110,7 @@ def on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Iterator[Outcome]":
 def _connected(scheduler: str) -> "Iterator[Client]":
     """A client of a cluster whose workers have this version of the package."""
     from distributed import Client
+    from distributed import TimeoutError as LateError  # not the builtin one in Python 3.10
     from distributed.comm import resolve_address
 
     try:
@@ -122,22 +123,25 @@ def _connected(scheduler: str) -> "Iterator[Client]":
         _check_workers(client, scheduler)
         yield client
     finally:
-        with suppress(TimeoutError, OSError):  # of a scheduler that is gone already
+        with suppress(LateError, OSError):  # of a scheduler that is gone already
             client.close(timeout=_PARTING)
 
 
 def _check_workers(client: "Client", scheduler: str) -> None:
     """Raise UsageError where there are no workers, or where they would compute something else."""
+    from distributed import TimeoutError as LateError
+
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
-    except TimeoutError:
+    except LateError:
         raise UsageError(f"--scheduler {scheduler}: has no workers; start some") from None
     try:
         versions = dict(client.run(_version))
-    except ImportError as error:
+    except Exception as error:  # noqa: BLE001 (what a worker raises comes as a plain one)
+        line = " ".join(str(error).split())
         raise UsageError(
-            f"--scheduler {scheduler}: a worker cannot import this package ({error}); install it"
-            " there too"
+            f"--scheduler {scheduler}: a worker cannot use this package ({line}); install it and"
+            " impact_observer[sweep] there too"
         ) from None
     for worker, found in versions.items():
         if found != __version__:

@@ -6,12 +6,16 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from impact_observer.cli.comparison_tables import upright
+
 if TYPE_CHECKING:
     from impact_observer.analysis.sweep.summary import Group, Quartiles
     from impact_observer.analysis.sweep.sweep import Label, Sweep
 
 _WIDTH = 140
 """Columns where there is no terminal."""
+_WIDE = 1000
+"""Columns in which any table has room."""
 
 
 def figures(groups: "Sequence[Group]") -> list[dict[str, object]]:
@@ -75,7 +79,9 @@ def print_groups(sweep: "Sweep", groups: "Sequence[Group]") -> None:
             _shown(group.V_ratio, ".1e", ""),
             *([str(group.failed)] if failed else []),
         )
-    Console(highlight=False, markup=False, emoji=False, width=width).print(table)
+    console = Console(highlight=False, markup=False, emoji=False, width=width)
+    needed = console.measure(table, options=console.options.update(width=_WIDE)).maximum
+    console.print(table if needed <= console.width else upright(table))
 
 
 def _value(value: "Label") -> str:

@@ -52,7 +52,7 @@ def swept(
         Rig(model.text(), seconds, 20.0, EPOCH),
         laws or ("geometric",),
         sensors_of(troubles),
-        replicas_of(model, {}, off),
+        replicas_of(model, off),
         runs=runs,
     )
 
@@ -69,6 +69,9 @@ def test_cases_are_every_combination_and_share_the_seeds_of_their_runs() -> None
         (2, 2, "random:2"),
     }
     assert len({(c.options.law, c.sensor.jitter, c.run) for c in cases}) == 12
+    whole = swept(troubles={"jitter": [0, 1], "impacts_only": [True]})
+    kinds = [(type(v), v) for c in whole.cases() for k, v in c.labels.items() if "sensor_" in k]
+    assert {kind for kind, value in kinds if value is not True} == {float}
     fixed = replace(sweep, seed=7, options=Options(initial="zero"))
     assert {(c.seed, c.options.initial) for c in fixed.cases()} == {(s, "zero") for s in (7, 8, 9)}
 
@@ -187,11 +190,8 @@ def test_quartiles_take_what_never_settles_for_infinite(times: list[float], neve
 
 def replicas(off: Mapping[str, Sequence[float]]) -> list[Model]:
     """The models that observers of two stops believe in."""
-    from impact_observer.model.reading import load_yaml
-
-    model, document = parse_model(ELEMENTS, "elements"), load_yaml(ELEMENTS)
-    assert isinstance(document, dict)
-    return [parse_model(each.text, "replica") for each in replicas_of(model, document, off)]
+    model = parse_model(ELEMENTS, "elements")
+    return [parse_model(each.text, "replica") for each in replicas_of(model, off)]
 
 
 def test_replicas_are_off_by_what_is_told_and_by_nothing_else() -> None:
@@ -207,7 +207,7 @@ def test_replicas_are_off_by_what_is_told_and_by_nothing_else() -> None:
         np.testing.assert_array_equal(each.system.M, true.M)
         np.testing.assert_array_equal(each.system.q_r, true.q_r)
     model = read_model("two_mass")
-    (replica,) = replicas_of(model, {}, {"gap": [0.4]})
+    (replica,) = replicas_of(model, {"gap": [0.4]})
     assert replica.off == (Off("gap", 0.4, "m"),)
 
 

@@ -83,6 +83,10 @@ def test_other_quantities_make_panels() -> None:
     assert titles == ["dead time 0 s", "dead time 0.1 s"]
     assert figure.axes[-1].get_xlabel() == "observer's gap [m]"
     assert against_of(sweep, "dead-time") == "sensor_dead_time"
+    figure = drawn(sweep, [1.0], "law")
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert len(titles) == 6
+    assert titles[0] == "dead time 0 s, observer's gap 0.4 m"
 
 
 def test_without_anything_swept_laws_are_side_by_side() -> None:

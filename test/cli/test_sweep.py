@@ -16,11 +16,22 @@ from impact_observer.analysis.sweep import running
 from impact_observer.analysis.sweep.running import Outcome
 from impact_observer.analysis.sweep.sweep import Case
 from impact_observer.cli import sweep as command
+from impact_observer.cli import sweep_engines
 from impact_observer.cli.main import main
 from impact_observer.errors import DynamicsError
 
 SMALL = (
-    *("two_mass", "--laws", "geometric,minimum-variance", "--runs", "2", "--duration", "3"),
+    *(
+        "two_mass",
+        "--laws",
+        "geometric,minimum-variance",
+        "--runs",
+        "2",
+        "--duration",
+        "3",
+        "--rate",
+        "20",
+    ),
     *("--jitter", "0,0.001", "--off", "stiffness-scale=1,1.02"),
 )
 SIZE = 2 * 2 * 2 * 2
@@ -73,6 +84,21 @@ def test_a_cluster_of_two_workers_gives_the_same_bits(serial: Path, tmp_path: Pa
         address = cluster.scheduler_address
         assert main(["sweep", *SMALL, "--scheduler", address, "-o", str(path)]) == 0
     assert path.read_bytes() == serial.read_bytes()
+
+
+def test_a_cluster_without_workers_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And exit code 2; nothing is written."""
+    distributed = pytest.importorskip("distributed")
+    monkeypatch.setattr(sweep_engines, "_PATIENCE", 0.5)
+    with distributed.LocalCluster(n_workers=0, dashboard_address=None, silence_logs=50) as cluster:
+        address = cluster.scheduler_address
+        words = ["sweep", *SMALL, "--scheduler", address, "-o", str(tmp_path / "sweep.parquet")]
+        assert main(words) == 2
+    told = f"impact-observer: --scheduler {address}: has no workers; start some\n"
+    assert capsys.readouterr().err == told
+    assert [*tmp_path.iterdir()] == []
 
 
 class Engine:
@@ -171,7 +197,7 @@ def test_a_case_that_fails_is_a_row_and_exit_code_1(
         return whole(case)
 
     monkeypatch.setattr(running, "_outcome", broken)
-    words = ["sweep", "two_mass", "--runs", "5", "--duration", "2", "--jobs", "1", "--json"]
+    words = ["sweep", "two_mass", "--runs", "5", "--duration", "1", "--jobs", "1", "--json"]
     for _ in range(2):
         assert main([*words, "-o", str(path)]) == 1
         printed = capsys.readouterr()
@@ -190,7 +216,7 @@ def test_a_row_is_what_the_other_commands_say_of_its_seed(
 ) -> None:
     """simulate, observe and compare with the values of the row come to the same figures."""
     path, plant, bag = tmp_path / "sweep.parquet", tmp_path / "plant", tmp_path / "bag"
-    how = ("--duration", "12", "--rate", "20", "--jitter", "0.002", "--missed", "0.1")
+    how = ("--duration", "8", "--rate", "50", "--jitter", "0.002", "--missed", "0.1")
     words = ("--laws", "unilateral", "--runs", "1", "--seed", "4", "--jobs", "1")
     assert main(["sweep", "three_mass", *words, *how, "-o", str(path)]) == 0
     assert main(["simulate", "three_mass", *how, "--seed", "4", "-o", str(plant)]) == 0

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.analysis.identification.parameters import family_of
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model import Model
+from impact_observer.model.parameters import family_of
 
 
 class Off(NamedTuple):
@@ -39,16 +39,11 @@ class Replica:
     off: tuple[Off, ...] = ()
 
 
-def replicas_of(
-    model: Model,
-    document: Mapping[str, object],
-    off: Mapping[str, Sequence[float]],
-) -> tuple[Replica, ...]:
+def replicas_of(model: Model, off: Mapping[str, Sequence[float]]) -> tuple[Replica, ...]:
     """A replica for every combination of the values in ``off``; the true one where it is empty.
 
     Args:
         model: of the plant.
-        document: what its file says; its elements can be wrong one by one.
         off: values by the names that ``identify`` has for parameters, such as ``gap.stop``; a
             name without a point is all of its kind, each with the value.
 
@@ -58,15 +53,13 @@ def replicas_of(
     """
     if not off:
         return (Replica(Model(model.system).text()),)
-    return tuple(_replicas(model, document, off))
+    return tuple(_replicas(model, off))
 
 
-def _replicas(
-    model: Model, document: Mapping[str, object], off: Mapping[str, Sequence[float]]
-) -> Iterator[Replica]:
+def _replicas(model: Model, off: Mapping[str, Sequence[float]]) -> Iterator[Replica]:
     """At least one parameter may be off."""
     try:
-        family = family_of(model.system, document, [*off])
+        family = family_of(model.system, [*off], model.elements)
     except UsageError as error:
         raise UsageError(f"off: {error}") from None
     # Of a kind all members have the value that is given for the kind.

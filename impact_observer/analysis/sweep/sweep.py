@@ -38,13 +38,14 @@ class Rig:
     Attributes:
         text: a model file in matrix form, with an initial state.
         duration: s.
-        rate: of the samples at which estimates are compared, Hz.
+        rate: of the samples at which estimates are compared, Hz; where it is too low, a sample
+            between the jumps of truth and estimate is not told from an error (``mismatch``).
         epoch: stamp of ``t = 0``, ns.
     """
 
     text: str
     duration: float = 30.0
-    rate: float = 20.0
+    rate: float = 100.0
     epoch: int = 1_000_000_000
 
 
@@ -75,14 +76,14 @@ class Case:
     @property
     def labels(self) -> dict[str, Label]:
         """What tells it from other cases of its sweep; all of them have the same names."""
-        names = [field.name for field in fields(Sensor)]
+        values = {field.name: getattr(self.sensor, field.name) for field in fields(Sensor)}
         return {
             "case": self.number,
             "law": self.options.law,
             "run": self.run,
             "seed": self.seed,
             "initial": self.options.initial,
-            **{SENSOR + name: getattr(self.sensor, name) for name in names},
+            **{SENSOR + k: v if isinstance(v, bool) else float(v) for k, v in values.items()},
             **{OFF + each.name: each.value for each in self.replica.off},
         }
 
@@ -180,7 +181,8 @@ class Sweep:
 
     def description(self) -> dict[str, object]:
         """All that the outcomes depend on, as JSON can hold it."""
-        options = {k: v for k, v in asdict(self.options).items() if k not in {"law", "ensemble"}}
+        given_by_case = {"law", "ensemble", "epoch"}
+        options = {k: v for k, v in asdict(self.options).items() if k not in given_by_case}
         return {
             "format": FORMAT,
             "version": __version__,
