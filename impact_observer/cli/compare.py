@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
     laws = () if args.laws is None else laws_in(args.laws)
-    options = _options(args, laws)
+    options = observer_options(args, "").of_laws(laws)
     if not options and observer_options(args, "") != observer_options(argparse.Namespace(), ""):
         raise UsageError("laws: none named, but how to run observers; name some with --laws")
     return compare(
@@ -88,20 +88,6 @@ def run(args: argparse.Namespace) -> int:
         namespace=args.namespace,
         output=Output(args.plot, args.report, args.csv, args.json),
     )
-
-
-def _options(args: argparse.Namespace, laws: Sequence[str]) -> "list[Options]":
-    """An observer for each law; parameters are learnt by those that can, if there is one."""
-    from impact_observer.observer import law_named
-
-    options = [observer_options(args, law) for law in laws]
-    learning = [law_named(each.law).learns for each in options]
-    if not any(learning):
-        return options
-    return [
-        each if learns else replace(each, estimate_parameters=())
-        for each, learns in zip(options, learning, strict=True)
-    ]
 
 
 @dataclass(frozen=True, slots=True)

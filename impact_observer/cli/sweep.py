@@ -17,6 +17,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from impact_observer.analysis import SETTLED
 from impact_observer.cli.arguments import (
     add_observer_arguments,
     count,
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
     from impact_observer.analysis.sweep.sweep import Sweep
     from impact_observer.cli.progress import Progress
 
-SETTLED = 1e-2
-"""V over V at the start below which an estimate counts as settled, unless told otherwise."""
 EPOCH = 1_000_000_000
 """Stamp of ``t = 0`` unless told otherwise, ns."""
 PERIOD = 5.0

@@ -1,7 +1,7 @@
 """What users choose of an observer, as they write it: the same in nodes and commands."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from impact_observer.errors import UsageError
 from impact_observer.model import System
@@ -51,6 +51,19 @@ class Options:
     history: float = DEFAULT_HISTORY
     estimate_parameters: tuple[str, ...] = ()
     parameter_drift: float = 0.0
+
+    def of_laws(self, laws: Sequence[str]) -> "list[Options]":
+        """These for each law; parameters are learnt by the laws that can, if there is one.
+
+        Raises:
+            UsageError: a law is not installed.
+        """
+        learns = [law_named(law).learns for law in laws]
+        told = [self.estimate_parameters if each or not any(learns) else () for each in learns]
+        return [
+            replace(self, law=law, estimate_parameters=each)
+            for law, each in zip(laws, told, strict=True)
+        ]
 
     def observer(self, system: System, elements: Sequence[Element] = ()) -> Observer:
         """An observer of ``system`` that has seen nothing yet.

@@ -24,9 +24,7 @@ def swept(
 ) -> Sweep:
     """A sweep of two masses with two runs of two laws."""
     model = read_model("two_mass")
-    return Sweep(
-        Rig(model.text()), LAWS, sensors_of(troubles), replicas_of(model, {}, off), runs=2
-    )
+    return Sweep(Rig(model.text()), LAWS, sensors_of(troubles), replicas_of(model, off), runs=2)
 
 
 def drawn(sweep: Sweep, times: Sequence[float | None], against: str | None = None) -> Figure:

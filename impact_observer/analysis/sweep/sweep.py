@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from itertools import product
 
 from impact_observer import __version__
-from impact_observer.analysis.comparison import SETTLED
+from impact_observer.analysis import SETTLED
 from impact_observer.analysis.sweep.replicas import Replica
 from impact_observer.errors import UsageError
 from impact_observer.model import parse_model
@@ -144,13 +144,13 @@ class Sweep:
     def _each(
         self, sensors: Sequence[Sensor], replicas: Sequence[Replica], runs: int
     ) -> Iterator[Case]:
-        combinations = product(self.laws, sensors, replicas, range(runs))
-        for number, (law, sensor, replica, run) in enumerate(combinations):
+        told = self.options.of_laws(self.laws)
+        combinations = product(told, sensors, replicas, range(runs))
+        for number, (own, sensor, replica, run) in enumerate(combinations):
             seed = self.seed + run
             initial = self.options.initial
             options = replace(
-                self.options,
-                law=law,
+                own,
                 initial=f"random:{seed}" if initial == RANDOM else initial,
                 ensemble=1,  # no estimate depends on it
                 epoch=self.rig.epoch,
@@ -182,7 +182,11 @@ class Sweep:
     def description(self) -> dict[str, object]:
         """All that the outcomes depend on, as JSON can hold it."""
         given_by_case = {"law", "ensemble", "epoch"}
-        options = {k: v for k, v in asdict(self.options).items() if k not in given_by_case}
+        options = {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in asdict(self.options).items()
+            if name not in given_by_case
+        }
         return {
             "format": FORMAT,
             "version": __version__,
