@@ -74,16 +74,18 @@ def window(
     if here >= near.size or near.size < 3:
         return None
     rises = _rises(near, truth[low:high])
-    of_truth = _nearest(rises, _LEAST * float(np.max(np.abs(truth[low:high]))), here)
-    if of_truth is None:
-        return None
-    if _is_of_another(int(near[of_truth]), impact, others):
+    # Coarse samples see a speed bend, too: what is small beside the jump is none.
+    own = [not _is_of_another(at, impact, others) for at in near.tolist()]
+    largest = float(np.max(rises, where=own, initial=0.0))
+    least = max(_LEAST * float(np.max(np.abs(truth[low:high]))), _LIKE * largest)
+    of_truth = _nearest(rises, least, here)
+    if of_truth is None or not own[of_truth]:
         return None
     # At the stamp an estimate may be thrown either way, or hardly; ahead of it only like the
     # truth, by a law that knows when the impact must be.
     least = _LIKE * float(rises[of_truth])
     of_estimate = _nearest(_rises(near, estimate[low:high]), least, here)
-    if of_estimate is None or _is_of_another(int(near[of_estimate]), impact, others):
+    if of_estimate is None or not own[of_estimate]:
         of_estimate = here
     first, last = sorted((of_truth, of_estimate))
     return Window(int(near[first]), int(near[last])) if first < last else None
