@@ -282,3 +282,16 @@ def test_a_sampled_forcing_is_refused() -> None:
     sampled = replace(model, forcing=Forcing.of_samples(Samples(time, values, "linear")))
     with pytest.raises(UsageError, match="sampled, which identify cannot take"):
         identify(family_of(sampled, ["restitution"]), told("two_mass"))
+
+
+def test_what_is_told_too_weakly_is_named_after_the_fit() -> None:
+    """A value that may be wrong by all of itself is none; what is told well stays."""
+    model = sample("two_mass").system
+    family = family_of(model, ["restitution", "damping-scale"])
+    found = identify(family, told("two_mass")[:12], clock=0.3, believe=True)
+    restitution, damping = found.errors
+    assert 2 * restitution < 1.0 < damping
+    ((term,),) = found.unknown
+    assert term.name == "damping-scale"
+    surely = identify(family, told("two_mass")[:12], clock=1e-4, believe=True)
+    assert surely.unknown == ()

@@ -43,6 +43,8 @@ _BELIEVED = 2 / 3
 """Share of the impacts that has to be believed, and heard, of a recording that is explained."""
 _PART = 1e-3
 """Term of a combination that is none, relative to the largest."""
+_MINOR = 0.2
+"""The same of one that is told too weakly, in sizes of the parameters."""
 
 
 class Term(NamedTuple):
@@ -279,8 +281,10 @@ def _identified(
     found = directions(problem, solution.shot)
     own = covariance[2 * n :, 2 * n :] / np.outer(family.sizes, family.sizes)
     values, axes = linalg.eigh(own) if own.size else (np.zeros(0), np.zeros((0, 0)))
-    weak = np.zeros((2 * n + family.size, int(np.count_nonzero(values > 1.0))))
-    weak[2 * n :] = axes[:, values > 1.0] * family.sizes[:, None]
+    axes = axes[:, values > 1.0]
+    # Few stamps turn an axis a little: what has hardly a part in it may be told by itself.
+    axes = np.where(np.abs(axes) < _MINOR * np.max(np.abs(axes), axis=0, initial=0.0), 0.0, axes)
+    weak = np.vstack([np.zeros((2 * n, axes.shape[1])), axes * family.sizes[:, None]])
     changed = len(recording.doubted) + len(recording.inserted)
     hits, names = recording.hits(), family.system.contact_names
     return Identified(
