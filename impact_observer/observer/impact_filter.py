@@ -1,7 +1,6 @@
 """The Kalman filter of impact times: what an instant says of the whole state, and how surely."""
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from impact_observer.dynamics import (
     Map,
     Measured,
     Sensitivity,
-    correction,
     led,
     product,
     triangular,
@@ -25,6 +23,7 @@ from impact_observer.observer.joint import Expected, Joint
 from impact_observer.observer.learning import Unknowns
 from impact_observer.observer.linear import Astray, Linear
 from impact_observer.observer.members import Member, Members
+from impact_observer.observer.resting import rested
 from impact_observer.states import Matrix, Vector
 
 _SHORT = 1e-8
@@ -102,7 +101,7 @@ class ImpactFilter:
 
     def begin(self, known: Known) -> Known:
         """``known``, and that its closed contacts rest."""
-        return self._rested(known, known.closed, np.zeros(len(known.closed)))
+        return rested(self.members, known, known.closed, np.zeros(len(known.closed)))
 
     def course(self, t: float, known: Known) -> Linear:
         """How ``known`` goes on from ``t`` (s since the epoch) while nothing switches."""
@@ -126,7 +125,7 @@ class ImpactFilter:
         if d > known.x.size + p:
             root[0, 1:] = known.root[-1]
             root = triangular(root)
-        joint = self._joint(touch.t, known.offset, known, root, self._apart(known))
+        joint = Joint.of(touch.t, known.offset, known, root, Joint.apart_of(known))
         return self._at_its_instant(touch, joint) if known.offset else joint
 
     def evidence(self, touch: Touch, prior: Joint) -> Evidence:
@@ -164,7 +163,9 @@ class ImpactFilter:
         slope = -gaps.c @ rate
         bent = np.abs(gaps.c @ rates.A @ rate)
         clock = prior.root[0, 0]
-        seen = gaps.c @ prior.own[1:] + self.members.gap_rows(contacts) @ prior.root[prior.known]
+        seen = (
+            gaps.c @ prior.own[1:] + self.members.gap_rows(contacts) @ prior.root[prior.of_theta]
+        )
         most = np.hypot(np.linalg.norm(seen, axis=1), (np.abs(slope) + bent * clock) * clock)
         most += self._rounding(touch, gaps, prior.x)
         value = np.abs(gaps.value(prior.x) + slope * prior.e)
@@ -206,7 +207,7 @@ class ImpactFilter:
             rates, forces = member.moving.rates(touch.before), member.moving.forces(joint.t)
             pressing = rates.along(after.x, forces)[0]
             short = self.short * self.system.contact_speed(pressing[self.system.n :])
-            after = self._rested(after, new, np.hypot(short[list(new)], left))
+            after = rested(self.members, after, new, np.hypot(short[list(new)], left))
         phase, s, turn = member.moving.phase(touch.closed), touch.t - joint.t, None
         if joint.parameters:
             turn = s * self.members.turning(member, touch.closed, after.x, joint.t)
@@ -235,11 +236,11 @@ class ImpactFilter:
         row, e, deviation = -seen / slope, late / slope, deviation / slope
         bent = deviation * float(np.linalg.norm(D @ root[: x.size])) / slope
         bent += float(E[0]) / slope * deviation**2 / 2
-        apart = self._apart(known)
+        apart = Joint.apart_of(known)
         apart[:, :1] = apart[:, 1 : 1 + row.size] @ row.T
         whole = np.zeros((1 + len(root), 1 + root.shape[1]))
         whole[0, 0], whole[0, 1:], whole[1:, 1:] = bent, row @ root[: row.size], root
-        return self.after(touch, self._joint(touch.t, e, known, triangular(whole), apart), left)
+        return self.after(touch, Joint.of(touch.t, e, known, triangular(whole), apart), left)
 
     def mirrored(self, contact: int, known: Known) -> Matrix:
         """What an impact of ``contact`` makes of errors, were it told when: shape (2n, 2n)."""
@@ -345,7 +346,7 @@ class ImpactFilter:
 
     def _bounded(self, joint: Joint) -> Joint:
         """``joint`` with parameters that may be."""
-        return joint.shifted(self.members.inward(joint.theta, joint.root, joint.known))
+        return joint.shifted(self.members.inward(joint.theta, joint.root, joint.of_theta))
 
     def _jumped(self, touch: Touch, joint: Joint) -> Known:
         """What is known after the jump, at the same instant."""
@@ -365,12 +366,12 @@ class ImpactFilter:
         replicas = x + joint.apart[:, : 1 + x.size] @ H.T
         whole, moved = joint.root, H @ joint.own
         if joint.parameters and pressed:
-            whole = led(joint.root, joint.known)
-            seen, own = self._seen(joint, pressed), whole[joint.known, : joint.parameters]
+            whole = led(joint.root, joint.of_theta)
+            seen, own = self._seen(joint, pressed), whole[joint.of_theta, : joint.parameters]
             columns, noise = seen.added(whole[1 : 1 + x.size], own)
             moved, bent = H @ whole[: 1 + x.size], np.hstack([bent, noise])
             moved[:, : joint.parameters] += columns
-            replicas = replicas + joint.apart[:, joint.known] @ seen.first
+            replicas = replicas + joint.apart[:, joint.of_theta] @ seen.first
             replicas[0] = x
         root, slow = np.column_stack([moved, bent, rounded]), whole[1 + x.size :]
         left = np.zeros((len(slow), root.shape[1] - slow.shape[1]))
@@ -380,66 +381,7 @@ class ImpactFilter:
 
     def _seen(self, joint: Joint, pressed: Contacts) -> Sensitivity:
         """How the state after an impact changes with the parameters."""
-        steps = self.members.steps(joint.theta, joint.root[joint.known])
+        steps = self.members.steps(joint.theta, joint.root[joint.of_theta])
         return Sensitivity.of(
             lambda theta: self.members.jumped(theta, joint.x, pressed), joint.theta, steps
         )
-
-    def _rested(self, known: Known, new: Contacts, left: Vector) -> Known:
-        """``g = 0`` and ``gamma = 0`` on closed contacts; those that are ``new`` tell it.
-
-        Args:
-            known: when they close.
-            new: contacts that were not closed before.
-            left: speeds that a plant may leave out before these rest, shape (len(new),), m/s.
-        """
-        closed = known.closed
-        if not closed:
-            return known
-        member, size, p = self.member(known), known.x.size, known.parameters
-        gaps, speeds = member.gaps(new), Measured.speeds(self.system, new)
-        c = np.vstack([gaps.c, speeds.c])
-        value = np.concatenate([gaps.value(known.x), speeds.value(known.x)])
-        sizes = self.phases.scales.sizes(*np.split(known.x, 2))
-        floor = [gaps.rounding(sizes), np.hypot(speeds.rounding(sizes), left)]
-        H = np.hstack([c, np.zeros((len(c), known.root.shape[0] - size))])
-        H[: len(new), size : size + p] = self.members.gap_rows(new)
-        learnt = correction(known.root, H, np.diag(np.concatenate(floor)))
-        apart = np.hstack([known.replicas - known.x, known.slow - known.slow[0]])
-        change = (value + apart @ H.T) @ learnt.gain.T
-        told = replace(
-            known,
-            replicas=known.replicas - change[:, :size],
-            slow=known.slow - change[:, size:],
-            root=learnt.root,
-        )
-        if p:
-            change = self.members.inward(told.theta, told.root, slice(size, size + p))
-            replicas, slow = told.replicas + change[:size], told.slow + change[size:]
-            told = replace(told, replicas=replicas, slow=slow)
-        return self._stopped(told)
-
-    def _stopped(self, known: Known) -> Known:
-        """What is known, where it is as good as exact that closed contacts rest.
-
-        What is left goes by the way the plant itself comes to rest.
-        """
-        closed, n, member = known.closed, self.system.n, self.member(known)
-        W, projection = self.system.W[:, list(closed)].T, member.projection
-        x, Z = member.moving.phases.stopped(known.x, closed, projection), projection.jump(closed)
-        still = member.moving.phase(closed).inverse @ member.system.M
-        turn = np.zeros((2 * n, known.parameters))
-        turn[:n] = -Z @ self.members.gap_rows(closed)
-        return known.carried(x, linalg.block_diag(np.eye(n) - Z @ W, still), turn)
-
-    @staticmethod
-    def _apart(known: Known) -> Matrix:
-        """(e, x, slow) of all replicas less those of the estimate, shape (N, 1 + 2n + k)."""
-        slow = known.slow - known.slow[0]
-        late = np.sum(slow[:, known.parameters :], axis=1, keepdims=True)
-        return np.hstack([late, known.replicas - known.x, slow])
-
-    @staticmethod
-    def _joint(t: float, e: float, known: Known, root: Matrix, apart: Matrix) -> Joint:
-        """Instant and state, where the state is that of ``known`` at ``t``."""
-        return Joint(t, e, known.x, known.slow[0], root, apart, known.parameters)

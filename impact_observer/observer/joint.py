@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.dynamics import Correction, Expansion, Map, correction, product
+from impact_observer.observer.belief import Known
 from impact_observer.states import Matrix, Vector
 
 _SETTLED = 0.05
@@ -40,8 +41,20 @@ class Joint:
         """The rows of ``root`` for (e, x), shape (1 + 2n, d)."""
         return self.root[: 1 + self.x.size]
 
+    @classmethod
+    def of(cls, t: float, e: float, known: Known, root: Matrix, apart: Matrix) -> "Joint":
+        """Where the state is that of ``known`` at ``t``."""
+        return cls(t, e, known.x, known.slow[0], root, apart, known.parameters)
+
+    @staticmethod
+    def apart_of(known: Known) -> Matrix:
+        """``apart`` of replicas whose stamps are late by nothing but their offsets."""
+        slow = known.slow - known.slow[0]
+        late = np.sum(slow[:, known.parameters :], axis=1, keepdims=True)
+        return np.hstack([late, known.replicas - known.x, slow])
+
     @property
-    def known(self) -> slice:
+    def of_theta(self) -> slice:
         """The rows of ``root`` for the parameters."""
         return slice(1 + self.x.size, 1 + self.x.size + self.parameters)
 
@@ -63,8 +76,8 @@ class Joint:
         root[rows] = map_.linear @ root[rows]
         apart[:, rows] = apart[:, rows] @ map_.linear.T
         if turn is not None:
-            root[rows] += turn @ root[self.known]
-            apart[:, rows] += apart[:, self.known] @ turn.T
+            root[rows] += turn @ root[self.of_theta]
+            apart[:, rows] += apart[:, self.of_theta] @ turn.T
         return replace(self, t=self.t + s, e=self.e + s, x=map_.value, root=root, apart=apart)
 
     def corrected(self, learnt: Correction, H: Matrix, innovation: Vector) -> "Joint":

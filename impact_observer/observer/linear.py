@@ -12,6 +12,7 @@ from impact_observer.observer.members import Members
 from impact_observer.states import Matrix, Vector
 
 _MINUTE = 60.0
+"""s"""
 
 
 class Astray(NamedTuple):
