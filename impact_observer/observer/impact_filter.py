@@ -312,7 +312,8 @@ class ImpactFilter:
             expansion,
             self._turn(member, touch, contacts, about.x, view.t),
             -(value + expansion.H[:, 0] * view.e + mean),
-            np.column_stack([bent, np.diag(self._rounding(touch, measured, view.x))]),
+            bent,
+            self._rounding(touch, measured, view.x),
         )
 
     def _at_its_instant(self, touch: Touch, joint: Joint, member: Member | None = None) -> Joint:

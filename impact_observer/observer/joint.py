@@ -105,14 +105,16 @@ class Expected(NamedTuple):
         expansion: of what is measured, about it.
         turn: how that changes with the parameters, shape (k, p).
         innovation: by what it says something else than ``expansion`` does, shape (k,).
-        noise: a square root of the covariance of what is not linear, shape (k, any).
+        bent: a square root of the covariance of what is not linear, shape (k, any).
+        rounded: standard deviation of what is rounded, shape (k,).
     """
 
     about: Vector
     expansion: Expansion
     turn: Matrix
     innovation: Vector
-    noise: Matrix
+    bent: Matrix
+    rounded: Vector
 
     def rows(self, view: Joint) -> Matrix:
         """What is measured of (e, x, slow), shape (k, d)."""
@@ -121,13 +123,14 @@ class Expected(NamedTuple):
 
     def learnt(self, view: Joint) -> Correction:
         """What measuring it tells of ``view``."""
-        return correction(view.root, self.rows(view), self.noise)
+        noise = np.column_stack([self.bent, np.diag(self.rounded)])
+        return correction(view.root, self.rows(view), noise)
 
     def settled(self, found: Joint) -> bool:
         """Whether linearising about ``found`` instead would change nothing."""
         _, H, D, E = self.expansion
         bent = found.e * (D @ (found.x - self.about) + E * (found.e / 2))
-        noise = np.linalg.norm(self.noise, axis=1)
+        noise = np.linalg.norm(self.bent, axis=1)
         left = np.linalg.norm(product(found.own, D, E)[1], axis=1)
-        scale = np.hypot(H[:, 0] * found.root[0, 0], noise)
+        scale = np.hypot(np.hypot(H[:, 0] * found.root[0, 0], noise), self.rounded)
         return bool(np.all(np.abs(bent) + np.abs(noise - left) <= _SETTLED * scale))
