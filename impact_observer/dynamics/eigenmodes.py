@@ -15,6 +15,8 @@ from impact_observer.states import Matrix, Vector
 
 _SLICES = 4
 """Parts that a matrix is cut into, so that products of parts are exact."""
+_ENTRIES = 1 << 22
+"""Numbers that are held at once of products of parts."""
 _APART = 1e3
 """Least distance of two ``omega^2``, over their coupling, for the coupling to be removed."""
 _LARGE = 1e-9
@@ -62,23 +64,33 @@ def _congruence(A: Matrix, X: Matrix) -> _Double:
 def _product(A: Matrix, B: Matrix) -> _Double:
     """``A B`` by products of parts with so few bits that each is exact (Ozaki et al. 2012)."""
     bits = (53 - ceil(log2(A.shape[1] + 1))) // 2
-    high, low = np.zeros((len(A), B.shape[1])), np.zeros((len(A), B.shape[1]))
-    right = [part.T for part in _parts(B.T, bits)]
-    for left in _parts(A, bits):
-        for part in right:
-            high, rest = _sum(high, left @ part)
-            low += rest
+    parts = _parts(np.vstack([A, B.T]), bits)
+    left, right = parts[:, None, : len(A)], parts[None, :, len(A) :].transpose(0, 1, 3, 2)
+    high, low = np.empty((len(A), B.shape[1])), np.empty((len(A), B.shape[1]))
+    at_once = max(1, _ENTRIES // (_SLICES**2 * len(A)))
+    for start in range(0, B.shape[1], at_once):
+        columns = slice(start, start + at_once)
+        each = (left @ right[..., columns]).reshape(_SLICES**2, len(A), -1)
+        high[:, columns], low[:, columns] = _total(each)
     return _sum(high, low)
 
 
-def _parts(A: Matrix, bits: int) -> list[Matrix]:
+def _total(terms: NDArray[np.float64]) -> _Double:
+    """The sum of an array along its first axis, whose length is a power of two, two by two."""
+    low = np.zeros(terms.shape[1:])
+    while len(terms) > 1:
+        terms, rest = _sum(terms[::2], terms[1::2])
+        low += rest.sum(axis=0)
+    return terms[0], low
+
+
+def _parts(A: Matrix, bits: int) -> NDArray[np.float64]:
     """``A`` as a sum, each part with ``bits`` bits below the largest number of its row."""
-    parts = []
-    for _ in range(_SLICES):
-        _, exponent = np.frexp(np.max(np.abs(A), axis=1, keepdims=True))
+    parts = np.empty((_SLICES, *A.shape))
+    for part in parts:
+        _, exponent = np.frexp(np.abs(A).max(axis=1, keepdims=True))
         shift = np.ldexp(1.0, exponent + 53 - bits)
-        part = (A + shift) - shift
-        parts.append(part)
+        np.subtract(A + shift, shift, out=part)
         A = A - part
     return parts
 
