@@ -27,13 +27,35 @@ from impact_observer.states import Matrix, Vector
 
 _ORDER = 8
 """Order of the Taylor polynomial."""
-_POWERS = np.arange(_ORDER)[:, None, None]
-FACTORIALS = np.array([factorial(k) for k in range(_ORDER)], dtype=float)
+_POWERS = np.arange(_ORDER + 1.0)
+FACTORIALS = np.array([factorial(k) for k in range(_ORDER + 1)], dtype=float)
 """What derivatives are divided by in the Taylor polynomial."""
-_BERNSTEIN = np.array(
-    [[comb(i, j) / comb(_ORDER, j) for j in range(_ORDER + 1)] for i in range(_ORDER + 1)]
-)
-"""Bernstein coefficients from those of powers on [0, 1]."""
+
+
+def _bernstein(order: int) -> Matrix:
+    """Bernstein coefficients from those of powers on [0, 1], shape (order + 1, order + 1)."""
+    powers = range(order + 1)
+    return np.array([[comb(i, j) / comb(order, j) for j in powers] for i in powers])
+
+
+_BERNSTEIN = _bernstein(_ORDER)
+_BERNSTEIN_OF_RISES = _bernstein(_ORDER - 1)
+
+
+class Rough(NamedTuple):
+    """Watched functions at the ends of adjacent intervals, and a bound between them.
+
+    Attributes:
+        values: shape (intervals + 1, w).
+        starting: slopes at left ends, shape (intervals, w).
+        ending: slopes at right ends where they are known, shape (intervals, w).
+        curvature: bound on the second derivative along each interval, shape (intervals, w).
+    """
+
+    values: Matrix
+    starting: Matrix
+    ending: Matrix
+    curvature: Matrix
 
 
 class Taylor(NamedTuple):
@@ -41,13 +63,30 @@ class Taylor(NamedTuple):
 
     Attributes:
         derivatives: the functions and their derivatives there, shape (8, intervals, w).
-        curvature: bound on the second derivative along each interval, shape (intervals, w).
-        remainder: the same of the eighth.
+        remainder: bound on the eighth derivative along each interval, shape (intervals, w).
     """
 
     derivatives: NDArray[np.float64]
-    curvature: Matrix
     remainder: Matrix
+
+    def extremes(self, left: Matrix, h: Vector) -> tuple[Matrix, Matrix]:
+        """Least value and steepest rise that each function can have on each interval.
+
+        Args:
+            left: of the functions at the left ends, shape (intervals, w).
+            h: lengths of the intervals, s, shape (intervals,).
+
+        Returns:
+            Values and ``h`` times slopes, shape (intervals, w) each.
+        """
+        terms = np.concatenate([self.derivatives, self.remainder[None]])
+        terms *= (h ** _POWERS[:, None] / FACTORIALS[:, None])[..., None]
+        terms[0] = left
+        rises = _POWERS[1:, None] * terms[1:].reshape(_ORDER, -1)
+        terms[-1] *= -1.0
+        least = (_BERNSTEIN @ terms.reshape(_ORDER + 1, -1)).min(axis=0)
+        steepest = (_BERNSTEIN_OF_RISES @ rises).max(axis=0)
+        return least.reshape(left.shape), steepest.reshape(left.shape)
 
 
 class Bounds:
@@ -63,7 +102,7 @@ class Bounds:
         """
         self._least = least
         self._equations, self._inverse = phase.equations, phase.inverse
-        self._watched = watched
+        self.watched = watched
         forcing, c = phase.equations.forcing, watched.force
         self._of_velocity = bool(np.any(watched.velocity))
         self._of_force = bool(np.any(c))
@@ -79,14 +118,14 @@ class Bounds:
 
     def _prepare_scale(self, phase: Phase) -> None:
         """What each function sees of the modes, and of forces at once, signs apart."""
-        equations, watched = phase.equations, self._watched
+        equations, watched = phase.equations, self.watched
         self._sees_a = phase.scales.seen(watched.position)
         self._sees_b = phase.scales.seen(watched.velocity)
         pushed = linalg.solve(
             equations.M, (watched.position + watched.velocity).T, assume_a="pos"
         ).T
         self._pushes = [equations.forcing.bound(np.outer(row, row)) for row in pushed]
-        self._stiff, self._damped = np.abs(pushed @ equations.K), np.abs(pushed @ equations.C)
+        self._pulls = np.abs(np.hstack([pushed @ equations.K, pushed @ equations.C]))
 
     def scale(self, t: Vector, p: Matrix, u: Matrix, s: Vector) -> Matrix:
         """What the functions are rounded against: what they see of each mode, signs apart.
@@ -94,82 +133,94 @@ class Bounds:
         After a start from rest that is little, and what the forces have made of it counts too.
 
         Args:
-            t: s since the epoch, shape (samples,).
-            p: shape (samples, n).
-            u: velocities, shape (samples, n).
-            s: seconds since the start of the motion, shape (samples,).
+            t: where intervals begin, s since the epoch, shape (intervals,).
+            p: at all left ends, then at all right ends, shape (2 intervals, n).
+            u: velocities there, shape (2 intervals, n).
+            s: where intervals end, seconds since the start of the motion, shape (intervals,).
 
         Returns:
-            Shape (samples - 1, w), of intervals.
+            Shape (intervals, w).
         """
         least = self._least_scale(t, p, u) if self._least > 0 else 0.0
-        s = np.minimum(s[1:], self._timescale)[:, None]
-        forces = np.stack([bound(0, t[:-1]) for bound in self._pushes], axis=1)
-        forces += _widest(np.abs(p) @ self._stiff.T + np.abs(u) @ self._damped.T)
+        s = np.minimum(s, self._timescale)[:, None]
+        forces = _widest(np.abs(np.hstack([p, u])) @ self._pulls.T)
+        forces += np.stack([bound(0, t) for bound in self._pushes], axis=1)
         moved = _widest(self._scales.reach(p, u) @ self._sees_a.T)
-        scale = np.abs(self._watched.constant) + moved
+        scale = np.abs(self.watched.constant) + moved
         if not self._of_velocity:
             scale += forces * s**2 / 2
         else:
             speeds = _widest(np.abs(u @ self._scales.modes) @ self._sees_b.T)
             scale += speeds + forces * np.where(self._moving, s, s**2 / 2)
         if self._of_force:
-            scale += self._forces(0, t[:-1])
+            scale += self._forces(0, t)
         return np.asarray(np.maximum(scale, least))
 
     def _least_scale(self, t: Vector, p: Matrix, u: Matrix) -> Matrix:
-        """Least scale, shape (samples - 1, w): a body may rest exactly while others move."""
+        """Least scale, shape (intervals, w): a body may rest exactly while others move."""
         energy = np.einsum("si,si->s", u @ self._equations.M, u)
         energy += np.einsum("si,si->s", p @ self._equations.K, p)
-        speed = np.sqrt(np.maximum(energy, 0.0)) + self._work(0, t) * self._timescale
+        speed = _widest(np.sqrt(np.maximum(energy, 0.0))) + self._work(0, t) * self._timescale
         reach = self._reach_a * self._timescale + self._reach_b
-        return self._least * np.outer(_widest(speed), reach)
+        return self._least * np.outer(speed, reach)
 
-    def taylor(self, t: Vector, p: Matrix, u: Matrix, h: Vector) -> Taylor:
+    def rough(self, t: Vector, values: Matrix, x: Matrix, h: Vector) -> Rough:
+        """What tells that a function stays away from zero, mostly.
+
+        Args:
+            t: where intervals begin, s since the epoch, shape (intervals,).
+            values: of the functions at the ends of the intervals, shape (intervals + 1, w).
+            x: states (p, u) there, shape (intervals + 1, 2n).
+            h: lengths of the intervals, s, shape (intervals,).
+        """
+        n = x.shape[1] // 2
+        derivatives, motion = self._derived(t, x[:-1], 2)
+        ending = x[1:, n:] @ self.watched.position.T
+        return Rough(values, derivatives[1], ending, self._largest(2, t, motion, h))
+
+    def taylor(self, t: Vector, x: Matrix, h: Vector) -> Taylor:
         """Derivatives of the functions at the left ends of intervals, with bounds along them.
 
         Args:
             t: s since the epoch, shape (intervals,).
-            p: shape (intervals, n).
-            u: velocities, shape (intervals, n).
+            x: states (p, u), shape (intervals, 2n).
             h: lengths of the intervals, s, shape (intervals,).
         """
-        equations, a, b = self._equations, self._watched.position, self._watched.velocity
-        orders = _ORDER + self._of_velocity
-        f = equations.forcing.derivatives(t, orders - 1)
-        motion = [p, u]
-        for k in range(orders - 1):
+        derivatives, motion = self._derived(t, x, _ORDER)
+        return Taylor(derivatives, self._largest(_ORDER, t, motion, h))
+
+    def _derived(
+        self, t: Vector, x: Matrix, orders: int
+    ) -> tuple[NDArray[np.float64], list[Matrix]]:
+        """Derivatives of the functions below ``orders``, and those of ``p`` that bounds need."""
+        equations, a, b = self._equations, self.watched.position, self.watched.velocity
+        n, highest = x.shape[1] // 2, orders + self._of_velocity
+        f = equations.forcing.derivatives(t, highest - 1)
+        motion = [x[:, :n], x[:, n:]]
+        for k in range(highest - 1):
             load = f[k] - motion[-1] @ equations.C.T - motion[-2] @ equations.K
             motion.append(load @ self._inverse)
-        derivatives = np.stack(motion[:_ORDER]) @ a.T
+        derivatives = np.stack(motion[:orders]) @ a.T
         if self._of_velocity:
-            derivatives += np.stack(motion[1 : _ORDER + 1]) @ b.T
+            derivatives += np.stack(motion[1 : orders + 1]) @ b.T
         if self._of_force:
-            derivatives += f[:_ORDER] @ self._watched.force.T
-        derivatives[0] += self._watched.constant
-        curvature, remainder = (self._largest(k, t, motion, h) for k in (2, _ORDER))
-        return Taylor(derivatives, curvature, remainder)
+            derivatives += f[:orders] @ self.watched.force.T
+        derivatives[0] += self.watched.constant
+        return derivatives, motion
 
-    def lower(self, values: Matrix, ends: Matrix, taylor: Taylor, h: Vector) -> Matrix:
-        """Least value that each function can take on each interval.
+    def lower(self, rough: Rough, h: Vector) -> Matrix:
+        """Least value that each function can take on each interval, shape (intervals, w).
 
         Args:
-            values: of the functions at the ends of the intervals, shape (intervals + 1, w).
-            ends: ``a u`` there: slopes of gaps, shape (intervals + 1, w).
-            taylor: at the left ends.
+            rough: what is known of them.
             h: lengths of the intervals, s, shape (intervals,).
-
-        Returns:
-            Shape (intervals, w).
         """
-        h, left, slope = h[:, None], values[:-1], taylor.derivatives[1]
-        once = np.minimum(left, left + slope * h - taylor.curvature * h**2 / 2)
-        twice = _parabolas(values, ends, taylor.curvature, h)
-        scaled = taylor.derivatives * (h**_POWERS / FACTORIALS[:, None, None])
-        scaled[0] = left
-        remainder = taylor.remainder * (h**_ORDER / factorial(_ORDER))
-        polynomial = np.tensordot(_BERNSTEIN, np.concatenate([scaled, -remainder[None]]), axes=1)
-        return np.asarray(np.maximum(np.where(self._gaps, twice, once), polynomial.min(axis=0)))
+        twice = parabolas(rough, h)
+        if self._gaps.all():
+            return twice
+        left, h = rough.values[:-1], h[:, None]
+        once = np.minimum(left, left + rough.starting * h - rough.curvature * h**2 / 2)
+        return np.where(self._gaps, twice, once)
 
     def _largest(self, k: int, t: Vector, motion: list[Matrix], h: Vector) -> Matrix:
         """Bound on the ``k``-th derivative of each function along intervals, (intervals, w)."""
@@ -198,21 +249,27 @@ def _lengths(rows: Matrix, metric: Matrix) -> Vector:
 
 
 def _widest(samples: Matrix) -> Matrix:
-    """The larger of both ends of each interval, shape (samples - 1, w)."""
-    return np.asarray(np.maximum(samples[:-1], samples[1:]))
+    """The larger of both ends of each interval, left ends standing first."""
+    half = len(samples) // 2
+    return np.asarray(np.maximum(samples[:half], samples[half:]))
 
 
-def _parabolas(g: Matrix, gamma: Matrix, bound: Matrix, h: Vector) -> Matrix:
+def parabolas(rough: Rough, h: Vector) -> Matrix:
     """Least value above the parabolas from both ends, shape (intervals, w).
 
     ``g_j + gamma_j s - B s^2 / 2`` and its mirror from the other end are lower bounds; both are
     concave and differ by a linear function, so the larger of them is least at an end or where
     they meet.
+
+    Args:
+        rough: what is known of the functions.
+        h: lengths of the intervals, s, shape (intervals,).
     """
-    left, right, rate_l, rate_r = g[:-1], g[1:], gamma[:-1], gamma[1:]
+    left, right, h = rough.values[:-1], rough.values[1:], h[:, None]
+    bend = rough.curvature * h
     # p_l(s) - p_r(s) = left - right + rate_r h + B h^2 / 2 + (rate_l - rate_r - B h) s
-    slope = rate_l - rate_r - bound * h
-    at_zero = left - right + rate_r * h + bound * h**2 / 2
+    slope = rough.starting - rough.ending - bend
+    at_zero = left - right + (rough.ending + bend / 2) * h
     meet = np.clip(np.where(slope == 0, 0.0, -at_zero / np.where(slope == 0, 1.0, slope)), 0.0, h)
-    middle = left + rate_l * meet - bound * meet**2 / 2
+    middle = left + (rough.starting - rough.curvature * meet / 2) * meet
     return np.asarray(np.minimum(np.minimum(left, right), middle))

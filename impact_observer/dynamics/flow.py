@@ -8,7 +8,7 @@ top of either: ``sampled.py``.
 """
 
 from abc import ABC, abstractmethod
-from typing import Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from scipy import linalg
 
 from impact_observer.model import Forcing
 from impact_observer.states import Matrix, Vector
+
+if TYPE_CHECKING:
+    from impact_observer.dynamics.waves import View
 
 
 class Equations(Protocol):
@@ -93,12 +96,30 @@ class Motion(ABC):
         return np.asarray(self.states(np.array([s]))[0])
 
 
+class Functions(NamedTuple):
+    """Functions ``rows x + Re(harmonics e^{i omega t}) + constant`` of states and of time.
+
+    Attributes:
+        rows: shape (w, 2n).
+        harmonics: shape (w, h), a column a harmonic of the forcing.
+        constant: shape (w,).
+    """
+
+    rows: Matrix
+    harmonics: NDArray[np.complex128]
+    constant: Vector
+
+
 class Flow(ABC):
     """The flow of one linear phase."""
 
     @abstractmethod
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
+
+    def view(self, functions: Functions) -> "View | None":  # noqa: ARG002
+        """How this flow's motions show themselves to ``functions``; None if in no closed form."""
+        return None
 
     @abstractmethod
     def transition(self, s: float) -> Matrix:

@@ -1,6 +1,7 @@
 """Splitting of the state into ``n`` real 2 x 2 blocks, where that is safe."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,57 @@ _WORST_CONDITION = 1e3
 """Condition of the modes, in units of energy, beyond which digits would be lost."""
 
 
+class Rates(NamedTuple):
+    """How pairs go on by themselves: eigenvalues ``a +- d``.
+
+    Attributes:
+        a: mean of a pair's eigenvalues, shape (n,), 1/s.
+        d: half their distance, shape (n,), 1/s.
+        oscillates: whether ``d`` is imaginary, shape (n,).
+        slow: ``a + d`` of those that do not oscillate, ``a`` of the others, shape (n,).
+    """
+
+    a: Vector
+    d: Vector
+    oscillates: NDArray[np.bool_]
+    slow: Vector
+
+    def propagated(self, s: Vector) -> NDArray[np.float64]:
+        """``c`` and ``S`` of ``e^{Js} = c + S (J - a)``, shape (2, n, samples)."""
+        a, d, swings = self.a[:, None], self.d[:, None], self.oscillates[:, None]
+        found = np.empty((2, self.a.size, s.size))
+        decay, angle = np.exp(a * s), d * s
+        if swings.all():
+            np.multiply(decay, np.cos(angle), out=found[0])
+            np.multiply(decay, np.sin(angle), out=found[1])
+            found[1] /= d
+            return found
+        slow = np.exp(self.slow[:, None] * s)
+        width = 2 * np.where(swings, 0.0, angle)
+        ratio = np.where(width == 0, 1.0, -np.expm1(-width) / np.where(width == 0, 1.0, width))
+        found[0] = np.where(swings, decay * np.cos(angle), slow * (1 + np.exp(-width)) / 2)
+        found[1] = np.where(swings, decay * s * np.sinc(angle / np.pi), slow * s * ratio)
+        return found
+
+    def largest(self, start: Vector, stop: Vector) -> NDArray[np.float64]:
+        """Bounds on ``|c|`` and ``|S|`` along intervals, shape (2, n, intervals).
+
+        No eigenvalue has a positive real part, so ``|c| <= e^{as}`` and, with the slow eigenvalue
+        for ``a`` where a pair does not oscillate, ``|S| <= e^{as} min(s, 1/d)``.
+        """
+        found = np.empty((2, self.a.size, start.size))
+        np.exp(np.multiply.outer(self.slow, start), out=found[0])
+        still = np.divide(1.0, self.d, out=np.full(self.d.shape, np.inf), where=self.d > 0)
+        np.multiply(found[0], np.minimum(stop, still[:, None]), out=found[1])
+        return found
+
+    def beside(self, frequency: Vector) -> "Rates":
+        """The same pairs and, after them, harmonics, shape (h,), rad/s, as pairs of their own."""
+        none, always = np.zeros(frequency.shape), np.ones(frequency.shape, dtype=np.bool_)
+        more = (none, frequency, always, none)
+        return Rates(*(np.concatenate(both) for both in zip(self, more, strict=True)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Modes:
     """A splitting of the state into ``n`` pairs with eigenvalues ``a +- d``.
@@ -29,10 +81,7 @@ class Modes:
         J: blocks, shape (n, 2, 2), 1/s.
         proportional: whether a pair is a coordinate, to ``M``-orthonormal shapes, and its
             velocity; otherwise it is an eigenvector's two parts, or two real eigenvectors.
-        a: mean of a pair's eigenvalues, shape (n,), 1/s. Derived.
-        d: half their distance, shape (n,), 1/s. Derived.
-        oscillates: whether ``d`` is imaginary, shape (n,). Derived.
-        slow: ``a + d`` of those that do not oscillate, ``a`` of the others, shape (n,). Derived.
+        rates: ``a`` and ``d``. Derived.
         deviator: ``J - a``, shape (n, 2, 2), 1/s. Derived.
     """
 
@@ -40,10 +89,7 @@ class Modes:
     T_inverse: Matrix
     J: NDArray[np.float64]
     proportional: bool
-    a: Vector = field(init=False)
-    d: Vector = field(init=False)
-    oscillates: NDArray[np.bool_] = field(init=False)
-    slow: Vector = field(init=False)
+    rates: Rates = field(init=False)
     deviator: NDArray[np.float64] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -57,16 +103,16 @@ class Modes:
         fast = a - np.where(oscillates, 0.0, d)
         # The slow eigenvalue a + d would cancel; the product of both is the determinant.
         slow = np.where(oscillates | (fast == 0), a, determinant / np.where(fast == 0, 1.0, fast))
-        derived = {"a": a, "d": d, "oscillates": oscillates, "slow": slow, "deviator": deviator}
-        for key, value in derived.items():
-            object.__setattr__(self, key, value)
+        object.__setattr__(self, "rates", Rates(a, d, oscillates, slow))
+        object.__setattr__(self, "deviator", deviator)
 
     @property
     def eigenvalues(self) -> tuple[Complex, Complex]:
         """Both of each pair, the one with positive imaginary part or the slow one first."""
-        imaginary = np.where(self.oscillates, 1j * self.d, 0.0)
-        one = np.where(self.oscillates, self.a + imaginary, self.slow)
-        two = np.where(self.oscillates, self.a - imaginary, 2 * self.a - self.slow)
+        a, d, oscillates, slow = self.rates
+        imaginary = np.where(oscillates, 1j * d, 0.0)
+        one = np.where(oscillates, a + imaginary, slow)
+        two = np.where(oscillates, a - imaginary, 2 * a - slow)
         return one, two
 
 

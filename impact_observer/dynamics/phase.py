@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics.flow import Equations, Flow, Motion
+from impact_observer.dynamics.flow import Equations, Flow, Functions, Motion
 from impact_observer.dynamics.projection import KEPT, PositionProjection
 from impact_observer.dynamics.scales import Scales
 from impact_observer.dynamics.spectral import flow_of
+from impact_observer.dynamics.waves import View, Waves
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -179,7 +180,8 @@ class Phases:
 
     def white(self, loads: Matrix) -> Matrix:
         """``L^-1 loads``, ``M = L L^T``: accelerations whose length is their energy's root."""
-        return np.asarray(linalg.solve_triangular(self._factor, loads, lower=True))
+        # LAPACK's routine itself: on the path of every impact, where checks cost more than it.
+        return np.asarray(linalg.lapack.dtrtrs(self._factor, loads, lower=1)[0])
 
     def unwhite(self, accelerations: Matrix) -> Matrix:
         """``L^-T accelerations``: back to coordinates."""
@@ -310,6 +312,16 @@ class _HeldFlow(Flow):
         free = np.concatenate([self._inverse @ (x[:n] - rest), self._inverse @ x[n:]])
         return _HeldMotion(t, self._inner.start(t, free), self._shapes, rest)
 
+    def view(self, functions: Functions) -> View | None:
+        """Of the free coordinates, and of constants that each motion has of its own."""
+        if self._inner is None:
+            return None
+        n = len(self._shapes)
+        position, velocity = functions.rows[:, :n], functions.rows[:, n:]
+        free = np.hstack([position @ self._shapes, velocity @ self._shapes])
+        inner = self._inner.view(functions._replace(rows=free))
+        return None if inner is None else _HeldView(inner, position)
+
     def transition(self, s: float) -> Matrix:
         """That of the free coordinates; velocities that are held are gone at once."""
         n, r = self._shapes.shape
@@ -329,16 +341,30 @@ class _HeldFlow(Flow):
 class _HeldMotion(Motion):
     def __init__(self, t: float, inner: Motion | None, shapes: Matrix, rest: Vector) -> None:
         self.t = t
-        self._inner = inner
+        self.inner = inner
+        self.rest = rest
         self._shapes = shapes
-        self._rest = rest
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         n, r = self._shapes.shape
         found = np.zeros((s.size, 2 * n))
-        found[:, :n] = self._rest
-        if self._inner is not None:
-            y = self._inner.states(s)
+        found[:, :n] = self.rest
+        if self.inner is not None:
+            y = self.inner.states(s)
             found[:, :n] += y[:, :r] @ self._shapes.T
             found[:, n:] = y[:, r:] @ self._shapes.T
         return found
+
+
+class _HeldView(View):
+    """Functions of a motion in fewer coordinates, which see what does not move as well."""
+
+    def __init__(self, inner: View, position: Matrix) -> None:
+        self._inner = inner
+        self._position = position
+
+    def of(self, motion: Motion) -> Waves | None:
+        if not isinstance(motion, _HeldMotion) or motion.inner is None:
+            return None
+        waves = self._inner.of(motion.inner)
+        return None if waves is None else waves.shifted(self._position @ motion.rest)

@@ -34,7 +34,7 @@ class ProportionalResponse(Response):
 
     def __init__(self, modes: Modes, longest: float) -> None:
         """Take proportional ``modes``."""
-        n = modes.a.size
+        n = len(modes.J)
         self._shapes = modes.T[:n, 0::2]
         self._stiffness, self._damping = -modes.J[:, 1, 0], -modes.J[:, 1, 1]
         self._points = modes.eigenvalues
@@ -70,7 +70,7 @@ class EigenResponse(Response):
 
     def __init__(self, system: Equations, modes: Modes, longest: float) -> None:
         """Take ``modes`` of ``system`` as complex numbers: the state is ``Re(vectors y)``."""
-        n, pair = system.n, modes.oscillates
+        n, pair = system.n, modes.rates.oscillates
         left, right = modes.T[:, 0::2], modes.T[:, 1::2]
         up, down = modes.T_inverse[0::2, n:], modes.T_inverse[1::2, n:]
         real = [modes.J[~pair, i, i] for i in range(2)]

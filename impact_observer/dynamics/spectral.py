@@ -21,10 +21,11 @@ from scipy import linalg
 
 from impact_observer.dynamics.dense import DenseFlow
 from impact_observer.dynamics.divided_differences import Complex, first, second
-from impact_observer.dynamics.flow import Equations, Flow, Motion
+from impact_observer.dynamics.flow import Equations, Flow, Functions, Motion
 from impact_observer.dynamics.modes import Modes, split
 from impact_observer.dynamics.responses import response_of
 from impact_observer.dynamics.sampled import SampledFlow
+from impact_observer.dynamics.waves import Rows, View, Waves
 from impact_observer.states import Matrix, Vector
 
 _RESONANCE = 1e-2
@@ -52,8 +53,7 @@ class SpectralFlow(Flow):
         self._n = system.n
         self._M, self._K = system.M, system.K
         self._T, self._T_inverse = modes.T, modes.T_inverse
-        self._a, self._d, self._slow = modes.a, modes.d, modes.slow
-        self._oscillates, self._deviator = modes.oscillates, modes.deviator
+        self.modes = modes
         self._prepare_forcing(system, modes)
 
     def _prepare_forcing(self, system: Equations, modes: Modes) -> None:
@@ -85,6 +85,15 @@ class SpectralFlow(Flow):
         self.near = _Driven(modes, beta, mu, near)
         self.all = _Driven(modes, beta, mu, forced)
 
+    def view(self, functions: Functions) -> View | None:
+        """Of the motions that are not young, where no pair resonates."""
+        if not self.near.nothing:
+            return None
+        rows, harmonics, constant = functions
+        steady = rows @ (self._steady_cosine - 1j * self._steady_sine)
+        seen = Rows(self.modes, rows @ self._T, self._frequency, harmonics + steady)
+        return _SpectralView(seen, constant + rows @ self._steady_constant)
+
     def energy(self, x: Vector) -> float:
         """Size of a state (q, u), shape (2n,), square root of twice its energy."""
         q, u = x[: self._n], x[self._n :]
@@ -92,7 +101,7 @@ class SpectralFlow(Flow):
 
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
-        z = self._T_inverse @ (x - self.steady(np.array([t]))[0])
+        z = self._T_inverse @ (x - self.steady(np.array([t]))[:, 0])
         old = _SpectralMotion(self, t, z.reshape(self._n, 2))
         if self._steady_size <= _HUGE * self.energy(x):
             return old
@@ -100,43 +109,31 @@ class SpectralFlow(Flow):
 
     def transition(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``, shape (2n, 2n)."""
-        pairs = self._T_inverse.T.reshape(-1, self._n, 2)  # of each unit state
-        return np.asarray(self.assemble(self.homogeneous(pairs, np.array([s]))).T)
+        c, S = self.modes.rates.propagated(np.array([s]))[..., None]
+        blocks = c * np.eye(2) + S * self.modes.deviator
+        moved = np.einsum("xpi,pij->xpj", self._T.reshape(-1, self._n, 2), blocks)
+        return np.asarray(moved.reshape(self._T.shape) @ self._T_inverse)
 
     def steady(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Steady response of all pairs away from resonance, shape (samples, 2n)."""
+        """Steady response of all pairs away from resonance, shape (2n, samples)."""
         if not self._frequency.size:
-            return np.broadcast_to(self._steady_constant, (t.size, 2 * self._n))
-        angle = np.outer(t, self._frequency)
-        return np.asarray(
-            self._steady_constant
-            + np.cos(angle) @ self._steady_cosine.T
-            + np.sin(angle) @ self._steady_sine.T
-        )
+            return np.broadcast_to(self._steady_constant[:, None], (2 * self._n, t.size))
+        angle = np.multiply.outer(self._frequency, t)
+        found: NDArray[np.float64] = self._steady_cosine @ np.cos(angle)
+        found += self._steady_sine @ np.sin(angle)
+        found += self._steady_constant[:, None]
+        return found
 
     def homogeneous(self, z: Matrix, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Free response of pairs ``z``, shape (n, 2) or one for each sample, (samples, n, 2)."""
-        s = s[:, None]
-        if self._oscillates.all():
-            decay, angle = np.exp(self._a * s), self._d * s
-            c, S = decay * np.cos(angle), decay * np.sin(angle) / self._d
-        else:
-            c, S = self._mixed(s)
-        return c[..., None] * z + S[..., None] * (self._deviator @ z[..., None])[..., 0]
-
-    def _mixed(self, s: NDArray[np.float64]) -> tuple[Matrix, Matrix]:
-        """``c`` and ``S`` where some pairs do not oscillate."""
-        decay, angle = np.exp(self._a * s), self._d * s
-        slow = np.exp(self._slow * s)
-        width = 2 * np.where(self._oscillates, 0.0, angle)
-        ratio = np.where(width == 0, 1.0, -np.expm1(-width) / np.where(width == 0, 1.0, width))
-        c = np.where(self._oscillates, decay * np.cos(angle), slow * (1 + np.exp(-width)) / 2)
-        S = np.where(self._oscillates, decay * s * np.sinc(angle / np.pi), slow * s * ratio)
-        return c, S
+        """Free response of pairs ``z``, shape (n, 2), shape (n, 2, samples)."""
+        c, S = self.modes.rates.propagated(s)[:, :, None]
+        found: NDArray[np.float64] = c * z[..., None]
+        found += S * (self.modes.deviator @ z[..., None])
+        return found
 
     def assemble(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """States from pairs: ``x = T y``, shape (samples, 2n)."""
-        return np.asarray(y.reshape(-1, 2 * self._n) @ self._T.T)
+        """States from pairs: ``x = T y``, shape (2n, samples)."""
+        return np.asarray(self._T @ y.reshape(2 * self._n, -1))
 
 
 class _Driven:
@@ -151,7 +148,7 @@ class _Driven:
         self._block = block
         self._beta = beta[block, harmonic]
         self._one, self._two, self._mu = one[block], two[block], mu[harmonic]
-        to_one = (modes.a[block] - self._one)[:, None, None] * np.eye(2)
+        to_one = (modes.rates.a[block] - self._one)[:, None, None] * np.eye(2)
         self._shifted = modes.deviator[block] + to_one
 
     @property
@@ -160,7 +157,7 @@ class _Driven:
         return self._block.size == 0
 
     def response(self, t: float, y: NDArray[np.float64], s: Vector) -> NDArray[np.float64]:
-        """Pairs ``y``, shape (samples, n, 2), and their answer since ``t``."""
+        """Pairs ``y``, shape (n, 2, samples), and their answer since ``t``."""
         if self.nothing:
             return y
         s = s[:, None]
@@ -171,7 +168,7 @@ class _Driven:
         answer: Complex = phi_1[..., None] * beta + phi_2[..., None] * turned
         y = y.copy()
         for k, pair in enumerate(self._block):
-            y[:, pair] += answer[:, k].real
+            y[pair] += answer[:, k].T.real
         return y
 
 
@@ -181,12 +178,25 @@ class _SpectralMotion(Motion):
     def __init__(self, flow: SpectralFlow, t: float, z: Matrix) -> None:
         self._flow = flow
         self.t = t
-        self._z = z
+        self.z = z
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         flow = self._flow
-        y = flow.near.response(self.t, flow.homogeneous(self._z, s), s)
-        return flow.assemble(y) + flow.steady(self.t + s)
+        y = flow.near.response(self.t, flow.homogeneous(self.z, s), s)
+        return np.ascontiguousarray((flow.assemble(y) + flow.steady(self.t + s)).T)
+
+
+class _SpectralView(View):
+    """Functions of a motion that has nothing but its pairs and its steady response."""
+
+    def __init__(self, seen: Rows, constant: Vector) -> None:
+        self._seen = seen
+        self._constant = constant
+
+    def of(self, motion: Motion) -> Waves | None:
+        if not isinstance(motion, _SpectralMotion):
+            return None
+        return self._seen.waves(motion.t, motion.z, self._constant)
 
 
 class _YoungMotion(Motion):
@@ -206,7 +216,7 @@ class _YoungMotion(Motion):
         flow, early = self._flow, s[young]
         y = flow.all.response(self.t, flow.homogeneous(self._z, early), early)
         found = np.empty((s.size, 2 * self._z.shape[0]))
-        found[young] = flow.assemble(y)
+        found[young] = flow.assemble(y).T
         if not young.all():
             found[~young] = self._old.states(s[~young])
         return found

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.dynamics.flow import Functions
 from impact_observer.dynamics.phase import Phase
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector
@@ -64,6 +65,12 @@ class Watched:
             np.vstack([self.force, other.force]),
             np.concatenate([self.constant, other.constant]),
         )
+
+    def functions(self, forcing: Forcing) -> Functions:
+        """The same functions where nothing but constants and harmonics drives the motion."""
+        harmonics = self.force @ (forcing.cosine - 1j * forcing.sine).T
+        constant = self.constant + self.force @ forcing.constant
+        return Functions(np.hstack([self.position, self.velocity]), harmonics, constant)
 
     def values(self, forcing: Forcing, t: Vector, x: NDArray[np.float64]) -> Matrix:
         """Their values, shape (samples, w).

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize
 from systems import Harmonic, examples, forcing, numbers, sample, system, systems, vectors
 
-from impact_observer.dynamics import Crossing, Phases, Search, Watched, flow_of
-from impact_observer.dynamics.bounds import Bounds
+from impact_observer.dynamics import Crossing, Motion, Phase, Phases, Search, Watched, flow_of
+from impact_observer.dynamics.bounds import Bounds, Rough
+from impact_observer.dynamics.traces import StateTrace, Trace, WaveTrace
 from impact_observer.model import Forcing, System
 from impact_observer.model.samples import Samples
 
@@ -22,6 +23,22 @@ def searcher(model: System) -> Search:
     """The search for the first gap that closes while no contact is held."""
     gaps = Watched.gaps(model, list(range(model.m)))
     return Search(Phases(model).phase(), gaps, Phases(model).scales.window)
+
+
+def traces(phase: Phase, motion: Motion, watched: Watched) -> list[Trace]:
+    """All that a search may look at: functions of states and, where there are any, waves."""
+    bounds, forcing = Bounds(phase, watched), phase.equations.forcing
+    view = phase.flow.view(watched.functions(forcing))
+    waves = None if view is None else view.of(motion)
+    plain = StateTrace(motion, bounds, forcing)
+    return [plain] if waves is None else [plain, WaveTrace(motion, bounds, waves)]
+
+
+def lowest(trace: Trace, s: Array) -> tuple[Rough, Array]:
+    """What is known of functions on intervals with ends ``s``, and the better lower bound."""
+    rough, h = trace.rough(s), np.diff(s)
+    least = trace.taylor(s[:-1], s[1:]).extremes(rough.values[:-1], h)[0]
+    return rough, np.maximum(trace.lower(rough, h), least)
 
 
 def search(model: System, x: Array, horizon: float, t: float = 0.0) -> Crossing | None:
@@ -88,23 +105,17 @@ def test_bounds_hold_between_samples(data: st.DataObject) -> None:
     t, h = data.draw(numbers(0, 4)), data.draw(st.sampled_from([0.01, 0.1, 0.5, 2.0]))
     motion = flow_of(model).start(t, x)
     s = h * np.arange(4.0)
-    states = motion.states(s)
-    q, u = states[:, : model.n], states[:, model.n :]
-    g, gamma = q @ model.W + model.q_r, u @ model.W
-    bounds = Bounds(Phases(model).phase(), Watched.gaps(model, list(range(model.m))))
-    steps = np.full(3, h)
-    taylor = bounds.taylor(t + s[:-1], q[:-1], u[:-1], steps)
-    low = bounds.lower(g, gamma, taylor, steps)
-    high = taylor.curvature
-    for j in range(3):
-        fine = s[j] + np.linspace(0.0, h, 101)
-        inside = motion.states(fine)
-        gaps = inside[:, : model.n] @ model.W + model.q_r
-        loads = np.array([model.forcing(t + at) for at in fine])
-        loads -= inside[:, model.n :] @ model.C.T + inside[:, : model.n] @ model.K
-        accelerations = np.linalg.solve(model.M, loads.T).T @ model.W
-        assert np.all(gaps.min(axis=0) >= low[j] - 1e-9 * (1 + np.abs(gaps).max()))
-        assert np.all(np.abs(accelerations) <= high[j] + 1e-9 * (1 + np.abs(accelerations).max()))
+    for trace in traces(Phases(model).phase(), motion, Watched.gaps(model, list(range(model.m)))):
+        rough, low = lowest(trace, s)
+        for j in range(3):
+            fine = s[j] + np.linspace(0.0, h, 101)
+            inside = motion.states(fine)
+            gaps = inside[:, : model.n] @ model.W + model.q_r
+            loads = np.array([model.forcing(t + at) for at in fine])
+            loads -= inside[:, model.n :] @ model.C.T + inside[:, : model.n] @ model.K
+            accelerations = np.abs(np.linalg.solve(model.M, loads.T).T @ model.W)
+            assert np.all(gaps.min(axis=0) >= low[j] - 1e-9 * (1 + np.abs(gaps).max()))
+            assert np.all(accelerations <= rough.curvature[j] + 1e-9 * (1 + accelerations.max()))
 
 
 def test_gap_that_closes_and_opens_between_two_samples_is_found() -> None:
@@ -332,6 +343,26 @@ def test_dip_near_the_start_or_the_end_of_a_window_is_found(at: float) -> None:
 
 @examples(30)
 @given(st.data())
+def test_waves_are_what_states_show(data: st.DataObject) -> None:
+    """Values and slopes of gaps, speeds and loads, and all higher derivatives."""
+    model = data.draw(systems(contacts=(2, 3)))
+    phase = Phases(model).phase((0,) if data.draw(st.booleans()) else ())
+    watched = Watched.gaps(model, list(range(model.m))).and_also(Watched.loads(phase))
+    watched = watched.and_also(Watched.speeds(model, [1]))
+    x = np.concatenate([data.draw(vectors(model.n)), data.draw(vectors(model.n, -4, 4))])
+    found = traces(phase, phase.start(data.draw(numbers(0, 4)), x), watched)
+    assume(len(found) == 2)
+    s = np.linspace(0.0, 3.0, 7)
+    (plain, plainly), (waves, wavily) = (
+        (trace.values(s), trace.taylor(s[:-1], s[1:])) for trace in found
+    )
+    np.testing.assert_allclose(waves, plain, rtol=0, atol=1e-11 * (1 + np.abs(plain).max()))
+    for one, other in zip(wavily.derivatives, plainly.derivatives, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * (1 + np.abs(other).max()))
+
+
+@examples(30)
+@given(st.data())
 def test_bounds_of_speeds_and_loads_hold_between_samples(data: st.DataObject) -> None:
     """No contact speed and no load gets below its lower bound, with a contact held or none."""
     model = data.draw(systems(contacts=(2, 3)))
@@ -341,13 +372,7 @@ def test_bounds_of_speeds_and_loads_hold_between_samples(data: st.DataObject) ->
     t, h = data.draw(numbers(0, 4)), data.draw(st.sampled_from([0.01, 0.1, 0.5]))
     motion = phase.start(t, x)
     s = h * np.arange(4.0)
-    states = motion.states(s)
-    q, u = states[:, : model.n], states[:, model.n :]
-    bounds, steps = Bounds(phase, watched), np.full(3, h)
-    values = watched.values(model.forcing, t + s, states)
-    low = bounds.lower(
-        values, u @ watched.position.T, bounds.taylor(t + s[:-1], q[:-1], u[:-1], steps), steps
-    )
+    lows = [lowest(trace, s)[1] for trace in traces(phase, motion, watched)]
     for j in range(3):
         fine = s[j] + np.linspace(0.0, h, 101)
         inside = motion.states(fine)
@@ -359,7 +384,8 @@ def test_bounds_of_speeds_and_loads_hold_between_samples(data: st.DataObject) ->
             w = np.linalg.solve(model.M, model.W[:, 0])
             expected = np.column_stack([-(loads @ w) / (model.W[:, 0] @ w), speeds])
         size = 1 + np.abs(expected).max(axis=0)
-        assert np.all(expected.min(axis=0) >= low[j] - 1e-9 * size)
+        for low in lows:
+            assert np.all(expected.min(axis=0) >= low[j] - 1e-9 * size)
 
 
 @pytest.mark.parametrize("hold", ["previous", "linear"])

@@ -1,0 +1,100 @@
+"""Roots of watched functions, to the last digit."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from impact_observer.dynamics.bounds import FACTORIALS
+from impact_observer.dynamics.traces import Trace
+from impact_observer.states import Matrix, Vector
+
+ROOT = 4 * np.finfo(np.float64).eps
+"""Relative accuracy of a root: brentq's finest."""
+_ROUNDED = 1e-14
+"""Value that one more step of Newton's method ends at, relative to a function's scale."""
+_NEWTON = 8
+"""Steps of Newton's method before brentq's."""
+_LEAST = 1e-30
+"""Absolute accuracy of a root, s: none, but brentq wants one."""
+
+
+class Suspect(NamedTuple):
+    """An interval that may hold a crossing.
+
+    Attributes:
+        start: its left end, s.
+        stop: its right end, s.
+        which: indices of the functions that may cross.
+        values: of all functions at both ends, shape (2, w).
+        falling: whether each falls all the way, shape (w,).
+        derivatives: of each at the left end, shape (8, w).
+        scale: what each is rounded against, shape (w,).
+    """
+
+    start: float
+    stop: float
+    which: NDArray[np.intp]
+    values: Matrix
+    falling: NDArray[np.bool_]
+    derivatives: Matrix
+    scale: Vector
+
+
+def root(trace: Trace, suspect: Suspect, which: int) -> float:
+    """The single root of one function that falls all the way along an interval."""
+    start, stop = suspect.start, suspect.stop
+
+    def value(s: float) -> float:
+        return float(trace.values(np.array([s]))[0, which])
+
+    # Newton's method from the root of the Taylor polynomial: two or three values, not twenty.
+    taylor = (suspect.derivatives[:, which] / FACTORIALS[:-1]).tolist()
+    slope = [k * coefficient for k, coefficient in enumerate(taylor)][1:]
+    s, last = start, stop - start
+    if taylor[0] > 0 > _polynomial(last, taylor):
+        s += float(optimize.brentq(_polynomial, 0.0, last, args=(taylor,), xtol=_LEAST, rtol=ROOT))
+    for _ in range(_NEWTON):
+        left = value(s)
+        step = -left / _polynomial(s - start, slope)
+        rounded = abs(left) <= _ROUNDED * suspect.scale[which]
+        if not (start <= s + step <= stop and (rounded or abs(step) <= last / 4)):
+            break
+        s += step
+        if abs(step) <= ROOT * s or rounded:
+            return s
+        last = abs(step)
+    # The ends are evaluated alone here; rounding may tell them differently than before.
+    above = value(start) > 0
+    if above and value(stop) < 0:
+        return float(optimize.brentq(value, start, stop, xtol=_LEAST, rtol=ROOT))
+    return traced(trace, stop if above else start, which)
+
+
+def traced(trace: Trace, s: float, which: int) -> float:
+    """The last root of one function before ``s``; ``s`` itself where it is not below zero.
+
+    Samples that are below zero by less than ``DEPTH`` raise no suspicion: the root of what falls
+    on afterwards lies before them.
+    """
+
+    def value(s: float) -> float:
+        return float(trace.values(np.array([s]))[0, which])
+
+    step, below = ROOT * s, s
+    while value(s) < 0:
+        if s == 0.0:
+            return s
+        below, s, step = s, max(s - step, 0.0), 4 * step
+    if s == below:
+        return s
+    return float(optimize.brentq(value, s, below, xtol=_LEAST, rtol=ROOT))
+
+
+def _polynomial(s: float, coefficients: list[float]) -> float:
+    """Its value at ``s``, coefficients of low powers first."""
+    value = 0.0
+    for coefficient in reversed(coefficients):
+        value = value * s + coefficient
+    return value
