@@ -1,14 +1,16 @@
-"""A plant's run with its impacts: closed-form flow against a general integrator with events."""
+"""A plant's run with its impacts: closed-form flow against integrators with events."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from benchmarks import siconos_peer
 from benchmarks.harness import Benchmark, Contest, DisagreementError
 from impact_observer.model import Model, System, read_model
 from impact_observer.plant import Plant, Run, simulate
@@ -25,6 +27,11 @@ STATES_AGREE = 1e-8
 TOLERANCE = 1e-10
 """Relative and absolute, of the integrator: the loosest decade that reaches ``INSTANTS_AGREE``."""
 
+EVENTS_AGREE = 1e-11
+"""s, with a peer that locates events as well as it integrates."""
+SICONOS_TOLERANCE = 1e-12
+"""Relative and absolute, of LSODAR: the loosest decade that reaches ``EVENTS_AGREE``."""
+
 Array = NDArray[np.float64]
 
 
@@ -36,26 +43,55 @@ class Integrated:
     states: Array
 
 
-def prepare(_: Path) -> Contest:
-    """Run both and compare every impact and every sample."""
+def prepare(folder: Path) -> Contest:
+    """Run all and compare every impact and every sample."""
     model = read_model("two_mass")
     stamps = grid(EPOCH, EPOCH + from_seconds(DURATION), RATE)
-    run, integrated = _simulated(model, stamps), _integrated(model, stamps)
+    run = _simulated(model, stamps)
     found = [
         seconds_between(EPOCH, each.instant.stamp) + each.instant.remainder for each in run.impacts
     ]
-    if len(found) != len(integrated.instants):
-        raise DisagreementError(f"{len(found)} impacts, {len(integrated.instants)} by scipy")
-    apart = float(np.max(np.abs(np.subtract(found, integrated.instants))))
-    off = float(np.max(np.abs(run.states - integrated.states)))
-    if not (apart < INSTANTS_AGREE and off < STATES_AGREE):
-        raise DisagreementError(f"instants differ by {apart:.1e} s, states by {off:.1e}")
+    integrated = _integrated(model, stamps)
+    told = [_agreement("scipy", INSTANTS_AGREE, (found, run.states), integrated)]
+    siconos, absent = siconos_peer.start(_problem(model), folder)
+    for name, each in siconos.items():
+        each.run(folder)
+        instants, samples = each.found(folder)
+        theirs = Integrated(instants, samples[:, 1:])
+        told.append(_agreement(name, EVENTS_AGREE, (found, run.states[1:]), theirs))
     return Contest(
-        f"two_mass, {DURATION:g} s, {len(found)} impacts, {stamps.size} states;"
-        f" instants agree to {apart:.0e} s, states to {off:.0e}",
+        f"two_mass, {DURATION:g} s, {len(found)} impacts, {stamps.size} states; {'; '.join(told)}",
         lambda _: _simulated(model, stamps),
-        {"solve_ivp, DOP853": lambda _: _integrated(model, stamps)},
+        {
+            "solve_ivp, DOP853": lambda _: _integrated(model, stamps),
+            **siconos_peer.jobs(siconos),
+        },
+        absent,
     )
+
+
+def _agreement(
+    name: str, within: float, ours: tuple[list[float], Array], theirs: Integrated
+) -> str:
+    """How well a peer agrees with our impact times and states, in words."""
+    found, states = ours
+    if len(found) != len(theirs.instants):
+        raise DisagreementError(f"{len(found)} impacts, {len(theirs.instants)} by {name}")
+    apart = float(np.max(np.abs(np.subtract(found, theirs.instants))))
+    off = float(np.max(np.abs(states - theirs.states)))
+    if not (apart < within and off < STATES_AGREE):
+        raise DisagreementError(f"{name}: instants differ by {apart:.1e} s, states by {off:.1e}")
+    return f"{name} agrees to {apart:.0e} s, states to {off:.0e}"
+
+
+def _problem(model: Model) -> dict[str, Any]:
+    """The same for Siconos, in lists and numbers."""
+    system, (position, velocity) = model.system, model.initial_state()
+    arrays = {key: getattr(system, key).tolist() for key in ("M", "C", "K", "W", "q_r", "eps")}
+    parts = ("constant", "frequency", "cosine", "sine")
+    arrays |= {part: getattr(system.forcing, part).tolist() for part in parts}
+    arrays |= {"position": position.tolist(), "velocity": velocity.tolist()}
+    return {**arrays, "seconds": DURATION, "step": 1 / RATE, "tolerance": SICONOS_TOLERANCE}
 
 
 def _simulated(model: Model, stamps: Stamps) -> Run:
