@@ -46,7 +46,12 @@ class Crossing(NamedTuple):
 
 
 class Search:
-    """Looks for the first crossing of watched functions along motions of one phase."""
+    """Looks for the first crossing of watched functions along motions of one phase.
+
+    Attributes:
+        window: length of the stretch that is looked at closely together, s.
+        forcing: of the phase.
+    """
 
     def __init__(
         self, phase: Phase, watched: Watched, window: float, *, least: float = 0.0
@@ -60,10 +65,10 @@ class Search:
             least: scale of a function that sees nothing of a motion, relative to what it could:
                 for those that may be exactly zero for long.
         """
-        self._forcing = phase.equations.forcing
-        self._window = window
+        self.window = window
+        self.forcing = phase.equations.forcing
         self._bounds = Bounds(phase, watched, least)
-        self._view = phase.flow.view(watched.functions(self._forcing))
+        self._view = phase.flow.view(watched.functions(self.forcing))
 
     def first(self, motion: Motion, horizon: float, start: float = 0.0) -> Crossing | None:
         """Seconds until the first function falls below zero; None if none does.
@@ -80,9 +85,34 @@ class Search:
         """
         if not self._bounds.watched.constant.size:
             return None
-        horizon, trace = min(horizon, self._forcing.end - motion.t), self._trace(motion)
-        while start < horizon:
-            s = self._grid(motion.t, start, min(start + self._window, horizon))
+        horizon = min(horizon, self.forcing.end - motion.t)
+        return self._first_closely(self._trace(motion), start, horizon)
+
+    def along(self, motion: Motion) -> "Hunt":
+        """A search along ``motion``, from its start on, that is told again and again how far."""
+        return Hunt(self, self._trace(motion))
+
+    def first_within(self, trace: Trace, start: float, stop: float) -> Crossing | None:
+        """As ``first``; where the motion has a closed form long stretches are looked at first.
+
+        Only those parts of a stretch that its bounds leave in doubt are looked at closely: how
+        fine that is told by the fastest mode, but most motions have little of it.
+        """
+        if stop - start <= self.window or not isinstance(trace, WaveTrace):
+            return self._first_closely(trace, start, stop)
+        s = start + (stop - start) * _GRID
+        s[-1] = stop
+        low = trace.lower(trace.rough(s), np.diff(s))
+        for j in np.flatnonzero(low.min(axis=1) < 0):
+            found = self.first_within(trace, float(s[j]), float(s[j + 1]))
+            if found is not None:
+                return found
+        return None
+
+    def _first_closely(self, trace: Trace, start: float, stop: float) -> Crossing | None:
+        """The first crossing from ``start`` to ``stop``, s, by windows."""
+        while start < stop:
+            s = self._grid(trace.motion.t, start, min(start + self.window, stop))
             found = self._first_in(trace, s)
             if found is not None:
                 return found
@@ -93,7 +123,7 @@ class Search:
         """The functions along ``motion``, in closed form where there is one."""
         waves = None if self._view is None else self._view.of(motion)
         if waves is None:
-            return StateTrace(motion, self._bounds, self._forcing)
+            return StateTrace(motion, self._bounds, self.forcing)
         return WaveTrace(motion, self._bounds, waves)
 
     def _grid(self, t: float, start: float, stop: float) -> Vector:
@@ -101,7 +131,7 @@ class Search:
 
         Finer just after the start of a motion, and divided wherever the forcing is not smooth.
         """
-        knots = self._forcing.knots(t + start, t + stop)[:_KNOTS] - t
+        knots = self.forcing.knots(t + start, t + stop)[:_KNOTS] - t
         if knots.size == _KNOTS:
             stop = float(knots[-1])
         s = start + (stop - start) * (_GRID if start > 0.0 else _FINE)
@@ -158,11 +188,39 @@ class Search:
             roots = [root(trace, suspect, int(i)) for i in which]
             first = int(np.argmin(roots))
             return _crossing(trace, roots[first], int(which[first]), scale)
-        if stop - start <= ROOT * max(stop, _FIRST * self._window):
+        if stop - start <= ROOT * max(stop, _FIRST * self.window):
             return _crossing(trace, traced(trace, start, int(which[0])), int(which[0]), scale)
         s = start + (stop - start) * _GRID
         s[-1] = stop
         return self._first_in(trace, s, scale)
+
+
+class Hunt:
+    """A search along one motion that goes on where it has stopped.
+
+    It looks at whole stretches, each twice as long as the one before, and beyond what is asked
+    for: what it finds does not depend on who asks when.
+    """
+
+    def __init__(self, search: Search, trace: Trace) -> None:
+        """Begin at the start of the motion of ``trace``."""
+        self._search = search
+        self._trace = trace
+        self._length = search.window
+        self._end = search.forcing.end - trace.motion.t
+        self._reached = 0.0
+
+    def first(self, horizon: float) -> Crossing | None:
+        """The first crossing, if all before ``horizon`` s had to be looked at to find it."""
+        if self._trace.nothing:
+            return None
+        while self._reached <= horizon and self._reached < self._end:
+            start, self._reached = self._reached, min(self._reached + self._length, self._end)
+            self._length *= 2
+            found = self._search.first_within(self._trace, start, self._reached)
+            if found is not None:
+                return found
+        return None
 
 
 def _crossing(trace: Trace, s: float, which: int, scale: Vector) -> Crossing:

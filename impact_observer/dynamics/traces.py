@@ -28,6 +28,11 @@ class Trace(ABC):
         self.motion = motion
         self.bounds = bounds
 
+    @property
+    def nothing(self) -> bool:
+        """Whether there is no function at all."""
+        return self.bounds.watched.constant.size == 0
+
     @abstractmethod
     def values(self, s: Vector) -> Matrix:
         """The functions ``s`` seconds after the start, shape (samples, w)."""

@@ -54,7 +54,6 @@ class Plant:
         self._rest = Rest(self._phases)
         self._accumulation = Accumulation(self._rest.shortest)
         self._hasty = 0
-        self._window = self._phases.scales.window
         self._searcher = lru_cache(KEPT)(self._search_of)
         start, x = Instant(epoch), np.concatenate([q, u])
         self._begin(start, x, closed=(), held=())
@@ -76,7 +75,8 @@ class Plant:
             DynamicsError: changes of contacts at one instant never end.
         """
         if self._next is None:
-            self._search(self._start.until(limit) + 0.5e-9)
+            if self._crossing is None:
+                self._crossing = self._hunt.first(self._start.until(limit) + 0.5e-9)
             crossing = self._crossing
             if crossing is None or self._start.after(crossing.s).stamp > limit:
                 return None
@@ -108,7 +108,7 @@ class Plant:
         self._phase = self._phases.phase(held)
         self._state = x
         self._motion = self._phase.start(self._time(instant), x)
-        self._windows = 0
+        self._hunt = self._searcher(self._phase, self._open).along(self._motion)
         self._crossing = None
         self._next = None
 
@@ -116,22 +116,10 @@ class Plant:
         """Seconds since the epoch."""
         return seconds_between(self.epoch, instant.stamp) + instant.remainder
 
-    def _search(self, horizon: float) -> None:
-        """Look for the end of the phase until ``horizon`` seconds after its start.
-
-        In whole windows from its start: what is found does not depend on who asks when.
-        """
-        while self._crossing is None and self._windows * self._window <= horizon:
-            start, self._windows = self._windows * self._window, self._windows + 1
-            stop = self._windows * self._window
-            self._crossing = self._searcher(self._phase, self._open).first(
-                self._motion, stop, start
-            )
-
     def _search_of(self, phase: Phase, apart: tuple[int, ...]) -> Search:
         """The search for the end of a phase: gaps of those ``apart`` first, then loads."""
         gaps = Watched.gaps(self.system, list(apart))
-        return Search(phase, gaps.and_also(Watched.loads(phase)), self._window)
+        return Search(phase, gaps.and_also(Watched.loads(phase)), self._phases.scales.window)
 
     def _ended(self, crossing: Crossing) -> Switching:
         """What ends the present phase."""

@@ -288,7 +288,7 @@ def test_graze_shallower_than_rounding_is_none(depth: float) -> None:
 
 @pytest.mark.parametrize("K", [0.0, 1.0])
 def test_body_at_rest_on_its_stop_without_load_is_closed_and_costs_nothing(K: float) -> None:
-    """It rests there for ever; a thousand seconds are hardly more than one look a window."""
+    """It rests there for ever; a look a window, and never further ahead than twice as far."""
     model = system(1, 0.1, K, contacts=[([1], 0.0, 0.5)])
     plant = started(model, [0.0], [0.0])
     closed = plant.next_switching(EPOCH)
@@ -304,7 +304,7 @@ def test_body_at_rest_on_its_stop_without_load_is_closed_and_costs_nothing(K: fl
 
     plant._motion.states = counted  # type: ignore[method-assign]
     assert plant.next_switching(EPOCH + 1000 * NS_PER_S) is None
-    assert looks <= 2 + 1.5 * 1000 / plant._window
+    assert looks <= 2 + 2 * 1000 / plant._phases.scales.window
 
 
 def test_closed_contacts_take_part_in_an_impact_on_their_body() -> None:
