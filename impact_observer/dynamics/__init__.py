@@ -5,7 +5,7 @@ from impact_observer.dynamics.estimation import Correction, correction, product,
 from impact_observer.dynamics.flow import Flow, Motion
 from impact_observer.dynamics.impact_law import ImpactLaw
 from impact_observer.dynamics.lasting import Resting, resting
-from impact_observer.dynamics.location import DEPTH, Crossing, Hunt, Search
+from impact_observer.dynamics.location import DEPTH, Crossing, Search
 from impact_observer.dynamics.noise import diffusion
 from impact_observer.dynamics.parametric import Map, Sensitivity, led
 from impact_observer.dynamics.phase import Phase, Phases
@@ -23,7 +23,6 @@ __all__ = [
     "Crossing",
     "Expansion",
     "Flow",
-    "Hunt",
     "ImpactLaw",
     "Map",
     "Measured",

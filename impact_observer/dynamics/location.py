@@ -1,6 +1,6 @@
 """The first instant at which a watched function falls below zero, found with a guarantee.
 
-A motion is sampled, and each function is bounded from below between the samples (``bounds.py``).
+A motion is sampled, and each function is bounded from below between the samples (``traces.py``).
 Where the bound stays above zero no crossing can hide; elsewhere the interval is divided until the
 bound decides.
 """

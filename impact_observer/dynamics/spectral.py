@@ -14,13 +14,14 @@ a soft spring: then both are rounded to the motion's own size. No constant here 
 """
 
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.dense import DenseFlow
-from impact_observer.dynamics.divided_differences import Complex, first, second
+from impact_observer.dynamics.driven import Driven
 from impact_observer.dynamics.flow import Equations, Flow, Functions, Motion
 from impact_observer.dynamics.modes import Modes, split
 from impact_observer.dynamics.responses import response_of
@@ -82,17 +83,22 @@ class SpectralFlow(Flow):
         self._frequency = forcing.frequency
         self._steady_size = self.energy(np.abs(steady).sum(axis=1))
         self._young = 1.0 / np.min(distance[far], initial=np.inf)
-        self.near = _Driven(modes, beta, mu, near)
-        self.all = _Driven(modes, beta, mu, forced)
+        self.near = Driven(modes, beta, mu, near)
+        self.all = Driven(modes, beta, mu, forced)
 
-    def view(self, functions: Functions) -> View | None:
-        """Of the motions that are not young, where no pair resonates."""
-        if not self.near.nothing:
-            return None
+    def view(self, functions: Functions) -> View:
+        """Of motions young and old."""
+        return _SpectralView(self, functions)
+
+    def rows(self, functions: Functions, *, young: bool) -> Rows:
+        """What ``functions`` see of the pairs, and of harmonics with a steady response or none."""
         rows, harmonics, constant = functions
+        seen = rows @ self._T
+        if young:
+            return Rows(self.modes, seen, (self._frequency, harmonics, constant), self.all)
         steady = rows @ (self._steady_cosine - 1j * self._steady_sine)
-        seen = Rows(self.modes, rows @ self._T, self._frequency, harmonics + steady)
-        return _SpectralView(seen, constant + rows @ self._steady_constant)
+        constant = constant + rows @ self._steady_constant
+        return Rows(self.modes, seen, (self._frequency, harmonics + steady, constant), self.near)
 
     def energy(self, x: Vector) -> float:
         """Size of a state (q, u), shape (2n,), square root of twice its energy."""
@@ -133,43 +139,7 @@ class SpectralFlow(Flow):
 
     def assemble(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
         """States from pairs: ``x = T y``, shape (2n, samples)."""
-        return np.asarray(self._T @ y.reshape(2 * self._n, -1))
-
-
-class _Driven:
-    """Pairs and the harmonics that drive them, answered from a phase's start on."""
-
-    def __init__(
-        self, modes: Modes, beta: Complex, mu: Complex, driven: NDArray[np.bool_]
-    ) -> None:
-        """Take loads ``beta``, shape (n, 1 + h, 2), of those that are ``driven``, (n, 1 + h)."""
-        block, harmonic = np.nonzero(driven)
-        one, two = modes.eigenvalues
-        self._block = block
-        self._beta = beta[block, harmonic]
-        self._one, self._two, self._mu = one[block], two[block], mu[harmonic]
-        to_one = (modes.rates.a[block] - self._one)[:, None, None] * np.eye(2)
-        self._shifted = modes.deviator[block] + to_one
-
-    @property
-    def nothing(self) -> bool:
-        """Whether nothing is driven (gravity on a free body is)."""
-        return self._block.size == 0
-
-    def response(self, t: float, y: NDArray[np.float64], s: Vector) -> NDArray[np.float64]:
-        """Pairs ``y``, shape (n, 2, samples), and their answer since ``t``."""
-        if self.nothing:
-            return y
-        s = s[:, None]
-        phi_1 = first(self._one, self._mu, s)
-        phi_2 = second(self._one, self._two, self._mu, s)
-        beta = self._beta * np.exp(self._mu * t)[:, None]
-        turned = (self._shifted @ beta[..., None])[..., 0]
-        answer: Complex = phi_1[..., None] * beta + phi_2[..., None] * turned
-        y = y.copy()
-        for k, pair in enumerate(self._block):
-            y[pair] += answer[:, k].T.real
-        return y
+        return np.asarray(self._T @ y.reshape(2 * self._n, y.shape[-1]))
 
 
 class _SpectralMotion(Motion):
@@ -187,16 +157,15 @@ class _SpectralMotion(Motion):
 
 
 class _SpectralView(View):
-    """Functions of a motion that has nothing but its pairs and its steady response."""
+    """Functions of motions young and old; what they need is prepared when first asked for."""
 
-    def __init__(self, seen: Rows, constant: Vector) -> None:
-        self._seen = seen
-        self._constant = constant
+    def __init__(self, flow: SpectralFlow, functions: Functions) -> None:
+        self._rows = cache(lambda young: flow.rows(functions, young=young))
 
     def of(self, motion: Motion) -> Waves | None:
-        if not isinstance(motion, _SpectralMotion):
+        if not isinstance(motion, _SpectralMotion | _YoungMotion):
             return None
-        return self._seen.waves(motion.t, motion.z, self._constant)
+        return self._rows(isinstance(motion, _YoungMotion)).waves(motion.t, motion.z)
 
 
 class _YoungMotion(Motion):
@@ -205,7 +174,7 @@ class _YoungMotion(Motion):
     def __init__(self, flow: SpectralFlow, z: Matrix, old: Motion, young: float) -> None:
         self._flow = flow
         self.t = old.t
-        self._z = z
+        self.z = z
         self._old = old
         self._young = young
 
@@ -214,8 +183,8 @@ class _YoungMotion(Motion):
         if not young.any():
             return self._old.states(s)
         flow, early = self._flow, s[young]
-        y = flow.all.response(self.t, flow.homogeneous(self._z, early), early)
-        found = np.empty((s.size, 2 * self._z.shape[0]))
+        y = flow.all.response(self.t, flow.homogeneous(self.z, early), early)
+        found = np.empty((s.size, 2 * self.z.shape[0]))
         found[young] = flow.assemble(y).T
         if not young.all():
             found[~young] = self._old.states(s[~young])

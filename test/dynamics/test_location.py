@@ -41,6 +41,16 @@ def lowest(trace: Trace, s: Array) -> tuple[Rough, Array]:
     return rough, np.maximum(trace.lower(rough, h), least)
 
 
+def assert_same(plain: Trace, waves: Trace) -> None:
+    """Both tell the same values and derivatives."""
+    s = np.linspace(0.0, 3.0, 7)
+    values = plain.values(s)
+    np.testing.assert_allclose(waves.values(s), values, atol=1e-11 * (1 + np.abs(values).max()))
+    plainly, wavily = (trace.taylor(s[:-1], s[1:]).derivatives for trace in (plain, waves))
+    for one, other in zip(wavily, plainly, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * (1 + np.abs(other).max()))
+
+
 def search(model: System, x: Array, horizon: float, t: float = 0.0) -> Crossing | None:
     """The first closing along the motion through ``x`` at ``t``."""
     return searcher(model).first(flow_of(model).start(t, x), horizon)
@@ -352,13 +362,39 @@ def test_waves_are_what_states_show(data: st.DataObject) -> None:
     x = np.concatenate([data.draw(vectors(model.n)), data.draw(vectors(model.n, -4, 4))])
     found = traces(phase, phase.start(data.draw(numbers(0, 4)), x), watched)
     assume(len(found) == 2)
-    s = np.linspace(0.0, 3.0, 7)
-    (plain, plainly), (waves, wavily) = (
-        (trace.values(s), trace.taylor(s[:-1], s[1:])) for trace in found
-    )
-    np.testing.assert_allclose(waves, plain, rtol=0, atol=1e-11 * (1 + np.abs(plain).max()))
-    for one, other in zip(wavily.derivatives, plainly.derivatives, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * (1 + np.abs(other).max()))
+    assert_same(*found)
+
+
+BEATEN = forcing(1, 0.5, [Harmonic(2.0, [3.0], [0.0])])
+
+
+@pytest.mark.parametrize(
+    ("model", "speed"),
+    [
+        (
+            system(1, 0, 4, contacts=[([1], 1.0, 0.5)], force=BEATEN),
+            1.0,
+        ),
+        (system(1, 0, 0, contacts=[([1], 1.0, 0.5)], force=forcing(1, -9.81)), 1.0),
+        (system(1, 0, 1e-6, contacts=[([1], 1.0, 0.5)], force=forcing(1, -9.81)), 1e-3),
+    ],
+    ids=["resonance", "free fall", "young on a soft spring"],
+)
+def test_waves_hold_where_harmonics_are_answered_from_the_start_on(
+    model: System, speed: float
+) -> None:
+    """A pair that its load drives without end, or has hardly begun to."""
+    phase, watched = Phases(model).phase(), Watched.gaps(model, [0])
+    found = traces(phase, phase.start(0.7, np.array([0.1, speed])), watched)
+    assert len(found) == 2
+    assert_same(*found)
+    s = np.array([0.0, 0.4, 1.1])
+    rough, low = lowest(found[1], s)
+    for j in range(2):
+        fine = found[0].values(np.linspace(s[j], s[j + 1], 101))
+        assert fine.min() >= low[j, 0] - 1e-12 * np.abs(fine).max()
+        bend = found[0].taylor(np.linspace(s[j], s[j + 1], 101), np.full(101, s[j + 1]))
+        assert np.abs(bend.derivatives[2]).max() <= rough.curvature[j, 0] * (1 + 1e-12)
 
 
 @examples(30)
