@@ -171,8 +171,11 @@ def seed(text: str) -> int:
 
 
 def _names(text: str) -> tuple[str, ...]:
-    """Names with commas between them."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    """Names with commas between them, one at least."""
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise argparse.ArgumentTypeError(f"{text!r} found; expected NAME,NAME,...")
+    return names
 
 
 def _number(text: str) -> float:

@@ -123,7 +123,7 @@ def identify(
     from impact_observer.errors import BagError
     from impact_observer.model.parameters import family_of
 
-    _check_usage(free, output, plot, check=check)
+    _check_usage(free, output, plot, check=check, clock=clock_error)
     with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
         parsed, document = _parsed(given)
@@ -159,13 +159,23 @@ def identify(
 
 
 def _check_usage(
-    free: tuple[str, ...], output: Path | None, plot: Path | None, *, check: bool
+    free: tuple[str, ...],
+    output: Path | None,
+    plot: Path | None,
+    *,
+    check: bool,
+    clock: float | None,
 ) -> None:
     """Raise UsageError before anything is done."""
     from impact_observer.errors import UsageError
 
     if check and (free or output):
         raise UsageError("--check: learns nothing; expected no --free and no -o beside it")
+    if check and clock is None:
+        raise UsageError(
+            "--check: no --clock-error declared; expected the standard deviation of a stamp, s:"
+            " without one an error of the model looks like one of the clock"
+        )
     if not check and not free:
         raise UsageError("--free: names no parameter; expected some, such as restitution,gap")
     if output is not None and (output.exists() or not output.parent.is_dir()):
@@ -300,6 +310,7 @@ def parameter_table(found: "Identified") -> "Table":
     for each, value, error in rows:
         shown = "not told" if each.name in unknown else f"{value:.10g}"
         own = "" if each.name in unknown else f"{error:.2g}"
+        own = "at its bound" if each.name in found.bounded else own
         table.add_row(each.name, f"{each.value:.6g}", shown, own, each.unit)
     return table
 

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
     from impact_observer.observer import Observer, Options
 
+_HARDLY = 0.9
+"""Standard deviation of a parameter, over what was declared, from which on it was not learnt."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
@@ -115,5 +118,10 @@ def learnt(observer: "Observer") -> "Iterator[str]":
 
     if not observer.last_event:
         return
+    unknowns = observer.law.uncertainty.unknowns
+    names, first = ((), ()) if unknowns is None else (unknowns.family.names, unknowns.deviations)
+    declared = dict(zip(names, first, strict=True))
     for name, value, deviation in observer.estimate(observer.last_event).learnt:
-        yield f"learnt: {with_unit(name)} {value:.9g} +- {deviation:.2g}"
+        told = deviation < _HARDLY * declared.get(name, float("inf"))
+        words = "learnt" if told else "hardly told by these impacts"
+        yield f"{words}: {with_unit(name)} {value:.9g} +- {deviation:.2g}"

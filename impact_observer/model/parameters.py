@@ -10,6 +10,7 @@ from impact_observer.model.elements import Element
 from impact_observer.model.family import Family, Numbers, Parameter
 from impact_observer.model.system import System
 
+OFFSET = "clock-offset"
 UNITS = {
     "restitution": "",
     "gap": "m",
@@ -21,7 +22,7 @@ UNITS = {
     "mass": "kg",
     "forcing-amplitude": "",
     "forcing-phase": "rad",
-    "clock-offset": "s",
+    OFFSET: "s",
 }
 """What can be free, of contacts, springs, bodies and harmonics one by one or all; its unit."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
@@ -31,33 +32,40 @@ _LONGEST = 0.1
 """Most that a clock may be off, s."""
 
 
-def family_of(system: System, wanted: Sequence[str], elements: Sequence[Element] = ()) -> Family:
+def family_of(
+    system: System,
+    wanted: Sequence[str],
+    elements: Sequence[Element] = (),
+    *,
+    clock: bool = True,
+) -> Family:
     """The family of ``system`` whose members differ in the ``wanted`` parameters.
 
     Args:
         system: as the model says.
         wanted: names such as ``restitution``, which is that of every contact, or ``gap.stop``.
         elements: what it was assembled of: these can be free one by one.
+        clock: whether the offset of the sensor's clock can be free, too.
 
     Raises:
         UsageError: a name that there is not, that comes twice, or whose model cannot have it.
     """
-    known = {each.name: each for each in _all(system, elements)}
+    known = {each.name: each for each in _all(system, elements) if clock or each.name != OFFSET}
     names: list[str] = []
     for name in wanted:
         found = [each for each in known if each == name or each.startswith(f"{name}.")]
         if not found:
             raise UsageError(
-                f"free parameter {name!r}: this model has none; expected some of"
+                f"parameter {name!r}: this model has none; expected some of"
                 f" {', '.join(known)}; or all of a kind, such as restitution"
             )
         names.extend(found)
     for name in names:
         if names.count(name) > 1:
-            raise UsageError(f"free parameter {name!r}: found twice; name it once")
+            raise UsageError(f"parameter {name!r}: found twice; name it once")
     for one, other in combinations(sorted({name.partition(".")[0] for name in names}), 2):
         if other == f"{one}-scale":
-            raise UsageError(f"free parameter {other!r}: stands beside {one}; free one of them")
+            raise UsageError(f"parameter {other!r}: stands beside {one}; free one of them")
     return Family(system, tuple(known[name] for name in names))
 
 
@@ -103,4 +111,4 @@ def _of_forcing(system: System) -> Iterator[Parameter]:
         yield Parameter(f"forcing-phase.{k + 1}", 0.0, -np.inf, np.inf, np.pi, "rad", effect)
     # Stamps that are late by an offset tell of a forcing that is behind by it.
     effect = Numbers.change(system, phase=-system.forcing.frequency)
-    yield Parameter("clock-offset", 0.0, -_LONGEST, _LONGEST, _LONGEST, "s", effect)
+    yield Parameter(OFFSET, 0.0, -_LONGEST, _LONGEST, _LONGEST, "s", effect)

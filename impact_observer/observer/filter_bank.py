@@ -216,7 +216,7 @@ class FilterBank:
             yield self._nothing(touch, h, f"invented: {likelier}{far}")
         if leads and depth > SURPRISED and not self._sure:
             for factor in WIDER:
-                wider = replace(h.known, root=h.known.root * factor * depth)
+                wider = self.filter.wider(h.known, factor * depth)
                 reason = f"believed: the estimate is made {factor * depth:.3g} times less sure"
                 yield self._told(touch, replace(h, known=wider), here, ANEW, reason)[0]
         impact = len(touch.hit) == 1 and here.before == here.closed

@@ -1,6 +1,7 @@
 """The Kalman filter of impact times: what an instant says of the whole state, and how surely."""
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -93,6 +94,7 @@ class ImpactFilter:
         """
         self.system = system
         unknowns = unknowns or Unknowns(Family(system, ()), np.empty(0))
+        self._unknowns = unknowns
         self.members = Members(unknowns.family)
         self.phases = self.members.given.moving.phases
         self.short = _SHORT * self.phases.scales.timescale
@@ -241,6 +243,19 @@ class ImpactFilter:
         whole = np.zeros((1 + len(root), 1 + root.shape[1]))
         whole[0, 0], whole[0, 1:], whole[1:, 1:] = bent, row @ root[: row.size], root
         return self.after(touch, Joint.of(touch.t, e, known, triangular(whole), apart), left)
+
+    def wider(self, known: Known, factor: float) -> Known:
+        """``known`` with a state that is less sure by ``factor``.
+
+        So are the parameters, but never less than they were at first.
+        """
+        factors = np.full(len(known.root), factor)
+        size, p = known.x.size, known.parameters
+        if p:
+            now = np.linalg.norm(known.root[size : size + p], axis=1)
+            most = self._unknowns.deviations / np.maximum(now, _STILL)
+            factors[size : size + p] = np.maximum(np.minimum(factor, most), 1.0)
+        return replace(known, root=known.root * factors[:, None])
 
     def mirrored(self, contact: int, known: Known) -> Matrix:
         """What an impact of ``contact`` makes of errors, were it told when: shape (2n, 2n)."""

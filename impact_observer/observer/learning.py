@@ -9,12 +9,13 @@ from impact_observer.errors import UsageError
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.family import Family
-from impact_observer.model.parameters import family_of
+from impact_observer.model.parameters import OFFSET, family_of
 from impact_observer.states import Vector, frozen
 
-_OFFSET = "clock-offset"
-MOST_DEVIATION = 1e9
-"""Largest standard deviation of a parameter, in its unit."""
+DEVIATIONS = (1e-12, 1.0)
+"""Least and largest standard deviation of a parameter, relative to its size."""
+GAPS = 100.0
+"""The largest of a gap, which may be small beside the motion."""
 MOST_DRIFT = 1e3
 """Most of its deviation that a parameter may go astray by in a minute."""
 RESTITUTION = 0.1
@@ -51,11 +52,13 @@ class Unknowns:
         if self.deviations.shape != (self.family.size,):
             found, size = self.deviations.size, self.family.size
             raise UsageError(f"deviations: {found} found; expected {size}, one a parameter")
-        for name, deviation in zip(self.family.names, self.deviations.tolist(), strict=True):
-            if not 0 < deviation <= MOST_DEVIATION:
+        for each, deviation in zip(self.family.parameters, self.deviations.tolist(), strict=True):
+            least, most = (each.size * share for share in DEVIATIONS)
+            most *= GAPS if np.any(each.effect.gap) else 1.0
+            if not least <= deviation <= most:
                 raise UsageError(
-                    f"deviation of {name}: {deviation:g} found; expected a number above 0, at most"
-                    f" {MOST_DEVIATION:g}"
+                    f"deviation of {each.name}: {deviation:g} found; expected {least:g} to"
+                    f" {most:g}"
                 )
 
     @classmethod
@@ -82,7 +85,7 @@ class Unknowns:
         names = []
         for text in wanted:
             name, sign, number = (part.strip() for part in text.partition("="))
-            if name == _OFFSET:
+            if name == OFFSET:
                 raise UsageError(
                     f"estimate_parameters {name!r}: a clock's offset is no parameter of the model;"
                     " declare clock_offset_error instead"
@@ -90,7 +93,7 @@ class Unknowns:
             names.append(name)
             if sign:
                 declared[name] = _number(text, number)
-        found = family_of(system, names, elements).parameters
+        found = family_of(system, names, elements, clock=False).parameters
         parameters = tuple(sorted(found, key=lambda each: not each.moves))
         deviations = []
         for each in parameters:

@@ -6,6 +6,7 @@ What only moves stops or throws back otherwise shares the motion between impacts
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics import (
@@ -145,6 +146,12 @@ class Members:
         """A motion with the masses of the member with ``values``."""
         heavy = np.where(self._weighs, values, self.family.given)
         return self.motion(heavy)
+
+    def bounces(self, contacts: Contacts) -> NDArray[np.bool_]:
+        """Whether the restitutions of ``contacts`` are learnt, shape (k,)."""
+        changes = [each.effect.eps != 0 for each in self.family.parameters]
+        learnt = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
+        return np.asarray(learnt[list(contacts)], dtype=np.bool_)
 
     def gap_rows(self, contacts: Contacts) -> Matrix:
         """How the gaps of ``contacts`` change with the parameters, shape (k, p)."""

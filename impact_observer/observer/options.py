@@ -59,11 +59,9 @@ class Options:
             UsageError: a law is not installed.
         """
         learns = [law_named(law).learns for law in laws]
-        told = [self.estimate_parameters if each or not any(learns) else () for each in learns]
-        return [
-            replace(self, law=law, estimate_parameters=each)
-            for law, each in zip(laws, told, strict=True)
-        ]
+        plain = replace(self, estimate_parameters=(), parameter_drift=0.0)
+        told = [self if each or not any(learns) else plain for each in learns]
+        return [replace(each, law=law) for law, each in zip(laws, told, strict=True)]
 
     def observer(self, system: System, elements: Sequence[Element] = ()) -> Observer:
         """An observer of ``system`` that has seen nothing yet.
@@ -76,6 +74,11 @@ class Options:
             UsageError: something cannot be used, by its name.
         """
         law, wanted, unknowns = law_named(self.law), self.estimate_parameters, None
+        if self.parameter_drift and not wanted:
+            raise UsageError(
+                f"parameter_drift: {self.parameter_drift:g} found, but no estimate_parameters to"
+                " drift; expected some, or no drift"
+            )
         if wanted:
             unknowns = Unknowns.named(system, wanted, elements, self.parameter_drift)
             if not law.learns:

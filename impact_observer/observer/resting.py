@@ -24,11 +24,14 @@ def rested(members: Members, known: Known, new: Contacts, left: Vector) -> Known
     if not known.closed:
         return known
     member, size, p = members.at(known.theta), known.x.size, known.parameters
-    gaps, speeds = member.gaps(new), Measured.speeds(member.system, new)
+    # What comes to rest may have bounced before, unheard: that it rests says nothing of how well.
+    sure = ~members.bounces(new)
+    tells = tuple(i for i, each in zip(new, sure.tolist(), strict=True) if each)
+    gaps, speeds = member.gaps(new), Measured.speeds(member.system, tells)
     c = np.vstack([gaps.c, speeds.c])
     value = np.concatenate([gaps.value(known.x), speeds.value(known.x)])
     sizes = members.given.moving.phases.scales.sizes(*np.split(known.x, 2))
-    floor = [gaps.rounding(sizes), np.hypot(speeds.rounding(sizes), left)]
+    floor = [gaps.rounding(sizes), np.hypot(speeds.rounding(sizes), left[sure])]
     H = np.hstack([c, np.zeros((len(c), known.root.shape[0] - size))])
     H[: len(new), size : size + p] = members.gap_rows(new)
     learnt = correction(known.root, H, np.diag(np.concatenate(floor)))

@@ -295,3 +295,27 @@ def test_what_is_told_too_weakly_is_named_after_the_fit() -> None:
     assert term.name == "damping-scale"
     surely = identify(family, told("two_mass")[:12], clock=1e-4, believe=True)
     assert surely.unknown == ()
+
+
+def test_a_parameter_at_its_bound_ends_there() -> None:
+    """It is held, the others are fitted, and that is a fit."""
+    force = forcing(1, 0.0, [Harmonic(1.3, [3.0], [0.0])])
+    model = system(1.0, 0.2, 4.0, contacts=[([1.0], 0.3, 1.0)], force=force)
+    made = run(model, [0.5], [0.0], seconds=40.0, rate=1.0)
+    at_bound = 0
+    for seed in range(6):
+        late = 1e-3 * np.random.default_rng(seed).normal(size=len(made.events))
+        events = [
+            replace(e, stamp=e.stamp + from_seconds(s))
+            for e, s in zip(made.events, late.tolist(), strict=True)
+        ]
+        contacts = (replace(model.contacts[0], gap=0.303, restitution=0.95),)
+        family = family_of(replace(model, contacts=contacts), ["restitution", "gap"])
+        found = identify(family, events, clock=1e-3, believe=True)
+        assert found.converged
+        restitution, gap = found.values
+        assert 0.98 < restitution <= 1.0
+        assert abs(gap - 0.3) < 5 * found.errors[1]
+        assert (restitution == 1.0) == ("restitution.c1" in found.bounded)
+        at_bound += restitution == 1.0
+    assert 0 < at_bound < 6

@@ -17,7 +17,7 @@ from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.model.family import Family
 from impact_observer.observer import Observer, Options, law_named
-from impact_observer.observer.belief import Known
+from impact_observer.observer.belief import Known, Touch
 from impact_observer.observer.impact_filter import ImpactFilter
 from impact_observer.observer.learning import MOST_DRIFT, Unknowns
 from impact_observer.plant import Run
@@ -270,7 +270,9 @@ def test_names_and_deviations_are_read_as_users_write_them() -> None:
         (("restitution=much",), "much found after ="),
         (("restitution=0",), "deviation of restitution.stop: 0 found"),
         (("restitution=nan",), "deviation of restitution.stop: nan found"),
-        (("elasticity",), "free parameter 'elasticity': this model has none"),
+        (("restitution=1e5",), "100000 found; expected 1e-12 to 1"),
+        (("stiffness-scale=1e-300",), "1e-300 found; expected 1e-12 to 1"),
+        (("elasticity",), "parameter 'elasticity': this model has none"),
         (("restitution", "restitution.stop"), "found twice"),
     ],
 )
@@ -288,6 +290,44 @@ def test_a_law_that_learns_nothing_refuses_parameters() -> None:
     options = Options("geometric", estimate_parameters=("restitution",))
     with pytest.raises(UsageError, match="the law geometric learns none"):
         options.observer(sample("two_mass").system)
+
+
+def test_a_drift_of_nothing_is_refused() -> None:
+    """It would be ignored; laws that learn nothing beside one that does have none."""
+    with pytest.raises(UsageError, match="but no estimate_parameters to"):
+        Options("minimum-variance", parameter_drift=0.1).observer(sample("two_mass").system)
+    learning = Options(estimate_parameters=("restitution",), parameter_drift=0.1)
+    both = learning.of_laws(["geometric", "minimum-variance"])
+    assert [each.parameter_drift for each in both] == [0.0, 0.1]
+    assert [each.estimate_parameters for each in both] == [(), ("restitution",)]
+
+
+def test_a_contact_that_rests_says_nothing_of_its_restitution() -> None:
+    """A switch may have told of many bounces as of one: it stays what impacts have told."""
+    model = sample("two_mass").system
+    told = Unknowns.named(model, ["restitution=0.1"])
+    filter_ = ImpactFilter(model, 0.0, told)
+    x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
+    known = Known(x[None], told.family.given[None], root, (), parameters=1)
+    touch = Touch(1.0, (), (0,), (0,))
+    after = filter_.after(touch, filter_.heard(touch, filter_.prior(touch, known, 1e-4)))
+    assert after.closed == (0,)
+    assert after.theta[0] == pytest.approx(0.7, abs=1e-6)
+    assert np.linalg.norm(after.root[4]) == pytest.approx(0.1)
+    assert abs(float(model.W[:, 0] @ after.x[2:])) < 1e-12
+
+
+def test_an_estimate_that_is_made_less_sure_knows_parameters_as_at_first_at_least() -> None:
+    """However far the state is opened again; one row is as any other of a covariance."""
+    model = sample("two_mass").system
+    told = Unknowns.named(model, ["restitution=0.1", "gap=0.02"])
+    filter_ = ImpactFilter(model, 0.0, told)
+    rng = np.random.default_rng(4)
+    root = np.vstack([rng.normal(size=(4, 6)), 1e-3 * np.eye(2, 6)])
+    known = Known(np.ones((1, 4)), told.family.given[None], root, (), parameters=2)
+    wider = filter_.wider(known, 50.0)
+    np.testing.assert_allclose(wider.root[:4], 50.0 * root[:4])
+    np.testing.assert_allclose(np.linalg.norm(wider.root[4:], axis=1), [0.05, 0.02])
 
 
 def test_unknowns_check_themselves() -> None:

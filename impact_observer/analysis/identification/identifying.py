@@ -224,9 +224,10 @@ def _fit(
         )
     if lost := combinations_of(problem, directions(problem, shot).unknown):
         words = "; ".join(combination(each) for each in lost)
+        one = all(len(each) == 1 for each in lost)
         raise IdentificationError(
-            f"{words}: no impact moves by that, so these are not to be told from impact times;"
-            " hold one of them fixed"
+            f"{words}: no impact moves by that, so it is not to be told from impact times;"
+            f" hold {'it' if one else 'one of them'} fixed"
         )
     return problem, solved(problem, by_gaps(problem, y, robust=robust), robust=robust)
 

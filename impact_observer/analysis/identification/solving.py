@@ -234,14 +234,14 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
     for _ in range(_STEPS):
         if robust:
             now = now.weighted()
-        step = now.step(basis)
+        step = now.step_within(basis)
         converged = step.is_nothing(now)
         now, length = now.towards(step)
         if converged:
             break
         if length == 0.0:
             break
-    step = now.step(basis)
+    step = now.step_within(basis)
     left, root = step.freedom, step.root
     return Solution(now.y, now.t, now.shot, now.shifts, counts, left, root, converged)
 
@@ -318,6 +318,20 @@ class _State(NamedTuple):
     def rms(self, freedom: int) -> float:
         """As of ``Solution``."""
         return float(np.sqrt(np.sum(self.shifts**2) / max(freedom, 1)))
+
+    def step_within(self, basis: Matrix) -> _Step:
+        """``step`` with parameters held that stand at a bound and would go beyond it."""
+        low, high = self.problem.family.bounds
+        n2 = self.y.size - low.size
+        value, held = self.y[n2:], np.zeros(low.size, dtype=np.bool_)
+        while True:
+            rows = n2 + np.flatnonzero(held)
+            step = self.step(basis @ linalg.null_space(basis[rows]) if rows.size else basis)
+            change = step.dy[n2:]
+            beyond = ((value <= low) & (change < 0)) | ((value >= high) & (change > 0))
+            if not np.any(beyond & ~held):
+                return step
+            held |= beyond
 
     def step(self, basis: Matrix) -> _Step:
         """Gauss and Newton's step in the directions ``basis`` and the instants."""
