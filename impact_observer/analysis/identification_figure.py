@@ -31,7 +31,9 @@ def identification_figure(found: Identified, *, title: str) -> Figure:
     axes.axhspan(-2 * found.clock, 2 * found.clock, color="0.9", label="2 deviations", zorder=0)
     axes.set_xlabel("time since the epoch [s]")
     axes.set_ylabel("model's impact minus stamp [s]")
-    axes.set_title(title, fontsize="medium")
+    axes.set_title(title, fontsize="medium", loc="left")
     axes.grid(visible=True, which="major", color="0.85")
-    axes.legend(fontsize="small", ncols=4, loc="upper right")
+    axes.legend(
+        fontsize="small", ncols=4, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0)
+    )
     return figure
