@@ -12,11 +12,20 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import observe_bag, plant_run
+from benchmarks import compare_bag, observe_bag, plant_run
+from benchmarks.fast_bags import SECONDS
 from benchmarks.harness import Benchmark, DisagreementError, Result, measure
 
-BENCHMARKS: tuple[Benchmark, ...] = (plant_run.BENCHMARK, observe_bag.BENCHMARK)
 PACKAGES = ("impact_observer", "numpy", "scipy", "rosbags")
+
+
+def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
+    """All there are; ``seconds`` is the length of bags to observe and to compare."""
+    return (
+        plant_run.BENCHMARK,
+        *observe_bag.benchmarks(seconds),
+        compare_bag.benchmark(seconds),
+    )
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -25,25 +34,36 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         0; 1 when contestants disagree, so that there is nothing to compare; 2 for wrong use.
     """
-    known = {each.name: each for each in BENCHMARKS}
+    known = [each.name for each in benchmarks(SECONDS)]
     parser = argparse.ArgumentParser(prog="./dev bench", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these (default: all)")
     parser.add_argument("--list", action="store_true", help="say what there is, and end")
     parser.add_argument("--rounds", type=int, default=7, metavar="N", help="turns (default 7)")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=SECONDS,
+        metavar="S",
+        help=f"length of the bags to observe and to compare (default {SECONDS:g})",
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to FILE")
     given = parser.parse_args(args)
     if unknown := [name for name in given.names if name not in known]:
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(known)}")
     if given.rounds < 1:
         parser.error(f"argument --rounds: {given.rounds}; expected 1 or more")
+    if not 1 <= given.seconds <= 100_000:
+        parser.error(f"argument --seconds: {given.seconds:g}; expected 1 to 100000")
     if given.json and not given.json.absolute().parent.is_dir():
         parser.error(f"argument --json: no folder {given.json.parent}; make it first")
     console = Console()
     if given.list:
-        for each in BENCHMARKS:
-            console.print(f"{each.name:10} {each.question}", highlight=False)
+        for each in benchmarks(SECONDS):
+            console.print(f"{each.name:16} {each.question}", highlight=False)
         return 0
-    chosen = [known[name] for name in given.names] or list(BENCHMARKS)
+    chosen = [
+        each for each in benchmarks(given.seconds) if each.name in (given.names or known)
+    ]
     try:
         with console.status("") as status:
             results = [measure(each, given.rounds, status.update) for each in chosen]

@@ -1,5 +1,8 @@
-"""Observing a bag against merely reading it and writing as many messages of the same types."""
+"""Observing a bag against reading it and writing the very same messages with ``rosbags``."""
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -7,84 +10,140 @@ from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys.store import Typestore
 
+from benchmarks.fast_bags import RATE, SECONDS, observe, write_impacts, write_truth
 from benchmarks.harness import Benchmark, Contest, DisagreementError
 from impact_observer.bag import interfaces
-from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import observe_bag, write_run
+from impact_observer.bag.columns import ObserverStates
+from impact_observer.bag.reader import BagReader, RawMessage
 from impact_observer.bag.typestores import new_typestore
-from impact_observer.events import Ruling
-from impact_observer.model import Model, read_model
-from impact_observer.observer import Observer, initial_state, law_named
-from impact_observer.plant import Plant, simulate
-from impact_observer.stamps import from_seconds, grid
+from impact_observer.stamps import NS_PER_S
 
-EPOCH = 1_000_000_000
-DURATION = 30.0
-RATE = 1000.0
-MADE = (
-    interfaces.OBSERVER_JOINT_STATES,
-    interfaces.OBSERVER_STATES,
-    interfaces.OBSERVER_VERDICTS,
-    interfaces.OBSERVER_BOUND,
-)
-"""What an observer adds to a bag: two messages a state of the truth, two an impact."""
+_STATES = interfaces.OBSERVER_STATES.topic
+_JOINT_STATES = interfaces.OBSERVER_JOINT_STATES.topic
 
 
-def prepare(folder: Path) -> Contest:
-    """Record a bag; check that both make bags of the same messages, as many and as long."""
-    model, bag = read_model("three_mass"), folder / "bag"
-    stamps = grid(EPOCH, EPOCH + from_seconds(DURATION), RATE)
-    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
-    write_run(bag, model, simulate(plant, stamps), seed=0)
-    _observed(model, bag, folder / "ours")
-    _copied(bag, folder / "theirs")
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """What an observer says, for one that need not find it out.
+
+    Attributes:
+        states: every estimate.
+        surroundings: after each impact, by its number: the message of the first estimate.
+        others: the other messages, serialized, by log time.
+    """
+
+    states: ObserverStates
+    surroundings: dict[int, object]
+    others: list[RawMessage]
+
+
+def prepare(folder: Path, seconds: float = SECONDS) -> Contest:
+    """Record a plant, to be estimated where its true states are."""
+    write_truth(folder / "bag", seconds)
+    return _contest(folder, None)
+
+
+def prepare_impacts(folder: Path, seconds: float = SECONDS) -> Contest:
+    """Record impacts alone, to be estimated at ``RATE``."""
+    write_truth(folder / "truth", seconds)
+    write_impacts(folder / "bag", folder / "truth")
+    return _contest(folder, RATE)
+
+
+def _contest(folder: Path, rate: float | None) -> Contest:
+    """Check that both write the same bytes on every topic."""
+    bag = folder / "bag"
+    observe(bag, folder / "ours", rate)
+    known = _known(bag, folder / "ours")
+    _written(bag, known, folder / "theirs")
     ours, theirs = _contents(folder / "ours"), _contents(folder / "theirs")
     if ours != theirs:
-        raise DisagreementError(f"ours {ours}, copied {theirs}")
-    written = sum(count for count, _ in ours.values())
+        differ = [topic for topic in ours | theirs if ours.get(topic) != theirs.get(topic)]
+        raise DisagreementError(f"other messages on {' and '.join(differ)}")
     return Contest(
-        f"three_mass, {DURATION:g} s, {ours[interfaces.IMPACTS.topic][0]} impacts,"
-        f" {stamps.size} estimates, {written} messages written",
-        lambda place: _observed(model, bag, place / "bag"),
-        {"reading and writing": lambda place: _copied(bag, place / "bag")},
+        f"{ours[interfaces.IMPACTS.topic][0]} impacts, {known.states.stamps.size} estimates,"
+        f" {sum(count for count, _ in ours.values())} messages written",
+        lambda place: observe(bag, place / "bag", rate),
+        {"reading and writing": lambda place: _written(bag, known, place / "bag")},
     )
 
 
-def _observed(model: Model, bag: Path, output: Path) -> None:
-    with BagReader(bag) as reader:
-        law = law_named("geometric")(model.system)
-        observer = Observer(model.system, law, *initial_state("random:1", model.system))
-        observe_bag(reader, observer, output)
+def _known(bag: Path, observed: Path) -> Known:
+    with BagReader(bag) as given, BagReader(observed) as reader:
+        states, found = reader.observer_states(_STATES), dict[int, object]()
+        for _, message in reader.messages(_STATES):
+            found.setdefault(message.last_sequence, message)  # type: ignore[attr-defined]
+        others = reader.topics.keys() - given.topics.keys() - {_STATES, _JOINT_STATES}
+        return Known(states, found, [*reader.raw(others)])
 
 
-def _copied(bag: Path, output: Path) -> None:
+def _written(bag: Path, known: Known, output: Path) -> None:
     """What no observer could do without, with ``rosbags`` alone.
 
-    Impacts and truth are read as messages; everything is written again; and for each state of
-    the truth and each impact the messages of an observer, made from what was read.
+    Impacts are read as messages and written again; and for each estimate its two messages are
+    made from numbers that are known, one by one.
     """
     store = new_typestore()
     with (
         Reader(bag) as reader,
         Writer(output, version=9, storage_plugin=StoragePlugin.MCAP) as writer,
     ):
-        copies = {c.id: _connect(writer, store, c.topic, c.msgtype) for c in reader.connections}
-        joint_states, states, verdicts = (
-            _connect(writer, store, each.topic, each.type) for each in MADE
-        )
+        topics = {c.topic: (c.topic, c.msgtype) for c in reader.connections}
+        for each in interfaces.INTERFACES:
+            if each.topic in {_STATES, _JOINT_STATES, *(m.topic for m in known.others)}:
+                topics[each.topic] = (each.topic, each.type)
+        connections = {
+            topic: writer.add_connection(*named, typestore=store)
+            for topic, named in topics.items()
+        }
         for connection, log_time, data in reader.messages():
-            writer.write(copies[connection.id], log_time, data)
-            if connection.topic == interfaces.PLANT_JOINT_STATES.topic:
-                truth = store.deserialize_cdr(data, connection.msgtype)
-                _write(writer, store, joint_states, log_time, truth)
-                _write(writer, store, states, log_time, _state(store, truth))
-            elif connection.topic == interfaces.IMPACTS.topic:
-                event = store.deserialize_cdr(data, connection.msgtype)
-                _write(writer, store, verdicts, log_time, _verdict(store, event))
+            if connection.topic == interfaces.IMPACTS.topic:
+                store.deserialize_cdr(data, connection.msgtype)
+            writer.write(connections[connection.topic], log_time, data)
+        for topic, log_time, data in known.others:
+            writer.write(connections[topic], log_time, data)
+        two = connections[_JOINT_STATES], connections[_STATES]
+        for log_time, messages in _messages(store, known):
+            for connection, message in zip(two, messages, strict=True):
+                _write(writer, store, connection, log_time, message)
 
 
-def _connect(writer: Writer, store: Typestore, topic: str, type_name: str) -> Connection:
-    return writer.add_connection(topic, type_name, typestore=store)
+def _messages(store: Typestore, known: Known) -> Iterator[tuple[int, tuple[object, object]]]:
+    """The two messages of each estimate, with its stamp."""
+    states, types, none = known.states, store.types, np.empty(0)
+    rows = zip(
+        states.stamps.tolist(), states.q, states.u, states.last_sequence.tolist(), strict=True
+    )
+    for stamp, q, u, sequence in rows:
+        about = known.surroundings[sequence]
+        seconds, nanoseconds = divmod(stamp, NS_PER_S)
+        time = types[interfaces.TIME](sec=seconds, nanosec=nanoseconds)
+        header = types[interfaces.HEADER](stamp=time, frame_id="")
+        names = [*states.names]
+        joints = types[interfaces.JOINT_STATE](
+            header=header, name=names, position=q, velocity=u, effort=none
+        )
+        kept = {name: getattr(about, name) for name in _SURROUNDINGS}
+        state = types[interfaces.OBSERVER_STATE](
+            header=header, name=names, position=q, velocity=u, **kept
+        )
+        yield stamp, (joints, state)
+
+
+_SURROUNDINGS = (
+    "law",
+    "covariance",
+    "closed",
+    "convergence",
+    "synchronized",
+    "clock_offset",
+    "last_sequence",
+    "last_event",
+    "parameter_name",
+    "parameter",
+    "parameter_deviation",
+)
+"""What changes at events only."""
 
 
 def _write(
@@ -93,48 +152,20 @@ def _write(
     writer.write(connection, log_time, store.serialize_cdr(message, connection.msgtype))
 
 
-def _state(store: Typestore, truth):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """A state of an observer that would know the truth."""
-    return store.types[interfaces.OBSERVER_STATE](
-        header=truth.header,
-        law="geometric",
-        name=truth.name,
-        position=truth.position,
-        velocity=truth.velocity,
-        covariance=np.empty(0),
-        closed=[],
-        convergence=0.0,
-        synchronized=False,
-        clock_offset=0.0,
-        last_sequence=0,
-        last_event=truth.header.stamp,
-        parameter_name=[],
-        parameter=np.empty(0),
-        parameter_deviation=np.empty(0),
-    )
-
-
-def _verdict(store: Typestore, event):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """That an event was applied."""
-    return store.types[interfaces.EVENT_VERDICT](
-        header=event.header,
-        verdict=int(Ruling.APPLIED),
-        sequence=event.sequence,
-        contact=event.switches[0].contact,
-        reason="",
-        innovation=-1.0,
-        latency=0.0,
-    )
-
-
 def _contents(bag: Path) -> dict[str, tuple[int, int]]:
-    """Messages and bytes of each topic."""
+    """How many messages each topic has, and a digest of all their log times and bytes."""
     contents: dict[str, tuple[int, int]] = {}
     with BagReader(bag) as reader:
-        for topic, _, data in reader.raw():
-            count, size = contents.get(topic, (0, 0))
-            contents[topic] = (count + 1, size + len(data))
+        for topic, log_time, data in reader.raw():
+            count, digest = contents.get(topic, (0, 0))
+            contents[topic] = (count + 1, hash((digest, log_time, data)))
     return contents
 
 
-BENCHMARK = Benchmark("observe", "what does observing a bag add to copying it?", prepare)
+def benchmarks(seconds: float = SECONDS) -> tuple[Benchmark, Benchmark]:
+    """For bags of so many seconds, with truth and without."""
+    truth, impacts = partial(prepare, seconds=seconds), partial(prepare_impacts, seconds=seconds)
+    return (
+        Benchmark("observe", "what does observing a bag cost over copying it?", truth),
+        Benchmark("observe_impacts", "the same of a bag without truth, at 1 kHz", impacts),
+    )

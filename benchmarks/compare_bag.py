@@ -1,0 +1,46 @@
+"""Comparing the estimates in a bag with its truth against merely reading every message."""
+
+from functools import partial
+from pathlib import Path
+
+from rosbags.rosbag2 import Reader
+
+from benchmarks.fast_bags import SECONDS, fast_model, observe, write_truth
+from benchmarks.harness import Benchmark, Contest, DisagreementError
+from impact_observer.bag.comparisons import BagComparison, compare_bag
+from impact_observer.bag.reader import BagReader
+
+
+def prepare(folder: Path, seconds: float = SECONDS) -> Contest:
+    """Record a bag with truth and estimates; check that all of it is compared."""
+    bag = folder / "bag"
+    write_truth(folder / "truth", seconds)
+    observe(folder / "truth", bag)
+    (compared,) = _compared(bag).comparisons.values()
+    with BagReader(bag) as reader:
+        told = reader.topics[reader.truth_topic() or ""].count
+    if (found := compared.samples + compared.mismatch.samples) != told:
+        raise DisagreementError(f"{found} states compared, {told} in the bag")
+    return Contest(
+        f"{seconds:g} s, {told} states, {_read(bag)} messages",
+        lambda _: _compared(bag),
+        {"reading": lambda _: _read(bag)},
+    )
+
+
+def _compared(bag: Path) -> BagComparison:
+    with BagReader(bag) as reader:
+        return compare_bag(reader, fast_model().system)
+
+
+def _read(bag: Path) -> int:
+    """Every message as ``rosbags`` gives it, serialized."""
+    with Reader(bag) as reader:
+        return sum(1 for _ in reader.messages())
+
+
+def benchmark(seconds: float = SECONDS) -> Benchmark:
+    """For a bag of so many seconds."""
+    question = "what does comparing cost over merely reading?"
+    return Benchmark("compare", question, partial(prepare, seconds=seconds))
+
