@@ -8,17 +8,22 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, TypeVar, cast, final
 
+from mcap.summary import Summary
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
 from rosbags.typesys.store import Typestore
+from ruamel.yaml import YAML
 
 from impact_observer.bag import interfaces
+from impact_observer.bag.chunks import Message, index_of, messages
 from impact_observer.bag.columns import Columns, JointStates, ObserverStates, joined
 from impact_observer.bag.interfaces import Interface, Quality
 from impact_observer.bag.messages import (
@@ -197,8 +202,8 @@ class BagReader:
         wanted = self.topics if topics is None else topics
         connections = [c for topic in wanted for c in self._connections[topic]]
         return (
-            RawMessage(connection.topic, log_time, data)
-            for connection, log_time, data in self._stream(connections, start)
+            RawMessage(topic, log_time, data)
+            for log_time, topic, data in self._stream(connections, start)
         )
 
     def messages(self, topic: str) -> Iterator[tuple[int, object]]:
@@ -254,11 +259,12 @@ class BagReader:
                 a message has not one finite position and velocity a name; a law changes.
         """
         columns = {topic: self._columns(topic, names) for topic in topics}
-        for topic, _, data in self.raw([*columns]):
-            own = columns[topic]
-            own.add(data)
-            if len(own) == BLOCK:
-                yield topic, own.take()
+        for batch in self._batches([c for topic in columns for c in self._connections[topic]]):
+            for _, topic, data in batch:
+                own = columns[topic]
+                own.add(data)
+                if len(own) == BLOCK:
+                    yield topic, own.take()
         for topic, own in columns.items():
             yield topic, own.take()
 
@@ -321,7 +327,7 @@ class BagReader:
         store = self._store_knowing(topic, type_name)
         return (
             (log_time, self._deserialized(store, topic, type_name, data))
-            for _, log_time, data in self._stream(self._connections[topic])
+            for log_time, _, data in self._stream(self._connections[topic])
         )
 
     def _store_knowing(self, topic: str, type_name: str) -> Typestore:
@@ -356,23 +362,58 @@ class BagReader:
                 f"{self.path}: {topic} has bytes that are no {type_name}: {_reason(error)}"
             ) from error
 
-    def _stream(
+    def _stream(self, connections: Collection[Connection], start: int = 0) -> Iterator[Message]:
+        """Log times (ns), topics and messages of some connections, none missing."""
+        return chain.from_iterable(self._batches(connections, start))
+
+    def _batches(
         self, connections: Collection[Connection], start: int = 0
-    ) -> Iterator[tuple[Connection, int, bytes]]:
-        """The messages of some connections as ``rosbags`` reads them, none missing."""
+    ) -> Iterator[Sequence[Message]]:
+        """The same, many at a time."""
         if not connections:
             return
         count = 0
         with self._translated():
-            for message in self._reader.messages(connections, start=start or None):
-                count += 1
-                yield message
+            for batch in self._read(connections, start):
+                count += len(batch)
+                yield batch
         promised = sum(connection.msgcount for connection in connections)
         if count < promised and not start:
             raise BagError(
                 f"{self.path}: {count} messages found, {promised} promised by its index; "
                 "`impact-observer check --salvage` saves what is left"
             )
+
+    def _read(
+        self, connections: Collection[Connection], start: int
+    ) -> Iterator[Sequence[Message]]:
+        """The messages in bag order: by the files' indexes, else as ``rosbags`` reads them."""
+        if not self._indexes:
+            read = self._reader.messages(connections, start=start or None)
+            return (((log_time, own.topic, data),) for own, log_time, data in read)
+        wanted = {(each.topic, each.msgtype) for each in connections}
+        return chain.from_iterable(
+            messages(file, index, wanted, start) for file, index in self._indexes
+        )
+
+    @cached_property
+    def _indexes(self) -> list[tuple[Path, Summary]]:
+        """The bag's files and their indexes; none where ``rosbags`` has to do without."""
+        found = [(file, index_of(file)) for file in self._files()]
+        known = [(file, index) for file, index in found if index is not None]
+        return known if len(known) == len(found) else []
+
+    def _files(self) -> list[Path]:
+        """The MCAP files in their order; none where these are compressed, or another storage."""
+        if self.storage != "mcap" or self._reader.compression_mode:
+            return []
+        if self.path.is_file():
+            return [self.path]
+        if len(found := [*self.path.glob("*.mcap")]) == 1:
+            return found
+        about = YAML(typ="safe").load(self.path / "metadata.yaml")
+        names = about["rosbag2_bagfile_information"]["relative_file_paths"]
+        return [self.path / Path(name).name for name in names]
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
