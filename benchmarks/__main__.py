@@ -61,9 +61,7 @@ def main(args: Sequence[str] | None = None) -> int:
         for each in benchmarks(SECONDS):
             console.print(f"{each.name:16} {each.question}", highlight=False)
         return 0
-    chosen = [
-        each for each in benchmarks(given.seconds) if each.name in (given.names or known)
-    ]
+    chosen = [each for each in benchmarks(given.seconds) if each.name in (given.names or known)]
     try:
         with console.status("") as status:
             results = [measure(each, given.rounds, status.update) for each in chosen]

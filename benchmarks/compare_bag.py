@@ -43,4 +43,3 @@ def benchmark(seconds: float = SECONDS) -> Benchmark:
     """For a bag of so many seconds."""
     question = "what does comparing cost over merely reading?"
     return Benchmark("compare", question, partial(prepare, seconds=seconds))
-

@@ -20,6 +20,7 @@ from rosbags.rosbag2 import (
 
 from impact_observer.bag.interfaces import Quality, interface, usual_quality
 from impact_observer.bag.reader import BagReader
+from impact_observer.bag.together import Item, write_together
 from impact_observer.bag.typestores import add_definition, new_typestore
 from impact_observer.errors import BagError, UsageError
 
@@ -67,7 +68,7 @@ class BagWriter:
         self.message_count = 0
         self._store = new_typestore()
         self._connections: dict[str, Connection] = {}
-        self._pending: deque[tuple[Connection, int, bytes]] = deque()
+        self._pending: deque[Item] = deque()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="bag")
         try:
             self._writer = self._run(
@@ -194,8 +195,8 @@ class BagWriter:
 
     def _write_pending(self) -> None:
         """In the thread: hand to ``rosbags`` what has come."""
-        while self._pending:
-            self._writer.write(*self._pending.popleft())
+        due = [self._pending.popleft() for _ in range(len(self._pending))]
+        write_together(self._writer, due)
 
     def _finish(self) -> None:
         """In the thread: the rest, then index and metadata."""
