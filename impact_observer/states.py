@@ -1,6 +1,7 @@
 """States of the plant and of its estimates at a stamp."""
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,3 +57,30 @@ class Estimate:
     learnt: tuple[tuple[str, float, float], ...] = ()
     last_sequence: int = 0
     last_event: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimates:
+    """Estimates between two events that differ in stamp and state only.
+
+    Attributes:
+        first: the first of them.
+        stamps: when each holds, ns, ascending, shape (k,), at least one.
+        x: states (q, u), shape (k, 2n).
+    """
+
+    first: Estimate
+    stamps: Stamps
+    x: Matrix
+
+    def __iter__(self) -> Iterator[Estimate]:
+        """Each of them."""
+        n = self.first.q.size
+        for stamp, x in zip(self.stamps.tolist(), self.x, strict=True):
+            yield replace(self.first, stamp=stamp, q=x[:n], u=x[n:])
+
+    def part(self, begin: int, end: int) -> "Estimates":
+        """Some of them, at least one."""
+        n, x = self.first.q.size, self.x[begin]
+        first = replace(self.first, stamp=int(self.stamps[begin]), q=x[:n], u=x[n:])
+        return Estimates(first, self.stamps[begin:end], self.x[begin:end])

@@ -95,6 +95,17 @@ class Motion(ABC):
         """The state (q, u), shape (2n,), at ``s`` seconds after the phase's start."""
         return np.asarray(self.states(np.array([s]))[0])
 
+    def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``state`` at many instants, in every bit, where ``states`` may round otherwise.
+
+        Args:
+            s: shape (samples,), at least one, s.
+
+        Returns:
+            States (q, u), shape (samples, 2n).
+        """
+        return np.array([self.state(at) for at in s.tolist()])
+
 
 class Functions(NamedTuple):
     """Functions ``rows x + Re(harmonics e^{i omega t}) + constant`` of states and of time.

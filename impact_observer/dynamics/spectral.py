@@ -141,6 +141,27 @@ class SpectralFlow(Flow):
         """States from pairs: ``x = T y``, shape (2n, samples)."""
         return np.asarray(self._T @ y.reshape(2 * self._n, y.shape[-1]))
 
+    def each(self, y: NDArray[np.float64], t: Vector) -> NDArray[np.float64]:
+        """``assemble(y) + steady(t)`` as for each sample alone, shape (samples, 2n).
+
+        The products are those of a matrix with one column, over and over: one product with many
+        columns may add up in another order.
+        """
+        found = self._T @ _columns(y)
+        if not self._frequency.size:
+            return np.asarray((found + self._steady_constant[:, None])[..., 0])
+        angle = np.multiply.outer(self._frequency, t)
+        steady = self._steady_cosine @ _columns(np.cos(angle))
+        steady += self._steady_sine @ _columns(np.sin(angle))
+        steady += self._steady_constant[:, None]
+        return np.asarray((found + steady)[..., 0])
+
+
+def _columns(samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What comes with samples last as one column a sample, shape (samples, rows, 1)."""
+    rows = samples.reshape(-1, samples.shape[-1])
+    return np.ascontiguousarray(rows.T)[..., None]
+
 
 class _SpectralMotion(Motion):
     """Steady response, free motion of pairs from ``z`` on, and the answer of those resonant."""
@@ -154,6 +175,12 @@ class _SpectralMotion(Motion):
         flow = self._flow
         y = flow.near.response(self.t, flow.homogeneous(self.z, s), s)
         return np.ascontiguousarray((flow.assemble(y) + flow.steady(self.t + s)).T)
+
+    def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        flow = self._flow
+        if not flow.near.nothing:  # what is near resonance is answered by one way or another
+            return super().each(s)
+        return flow.each(flow.homogeneous(self.z, s), self.t + s)
 
 
 class _SpectralView(View):

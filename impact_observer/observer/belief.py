@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -289,11 +289,21 @@ class Touch:
 
 
 class Course(ABC):
-    """How a belief goes on until the next event; a function of time alone."""
+    """How a belief goes on until the next event; a function of time alone.
+
+    Attributes:
+        is_plain: whether it has neither ``root`` nor ``closed``: nothing but the state changes.
+    """
+
+    is_plain: ClassVar[bool] = False
 
     @abstractmethod
     def state(self, s: float) -> Vector:
         """The estimate (q, u), shape (2n,), ``s`` seconds after the start."""
+
+    def states(self, s: Vector) -> Matrix:
+        """``state`` after each of ``s`` seconds, in every bit, shape (samples, 2n)."""
+        return np.array([self.state(at) for at in s.tolist()])
 
     @abstractmethod
     def belief(self, s: float) -> Belief:

@@ -1,6 +1,7 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
 from collections import Counter
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +18,7 @@ from impact_observer.observer.order import Key, Reading, Spoken
 from impact_observer.observer.timeline import Entry, Placed, Timeline, beginning
 from impact_observer.observer.uncertainty import covariance_root, spread
 from impact_observer.stamps import from_seconds, seconds_between, text
-from impact_observer.states import Estimate, Matrix, Vector, frozen
+from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector, frozen
 
 DEFAULT_HISTORY = 10.0
 """How late an event may be and still be applied, s."""
@@ -229,15 +230,8 @@ class Observer:
             UsageError: ``stamp`` lies before the known past, or nothing is known yet, or the
                 forcing depends on time and nobody has said when it began.
         """
-        if self._timeline is None or stamp < self._timeline.start.stamp:
-            known = (
-                "no event has come"
-                if self._timeline is None
-                else (f"the known past begins at {text(self._timeline.start.stamp)} s")
-            )
-            raise UsageError(f"estimate at {text(stamp)} s: {known}")
+        entry, n = self._reaching(stamp).at(stamp), self.system.n
         self._require_epoch()
-        entry, n = self._timeline.at(stamp), self.system.n
         course, s = self._course(entry), seconds_between(entry.since, stamp)
         x, root = (
             (course.state(s), course.root(s)) if s > 0 else (entry.belief.x, entry.belief.root)
@@ -264,6 +258,38 @@ class Observer:
             last_sequence=entry.key.sequence if applied else 0,
             last_event=entry.key.stamp if applied else 0,
         )
+
+    def estimates(self, stamps: Stamps) -> Iterator[Estimates]:
+        """``estimate`` at each of ``stamps`` in every bit, many at a time.
+
+        Args:
+            stamps: ns, ascending, shape (samples,).
+
+        Raises:
+            UsageError: as ``estimate``.
+        """
+        while stamps.size:
+            first = self.estimate(int(stamps[0]))
+            x, count = np.concatenate([first.q, first.u])[None], 1
+            entry, end = self._reaching(first.stamp).around(first.stamp)
+            if (course := self._course(entry)).is_plain:
+                count = stamps.size if end is None else int(np.searchsorted(stamps, end))
+            if count > 1:
+                s = np.array([seconds_between(entry.since, at) for at in stamps[1:count].tolist()])
+                x = np.concatenate([x, np.where(s[:, None] > 0, course.states(s), x)])
+            yield Estimates(first, stamps[:count], x)
+            stamps = stamps[count:]
+
+    def _reaching(self, stamp: int) -> Timeline:
+        """The timeline, if ``stamp`` (ns) is in it."""
+        if self._timeline is None or stamp < self._timeline.start.stamp:
+            known = (
+                "no event has come"
+                if self._timeline is None
+                else (f"the known past begins at {text(self._timeline.start.stamp)} s")
+            )
+            raise UsageError(f"estimate at {text(stamp)} s: {known}")
+        return self._timeline
 
     def _outdated(self, event: ImpactEvent) -> str | None:
         """Why ``event`` is of a past that is over; None if it is not.

@@ -126,6 +126,14 @@ class Timeline:
             return entry
         return self.entries[max(bisect_right(self.entries, stamp, key=_stamp), 1) - 1]
 
+    def around(self, stamp: int) -> tuple[Entry, int | None]:
+        """``at(stamp)``, and the stamp (ns) of the entry after it; None where there is none."""
+        entry = self.entries[-1]
+        if entry.key.stamp <= stamp:
+            return entry, None
+        after = max(bisect_right(self.entries, stamp, key=_stamp), 1)
+        return self.entries[after - 1], self.entries[after].key.stamp
+
     def reaches(self, key: Key) -> bool:
         """Whether there is a past to put an event into.
 

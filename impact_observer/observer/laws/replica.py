@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 from scipy import special
@@ -141,12 +142,17 @@ class ReplicaLaw(Law):
 class _Apart(Course):
     """Every replica by its own motion."""
 
+    is_plain: ClassVar[bool] = True
+
     def __init__(self, motions: Sequence[Motion], belief: Belief) -> None:
         self._motions = motions
         self._belief = belief
 
     def state(self, s: float) -> Vector:
         return self._motions[0].state(s)
+
+    def states(self, s: Vector) -> Matrix:
+        return self._motions[0].each(s)
 
     def belief(self, s: float) -> Belief:
         replicas = np.array([motion.state(s) for motion in self._motions])
@@ -156,6 +162,8 @@ class _Apart(Course):
 class _Together(Course):
     """Differences of replicas in one linear phase: one matrix for all of them."""
 
+    is_plain: ClassVar[bool] = True
+
     def __init__(self, first: Motion, belief: Belief, phase: Phase) -> None:
         self._first = first
         self._belief = belief
@@ -164,6 +172,9 @@ class _Together(Course):
 
     def state(self, s: float) -> Vector:
         return self._first.state(s)
+
+    def states(self, s: Vector) -> Matrix:
+        return self._first.each(s)
 
     def belief(self, s: float) -> Belief:
         replicas = self._apart @ self._phase.transition(s).T
