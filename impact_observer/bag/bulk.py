@@ -1,8 +1,9 @@
-"""State messages decoded many at a time: all messages of one shape differ in a few places only.
+"""State messages many at a time, read or made: those of one shape differ in a few places only.
 
 A layout is where the numbers of a message lie, found by walking through one of its shape (OMG CDR,
 little endian). It holds for every message with the same bytes elsewhere. ``rosbags`` decodes the
-rest, and is asked whether the layout says the same of its first message.
+rest, and is asked whether the layout says the same of its first message. What is made is a copy of
+a message of ``rosbags`` with other numbers, and it is asked for the last one.
 """
 
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from impact_observer.bag.interfaces import JOINT_STATE, OBSERVER_STATE
 from impact_observer.stamps import MAX_STAMP, NS_PER_S
-from impact_observer.states import Stamps
+from impact_observer.states import Matrix, Stamps
 
 _START = 4
 """The header of a serialized message; places are aligned from behind it."""
@@ -179,6 +180,30 @@ def decode(type_name: str, block: Sequence[bytes]) -> tuple[list[Rows], list[int
         found.append(_rows(layout, data[fits], same[fits]))
         left = np.setdiff1d(left, same[fits], assume_unique=True)
     return found, [*without, *left.tolist()]
+
+
+def encode(
+    type_name: str, example: bytes, stamps: Stamps, q: Matrix, u: Matrix
+) -> list[bytes] | None:
+    """State messages that differ from one in stamp and state only; None where it has no layout.
+
+    Args:
+        type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.
+        example: one of them, serialized.
+        stamps: of each, ns, shape (k,), such as a message can carry.
+        q: coordinates, shape (k, n), finite.
+        u: velocities alike.
+    """
+    layout = layout_of(type_name, example)
+    if layout is None or layout.n != q.shape[1]:
+        return None
+    data = np.tile(np.frombuffer(example, dtype=np.uint8), (stamps.size, 1))
+    time = np.stack(np.divmod(stamps, NS_PER_S), axis=1).astype("<u4")
+    for begin, values in ((layout.stamp, time), (layout.q, q), (layout.u, u)):
+        raw = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).view(np.uint8)
+        data[:, begin : begin + raw.shape[1]] = raw
+    together, size = data.tobytes(), len(example)
+    return [together[at : at + size] for at in range(0, len(together), size)]
 
 
 def _rows(layout: Layout, data: NDArray[np.uint8], at: NDArray[np.intp]) -> Rows:

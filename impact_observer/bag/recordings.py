@@ -5,6 +5,7 @@ import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 
@@ -14,17 +15,18 @@ from impact_observer import __version__
 from impact_observer.analysis.comparison import Heard, counted, heard_of
 from impact_observer.bag import interfaces
 from impact_observer.bag.messages import JointState, bag_messages
-from impact_observer.bag.reader import BagReader, RawMessage
+from impact_observer.bag.reader import BagReader
+from impact_observer.bag.telling import in_log_order, messages_of
 from impact_observer.bag.writer import BagWriter
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import SETTLING, ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.reading import ModelText, model_text
-from impact_observer.observer import Observer, replay
+from impact_observer.observer import Observer, replay_together
 from impact_observer.plant import IDEAL, Run, Sensor, sense
 from impact_observer.stamps import grid, text
-from impact_observer.states import Estimate, Stamps
+from impact_observer.states import Estimates, Stamps
 
 _CARRIED = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
 
@@ -247,61 +249,58 @@ def observe_bag(
         )
     stamps = sample_stamps(reader, events, rate, epoch)
     carried = [topic for each in _CARRIED if (topic := reader.find(each)) is not None]
-    count, told, settled = 0, Counter[Ruling](), dict[tuple[int, int, str], Ruling]()
-    bound, make = -1.0, bag_messages()
     with all_or_nothing(output) as writer:
         for topic in carried:
             info = reader.topics[topic]
             writer.declare(topic, type_name=info.type, quality=info.quality)
-        as_they_are = ((raw.log_time, raw) for raw in reader.raw(carried))
-        made = _logged(replay(observer, events, stamps))
-        items: Iterable[tuple[int, RawMessage | Estimate | Verdict]]
-        items = heapq.merge(as_they_are, made, key=itemgetter(0))
-        for log_time, item in items:
-            if isinstance(item, RawMessage):
-                writer.write_raw(*item)
-                continue
-            for topic, message in _messages(item, observer.system.coordinates):
-                writer.write(topic, log_time, message)
-            if isinstance(item, Estimate):
-                count += 1
-                if item.bound != bound:
-                    bound = item.bound
-                    writer.write(interfaces.OBSERVER_BOUND.topic, log_time, make.bound(item))
-                progress(count, stamps.size)
-            else:
-                settled |= final_rulings([item])
-                told[item.ruling] += item.ruling not in SETTLING
-    return count, +(told + counted(settled, {event.stamp for event in events}))
+        as_they_are = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(carried))
+        watched = _Said(
+            writer, observer.system.coordinates, lambda done: progress(done, stamps.size)
+        )
+        made = watched.messages(replay_together(observer, events, stamps))
+        for log_time, topic, data in heapq.merge(as_they_are, made, key=itemgetter(0)):
+            writer.write_raw(topic, log_time, data)
+    return watched.count, +(
+        watched.told + counted(watched.settled, {event.stamp for event in events})
+    )
 
 
-def _logged(items: Iterable[Estimate | Verdict]) -> Iterator[tuple[int, Estimate | Verdict]]:
-    """What an observer says, with log times (ns) that never go back.
+class _Said:
+    """What an observer says, while it is written.
 
-    That of an estimate is its stamp. A verdict that comes about before the estimates up to its
-    stamp waits for them; one on a stamp that is past, a second thought, is logged when it comes.
+    Attributes:
+        count: estimates so far.
+        told: how many verdicts of each kind were no rulings on the plant's events.
+        settled: those that are, the last on each event and contact.
     """
-    waiting: list[tuple[int, int, Verdict]] = []
-    last = 0
-    for k, item in enumerate(items):
-        if isinstance(item, Verdict):
-            heapq.heappush(waiting, (max(item.stamp, last), k, item))
-            continue
-        while waiting and waiting[0][0] <= item.stamp:
-            last, _, verdict = heapq.heappop(waiting)
-            yield last, verdict
-        last = item.stamp
-        yield last, item
-    for log_time, _, verdict in sorted(waiting):
-        yield log_time, verdict
 
+    def __init__(
+        self, writer: BagWriter, names: tuple[str, ...], progress: Callable[[int], None]
+    ) -> None:
+        self.count = 0
+        self.told = Counter[Ruling]()
+        self.settled: dict[tuple[int, int, str], Ruling] = {}
+        self._serialize = writer.serialized
+        self._names = names
+        self._progress = progress
+        self._bound = -1.0
 
-def _messages(item: Estimate | Verdict, names: tuple[str, ...]) -> Iterator[tuple[str, object]]:
-    """What an observer node publishes of an estimate or a verdict, with the topics."""
-    make = bag_messages()
-    if isinstance(item, Verdict):
-        yield interfaces.OBSERVER_VERDICTS.topic, make.verdict(item)
-        return
-    state = JointState(item.stamp, names, item.q, item.u)
-    yield interfaces.OBSERVER_JOINT_STATES.topic, make.joint_state(state)
-    yield interfaces.OBSERVER_STATES.topic, make.estimate(item, names)
+    def messages(self, items: Iterable[Estimates | Verdict]) -> Iterator[tuple[int, str, bytes]]:
+        """Log times (ns), topics and messages of ``items``."""
+        make, serialize = bag_messages(), self._serialize
+        for log_time, item in in_log_order(items):
+            if isinstance(item, Verdict):
+                topic = interfaces.OBSERVER_VERDICTS.topic
+                yield log_time, topic, serialize(topic, make.verdict(item))
+                self.settled |= final_rulings([item])
+                self.told[item.ruling] += item.ruling not in SETTLING
+                continue
+            told = messages_of(item, self._names, serialize)
+            yield from islice(told, 2)  # of the first estimate
+            if item.first.bound != self._bound:
+                self._bound = item.first.bound
+                topic = interfaces.OBSERVER_BOUND.topic
+                yield log_time, topic, serialize(topic, make.bound(item.first))
+            yield from told
+            self.count += item.stamps.size
+            self._progress(self.count)

@@ -160,10 +160,18 @@ class BagWriter:
             UsageError: the topic is not declared, or the message is of another type.
             BagError: the disk is full or gone.
         """
+        self.write_raw(topic, log_time, self.serialized(topic, message))
+
+    def serialized(self, topic: str, message: object) -> bytes:
+        """The bytes of a message, as :meth:`write_raw` takes them.
+
+        Raises:
+            UsageError: as of :meth:`write`.
+        """
         type_name = self._connection(topic).msgtype
         if (found := getattr(message, "__msgtype__", type(message).__name__)) != type_name:
             raise UsageError(f"{self.path}: {topic} is {type_name}; not {found}")
-        self.write_raw(topic, log_time, bytes(self._store.serialize_cdr(message, type_name)))
+        return bytes(self._store.serialize_cdr(message, type_name))
 
     def write_raw(self, topic: str, log_time: int, data: bytes) -> None:
         """Write a serialized message (CDR).

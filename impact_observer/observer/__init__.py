@@ -7,7 +7,7 @@ from impact_observer.observer.initial import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
 from impact_observer.observer.options import Options
-from impact_observer.observer.replay import replay
+from impact_observer.observer.replay import replay, replay_together
 from impact_observer.observer.uncertainty import Uncertainty, deviation_of
 
 __all__ = [
@@ -29,4 +29,5 @@ __all__ = [
     "law_named",
     "law_names",
     "replay",
+    "replay_together",
 ]

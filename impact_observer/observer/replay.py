@@ -3,10 +3,15 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.observer.observer import Observer
 from impact_observer.stamps import NS_PER_S
-from impact_observer.states import Estimate, Stamps
+from impact_observer.states import Estimate, Estimates, Stamps
+
+MOST = 4096
+"""Estimates that are made together."""
 
 _DISORDER = NS_PER_S
 """By which stamps may disagree with the order of sending and still be fed in that order, ns: more
@@ -33,12 +38,27 @@ def replay(
     Raises:
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
+    for item in replay_together(observer, events, stamps):
+        if isinstance(item, Estimates):
+            yield from item
+        else:
+            yield item
+
+
+def replay_together(
+    observer: Observer, events: Sequence[ImpactEvent], stamps: Stamps
+) -> Iterator[Estimates | Verdict]:
+    """``replay`` with the estimates between two events together, at most ``MOST`` of them."""
     pending = _as_sent(events)[::-1]
-    for stamp in map(int, stamps):
-        while pending and _is_due(pending[-1], stamp, observer):
+    while stamps.size:
+        while pending and _due(pending[-1], observer) <= stamps[0]:
             yield from observer.receive(pending.pop().event)
-        if observer.start is not None and observer.start <= stamp:
-            yield observer.estimate(stamp)
+        end = min(stamps.size, MOST)
+        if pending:
+            end = min(int(np.searchsorted(stamps, _due(pending[-1], observer))), end)
+        here, stamps = stamps[:end], stamps[end:]
+        if observer.start is not None:
+            yield from observer.estimates(here[np.searchsorted(here, observer.start) :])
     while pending:
         yield from observer.receive(pending.pop().event)
 
@@ -82,7 +102,7 @@ def _is_of_run(event: ImpactEvent, other: ImpactEvent) -> bool:
     return (event.episode, event.epoch) == (other.episode, other.epoch)
 
 
-def _is_due(sent: _Sent, stamp: int, observer: Observer) -> bool:
-    """Whether an event bears on the state at ``stamp``: by its instant, or by a new epoch."""
+def _due(sent: _Sent, observer: Observer) -> int:
+    """From which stamp on an event bears on the state, ns: by its instant, or by a new epoch."""
     epoch = sent.event.epoch
-    return sent.needed <= stamp or (epoch != observer.epoch and epoch <= stamp)
+    return sent.needed if epoch == observer.epoch else min(sent.needed, epoch)

@@ -24,7 +24,11 @@ def some(count: int, seed: int) -> list[tuple[str, int, bytes]]:
     random = np.random.default_rng(seed)
     times = np.sort(random.integers(1, 1000, count)) + random.integers(0, 50, count)
     return [
-        (TOPICS[random.integers(3)], int(time) * 1_000_000, random.bytes(random.integers(4, 900)))
+        (
+            TOPICS[random.integers(3)],
+            int(time) * 1_000_000,
+            random.bytes(int(random.integers(4, 900))),
+        )
         for time in times
     ]
 
@@ -62,7 +66,7 @@ def mcap(path: Path, messages: list[tuple[str, int, bytes]], compression: Compre
         channels = {topic: writer.register_channel(topic, "cdr", schema) for topic in TOPICS}
         for topic, time, data in messages:
             writer.add_message(channels[topic], time, data, time)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return path
 
 
@@ -129,7 +133,7 @@ def test_file_without_index_is_read_by_rosbags(tmp_path: Path) -> None:
         channel = writer.register_channel("/a", "cdr", schema)
         for _, time, data in messages:
             writer.add_message(channel, time, data, time)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     assert index_of(path) is None
     with BagReader(path) as reader:
         assert [*reader.raw()] == messages
