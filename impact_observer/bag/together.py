@@ -8,7 +8,7 @@ import struct
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
-from itertools import accumulate, repeat
+from itertools import accumulate, chain, repeat
 from typing import Any, TypeAlias
 
 from rosbags.interfaces import Connection
@@ -56,19 +56,16 @@ def _take(writer: Writer, items: Sequence[Item]) -> int:
     """Add as many messages as come into the open chunk; how many these are."""
     storage: Any = writer.storage
     chunk = storage.chunk
-    begin = chunk.bio.tell()
-    sizes = [len(data) for _, _, data in items]
-    ends = [*accumulate((size + _RECORD.size for size in sizes), initial=begin)]
+    connections, times, data = zip(*items, strict=True)
+    sizes = [len(each) for each in data]
+    ends = [*accumulate((size + _RECORD.size for size in sizes), initial=chunk.bio.tell())]
     # The message with which it is full is the last one in it.
     count = min(bisect_right(ends, _FULL, lo=1), len(items))
-    numbers = [connection.id for connection, _, _ in items[:count]]
-    times = [log_time for _, log_time, _ in items[:count]]
-    parts = [b""] * (2 * count)
-    lengths = (size + _COUNTED for size in sizes)
-    parts[0::2] = map(_RECORD.pack, repeat(_MESSAGE), lengths, numbers, repeat(0), times, times)
-    parts[1::2] = [data for _, _, data in items[:count]]
-    chunk.bio.write(b"".join(parts))
-    for number, place in zip(numbers, zip(times, ends, strict=False), strict=True):
+    numbers, times = [each.id for each in connections[:count]], times[:count]
+    lengths = [size + _COUNTED for size in sizes]
+    heads = map(_RECORD.pack, repeat(_MESSAGE), lengths, numbers, repeat(0), times, times)
+    chunk.bio.write(b"".join(chain.from_iterable(zip(heads, data, strict=False))))
+    for number, place in zip(numbers, zip(times, ends, strict=False), strict=False):
         chunk.msgs[number].append(place)
     _note(writer, numbers, min(times), max(times))
     if ends[count] > _FULL:

@@ -24,7 +24,9 @@ from impact_observer.bag.together import Item, write_together
 from impact_observer.bag.typestores import add_definition, new_typestore
 from impact_observer.errors import BagError, UsageError
 
-_BATCH = 256
+_BATCH = 1024
+_BATCH_BYTES = 2**20
+"""Messages, or bytes of them, that are handed to ``rosbags`` together."""
 _Result = TypeVar("_Result")
 
 
@@ -69,6 +71,7 @@ class BagWriter:
         self._store = new_typestore()
         self._connections: dict[str, Connection] = {}
         self._pending: deque[Item] = deque()
+        self._pending_bytes = 0
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="bag")
         try:
             self._writer = self._run(
@@ -190,7 +193,9 @@ class BagWriter:
             raise UsageError(f"{self.path}: {topic} at log time {log_time} ns; expected 0 or more")
         self._pending.append((connection, log_time, data))
         self.message_count += 1
-        if len(self._pending) >= _BATCH:
+        self._pending_bytes += len(data)
+        if len(self._pending) >= _BATCH or self._pending_bytes >= _BATCH_BYTES:
+            self._pending_bytes = 0
             self._run(self._write_pending)
 
     def _connection(self, topic: str) -> Connection:
