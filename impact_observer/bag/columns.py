@@ -87,9 +87,9 @@ class Columns:
         """Messages that wait to be taken."""
         return len(self._pending)
 
-    def add(self, data: bytes) -> None:
-        """Add a serialized message."""
-        self._pending.append(data)
+    def add(self, data: Sequence[bytes]) -> None:
+        """Add serialized messages."""
+        self._pending += data
 
     def take(self) -> JointStates:
         """A block of all that was added since the last; of estimates, ``ObserverStates``.

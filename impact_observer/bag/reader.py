@@ -260,11 +260,14 @@ class BagReader:
         """
         columns = {topic: self._columns(topic, names) for topic in topics}
         for batch in self._batches([c for topic in columns for c in self._connections[topic]]):
-            for _, topic, data in batch:
-                own = columns[topic]
-                own.add(data)
-                if len(own) == BLOCK:
-                    yield topic, own.take()
+            for topic, own in columns.items():
+                data = [each for _, name, each in batch if name == topic]
+                while data:
+                    room = BLOCK - len(own)
+                    own.add(data[:room])
+                    data = data[room:]
+                    if len(own) == BLOCK:
+                        yield topic, own.take()
         for topic, own in columns.items():
             yield topic, own.take()
 

@@ -67,7 +67,7 @@ def taken(type_name: str, block: list[bytes], *names: str) -> JointStates:
     """What a block says."""
     own = columns(type_name, *names)
     for data in block:
-        own.add(data)
+        own.add([data])
     return own.take()
 
 
@@ -164,12 +164,12 @@ def test_places_are_counted_through_all_blocks() -> None:
     """The error of a later block names the message of the topic."""
     own = columns(JOINT)
     for stamp in (1, 2, 3):
-        own.add(joint(stamp, "x1"))
+        own.add([joint(stamp, "x1")])
     own.take()
     bad = deserialize(typestore(), joint(4, "x1"), JOINT)
     bad.position = np.array([np.nan])  # type: ignore[attr-defined]
-    own.add(joint(4, "x1"))
-    own.add(serialized(bad, JOINT))
+    own.add([joint(4, "x1")])
+    own.add([serialized(bad, JOINT)])
     with pytest.raises(BagError, match=r"/topic, message 4: JointState.position\[0\] is nan"):
         own.take()
 
@@ -180,7 +180,7 @@ def test_joined_blocks_are_one() -> None:
     blocks = []
     for stamps in (range(1, 4), range(4, 5), range(5, 9)):
         for stamp in stamps:
-            own.add(estimate(stamp))
+            own.add([estimate(stamp)])
         blocks.append(own.take())
     whole = joined(blocks)
     assert isinstance(whole, ObserverStates)
