@@ -19,7 +19,7 @@ from impact_observer.analysis import SETTLED
 from impact_observer.analysis.mismatch import Impact
 from impact_observer.analysis.pairing import Pairing, Series
 from impact_observer.analysis.tally import Curve, Rows, Tally
-from impact_observer.errors import BagError
+from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay
@@ -234,6 +234,29 @@ def compare_law(
     threshold: float = SETTLED,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Comparison:
+    """``compare_run`` where some event has to be applied.
+
+    Raises:
+        BagError: no event could be applied, or no estimate made at the truth's stamps.
+        DynamicsError, ImpactLawError, UsageError: as ``compare_run``.
+    """
+    comparison, verdicts = compare_run(
+        observer, events, truth, threshold=threshold, progress=progress
+    )
+    if verdicts and not comparison.heard.instants.size:
+        raise BagError(_unheard(observer, verdicts))
+    return comparison
+
+
+def compare_run(
+    observer: Observer,
+    events: Sequence[ImpactEvent],
+    truth: Callable[[], Iterable[Series]],
+    *,
+    system: System | None = None,
+    threshold: float = SETTLED,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> tuple[Comparison, list[Verdict]]:
     """Run an observer over events and compare what it says with the truth.
 
     Estimates are put aside in a file: what a law thinks of an event may change later.
@@ -242,11 +265,16 @@ def compare_law(
         observer: has seen nothing yet.
         events: in order of episode, stamp and sequence.
         truth: makes the blocks of the plant's states; their stamps are where to estimate.
+        system: whose energy V is; None for the observer's.
         threshold: V over V at the start below which the estimate has settled.
         progress: told the estimates made and the stamps to make them for.
 
+    Returns:
+        The comparison, and every verdict.
+
     Raises:
-        BagError: no event could be applied, or no estimate made at the truth's stamps.
+        BagError: no estimate could be made at the truth's stamps.
+        DynamicsError: an estimate has left all bounds.
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
     stamps, law = np.unique(np.concatenate([block.stamps for block in truth()])), observer.law.name
@@ -261,11 +289,14 @@ def compare_law(
                 made += 1
                 progress(made, stamps.size)
         heard = heard_of(events, verdicts)
-        if verdicts and not heard.instants.size:
-            raise BagError(f"{law}: no event could be applied: {verdicts[0].reason}")
         if not made:
-            raise BagError(f"{law}: no impact was heard, so there is no estimate to compare")
-        comparing = Comparing(observer.system, heard, threshold)
+            none = verdicts and not heard.instants.size
+            raise BagError(
+                _unheard(observer, verdicts)
+                if none
+                else f"{law}: no impact was heard, so there is no estimate to compare"
+            )
+        comparing = Comparing(system or observer.system, heard, threshold)
         aside.seek(0)
         estimates = _taken_back(aside, 2 * observer.system.n)
         for block in truth():
@@ -274,9 +305,16 @@ def compare_law(
             while newest.newest < comparing.pairing.truth.newest and (
                 series := next(estimates, None)
             ):
+                if not np.isfinite(series.x).all():
+                    raise DynamicsError(f"{law}: the estimate has left all bounds")
                 newest.add(series)
             comparing.proceed()
-        return comparing.result(law)
+        return comparing.result(law), verdicts
+
+
+def _unheard(observer: Observer, verdicts: Sequence[Verdict]) -> str:
+    """That no event could be applied, and why the first could not."""
+    return f"{observer.law.name}: no event could be applied: {verdicts[0].reason}"
 
 
 def _put_aside(estimate: Estimate, file: IO[bytes]) -> None:

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
+from impact_observer.analysis import comparison
 from impact_observer.analysis.sweep import running
 from impact_observer.analysis.sweep.replicas import Off, replicas_of
 from impact_observer.analysis.sweep.running import Outcome, run_case
@@ -139,7 +140,7 @@ def test_a_case_that_fails_is_an_outcome_of_one_line(monkeypatch: pytest.MonkeyP
             raise problems.pop(0)
         return whole(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(running, "replay", broken)
+    monkeypatch.setattr(comparison, "replay", broken)
     sweep = swept(runs=4)
     outcomes = [run_case(case) for case in sweep.cases()]
     assert outcomes[0] == Outcome(0, error="no solution")

@@ -3,18 +3,14 @@
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numpy as np
-
-from impact_observer.analysis.comparison import Comparing, Comparison, heard_of
+from impact_observer.analysis.comparison import Comparison, compare_run
 from impact_observer.analysis.pairing import Series
 from impact_observer.analysis.sweep.sweep import Case, Rig
-from impact_observer.errors import DynamicsError, ImpactObserverError
-from impact_observer.events import Ruling, Verdict
+from impact_observer.errors import ImpactObserverError
+from impact_observer.events import Ruling
 from impact_observer.model import Model, parse_model
-from impact_observer.observer import replay
 from impact_observer.plant import Plant, Run, sense, simulate
 from impact_observer.stamps import from_seconds, grid
-from impact_observer.states import Estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,21 +103,14 @@ def compared(case: Case) -> tuple[Comparison, int]:
     )
     events = sorted((each.event for each in sensed), key=lambda each: (each.stamp, each.sequence))
     observer = case.options.observer(_parsed(case.replica.text).system)
-    estimates: list[Estimate] = []
-    verdicts: list[Verdict] = []
-    for item in replay(observer, events, run.stamps):
-        if isinstance(item, Verdict):
-            verdicts.append(item)
-        else:
-            estimates.append(item)
-    x = np.array([np.concatenate([each.q, each.u]) for each in estimates])
-    if not np.all(np.isfinite(x)):
-        raise DynamicsError(f"{case.options.law}: the estimate has left all bounds")
-    comparing = Comparing(system, heard_of(events, verdicts), case.threshold)
-    comparing.pairing.truth.add(Series(run.stamps, run.states))
-    last = np.array([each.last_event for each in estimates], dtype=np.int64)
-    comparing.pairing.estimates.add(Series(run.stamps, x, last))
-    return comparing.result(case.options.law), len(events)
+    comparison, _ = compare_run(
+        observer,
+        events,
+        lambda: [Series(run.stamps, run.states)],
+        system=system,
+        threshold=case.threshold,
+    )
+    return comparison, len(events)
 
 
 def _outcome(case: Case) -> Outcome:
