@@ -19,6 +19,8 @@ from impact_observer.errors import SweepError, UsageError
 
 _KEY = b"impact_observer.sweep"
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
+_LONGEST = 60
+"""Most letters of a value that is told in an error."""
 _COUNTS = ("events", "impacts_used", "switches_rejected", "impacts_inserted")
 
 
@@ -38,7 +40,7 @@ def read_outcomes(path: Path, sweep: Sweep) -> dict[int, Outcome]:
     found = (table.schema.metadata or {}).get(_KEY)
     if found is None:
         raise UsageError(f"{path}: exists and is no sweep; name another file")
-    _check_same(path, json.loads(found), _normal(sweep))
+    _check_same(path, json.loads(found), sweep.description())
     names = [field.name for field in fields(Outcome)]
     return {row["case"]: Outcome(**row) for row in table.select(names).to_pylist()}
 
@@ -71,20 +73,13 @@ def _schema(sweep: Sweep) -> pa.Schema:
     for field in fields(Outcome):
         kind = pa.int64() if field.name in _COUNTS else pa.float64()
         columns.setdefault(field.name, pa.string() if field.name == "error" else kind)
-    metadata = {_KEY: json.dumps(_normal(sweep), sort_keys=True).encode()}
+    metadata = {_KEY: json.dumps(sweep.description(), sort_keys=True).encode()}
     return pa.schema([*columns.items()], metadata=metadata)
 
 
 def _row(case: Case, outcome: Outcome) -> dict[str, object]:
     """What stands in the row of a case."""
     return {**case.labels, **{f.name: getattr(outcome, f.name) for f in fields(Outcome)}}
-
-
-def _normal(sweep: Sweep) -> dict[str, object]:
-    """The description as it is read back."""
-    read = json.loads(json.dumps(sweep.description()))
-    assert isinstance(read, dict)
-    return read
 
 
 def _check_same(path: Path, there: Mapping[str, object], wanted: Mapping[str, object]) -> None:
@@ -95,7 +90,3 @@ def _check_same(path: Path, there: Mapping[str, object], wanted: Mapping[str, ob
             if max(len(str(one)), len(str(other))) > _LONGEST:
                 told = f"its {key} is another"
             raise UsageError(f"{path}: holds another sweep: {told}; name another file")
-
-
-_LONGEST = 60
-"""Most letters of a value that is told in an error."""

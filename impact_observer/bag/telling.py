@@ -14,6 +14,8 @@ from impact_observer.states import Estimate, Estimates
 
 Serialize: TypeAlias = Callable[[str, object], bytes]
 """Makes bytes of a topic and a message of its type."""
+_FEW = 4
+"""Fewer estimates are made one by one."""
 _JOINT_STATES, _STATES = interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES
 
 
@@ -82,10 +84,6 @@ def _together(
             return None
         found.append(made)
     return found
-
-
-_FEW = 4
-"""Fewer estimates are made one by one."""
 
 
 def _one(
