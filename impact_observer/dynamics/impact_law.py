@@ -134,14 +134,19 @@ class ImpactLaw:
         impulses = self._impulses(list(active), speeds)
         return tuple(i for i, impulse in zip(active, impulses, strict=True) if impulse > 0)
 
-    def jump(self, pressed: Sequence[int]) -> Matrix:
+    def jump(self, pressed: Sequence[int], restitution: Vector | None = None) -> Matrix:
         """``J`` of ``u+ = J u-``, shape (n, n), where exactly the contacts ``pressed`` take part.
 
         Of contacts that depend on each other the least impulses are taken.
+
+        Args:
+            pressed: indices of contacts.
+            restitution: to use instead of the law's, of any size, shape (m,).
         """
         P = list(pressed)
         B, W = self._B[:, P], self._system.W[:, P]
-        share = linalg.lstsq(B.T @ B, np.diag(1.0 + self._eps[P]) @ W.T)[0] if P else W.T
+        rebound = 1.0 + (self._eps if restitution is None else restitution)[P]
+        share = linalg.lstsq(B.T @ B, np.diag(rebound) @ W.T)[0] if P else W.T
         return np.asarray(np.eye(len(W)) - self._Minv_W[:, P] @ share)
 
     def is_nonexpansive(self, active: Sequence[int]) -> bool:

@@ -132,12 +132,21 @@ class Mirror(NamedTuple):
     offset: Vector
 
     @classmethod
-    def of(cls, system: System, J: Matrix, pressed: Contacts) -> "Mirror":
-        """The mirror of ``u+ = J u-``, ``J`` (n, n), in which ``pressed`` take part."""
+    def of(
+        cls, system: System, J: Matrix, pressed: Contacts, gaps: Vector | None = None
+    ) -> "Mirror":
+        """The mirror of ``u+ = J u-`` in which ``pressed`` take part.
+
+        Args:
+            system: what is hit.
+            J: shape (n, n).
+            pressed: indices of contacts.
+            gaps: in the rest position, to use instead of the system's, shape (m,), m.
+        """
         n, P = system.n, list(pressed)
-        offset = np.zeros(2 * n)
+        q_r, offset = (system.q_r if gaps is None else gaps)[P], np.zeros(2 * n)
         if P:
-            offset[:n] = (J - np.eye(n)) @ linalg.lstsq(system.W[:, P].T, system.q_r[P])[0]
+            offset[:n] = (J - np.eye(n)) @ linalg.lstsq(system.W[:, P].T, q_r)[0]
         return cls(linalg.block_diag(J, J), offset)
 
     def expanded(self, before: Rates, after: Rates, y: Vector, forces: Matrix) -> Expansion:

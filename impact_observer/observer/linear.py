@@ -70,7 +70,7 @@ class Linear:
     def whole(self, s: float) -> Matrix:
         """The covariance's root after ``s`` seconds, all its rows."""
         if self._members.moving:
-            return self._astray(self._carried(s, self._seen(s)), s)
+            return self._astray(self._carried(self._phase.transition(s), self._seen(s)), s)
         size = self._known.x.size
         moved = self._phase.transition(s) @ self._root[:size]
         return self._astray(np.vstack([moved, self._root[size:]]), s)
@@ -78,20 +78,20 @@ class Linear:
     def known(self, s: float) -> Known:
         """All that is known after ``s`` seconds."""
         x, transition = self.state(s), self._phase.transition(s)
-        found = self._known.carried(x, transition)
         if not self._members.moving:
+            found = self._known.carried(x, transition)
             return replace(found, root=self._astray(found.root, s))
-        seen, q = self._seen(s), self._members.moving
-        others = self._known.slow[:, :q] - self._known.theta[:q]
-        replicas = found.replicas + others @ seen.first
-        replicas[0] = x
-        root = triangular(self._carried(s, seen))
-        return replace(found, replicas=replicas, root=self._astray(root, s))
+        seen = self._seen(s)
+        turn = np.zeros((x.size, self._known.parameters))
+        turn[:, : self._members.moving] = seen.first.T
+        root = triangular(self._carried(transition, seen))
+        found = self._known.carried(x, transition, turn)
+        return replace(found, root=self._astray(root, s))
 
-    def _carried(self, s: float, seen: Sensitivity) -> Matrix:
-        """The root after ``s`` seconds, all rows, where parameters of the motion are learnt."""
+    def _carried(self, transition: Matrix, seen: Sensitivity) -> Matrix:
+        """The root after some time, all rows, where parameters of the motion are learnt."""
         size, q = self._known.x.size, self._members.moving
-        moved = self._phase.transition(s) @ self._root[:size]
+        moved = transition @ self._root[:size]
         columns, noise = seen.added(self._root[:size], self._own[:, :q])
         moved[:, :q] += columns
         blank = np.zeros((len(self._root) - size, noise.shape[1]))

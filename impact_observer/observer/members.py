@@ -7,7 +7,6 @@ from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from impact_observer.dynamics import (
     KEPT,
@@ -48,7 +47,11 @@ class Moving:
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
         self.forces = lru_cache(KEPT)(self._forces_at)
-        self.pressing = lru_cache(KEPT)(self._pressing)
+
+    @cached_property
+    def newton(self) -> ImpactLaw:
+        """The impact law with its masses."""
+        return ImpactLaw(self.system)
 
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> Map:
         """How states go on from ``t`` (s since the epoch) for ``s`` seconds, seen at ``x``."""
@@ -64,12 +67,6 @@ class Moving:
     def _forces_at(self, t: float) -> Matrix:
         """f, df/dt and the next derivative at ``t``, shape (3, n)."""
         return np.asarray(self.system.forcing.derivatives(np.array([t]), 2)[:, 0])
-
-    def _pressing(self, pressed: Contacts) -> tuple[Matrix, Matrix]:
-        """``M^-1 W G^-1`` of contacts, shape (n, k), and a way to close their gaps, (n, k)."""
-        W = self.system.W[:, list(pressed)]
-        inverse = linalg.solve(self.system.M, W, assume_a="pos")
-        return inverse @ linalg.pinvh(W.T @ inverse), linalg.pinv(W.T)
 
 
 class Member:
@@ -87,7 +84,7 @@ class Member:
         self.system = system
         self.values = values
         self.moving = moving
-        self.newton = ImpactLaw(system)
+        self.newton = moving.newton if moving.system is system else ImpactLaw(system)
         self.gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
         self.mirror = lru_cache(KEPT)(self._mirror_of)
 
@@ -172,15 +169,10 @@ class Members:
 
     def jumped(self, values: Vector, x: Vector, pressed: Contacts) -> Map:
         """The mirror of an impact in which ``pressed`` take part; see ``dynamics.Mirror``."""
-        system, n = self.family.system, self.family.system.n
-        numbers, P = self.family.at(values), list(pressed)
-        pressing, closing = self._massive(values).pressing(pressed)
-        back = pressing * (1.0 + numbers.eps[P])
-        W = system.W[:, P].T
-        J, both = np.eye(n) - back @ W, np.zeros((2 * n, 2 * n))
-        both[:n, :n] = both[n:, n:] = J
-        q = J @ x[:n] - back @ (W @ (closing @ numbers.gap[P]))
-        return Map(np.concatenate([q, J @ x[n:]]), both)
+        numbers, heavy = self.family.at(values), self._massive(values)
+        J = heavy.newton.jump(pressed, numbers.eps)
+        mirror = Mirror.of(heavy.system, J, pressed, numbers.gap)
+        return Map(mirror.J @ x + mirror.offset, mirror.J)
 
     def steps(self, theta: Vector, root: Matrix) -> Vector:
         """By how much parameters are moved to see what they do: about what they may be wrong by.
