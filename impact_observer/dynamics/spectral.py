@@ -14,18 +14,20 @@ a soft spring: then both are rounded to the motion's own size. No constant here 
 """
 
 import math
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.dense import DenseFlow
+from impact_observer.dynamics.divided_differences import Complex
 from impact_observer.dynamics.driven import Driven
 from impact_observer.dynamics.flow import Equations, Flow, Functions, Motion
 from impact_observer.dynamics.modes import Modes, split
 from impact_observer.dynamics.responses import response_of
 from impact_observer.dynamics.sampled import SampledFlow
+from impact_observer.dynamics.turning import Steady, Turning
 from impact_observer.dynamics.waves import Rows, View, Waves
 from impact_observer.states import Matrix, Vector
 
@@ -85,6 +87,10 @@ class SpectralFlow(Flow):
         self._young = 1.0 / np.min(distance[far], initial=np.inf)
         self.near = Driven(modes, beta, mu, near)
         self.all = Driven(modes, beta, mu, forced)
+        self.turning: Turning | None = None
+        if self.near.nothing and Turning.suits(modes):
+            parts = (self._steady_constant, self._steady_cosine, self._steady_sine)
+            self.turning = Turning(modes, Steady(self._frequency, *parts))
 
     def view(self, functions: Functions) -> View:
         """Of motions young and old."""
@@ -107,14 +113,24 @@ class SpectralFlow(Flow):
 
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
-        z = self._T_inverse @ (x - self.steady(np.array([t]))[:, 0])
-        old = _SpectralMotion(self, t, z.reshape(self._n, 2))
-        if self._steady_size <= _HUGE * self.energy(x):
-            return old
-        return _YoungMotion(self, (self._T_inverse @ x).reshape(self._n, 2), old, self._young)
+        old = _SpectralMotion(self, t, x)
+        return _YoungMotion(self, self.pairs(x), old, self._young) if self._is_small(x) else old
+
+    def _is_small(self, x: Vector) -> bool:
+        """Whether ``x`` is small against the steady response; few are, by their speed alone."""
+        u = x[self._n :]
+        if self._steady_size**2 <= _HUGE**2 * u.dot(self._M.dot(u)):
+            return False
+        return self._steady_size > _HUGE * self.energy(x)
+
+    def pairs(self, x: Vector) -> Matrix:
+        """What ``x``, shape (2n,), has of the pairs, shape (n, 2)."""
+        return (self._T_inverse @ x).reshape(self._n, 2)
 
     def transition(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``, shape (2n, 2n)."""
+        if self.turning is not None:
+            return self.turning.transition(s)
         c, S = self.modes.rates.propagated(np.array([s]))[..., None]
         blocks = c * np.eye(2) + S * self.modes.deviator
         moved = np.einsum("xpi,pij->xpj", self._T.reshape(-1, self._n, 2), blocks)
@@ -166,10 +182,22 @@ def _columns(samples: NDArray[np.float64]) -> NDArray[np.float64]:
 class _SpectralMotion(Motion):
     """Steady response, free motion of pairs from ``z`` on, and the answer of those resonant."""
 
-    def __init__(self, flow: SpectralFlow, t: float, z: Matrix) -> None:
+    def __init__(self, flow: SpectralFlow, t: float, x: Vector) -> None:
         self._flow = flow
         self.t = t
-        self.z = z
+        self._x = x
+        self._zeta: Complex | None = None
+
+    @cached_property
+    def z(self) -> Matrix:
+        return self._flow.pairs(self._x - self._flow.steady(np.array([self.t]))[:, 0])
+
+    def state(self, s: float) -> Vector:
+        if (turning := self._flow.turning) is None:
+            return super().state(s)
+        if self._zeta is None:
+            self._zeta = turning.start(self.t, self._x)
+        return turning.state(self._zeta, s)
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         flow = self._flow
@@ -178,6 +206,8 @@ class _SpectralMotion(Motion):
 
     def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         flow = self._flow
+        if flow.turning is not None:
+            return flow.turning.each(flow.turning.start(self.t, self._x), s)
         if not flow.near.nothing:  # what is near resonance is answered by one way or another
             return super().each(s)
         return flow.each(flow.homogeneous(self.z, s), self.t + s)

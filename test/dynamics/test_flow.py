@@ -257,3 +257,34 @@ def test_motion_knows_when_it_starts() -> None:
     model = sample("two_mass").system
     for flow in (spectral(model), DenseFlow(model)):
         assert flow.start(2.5, np.zeros(4)).t == 2.5
+
+
+@pytest.mark.parametrize("model", PHASES.values(), ids=PHASES.keys())
+def test_one_state_is_as_exact_as_many(model: System) -> None:
+    """One alone, which may come another way; and each of many alone, in every bit."""
+    flow = flow_of(model)
+    x, s = np.linspace(-1.0, 1.3, 2 * model.n), np.array([0.0, 1e-6, 0.02, 0.5, 3.0, 40.0])
+    for t in (0.0, 17.3):
+        motion = flow.start(t, x)
+        alone = np.array([motion.state(at) for at in s.tolist()])
+        assert error(model, alone, motion.states(s), x) < 1e-13
+        np.testing.assert_array_equal(motion.each(s), alone)
+
+
+@examples(40)
+@given(st.data())
+def test_difference_of_two_motions_goes_on_by_the_transition(data: st.DataObject) -> None:
+    """Forwards and backwards, whatever the modes are, against the matrix exponential."""
+    model = data.draw(systems(max_n=3, forced=False))
+    flow, s = flow_of(model), data.draw(numbers(0.0, 2.0))
+    dense = DenseFlow(model).transition(s)
+    scale = np.max(np.abs(dense)) * (1 + np.max(np.abs(model.K)))
+    np.testing.assert_allclose(flow.transition(s), dense, atol=1e-11 * scale)
+
+
+def test_modes_that_hardly_oscillate_do_not_turn() -> None:
+    """A damping ratio of 0.999 is answered by real functions; one of 0.9 turns."""
+    slow, fast = oscillator(2 * 0.999, 1.0), oscillator(2 * 0.9, 1.0)
+    assert spectral(slow).turning is None
+    assert spectral(fast).turning is not None
+    assert spectral(system(np.eye(2), np.zeros((2, 2)), np.diag([1.0, 0.0]))).turning is None
