@@ -1,5 +1,6 @@
 """Roots of watched functions, to the last digit."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ _NEWTON = 8
 """Steps of Newton's method before brentq's."""
 _LEAST = 1e-30
 """Absolute accuracy of a root, s: none, but brentq wants one."""
+_STEPS = 1000
+"""Steps of brentq's method; what is all but zero at the start takes more than its usual 100."""
 
 
 class Suspect(NamedTuple):
@@ -54,7 +57,7 @@ def root(trace: Trace, suspect: Suspect, which: int) -> float:
     slope = [k * coefficient for k, coefficient in enumerate(taylor)][1:]
     s, last = start, stop - start
     if taylor[0] > 0 > _polynomial(last, taylor):
-        s += float(optimize.brentq(_polynomial, 0.0, last, args=(taylor,), xtol=_LEAST, rtol=ROOT))
+        s += _between(lambda s: _polynomial(s, taylor), 0.0, last)
     for _ in range(_NEWTON):
         left = value(s)
         step = -left / _polynomial(s - start, slope)
@@ -68,7 +71,7 @@ def root(trace: Trace, suspect: Suspect, which: int) -> float:
     # The ends are evaluated alone here; rounding may tell them differently than before.
     above = value(start) > 0
     if above and value(stop) < 0:
-        return float(optimize.brentq(value, start, stop, xtol=_LEAST, rtol=ROOT))
+        return _between(value, start, stop)
     return traced(trace, stop if above else start, which)
 
 
@@ -89,7 +92,13 @@ def traced(trace: Trace, s: float, which: int) -> float:
         below, s, step = s, max(s - step, 0.0), 4 * step
     if s == below:
         return s
-    return float(optimize.brentq(value, s, below, xtol=_LEAST, rtol=ROOT))
+    return _between(value, s, below)
+
+
+def _between(value: Callable[[float], float], low: float, high: float) -> float:
+    """The root between two points at which ``value`` has different signs."""
+    found = optimize.brentq(value, low, high, xtol=_LEAST, rtol=ROOT, maxiter=_STEPS)
+    return float(found)
 
 
 def _polynomial(s: float, coefficients: list[float]) -> float:
