@@ -6,7 +6,7 @@ These mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without n
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 Contacts: TypeAlias = tuple[int, ...]
 """Indices of contacts in their system, ascending."""
@@ -77,8 +77,7 @@ class Remark(Enum):
     SECOND_THOUGHT = "second thoughts"
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(NamedTuple):
     """What an observer made of one switch of an event.
 
     Attributes:

@@ -10,11 +10,14 @@ a measurement, and once more about that after it (Garcia-Fernandez, Svensson, Mo
 Särkkä, Posterior linearization filter, 2015).
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
 
-from impact_observer.states import Matrix, Vector
+from impact_observer.dynamics.projection import KEPT
+from impact_observer.states import Matrix, Vector, frozen
 
 
 class Correction(NamedTuple):
@@ -38,10 +41,18 @@ class Correction(NamedTuple):
 
 def triangular(root: Matrix) -> Matrix:
     """A lower triangular square root, shape (d, d), of the same covariance; (d, any) is given."""
-    d, columns = root.shape
+    d, rank = len(root), min(root.shape)
     found = np.zeros((d, d))
-    found[:, : min(d, columns)] = np.asarray(np.linalg.qr(root.T, mode="r")).T
-    return found
+    if rank:
+        # LAPACK's routine itself: of small matrices checks cost more than it.
+        found[:, :rank] = linalg.lapack.dgeqrf(root.T)[0][:rank].T
+    return found * _lower(d)
+
+
+@lru_cache(KEPT)
+def _lower(d: int) -> Matrix:
+    """Ones where a lower triangular matrix has its entries, shape (d, d)."""
+    return frozen(np.tri(d))
 
 
 def correction(root: Matrix, H: Matrix, noise: Matrix) -> Correction:
@@ -57,7 +68,9 @@ def correction(root: Matrix, H: Matrix, noise: Matrix) -> Correction:
     joint[:k, :own], joint[:k, own:], joint[k:, own:] = noise, H @ root, root
     found = triangular(joint)
     innovation = found[:k, :k]
-    gain = np.linalg.solve(innovation.T, found[k:, :k].T).T
+    gain = found[k:, :k]
+    if k:
+        gain = linalg.lapack.dtrtrs(innovation, gain.T, lower=1, trans=1)[0].T
     return Correction(gain, innovation, found[k:, k:])
 
 

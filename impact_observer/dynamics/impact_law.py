@@ -6,12 +6,13 @@ complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 
 """
 
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics.complementarity import complementary
+from impact_observer.dynamics.projection import KEPT
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -42,8 +43,11 @@ class ImpactLaw:
         self._eps = system.eps if restitution is None else restitution
         self._B = linalg.solve_triangular(factor, system.W, lower=True)
         self._Minv_W = linalg.solve_triangular(factor.T, self._B, lower=False)
-        # Plain floats: the law of a single contact is on the path of every event.
-        self._single = ((1.0 + self._eps) / np.sum(self._B**2, axis=0)).tolist()
+        # The law of a single contact is on the path of every event: u+ = u- - kick gamma.
+        self._rows = list(np.ascontiguousarray(system.W.T))
+        kicks = self._Minv_W * ((1.0 + self._eps) / np.sum(self._B**2, axis=0))
+        self._kicks = list(np.ascontiguousarray(kicks.T))
+        self._nonexpansive = lru_cache(KEPT)(self._is_nonexpansive)
 
     @cached_property
     def plastic(self) -> "ImpactLaw":
@@ -65,8 +69,8 @@ class ImpactLaw:
         """
         if len(active) == 1:
             i = active[0]
-            gamma = float(self._system.W[:, i] @ u)
-            return u - self._Minv_W[:, i] * (self._single[i] * gamma) if gamma < 0 else u
+            gamma = self._rows[i].dot(u)
+            return u - self._kicks[i] * gamma if gamma < 0 else u
         return np.asarray(u + self._Minv_W[:, list(active)] @ self.impulses(u, active))
 
     def velocity_held(self, u: Vector, active: Sequence[int], closed: Sequence[int]) -> Vector:
@@ -107,8 +111,8 @@ class ImpactLaw:
         """
         if len(active) == 1 and not closed:
             i = active[0]
-            gamma = np.minimum(U @ self._system.W[:, i], 0.0)
-            return np.asarray(U - np.outer(self._single[i] * gamma, self._Minv_W[:, i]))
+            gamma = np.minimum(U @ self._rows[i], 0.0)
+            return np.asarray(U - gamma[:, None] * self._kicks[i])
         return np.array([self.velocity_held(u, active, closed) for u in U]).reshape(U.shape)
 
     def pressed(self, active: Sequence[int], hit: Sequence[int], gamma: Vector) -> Contacts:
@@ -149,8 +153,11 @@ class ImpactLaw:
         share = linalg.lstsq(B.T @ B, np.diag(rebound) @ W.T)[0] if P else W.T
         return np.asarray(np.eye(len(W)) - self._Minv_W[:, P] @ share)
 
-    def is_nonexpansive(self, active: Sequence[int]) -> bool:
+    def is_nonexpansive(self, active: Contacts) -> bool:
         """Whether ``G - E G E >= 0`` on ``active``: then neither they nor some of them raise V."""
+        return self._nonexpansive(active)
+
+    def _is_nonexpansive(self, active: Contacts) -> bool:
         A = list(active)
         B, eps = self._B[:, A] / np.linalg.norm(self._B[:, A], axis=0), self._eps[A]
         if np.all(eps == eps[:1]):

@@ -45,6 +45,22 @@ class _Parts(NamedTuple):
     beyond: Matrix
 
 
+class _Jump(NamedTuple):
+    """The position jump on a set of contacts.
+
+    Attributes:
+        W: their directions, a row each, shape (|A|, n).
+        q_r: their gaps in the rest position, shape (|A|,), m.
+        Z: shape (n, |A|).
+        strain: ``Z^T K Z``, shape (|A|, |A|), N/m.
+    """
+
+    W: Matrix
+    q_r: Vector
+    Z: Matrix
+    strain: Matrix
+
+
 class PositionProjection:
     """The position jumps of one system, one matrix ``Z`` a set of contacts."""
 
@@ -62,18 +78,23 @@ class PositionProjection:
 
     def jump(self, active: tuple[int, ...]) -> Matrix:
         """``Z``, the position jump per unit of gap, shape (n, len(active))."""
-        return self._kept(active)
+        return self._kept(active).Z
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (n,): the closest position with ``g = 0`` on the active contacts."""
-        gap = self._system.gap(q)[list(active)]
-        return np.asarray(q - self.jump(active) @ gap)
+        W, q_r, Z, _ = self._kept(active)
+        return np.asarray(q - Z.dot(W.dot(q) + q_r))
 
     def positions_after(self, Q: Matrix, active: tuple[int, ...]) -> Matrix:
         """The same of many positions ``Q``, shape (positions, n) like what is returned."""
-        A = list(active)
-        gaps = Q @ self._system.W[:, A] + self._system.q_r[A]
-        return np.asarray(Q - gaps @ self.jump(active).T)
+        W, q_r, Z, _ = self._kept(active)
+        return np.asarray(Q - (Q @ W.T + q_r) @ Z.T)
+
+    def strain(self, q: Vector, active: tuple[int, ...]) -> float:
+        """Elastic energy of the jump from ``q``, shape (n,), J: ``1/2 g_A^T L^-1 g_A``."""
+        W, q_r, _, strain = self._kept(active)
+        gap = W.dot(q) + q_r
+        return float(gap.dot(strain.dot(gap))) / 2
 
     def reactions(self, active: tuple[int, ...]) -> Matrix:
         """``R`` of ``sigma = -R g_A``, what the stops do in the jump, shape (|A|, |A|).
@@ -90,9 +111,10 @@ class PositionProjection:
         W = self._system.W
         return np.vstack([self._elastic.T @ W, rigid * (self._rigid.T @ W)])
 
-    def _solve(self, active: tuple[int, ...]) -> Matrix:
-        parts = self._split(active)
-        return frozen(self._elastic @ parts.elastic + self._rigid @ parts.rigid)
+    def _solve(self, active: tuple[int, ...]) -> _Jump:
+        system, A, parts = self._system, list(active), self._split(active)
+        Z = frozen(self._elastic @ parts.elastic + self._rigid @ parts.rigid)
+        return _Jump(frozen(system.W[:, A].T), system.q_r[A], Z, frozen(Z.T @ system.K @ Z))
 
     def _react(self, active: tuple[int, ...]) -> Matrix:
         parts = self._split(active)

@@ -52,18 +52,18 @@ class Scales:
         """What functions ``rows q`` see of each mode, signs apart, shape (rows, n)."""
         return np.abs(rows @ self.shapes)
 
-    def sizes(self, q: Vector, u: Vector) -> Vector:
+    def sizes(self, x: Vector) -> Vector:
         """What (q, u) is rounded against: each number as large as all modes may make it.
 
         Args:
-            q: positions, shape (n,).
-            u: velocities, shape (n,).
+            x: state (q, u), shape (2n,).
 
         Returns:
             Shape (2n,), not negative.
         """
-        shapes = np.abs(self.shapes)
-        return np.concatenate([shapes @ self.reach(q, u), shapes @ np.abs(u @ self.modes)])
+        amplitudes = np.abs(x.reshape(2, -1) @ self.modes)
+        amplitudes[0] += amplitudes[1] * self.timescale
+        return np.asarray((amplitudes @ np.abs(self.shapes).T).ravel())
 
     def reach(self, q: Matrix, u: Matrix) -> Matrix:
         """How far each mode may be from rest within the time scale, signs apart.

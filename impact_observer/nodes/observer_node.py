@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from impact_observer_msgs.srv import SetState
@@ -171,7 +170,7 @@ class ObserverNode(Node):
         if not self._lag or first.ruling is not Ruling.APPLIED:
             return verdicts
         later = "later than lag: the last estimate is published again"
-        return (replace(first, reason="; ".join(filter(None, (first.reason, later)))), *others)
+        return (first._replace(reason="; ".join(filter(None, (first.reason, later)))), *others)
 
     def _judge(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """What the observer makes of an event, unless its stamp or epoch cannot be used."""

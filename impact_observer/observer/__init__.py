@@ -3,6 +3,7 @@
 from impact_observer.events import Contacts
 from impact_observer.observer.agreement import AGREED, SURPRISING
 from impact_observer.observer.belief import Belief, Course, Touch
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.initial import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
@@ -18,6 +19,7 @@ __all__ = [
     "Belief",
     "Contacts",
     "Course",
+    "Ensemble",
     "Law",
     "Observer",
     "Options",

@@ -6,13 +6,16 @@ gap at an impact, where the plant's is zero, how far it certainly was. Where eve
 was declared, agreement means nothing.
 """
 
-from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from impact_observer.dynamics import PositionProjection
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Touch
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.states import Matrix, Vector
 
 HELD = 3
@@ -29,8 +32,7 @@ _PAIRS = 256
 """Most replicas of which every pair is looked at."""
 
 
-@dataclass(frozen=True, slots=True)
-class Agreement:
+class Agreement(NamedTuple):
     """How well the replicas agree since an event.
 
     Attributes:
@@ -57,52 +59,68 @@ class Agreeing:
 
     def __init__(self, system: System, threshold: float = AGREED) -> None:
         """Take the metric of ``V`` from ``system``."""
-        self._system = system
+        self._n = system.n
+        self._metric = linalg.block_diag(system.K, system.M)
         self._projection = PositionProjection(system)
         self.threshold = threshold
 
     def at_first(self, belief: Belief) -> Agreement:
         """The agreement before any event."""
-        return Agreement(self._diameter(belief.replicas), self._energy(belief.x))
+        return Agreement(*self._measured(belief.ensemble))
 
     def after(
         self, previous: Agreement, touch: Touch, before: Belief, belief: Belief
     ) -> Agreement:
         """The agreement after an event, between the beliefs ``before`` and after it."""
-        convergence, energy = self._diameter(belief.replicas), self._energy(belief.x)
+        convergence, energy = self._measured(belief.ensemble)
         largest = max(previous.largest, energy)
         energy = max(energy, _RESTING * largest)
         hit = bool(touch.hit) and belief.applied
-        # With a covariance the innovation says it, and knows how far a stamp may be off.
-        certain = self._certain(before.x, touch) if hit and belief.root is None else 0.0
-        apart = max(_MARGIN * convergence, certain, self._expected(belief))
-        surprised = max(belief.innovations.values(), default=0.0) > SURPRISING
-        explained = not (belief.refuted or surprised)
-        agrees = explained and convergence >= 0 and apart <= self.threshold * energy
-        held = previous.held + hit
-        return Agreement(convergence, energy, largest, held if agrees else 0)
+        agrees = convergence >= 0 and self._explained(belief)
+        if agrees:
+            # With a covariance the innovation says it, and knows how far a stamp may be off.
+            certain = self._certain(before.x, touch) if hit and belief.root is None else 0.0
+            apart = max(_MARGIN * convergence, certain, self._expected(belief))
+            agrees = apart <= self.threshold * energy
+        return Agreement(convergence, energy, largest, previous.held + hit if agrees else 0)
+
+    @staticmethod
+    def _explained(belief: Belief) -> bool:
+        """Whether what was declared explains the event."""
+        if belief.refuted:
+            return False
+        return not belief.innovations or max(belief.innovations.values()) <= SURPRISING
 
     def allows(self, agreement: Agreement, root: Matrix) -> bool:
         """Whether a covariance ``root root^T`` is still small enough for an agreement."""
         return self._spread(root) <= self.threshold * agreement.energy
 
-    def _energy(self, x: Vector) -> float:
-        """Kinetic and elastic energy, J."""
-        return float(self._energies(x[None])[0])
+    @cached_property
+    def _lengths(self) -> Matrix:
+        """Functions the sum of whose squares is ``x^T diag(K, M) x``, shape (2n, 2n)."""
+        squares, axes = linalg.eigh(self._metric)
+        return np.asarray((axes * np.sqrt(np.maximum(squares, 0.0))).T)
+
+    def _measured(self, ensemble: Ensemble) -> tuple[float, float]:
+        """The largest V distance of two replicas, of very many an upper bound, and energy, J."""
+        x = ensemble.x
+        energy = max(float(x.dot(self._metric.dot(x))), 0.0) / 2
+        if not ensemble.others:
+            return -1.0, energy
+        if ensemble.others >= _PAIRS:
+            lengths = ensemble.seen(self._lengths)
+            squares = np.einsum("ij,ij->j", lengths, lengths)
+            return 2 * float(squares.max()), energy  # half of twice the radius, squared
+        apart = ensemble.apart
+        products = apart.T.dot(self._metric.dot(apart))
+        squares = products.diagonal()
+        among = squares[:, None] + squares
+        among -= 2 * products
+        return float(max(among.max(), squares.max())) / 2, energy
 
     def _energies(self, x: Matrix) -> Vector:
         """``1/2 x^T diag(K, M) x`` of each row, J."""
-        return np.asarray(np.maximum(self._system.energy(*np.hsplit(x, 2)), 0.0))
-
-    def _diameter(self, replicas: Matrix) -> float:
-        """The largest V distance of two replicas, J; of very many an upper bound."""
-        if len(replicas) < 2:
-            return -1.0
-        apart = replicas - replicas[0]
-        if len(replicas) > _PAIRS:
-            return 4 * float(np.max(self._energies(apart)))  # twice the radius, squared
-        one, two = np.triu_indices(len(replicas), k=1)
-        return float(np.max(self._energies(apart[one] - apart[two])))
+        return np.asarray(np.maximum(np.einsum("ij,ij->i", x @ self._metric, x), 0.0)) / 2
 
     def _expected(self, belief: Belief) -> float:
         """``V`` to be expected from the covariance, J; 0 for a law that has none."""
@@ -114,6 +132,4 @@ class Agreeing:
 
     def _certain(self, x: Vector, touch: Touch) -> float:
         """What V was at least before an impact, J: the plant's gaps were zero there."""
-        q = x[: self._system.n]
-        jump = self._projection.position_after(q, touch.active) - q
-        return float(jump @ self._system.K @ jump) / 2
+        return self._projection.strain(x[: self._n], touch.active)

@@ -1,8 +1,9 @@
 """What an observer carries from one event to the next, and what a law is told of an event."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -10,7 +11,10 @@ import numpy as np
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.model import Forcing
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.states import Matrix, Vector
+
+_NOTHING: Mapping[int, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,12 +158,11 @@ class Fallback:
     reach: Vector
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Belief:
+class Belief(NamedTuple):
     """What a law takes for possible at one instant.
 
     Attributes:
-        replicas: states (q, u), shape (N, 2n): the estimate, and others that began elsewhere.
+        ensemble: the estimate, and replicas that began elsewhere.
         root: a square root ``S`` of the estimate's covariance ``S S^T``, shape (2n, 2n); None for
             a law that has none.
         bound: certified upper bound of V, J; None where nothing is certified.
@@ -174,11 +177,11 @@ class Belief:
         fallback: where such a law begins anew; None for others.
     """
 
-    replicas: Matrix
+    ensemble: Ensemble
     root: Matrix | None = None
     bound: float | None = None
     refuted: bool = False
-    innovations: Mapping[int, float] = field(default_factory=dict)
+    innovations: Mapping[int, float] = _NOTHING
     applied: bool = True
     offset: float = 0.0
     learnt: tuple[tuple[str, float, float], ...] = ()
@@ -188,11 +191,15 @@ class Belief:
     @property
     def x(self) -> Vector:
         """The estimate (q, u), shape (2n,)."""
-        return np.asarray(self.replicas[0])
+        return self.ensemble.x
+
+    @property
+    def replicas(self) -> Matrix:
+        """States (q, u), shape (N, 2n), the estimate first."""
+        return self.ensemble.replicas
 
 
-@dataclass(frozen=True, slots=True)
-class Touch:
+class Touch(NamedTuple):
     """What the plant's contacts do at one instant, as far as a law is told.
 
     Attributes:
@@ -216,7 +223,7 @@ class Touch:
         cls,
         t: float,
         before: Contacts,
-        switches: Iterable[tuple[int, Kind]],
+        switches: Collection[tuple[int, Kind]],
         *,
         stamp: int = 0,
         sequence: int = 0,
@@ -231,18 +238,17 @@ class Touch:
             stamp: of the event, ns; 0 where nobody asks.
             sequence: of the event.
         """
-        kinds = {kind: set[int]() for kind in Kind}
-        for contact, kind in switches:
-            kinds[kind].add(contact)
-        hit = kinds[Kind.IMPACT] | kinds[Kind.CLOSE]
-        closed = (set(before) - kinds[Kind.IMPACT] | kinds[Kind.CLOSE]) - kinds[Kind.OPEN]
+        hit = {contact for contact, kind in switches if kind is not Kind.OPEN}
+        stay = {contact for contact, kind in switches if kind is Kind.CLOSE}
+        opened = {contact for contact, kind in switches if kind is Kind.OPEN}
+        closed = ({*before} - (hit - stay) | stay) - opened
         return cls(t, before, tuple(sorted(hit)), tuple(sorted(closed)), stamp, sequence)
 
     def after(self, before: Contacts) -> "Touch":
         """The same event where other contacts were closed before it."""
         stay = set(self.closed) & set(self.hit) | set(before) - set(self.hit)
         opened = set(self.before) - set(self.closed)
-        return replace(self, before=before, closed=tuple(sorted(stay - opened)))
+        return self._replace(before=before, closed=tuple(sorted(stay - opened)))
 
     @property
     def opened(self) -> Contacts:
@@ -257,7 +263,7 @@ class Touch:
     @property
     def active(self) -> Contacts:
         """Contacts with ``chi = 1`` at this instant: closed ones take part in every impact."""
-        return tuple(sorted({*self.before, *self.hit}))
+        return tuple(sorted({*self.before, *self.hit})) if self.before else self.hit
 
     def telling(self, held: Contacts, forcing: Forcing) -> Contacts:
         """The contacts that say something: those that hit, or one alone that opens by itself.

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy import special
@@ -52,6 +52,10 @@ _REMEMBERED = 32
 """Notes that a hypothesis keeps, at least: what it makes of older events will not change."""
 _FLIGHTS = 8
 """Flights of which the samples are kept, for hypotheses to share."""
+
+
+Beginnings: TypeAlias = Callable[[], Sequence[Hypothesis]]
+"""Makes what is believed where nothing that came before is; probabilities add up to one."""
 
 
 class _Branch(NamedTuple):
@@ -170,18 +174,18 @@ class FilterBank:
         if not self.filter.rests(t, dip.contact, after):
             return after, Kind.IMPACT
         left = max(self.filter.speed(dip.contact, after), 0.0)
-        resting = replace(touch, closed=tuple(sorted({*closed, dip.contact})))
+        resting = touch._replace(closed=tuple(sorted({*closed, dip.contact})))
         return self.filter.unheard(resting, known, left), Kind.CLOSE
 
     def heard(
-        self, touch: Touch, hypotheses: Sequence[Hypothesis], anew: Sequence[Hypothesis]
+        self, touch: Touch, hypotheses: Sequence[Hypothesis], anew: Beginnings
     ) -> tuple[Hypothesis, ...]:
         """``hypotheses`` after an event, the likeliest first; their probabilities add up to one.
 
         Args:
             touch: the event.
             hypotheses: just before it.
-            anew: if nothing that came before can be believed; their probabilities add up to one.
+            anew: makes what to believe if nothing that came before can be.
         """
         leading = max(map(_whole_weight, hypotheses)) + LEADING
         branches = [
@@ -195,8 +199,8 @@ class FilterBank:
         made = [each.make() for each in likely]
         made = self._distinct([h for h in made if np.isfinite(h.known.replicas).all()])
         if not (self._sure or branches[0].foretold):
-            made = sorted([*made, *self._anew(touch, made, anew)], key=_weight)
-        total = float(special.logsumexp([h.weight for h in made])) if made else 0.0
+            made = sorted([*made, *self._anew(touch, made, anew())], key=_weight)
+        total = _total(made)
         return tuple(replace(h, weight=h.weight - total) for h in made)
 
     def _branches(self, touch: Touch, h: Hypothesis, *, leads: bool) -> Iterator[_Branch]:
@@ -244,7 +248,7 @@ class FilterBank:
         weight = h.weight + chance + evidence.density + unexplained
 
         def make() -> Hypothesis:
-            known = self.filter.after(here, self.filter.heard(here, prior))
+            known = self.filter.after(here, self.filter.heard(here, prior, evidence))
             judged = {
                 said: evidence.innovations[i]
                 for said, i in zip(touch.contacts, contacts, strict=False)
@@ -262,7 +266,7 @@ class FilterBank:
         system, closed = self.filter.system, h.known.closed
         others = [i for i in range(system.m) if i not in (*touch.hit, *closed)]
         for i in others:
-            here = replace(touch, before=closed, hit=(i,), closed=closed)
+            here = touch._replace(before=closed, hit=(i,), closed=closed)
             chance = self._mislabelled - math.log(len(others))
             reason = f"mislabelled: it was {system.contact_names[i]}"
             yield self._told(touch, h, here, chance, reason)[0]
@@ -271,7 +275,7 @@ class FilterBank:
         self, touch: Touch, made: Sequence[Hypothesis], anew: Sequence[Hypothesis]
     ) -> Iterator[Hypothesis]:
         """New beginnings."""
-        total = float(special.logsumexp([h.weight for h in made])) if made else 0.0
+        total = _total(made)
         ruling = (Ruling.APPLIED, "nothing before it is believed any more")
         notes = _before(touch, made[0].notes) if made else ()
         for h in anew:
@@ -294,6 +298,11 @@ class FilterBank:
 def _logs(probability: float) -> tuple[float, float]:
     """Logarithms of a probability and of its complement."""
     return (math.log(probability) if probability else -math.inf), math.log1p(-probability)
+
+
+def _total(hypotheses: Sequence[Hypothesis]) -> float:
+    """Logarithm of the sum of probabilities; 0 where there is none."""
+    return float(np.logaddexp.reduce([h.weight for h in hypotheses])) if hypotheses else 0.0
 
 
 def _weight(h: Hypothesis) -> float:

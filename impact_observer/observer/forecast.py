@@ -123,8 +123,7 @@ class Flight:
         """What function ``j`` is rounded against after ``s`` seconds, at the state ``x``."""
         size = abs(float(self.offset(np.array([s]))[0, j]))
         if j < self.gaps:
-            n = self._system.n
-            return size + float(np.abs(self.c[j]) @ self._scales.sizes(x[:n], x[n:]))
+            return size + float(np.abs(self.c[j]) @ self._scales.sizes(x))
         return size + float(np.abs(self.c[j]) @ np.abs(x))
 
     def offset(self, s: Vector) -> Matrix:

@@ -9,6 +9,7 @@ from scipy import linalg, special
 
 from impact_observer.dynamics import (
     ROUNDING,
+    Correction,
     Map,
     Measured,
     Sensitivity,
@@ -50,10 +51,13 @@ class Evidence(NamedTuple):
     Attributes:
         density: logarithm of the probability density of its instant, 1/s for each contact.
         innovations: by contact, how far the innovation was from zero, in standard deviations.
+        linear: what was expected about what was known, and what the event tells of that; None
+            where that was not needed.
     """
 
     density: float
     innovations: dict[int, float]
+    linear: tuple[Expected, Correction] | None = None
 
 
 class ImpactFilter:
@@ -143,7 +147,7 @@ class ImpactFilter:
             return apart
         expected = self._expected(self.member(prior), touch, contacts, prior, prior)
         learnt, (_, H, D, _) = expected.learnt(prior), expected.expansion
-        white = linalg.solve_triangular(learnt.innovation, expected.innovation, lower=True)
+        white = linalg.lapack.dtrtrs(learnt.innovation, expected.innovation, lower=1)[0]
         density = -0.5 * float(white @ white) - len(contacts) * _NORMAL
         density -= float(np.sum(np.log(np.abs(np.diag(learnt.innovation)))))
         slope = H[:, 0]
@@ -153,7 +157,8 @@ class ImpactFilter:
             surely = max(float(spread[0]), _CLOSING * abs(float(slope[0])), _STILL)
             density += float(special.log_ndtr(slope[0] / surely))
         sizes = np.abs(expected.innovation) / learnt.deviations
-        return Evidence(density, dict(zip(contacts, sizes.tolist(), strict=True)))
+        innovations = dict(zip(contacts, sizes.tolist(), strict=True))
+        return Evidence(density, innovations, (expected, learnt))
 
     def _far(self, touch: Touch, contacts: Contacts, prior: Joint) -> Evidence | None:
         """The evidence of an event that is so far off that no more need be known; else None."""
@@ -177,17 +182,26 @@ class ImpactFilter:
         innovations = dict(zip(contacts, sizes.tolist(), strict=True))
         return Evidence(-float(sizes @ sizes) / 2, innovations)
 
-    def heard(self, touch: Touch, prior: Joint) -> Joint:
+    def heard(self, touch: Touch, prior: Joint, evidence: Evidence | None = None) -> Joint:
         """Instant and state, both just before the event, once it is heard.
 
         They are looked at where the event is believed to have been.
+
+        Args:
+            touch: the event.
+            prior: what is known before it.
+            evidence: of the same event and ``prior``, to begin with; None to begin without.
         """
         contacts = self._telling(touch)
         found, member = prior, self.member(prior)
+        linear = evidence and evidence.linear
         for _ in range(_ROUNDS if contacts else 0):
             view = self._moved(member, touch.before, prior, found.t - prior.t)
-            expected = self._expected(member, touch, contacts, view, found)
-            found = view.corrected(expected.learnt(view), expected.rows(view), expected.innovation)
+            if linear is None:
+                expected = self._expected(member, touch, contacts, view, found)
+                linear = expected, expected.learnt(view)
+            (expected, learnt), linear = linear, None
+            found = view.corrected(learnt, expected.rows(view), expected.innovation)
             settled = expected.settled(found)
             found = self._bounded(found) if found.parameters else found
             found = self._at_its_instant(touch, found, member)
@@ -308,7 +322,7 @@ class ImpactFilter:
         """Standard deviation of what is rounded in what an event measures, shape (k,)."""
         if not touch.hit:
             return measured.rounding(x)
-        return measured.rounding(self.phases.scales.sizes(*np.split(x, 2)))
+        return measured.rounding(self.phases.scales.sizes(x))
 
     def _expected(
         self, member: Member, touch: Touch, contacts: Contacts, view: Joint, about: Joint
@@ -378,7 +392,7 @@ class ImpactFilter:
         mean, bent = product(joint.own, D, E)
         x = x + joint.e * (H[:, 0] + E * (joint.e / 2)) + mean
         # Nothing is known better than the motion's own size allows.
-        rounded = np.diag(ROUNDING * self.phases.scales.sizes(*np.split(x, 2)))
+        rounded = np.diag(ROUNDING * self.phases.scales.sizes(x))
         replicas = x + joint.apart[:, : 1 + x.size] @ H.T
         whole, moved = joint.root, H @ joint.own
         if joint.parameters and pressed:

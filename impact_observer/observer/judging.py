@@ -1,13 +1,12 @@
 """What became of an event, in words."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import SECOND_THOUGHT, Ruling, Verdict
 from impact_observer.observer.belief import Note
 from impact_observer.observer.order import Key, Overruled
-from impact_observer.observer.timeline import Entry, Placed
+from impact_observer.observer.timeline import Placed
 
 _NEAR = 1_000
 """Between stamps of an inserted impact that need not be told apart, ns."""
@@ -15,33 +14,46 @@ _NEAR = 1_000
 
 def because(verdict: Verdict, reasons: Iterable[str]) -> Verdict:
     """``verdict`` with more ``reasons``."""
-    return replace(verdict, reason="; ".join(filter(None, (verdict.reason, *reasons))))
+    return verdict._replace(reason="; ".join(filter(None, (verdict.reason, *reasons))))
 
 
-def judged(verdict: Verdict, contact: int, placed: Placed) -> Verdict:
+class Matter(NamedTuple):
+    """What may be ruled upon: a contact in an event, or what was inserted at an instant."""
+
+    event: tuple[int, int]
+    contact: int
+    inserted: bool = False
+
+
+Notes: TypeAlias = Mapping[Matter, Note]
+"""What is believed of the latest matters."""
+
+
+def judged(verdict: Verdict, contact: int, placed: Placed, believed: Notes) -> Verdict:
     """``verdict`` with its innovation, and with what its event and others made of each other.
 
     Args:
         verdict: on a switch.
         contact: index of its contact; -1 for none.
         placed: what its event did.
+        believed: then.
     """
     entry = placed.entry
     innovation = entry.belief.innovations.get(contact, -1.0)
-    note = _believed(placed).get(_Matter(entry.event, contact))
+    note = believed.get(Matter(entry.event, contact)) if believed else None
     if note is not None:
-        verdict = replace(verdict, ruling=note.ruling, reason=note.reason)
+        verdict = verdict._replace(ruling=note.ruling, reason=note.reason)
         innovation = note.innovation
     if not (entry.overruled or placed.overrules):
-        return verdict if innovation < 0 else replace(verdict, innovation=innovation)
+        return verdict if innovation < 0 else verdict._replace(innovation=innovation)
     own = [each for each in entry.overruled if each.contact == contact]
     others = [(key, each) for key, each in placed.overrules if each.contact == contact]
     reasons = [*map(_overruled, own), *(_overruling(*each) for each in others)]
     if any(each.is_superseded for each in own):
-        verdict = replace(verdict, ruling=Ruling.REJECTED)
+        verdict = verdict._replace(ruling=Ruling.REJECTED)
     if any(each.acts is None for each in own):
         innovation = -1.0
-    return replace(because(verdict, reasons), innovation=innovation)
+    return because(verdict, reasons)._replace(innovation=innovation)
 
 
 def _overruled(each: Overruled) -> str:
@@ -62,28 +74,25 @@ def _event(sequence: int) -> str:
     return f"event {sequence}" if sequence else "its stamp"
 
 
-def _notes(entry: Entry) -> tuple[Note, ...]:
-    """What the likeliest account after ``entry`` makes of the latest events."""
-    hypotheses = entry.belief.hypotheses
-    return hypotheses[0].notes if hypotheses else ()
-
-
 class Rulings:
     """What was told of events and of what was inserted, so that a change of mind is told too."""
 
     def __init__(self) -> None:
         """Nothing was told yet."""
-        self._told: dict[_Matter, Note] = {}
+        self._told: dict[Matter, Note] = {}
 
-    def after(self, placed: Placed, start: int, names: Sequence[str]) -> tuple[Verdict, ...]:
+    def after(
+        self, placed: Placed, believed: Notes, start: int, names: Sequence[str]
+    ) -> tuple[Verdict, ...]:
         """What is to be told of others, once an event is in its place.
 
         Args:
             placed: what it did. Its own switches have their verdicts already.
+            believed: then.
             start: stamp where the known past begins, ns; what is older is settled.
             names: of the contacts.
         """
-        believed = {m: n for m, n in _believed(placed).items() if m.event[0] >= start}
+        believed = {m: n for m, n in believed.items() if m.event[0] >= start}
         if not believed:
             return ()
         since, own = min(matter.event for matter in believed), placed.entry.event
@@ -111,31 +120,24 @@ class Rulings:
             del self._told[matter]
 
 
-class _Matter(NamedTuple):
-    """What may be ruled upon: a contact in an event, or what was inserted at an instant."""
-
-    event: tuple[int, int]
-    contact: int
-    inserted: bool = False
-
-
-def _believed(placed: Placed) -> dict[_Matter, Note]:
+def notes(placed: Placed) -> Notes:
     """What is believed of the latest matters once an event is in its place: by the last account.
 
     Of what that does not remember any more, by the last that does.
     """
-    found: dict[_Matter, Note] = {}
+    found: dict[Matter, Note] = {}
     for entry in (*reversed(placed.later), placed.entry):
-        first = min((matter.event for matter in found), default=None)
-        notes = _matters(_notes(entry)).items()
-        found.update({m: n for m, n in notes if first is None or m.event < first})
+        if hypotheses := entry.belief.hypotheses:
+            first = min((matter.event for matter in found), default=None)
+            of_entry = _matters(hypotheses[0].notes).items()
+            found.update({m: n for m, n in of_entry if first is None or m.event < first})
     return found
 
 
-def _matters(notes: Sequence[Note]) -> dict[_Matter, Note]:
+def _matters(notes: Sequence[Note]) -> dict[Matter, Note]:
     """Notes by what they are on."""
     return {
-        _Matter(
+        Matter(
             (n.stamp // _NEAR * _NEAR, 0) if n.is_inserted else n.event, n.contact, n.is_inserted
         ): n
         for n in notes

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,7 @@ from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, 
 from impact_observer.model import System
 from impact_observer.observer.agreement import AGREED, HELD, Agreeing
 from impact_observer.observer.belief import Course, Touch
-from impact_observer.observer.judging import Rulings, because, judged
+from impact_observer.observer.judging import Rulings, because, judged, notes
 from impact_observer.observer.laws import Law
 from impact_observer.observer.numbering import Numbering
 from impact_observer.observer.order import Key, Reading, Spoken
@@ -82,7 +83,9 @@ class Observer:
         self._ensemble = ensemble
         self._agreeing = Agreeing(system, agreed)
         self._history = from_seconds(history)
-        self._index = {name: i for i, name in enumerate(system.contact_names)}
+        self._names = system.contact_names
+        self._index = {name: i for i, name in enumerate(self._names)}
+        self._timed = system.forcing.depends_on_time
         self._given_epoch = epoch
         self.remarks: Counter[Remark] = Counter()
         self._news: list[str] = []
@@ -246,7 +249,7 @@ class Observer:
             q=x[:n],
             u=x[n:],
             covariance=frozen(np.empty((0, 0)) if root is None else root @ root.T),
-            closed=tuple(self.system.contact_names[i] for i in closed),
+            closed=tuple(self._names[i] for i in closed),
             convergence=agreement.convergence,
             synchronized=self.law.hears
             and agreement.held >= HELD
@@ -338,7 +341,7 @@ class Observer:
         return tuple(verdicts), tuple(sorted(switches))
 
     def _require_epoch(self) -> None:
-        if self.system.forcing.depends_on_time and not self._epoch:
+        if self._timed and not self._epoch:
             raise UsageError(
                 f"epoch: the forcing of {self.system.name} depends on time and the events do not"
                 " say when it began; give the epoch"
@@ -399,10 +402,11 @@ class Observer:
             superseded = [each.is_superseded for each in (*own, *(each for _, each in others))]
             self.remarks[Remark.SUPERSEDED] += sum(superseded)
             self.remarks[Remark.DISORDER] += not all(superseded)
-        index, names = self._index, self.system.contact_names
-        start = placed.entry.key.stamp - self._history
-        told = [judged(each, index.get(each.contact, -1), placed) for each in verdicts]
-        revised = self._rulings.after(placed, start, names)
+        believed, start = notes(placed), placed.entry.key.stamp - self._history
+        told = [
+            judged(each, self._index.get(each.contact, -1), placed, believed) for each in verdicts
+        ]
+        revised = self._rulings.after(placed, believed, start, self._names)
         self.remarks[Remark.SECOND_THOUGHT] += sum(verdict.revises for verdict in revised)
         return (*self._with_news(tuple(told)), *revised)
 
@@ -422,7 +426,7 @@ class Observer:
             belief = self.law.event(touch, before)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
-        if not np.isfinite(belief.replicas).all():
+        if not isfinite(belief.x.dot(belief.x)):
             raise DynamicsError(
                 f"at {text(event.stamp)} s: the estimate is not finite any more; is what was"
                 " declared of its uncertainty too large, or the model another one?"

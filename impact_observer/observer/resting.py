@@ -30,7 +30,7 @@ def rested(members: Members, known: Known, new: Contacts, left: Vector) -> Known
     gaps, speeds = member.gaps(new), Measured.speeds(member.system, tells)
     c = np.vstack([gaps.c, speeds.c])
     value = np.concatenate([gaps.value(known.x), speeds.value(known.x)])
-    sizes = members.given.moving.phases.scales.sizes(*np.split(known.x, 2))
+    sizes = members.given.moving.phases.scales.sizes(known.x)
     floor = [gaps.rounding(sizes), np.hypot(speeds.rounding(sizes), left[sure])]
     H = np.hstack([c, np.zeros((len(c), known.root.shape[0] - size))])
     H[: len(new), size : size + p] = members.gap_rows(new)

@@ -18,6 +18,7 @@ from impact_observer.model import System
 from impact_observer.observer import ReplicaLaw, law_named, law_names
 from impact_observer.observer import laws as laws_module
 from impact_observer.observer.belief import Belief, Touch
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws import BUILT_IN, Geometric, Kinematic, OpenLoop, Unilateral
 from impact_observer.plant import Plant, Switching
 from impact_observer.stamps import NS_PER_S
@@ -73,7 +74,7 @@ def test_two_replicas_never_part_under_any_switching(
         stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
         touch, closed = Touch(t, closed, hit, stays), stays
         try:
-            states = list(replica.event(touch, Belief(np.array(states))).replicas)
+            states = list(replica.event(touch, Belief(Ensemble.of(np.array(states)))).replicas)
         except ImpactLawError:
             assume(False)
         last = distance(model, *states)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from impact_observer.events import Kind
-from impact_observer.observer import Belief
+from impact_observer.observer import Belief, Ensemble
 from impact_observer.observer.agreement import Agreement
 from impact_observer.observer.order import Key, Reading
 from impact_observer.observer.timeline import Entry, Timeline, beginning
@@ -14,12 +14,12 @@ NONE = Agreement(-1.0, 0.0)
 
 def first(stamp: int, x: float) -> Entry:
     """The entry of a timeline's beginning."""
-    return beginning(stamp, Belief(np.array([[x]])), NONE)
+    return beginning(stamp, Belief(Ensemble.of(np.array([[x]]))), NONE)
 
 
 def step(previous: Entry, event: Key, reading: Reading) -> Entry:
     """A state that tells the whole way to it: digits of the events' stamps."""
-    belief = Belief(previous.belief.replicas * 10 + event.stamp)
+    belief = Belief(Ensemble.of(previous.belief.replicas * 10 + event.stamp))
     return Entry(event, event.stamp, belief, NONE, (), reading.spoken)
 
 

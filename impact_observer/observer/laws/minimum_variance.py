@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from impact_observer.errors import UsageError
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Course, Fallback, Hypothesis, Known, Touch
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.filter_bank import SURE, FilterBank
 from impact_observer.observer.forecast import FINE, Forecast
 from impact_observer.observer.impact_filter import ImpactFilter
@@ -82,8 +84,8 @@ class MinimumVariance(Law):
         x = fallback.x
         x = self._geometric.impact(x, touch.active, touch.closed) if touch.hit else x
         fallback = Fallback(x, np.maximum(fallback.reach, np.abs(x)))
-        anew = self._anew(fallback, touch.closed, len(belief.replicas))
-        return self._belief(self._bank.heard(touch, hypotheses, anew) or anew, fallback, touch)
+        anew = partial(self._anew, fallback, touch.closed, 1 + belief.ensemble.others)
+        return self._belief(self._bank.heard(touch, hypotheses, anew) or anew(), fallback, touch)
 
     def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
         """The likeliest account for the estimate, all of them for the next event."""
@@ -142,7 +144,7 @@ class MinimumVariance(Law):
         event = None if touch is None else (touch.stamp, touch.sequence)
         notes = [n for n in best.notes if n.event == event and not n.is_inserted]
         return Belief(
-            best.known.replicas,
+            Ensemble.of(best.known.replicas),
             root[:size],
             innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
             applied=all(note.ruling is Ruling.APPLIED for note in notes),

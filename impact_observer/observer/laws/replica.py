@@ -2,7 +2,6 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -13,6 +12,7 @@ from impact_observer.errors import ImpactLawError
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Course, Touch
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix, Vector
@@ -91,23 +91,35 @@ class ReplicaLaw(Law):
         largest = float(np.linalg.eigvalsh(root.T @ weighted)[-1])
         reach = float(special.chdtri(2 * n, _BEYOND))
         certified = self.taken(replicas[0], replicas[0], ()) is not None
-        return Belief(replicas, bound=reach * max(largest, 0.0) / 2 if certified else None)
+        bound = reach * max(largest, 0.0) / 2 if certified else None
+        return Belief(Ensemble.of(replicas), bound=bound)
 
     def event(self, touch: Touch, belief: Belief) -> Belief:
         """Every replica after its own impact."""
         if not touch.hit:
             return belief
-        before, active, closed = belief.replicas, touch.active, touch.closed
-        replicas = np.empty_like(before)
-        # The estimate does not depend on how many others there are, not in a single bit.
-        replicas[0] = self.impact(before[0], active, closed)
-        if len(before) > 1:
-            replicas[1:] = self._others(before[1:], active, closed)
+        before, active, closed = belief.ensemble, touch.active, touch.closed
+        x = self.impact(before.x, active, closed)
+        after = Ensemble(x, before.columns)
+        if before.others:
+            after = self.struck(before, x, active, closed)
         bound = belief.bound
         if bound is not None:
-            taken = self.taken(before[0], replicas[0], active)
+            taken = self.taken(before.x, x, active)
             bound = None if taken is None else bound - taken
-        return self._judged(Belief(replicas, bound=bound, refuted=belief.refuted))
+        return self._judged(Belief(after, bound=bound, refuted=belief.refuted))
+
+    def struck(self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts) -> Ensemble:
+        """All replicas after their own impacts.
+
+        Args:
+            before: it, at least one besides the estimate.
+            x: the estimate after it, shape (2n,), however many others there are.
+            active: contacts with ``chi = 1`` at this instant.
+            closed: those with ``chi = 1`` from now on.
+        """
+        others = self._others(before.replicas[1:], active, closed)
+        return Ensemble.of(np.concatenate([x[None], others]))
 
     @staticmethod
     def _judged(belief: Belief) -> Belief:
@@ -117,7 +129,7 @@ class ReplicaLaw(Law):
         """
         if belief.bound is None or belief.bound >= 0:
             return belief
-        return replace(belief, bound=None, refuted=True)
+        return belief._replace(bound=None, refuted=True)
 
     def _others(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
         """The impacts of the other replicas; one without a solution stays apart, as it was."""
@@ -132,11 +144,11 @@ class ReplicaLaw(Law):
     def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
         """The estimate by its own motion, the others beside it where all move alike."""
         first = self.motion(t, belief.x, closed)
-        phase = self.phase(closed) if len(belief.replicas) > 1 else None
+        phase = self.phase(closed) if belief.ensemble.others else None
         if phase is not None:
             return _Together(first, belief, phase)
-        others = [self.motion(t, x, closed) for x in belief.replicas[1:]]
-        return _Apart([first, *others], belief)
+        others = belief.replicas[1:] if belief.ensemble.others else ()
+        return _Apart([first, *(self.motion(t, x, closed) for x in others)], belief)
 
 
 class _Apart(Course):
@@ -155,8 +167,11 @@ class _Apart(Course):
         return self._motions[0].each(s)
 
     def belief(self, s: float) -> Belief:
-        replicas = np.array([motion.state(s) for motion in self._motions])
-        return replace(self._belief, replicas=replicas)
+        first, *others = (motion.state(s) for motion in self._motions)
+        ensemble = Ensemble(first, self._belief.ensemble.columns)
+        return _moved(
+            self._belief, Ensemble.of(np.array([first, *others])) if others else ensemble
+        )
 
 
 class _Together(Course):
@@ -167,7 +182,6 @@ class _Together(Course):
     def __init__(self, first: Motion, belief: Belief, phase: Phase) -> None:
         self._first = first
         self._belief = belief
-        self._apart = belief.replicas - belief.x
         self._phase = phase
 
     def state(self, s: float) -> Vector:
@@ -177,6 +191,10 @@ class _Together(Course):
         return self._first.each(s)
 
     def belief(self, s: float) -> Belief:
-        replicas = self._apart @ self._phase.transition(s).T
-        replicas += self.state(s)
-        return replace(self._belief, replicas=replicas)
+        ensemble = self._belief.ensemble.carried(self.state(s), self._phase.transition(s))
+        return _moved(self._belief, ensemble)
+
+
+def _moved(belief: Belief, ensemble: Ensemble) -> Belief:
+    """``belief`` of a law of replicas, with them elsewhere."""
+    return Belief(ensemble, bound=belief.bound, refuted=belief.refuted)

@@ -1,6 +1,5 @@
 """Geometric constraints, and what else is known of every plant: no gap is ever negative."""
 
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -11,6 +10,7 @@ from impact_observer.dynamics.holds import Holds
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Touch
+from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.replica import ReplicaLaw
 from impact_observer.observer.uncertainty import Uncertainty
@@ -53,6 +53,10 @@ class Unilateral(Geometric):
         """One after the other: each has its own stops."""
         return ReplicaLaw.impacts(self, replicas, active, closed)
 
+    def struck(self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts) -> Ensemble:
+        """One after the other."""
+        return ReplicaLaw.struck(self, before, x, active, closed)
+
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed; the other gaps never turn negative."""
         return self._holds.motion(t, x, closed)
@@ -70,7 +74,7 @@ class Unilateral(Geometric):
         if self._joint.is_possible(touch.before):
             return super().event(touch, belief)
         replicas = [self._on(x, touch.closed) for x in belief.replicas]
-        return replace(belief, replicas=np.array(replicas))
+        return belief._replace(ensemble=Ensemble.of(np.array(replicas)))
 
     def taken(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """As with geometric, where the contacts can be closed at all."""
@@ -79,13 +83,13 @@ class Unilateral(Geometric):
     def _told(self, belief: Belief, contacts: Contacts) -> Belief:
         """No replica separates at ``contacts`` any more; the bound loses what that takes."""
         n = self.system.n
-        replicas = belief.replicas.copy()
+        replicas = belief.replicas
         for x in replicas:
             x[n:] = self._closing(x[n:], tuple(sorted({*contacts})))
         u = replicas[0, n:] - belief.x[n:]
         taken = float(u @ self.system.M @ u) / 2
         bound = None if belief.bound is None else belief.bound - taken
-        return self._judged(replace(belief, replicas=replicas, bound=bound))
+        return self._judged(belief._replace(ensemble=Ensemble.of(replicas), bound=bound))
 
     def _on(self, x: Vector, active: Contacts) -> Vector:
         """The nearest state with ``g = 0`` on ``active`` and no gap negative."""
