@@ -36,7 +36,7 @@ class Ensemble:
     @property
     def others(self) -> int:
         """How many replicas there are besides the estimate."""
-        return len(self.columns[0])
+        return int(self.columns.shape[1])
 
     @property
     def apart(self) -> Matrix:

@@ -156,6 +156,10 @@ class Timeline:
 
     def insert(self, key: Key, step: Step) -> Placed:
         """Put an event that it ``reaches`` in its place and redo everything after it."""
+        if self.newest.stamp < key.stamp:  # as nearly all do
+            entry = _next(self.entries[-1], key, (), step)
+            self.entries.append(entry)
+            return Placed(entry, 0)
         at = first = self._place(key)
         if not key.sequence or any(kind is Kind.CLOSE for _, kind in key.switches):
             while first > 1 and self.entries[first - 1].key.stamp == key.stamp:
@@ -179,16 +183,17 @@ def _redone(previous: Entry, events: Sequence[Key], step: Step) -> list[Entry]:
     """An entry for each of ``events``, one after the other."""
     entries = []
     for i, event in enumerate(events):
-        others = beside(i, events) if len(events) > 1 else ()
-        reading = read(event, previous.closed, previous.spoken, others)
-        if reading.switches:
-            previous = step(previous, event, reading)
-        else:
-            previous = replace(
-                previous, key=event, spoken=reading.spoken, overruled=reading.overruled
-            )
+        previous = _next(previous, event, beside(i, events), step)
         entries.append(previous)
     return entries
+
+
+def _next(previous: Entry, event: Key, others: Sequence[Key], step: Step) -> Entry:
+    """The entry of ``event``, ``others`` standing beside it; see ``read``."""
+    reading = read(event, previous.closed, previous.spoken, others)
+    if reading.switches:
+        return step(previous, event, reading)
+    return replace(previous, key=event, spoken=reading.spoken, overruled=reading.overruled)
 
 
 def _overrules(key: Key, entries: Sequence[Entry]) -> tuple[tuple[Key, Overruled], ...]:
