@@ -1,7 +1,13 @@
 """Exact motion in every phase, the law at an impact, and where the next phase begins."""
 
 from impact_observer.dynamics.clutch import Clutches
-from impact_observer.dynamics.estimation import Correction, correction, product, triangular
+from impact_observer.dynamics.estimation import (
+    Correction,
+    correction,
+    lengths,
+    product,
+    triangular,
+)
 from impact_observer.dynamics.flow import Flow, Motion
 from impact_observer.dynamics.impact_law import ImpactLaw
 from impact_observer.dynamics.lasting import Resting, resting
@@ -40,6 +46,7 @@ __all__ = [
     "diffusion",
     "flow_of",
     "led",
+    "lengths",
     "product",
     "resting",
     "triangular",

@@ -10,6 +10,7 @@ a measurement, and once more about that after it (Garcia-Fernandez, Svensson, Mo
 Särkkä, Posterior linearization filter, 2015).
 """
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,6 +19,8 @@ from scipy import linalg
 
 from impact_observer.dynamics.projection import KEPT
 from impact_observer.states import Matrix, Vector, frozen
+
+_SQRT2 = math.sqrt(2.0)
 
 
 class Correction(NamedTuple):
@@ -36,7 +39,12 @@ class Correction(NamedTuple):
     @property
     def deviations(self) -> Vector:
         """Standard deviations of the innovations, shape (k,)."""
-        return np.asarray(np.linalg.norm(self.innovation, axis=1))
+        return lengths(self.innovation)
+
+
+def lengths(rows: Matrix) -> Vector:
+    """Euclidean lengths of ``rows``: deviations, of rows of a covariance's root."""
+    return np.asarray(np.sqrt((rows * rows).sum(axis=1)))
 
 
 def triangular(root: Matrix) -> Matrix:
@@ -88,4 +96,6 @@ def product(root: Matrix, D: Matrix, E: Vector) -> tuple[Vector, Matrix]:
     """
     deviation, along, apart = root[0, 0], root[1:, 0], root[1:, 1:]
     mean = deviation * (D @ along + E * (deviation / 2))
-    return mean, np.column_stack([np.sqrt(2.0) * mean, deviation * (D @ apart)])
+    noise = np.empty((len(D), root.shape[1]))
+    noise[:, 0], noise[:, 1:] = _SQRT2 * mean, deviation * (D @ apart)
+    return mean, noise

@@ -2,7 +2,6 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
@@ -17,8 +16,7 @@ from impact_observer.states import Matrix, Vector
 _NOTHING: Mapping[int, float] = MappingProxyType({})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class Known(NamedTuple):
     """A state and how surely it is known.
 
     Attributes:
@@ -50,7 +48,7 @@ class Known:
     @property
     def offset(self) -> float:
         """What the sensor's stamps are late by to the estimate, s."""
-        return float(np.sum(self.slow[0, self.parameters :]))
+        return float(sum(self.slow[0, self.parameters :].tolist()))
 
     @property
     def x(self) -> Vector:
@@ -74,7 +72,7 @@ class Known:
         replicas[0] = x  # in every bit, however many others there are
         if len(self.root) > size:
             root = np.vstack([root, self.root[size:]])
-        return replace(self, replicas=replicas, root=root)
+        return self._replace(replicas=replicas, root=root)
 
 
 class Note(NamedTuple):
@@ -123,8 +121,7 @@ class Unheard(NamedTuple):
     surety: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Hypothesis:
+class Hypothesis(NamedTuple):
     """One way in which the events may have come about, and what follows from it.
 
     Attributes:
@@ -141,12 +138,11 @@ class Hypothesis:
     clock: float
     weight: float = 0.0
     notes: tuple[Note, ...] = ()
-    sunk: Mapping[int, float] = field(default_factory=dict)
+    sunk: Mapping[int, float] = _NOTHING
     unheard: tuple[Unheard, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fallback:
+class Fallback(NamedTuple):
     """Where to begin anew if nothing is believed any more.
 
     Attributes:

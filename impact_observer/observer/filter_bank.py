@@ -11,7 +11,6 @@ can compete.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
@@ -120,7 +119,7 @@ class FilterBank:
         """
         if self._trusting:
             moved = [self.filter.course(t, each.known).known(s) for each in hypotheses]
-            return tuple(replace(h, known=k) for h, k in zip(hypotheses, moved, strict=True))
+            return tuple(h._replace(known=k) for h, k in zip(hypotheses, moved, strict=True))
         found: list[Hypothesis] = []
         best = -math.inf
         for each in sorted(hypotheses, key=_weight):
@@ -146,7 +145,7 @@ class FilterBank:
             over = sum(dip.unlikely for dip in dips if dip.over)
             sunk = {dip.contact: dip.unlikely for dip in dips if not dip.over}
             known = forecast.course.known(left)
-            yield replace(h, known=known, weight=h.weight + over, sunk=sunk)
+            yield h._replace(known=known, weight=h.weight + over, sunk=sunk)
             likely = (dip for dip in dips if dip.depth > (LIKELY if dip.over else SURE))
             dip = next(likely, None)
             if dip is None or self._missed == -math.inf or len(h.unheard) >= _IMPACTS:
@@ -158,7 +157,7 @@ class FilterBank:
             weight = h.weight + self._missed + float(special.log_ndtr(dip.depth))
             if weight < enough:
                 return
-            h = replace(h, known=known, weight=weight, unheard=unheard)
+            h = h._replace(known=known, weight=weight, unheard=unheard)
 
     def switched(self, t: float, known: Known, dip: Dip) -> tuple[Known, Kind]:
         """What is known if a dip, at ``t``, was an impact or a release; and which it was.
@@ -201,7 +200,7 @@ class FilterBank:
         if not (self._sure or branches[0].foretold):
             made = sorted([*made, *self._anew(touch, made, anew())], key=_weight)
         total = _total(made)
-        return tuple(replace(h, weight=h.weight - total) for h in made)
+        return tuple(h._replace(weight=h.weight - total) for h in made)
 
     def _branches(self, touch: Touch, h: Hypothesis, *, leads: bool) -> Iterator[_Branch]:
         """What the event may have been to ``h``."""
@@ -212,7 +211,7 @@ class FilterBank:
         told, evidence = self._told(touch, h, here, self._heard)
         yield told
         for clock in self._beside.get(h.clock, ()) if leads else ():
-            yield self._told(touch, replace(h, clock=clock), here, self._heard + OTHER)[0]
+            yield self._told(touch, h._replace(clock=clock), here, self._heard + OTHER)[0]
         depth = max(evidence.innovations.values(), default=-1.0)
         if self._invented > -math.inf:
             far = f"{depth:.3g} deviations from what was to be expected"
@@ -222,7 +221,7 @@ class FilterBank:
             for factor in WIDER:
                 wider = self.filter.wider(h.known, factor * depth)
                 reason = f"believed: the estimate is made {factor * depth:.3g} times less sure"
-                yield self._told(touch, replace(h, known=wider), here, ANEW, reason)[0]
+                yield self._told(touch, h._replace(known=wider), here, ANEW, reason)[0]
         impact = len(touch.hit) == 1 and here.before == here.closed
         if impact and self._mislabelled > -math.inf and not told.foretold:
             yield from self._elsewhere(touch, h)
@@ -233,7 +232,7 @@ class FilterBank:
         weight = _whole_weight(h) + len(touch.contacts) * odds
 
         def make() -> Hypothesis:
-            return _noted(replace(h, weight=weight), touch, (Ruling.REJECTED, reason), {})
+            return _noted(h._replace(weight=weight), touch, (Ruling.REJECTED, reason), {})
 
         return _Branch(weight, make)
 
@@ -254,7 +253,7 @@ class FilterBank:
                 for said, i in zip(touch.contacts, contacts, strict=False)
                 if i in evidence.innovations
             }
-            after = replace(h, known=known, weight=weight)
+            after = h._replace(known=known, weight=weight)
             return _noted(after, touch, (Ruling.APPLIED, reason), judged)
 
         depth = max(evidence.innovations.values(), default=0.0)
@@ -279,7 +278,7 @@ class FilterBank:
         ruling = (Ruling.APPLIED, "nothing before it is believed any more")
         notes = _before(touch, made[0].notes) if made else ()
         for h in anew:
-            begun = replace(h, weight=h.weight + total + ANEW, notes=notes)
+            begun = h._replace(weight=h.weight + total + ANEW, notes=notes)
             yield _noted(begun, touch, ruling, {})
 
     def _distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:

@@ -1,7 +1,6 @@
 """The Kalman filter of impact times: what an instant says of the whole state, and how surely."""
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ from impact_observer.dynamics import (
     Measured,
     Sensitivity,
     led,
+    lengths,
     product,
     triangular,
 )
@@ -151,7 +151,7 @@ class ImpactFilter:
         density = -0.5 * float(white @ white) - len(contacts) * _NORMAL
         density -= float(np.sum(np.log(np.abs(np.diag(learnt.innovation)))))
         slope = H[:, 0]
-        spread = np.linalg.norm(D @ prior.own[1:], axis=1)
+        spread = lengths(D @ prior.own[1:])
         density += float(np.sum(np.log(np.hypot(slope, spread) + _STILL)))
         if len(contacts) == 1:
             surely = max(float(spread[0]), _CLOSING * abs(float(slope[0])), _STILL)
@@ -173,7 +173,7 @@ class ImpactFilter:
         seen = (
             gaps.c @ prior.own[1:] + self.members.gap_rows(contacts) @ prior.root[prior.of_theta]
         )
-        most = np.hypot(np.linalg.norm(seen, axis=1), (np.abs(slope) + bent * clock) * clock)
+        most = np.hypot(lengths(seen), (np.abs(slope) + bent * clock) * clock)
         most += self._rounding(touch, gaps, prior.x)
         value = np.abs(gaps.value(prior.x) + slope * prior.e)
         sizes = value / most
@@ -269,7 +269,7 @@ class ImpactFilter:
             now = np.linalg.norm(known.root[size : size + p], axis=1)
             most = self._unknowns.deviations / np.maximum(now, _STILL)
             factors[size : size + p] = np.maximum(np.minimum(factor, most), 1.0)
-        return replace(known, root=known.root * factors[:, None])
+        return known._replace(root=known.root * factors[:, None])
 
     def mirrored(self, contact: int, known: Known) -> Matrix:
         """What an impact of ``contact`` makes of errors, were it told when: shape (2n, 2n)."""
@@ -403,9 +403,11 @@ class ImpactFilter:
             moved[:, : joint.parameters] += columns
             replicas = replicas + joint.apart[:, joint.of_theta] @ seen.first
             replicas[0] = x
-        root, slow = np.column_stack([moved, bent, rounded]), whole[1 + x.size :]
-        left = np.zeros((len(slow), root.shape[1] - slow.shape[1]))
-        root = triangular(np.vstack([root, np.hstack([slow, left])]))
+        root, slow = np.concatenate([moved, bent, rounded], axis=1), whole[1 + x.size :]
+        if len(slow):
+            left = np.zeros((len(slow), root.shape[1] - slow.shape[1]))
+            root = np.concatenate([root, np.concatenate([slow, left], axis=1)])
+        root = triangular(root)
         others = joint.slow + joint.apart[:, 1 + x.size :]
         return Known(replicas, others, root, touch.closed, joint.parameters)
 

@@ -1,11 +1,10 @@
 """The instant of an event and the state then, together: one normal vector."""
 
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics import Correction, Expansion, Map, correction, product
+from impact_observer.dynamics import Correction, Expansion, Map, correction, lengths, product
 from impact_observer.observer.belief import Known
 from impact_observer.states import Matrix, Vector
 
@@ -13,8 +12,7 @@ _SETTLED = 0.05
 """What another linearisation may change, relative to the deviation of what was measured."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Joint:
+class Joint(NamedTuple):
     """The instant of an event and the state then, as one normal vector (e, x, slow).
 
     Attributes:
@@ -50,8 +48,8 @@ class Joint:
     def apart_of(known: Known) -> Matrix:
         """``apart`` of replicas whose stamps are late by nothing but their offsets."""
         slow = known.slow - known.slow[0]
-        late = np.sum(slow[:, known.parameters :], axis=1, keepdims=True)
-        return np.hstack([late, known.replicas - known.x, slow])
+        late = slow[:, known.parameters :].sum(axis=1, keepdims=True)
+        return np.concatenate([late, known.replicas - known.x, slow], axis=1)
 
     @property
     def of_theta(self) -> slice:
@@ -78,19 +76,18 @@ class Joint:
         if turn is not None:
             root[rows] += turn @ root[self.of_theta]
             apart[:, rows] += apart[:, self.of_theta] @ turn.T
-        return replace(self, t=self.t + s, e=self.e + s, x=map_.value, root=root, apart=apart)
+        return self._replace(t=self.t + s, e=self.e + s, x=map_.value, root=root, apart=apart)
 
     def corrected(self, learnt: Correction, H: Matrix, innovation: Vector) -> "Joint":
         """The same after a measurement of ``H (e, x, slow)``."""
         change = learnt.gain @ innovation
         apart = self.apart - (self.apart @ H.T) @ learnt.gain.T
-        return replace(self.shifted(change), root=learnt.root, apart=apart)
+        return self.shifted(change)._replace(root=learnt.root, apart=apart)
 
     def shifted(self, change: Vector) -> "Joint":
         """The same estimate but for a ``change`` of (e, x, slow), shape (d,)."""
         size = 1 + self.x.size
-        return replace(
-            self,
+        return self._replace(
             e=self.e + float(change[0]),
             x=self.x + change[1:size],
             slow=self.slow + change[size:],
@@ -118,19 +115,20 @@ class Expected(NamedTuple):
 
     def rows(self, view: Joint) -> Matrix:
         """What is measured of (e, x, slow), shape (k, d)."""
-        H = np.hstack([self.expansion.H, self.turn])
-        return np.hstack([H, np.zeros((len(H), view.root.shape[0] - H.shape[1]))])
+        found, size = np.zeros((len(self.turn), len(view.root))), 1 + view.x.size
+        found[:, :size] = self.expansion.H
+        found[:, size : size + self.turn.shape[1]] = self.turn
+        return found
 
     def learnt(self, view: Joint) -> Correction:
         """What measuring it tells of ``view``."""
-        noise = np.column_stack([self.bent, np.diag(self.rounded)])
+        noise = np.concatenate([self.bent, np.diag(self.rounded)], axis=1)
         return correction(view.root, self.rows(view), noise)
 
     def settled(self, found: Joint) -> bool:
         """Whether linearising about ``found`` instead would change nothing."""
         _, H, D, E = self.expansion
         bent = found.e * (D @ (found.x - self.about) + E * (found.e / 2))
-        noise = np.linalg.norm(self.bent, axis=1)
-        left = np.linalg.norm(product(found.own, D, E)[1], axis=1)
+        noise, left = lengths(self.bent), lengths(product(found.own, D, E)[1])
         scale = np.hypot(np.hypot(H[:, 0] * found.root[0, 0], noise), self.rounded)
         return bool(np.all(np.abs(bent) + np.abs(noise - left) <= _SETTLED * scale))

@@ -1,7 +1,6 @@
 """What is known between two events, while one linear phase lasts."""
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -80,13 +79,13 @@ class Linear:
         x, transition = self.state(s), self._phase.transition(s)
         if not self._members.moving:
             found = self._known.carried(x, transition)
-            return replace(found, root=self._astray(found.root, s))
+            return found._replace(root=self._astray(found.root, s))
         seen = self._seen(s)
         turn = np.zeros((x.size, self._known.parameters))
         turn[:, : self._members.moving] = seen.first.T
         root = triangular(self._carried(transition, seen))
         found = self._known.carried(x, transition, turn)
-        return replace(found, root=self._astray(root, s))
+        return found._replace(root=self._astray(root, s))
 
     def _carried(self, transition: Matrix, seen: Sensitivity) -> Matrix:
         """The root after some time, all rows, where parameters of the motion are learnt."""

@@ -1,7 +1,5 @@
 """What is known of contacts that come to rest: their gaps are closed, and they have no speed."""
 
-from dataclasses import replace
-
 import numpy as np
 from scipy import linalg
 
@@ -40,8 +38,7 @@ def rested(members: Members, known: Known, new: Contacts, left: Vector) -> Known
     if p:
         theta = known.theta + change[0, size : size + p]
         change = change + members.inward(theta, learnt.root, slice(size, size + p))
-    told = replace(
-        known,
+    told = known._replace(
         replicas=known.replicas + change[:, :size],
         slow=known.slow + change[:, size:],
         root=learnt.root,

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import ClassVar, NamedTuple
 
@@ -94,7 +93,7 @@ class MinimumVariance(Law):
 
         def later(s: float) -> Belief:
             found = self._bank.predicted(hypotheses, t, s)
-            return self._belief(found, replace(fallback, x=motion.state(s)))
+            return self._belief(found, fallback._replace(x=motion.state(s)))
 
         known, mixed = hypotheses[0].known, _mixed(hypotheses)
         if self.uncertainty.trusting:
@@ -126,7 +125,7 @@ class MinimumVariance(Law):
         p, given = declared.family.size, np.append(replicas[0], declared.family.given)
         others = spread(given, whole[: given.size, : root.shape[1] + p], len(replicas))
         slow = np.hstack([others[:, replicas.shape[1] :], known.slow[:, p:]])
-        return replace(known, slow=slow, parameters=p)
+        return known._replace(slow=slow, parameters=p)
 
     def _anew(self, fallback: Fallback, closed: Contacts, count: int) -> tuple[Hypothesis, ...]:
         """If nothing is believed any more: a motion as large as there was, any clock."""
@@ -187,7 +186,7 @@ def _mixed(hypotheses: Sequence[Hypothesis]) -> Known:
     for weight, h in zip(np.sqrt(weights / np.sum(weights)), hypotheses, strict=True):
         apart = np.append(h.known.x - best.x, h.known.slow[0] - best.slow[0])
         columns += [weight * h.known.root, weight * apart[:, None]]
-    return replace(best, root=triangular(np.hstack(columns)))
+    return best._replace(root=triangular(np.hstack(columns)))
 
 
 class _Heard(Course):
@@ -263,7 +262,7 @@ class _Foreseen(Course):
     def _begun(self, since: float, start: float, known: Known, root: Matrix) -> _Part:
         """A stretch from ``start`` on."""
         t = self._t + start
-        mixed = self._bank.filter.course(t, replace(known, root=root))
+        mixed = self._bank.filter.course(t, known._replace(root=root))
         return _Part(since, start, self._bank.forecast(t, known), known.closed, mixed)
 
     def _part(self, s: float) -> _Part:
