@@ -2,46 +2,41 @@
 
 ``rosbags`` reads each message in eight steps. Here the records of a chunk are gone through with
 one each, and those of other topics are stepped over. The order is that of ``rosbags``: by log
-time, then by place in the file. The layout is that of https://mcap.dev/spec.
+time, then by place in the file.
 """
 
 import heapq
-import struct
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, TypeAlias
 
-import lz4.frame
-import zstandard
-from mcap.reader import make_reader
 from mcap.records import ChunkIndex
 from mcap.summary import Summary
 from rosbags.rosbag2 import ReaderError
+
+from impact_observer.bag.mcap_layout import (
+    CHUNK,
+    COMPRESSIONS,
+    FRAME,
+    FRAMED_MESSAGE,
+    LOGGED,
+    MESSAGE,
+    MESSAGE_OPCODE,
+    summary_of,
+    uncompressed,
+)
 
 Message: TypeAlias = tuple[int, str, bytes]
 """Log time (ns), topic, bytes."""
 _Load: TypeAlias = "Callable[[ChunkIndex], list[Message]]"
 
-_FRAME = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQI")
-"""First and last log time, uncompressed size, checksum of a chunk."""
-_RECORD = struct.Struct("<BQHIQ")
-"""Opcode and length of a record; of a message its channel, sequence and log time as well."""
-_MESSAGE = 0x05
-_COUNTED = 22
-"""Bytes before a message that count into its record's length."""
-_BEFORE = _FRAME.size + _COUNTED
-
 
 def index_of(path: Path) -> Summary | None:
     """The index of an MCAP file; None where it has none that says where its messages are."""
     with path.open("rb") as file:
-        try:
-            summary = make_reader(file).get_summary()
-        except Exception:  # noqa: BLE001 (whatever mcap trips over: rosbags shall say it)
-            return None
+        summary = summary_of(file)  # where it cannot be read, rosbags shall say why
     if summary is None or summary.statistics is None or not summary.chunk_indexes:
         return None
     told = all(chunk.message_index_offsets for chunk in summary.chunk_indexes)
@@ -115,15 +110,15 @@ def _messages(records: bytes, topics: dict[int, str], start: int) -> list[Messag
     """The messages of some channels among ``records``, by log time."""
     found: list[Message] = []
     size, at = len(records), 0
-    padded = records + bytes(_RECORD.size)  # the last one need not be a message
-    unpack = _RECORD.unpack_from
+    padded = records + bytes(LOGGED.size)  # the last one need not be a message
+    unpack, frame, before = LOGGED.unpack_from, FRAME.size, FRAMED_MESSAGE.size
     while at < size:
         opcode, length, channel, _, log_time = unpack(padded, at)
-        end = at + _FRAME.size + length
-        if opcode == _MESSAGE and channel in topics and log_time >= start:
-            if length < _COUNTED:
+        end = at + frame + length
+        if opcode == MESSAGE_OPCODE and channel in topics and log_time >= start:
+            if length < MESSAGE.size:
                 break
-            found.append((log_time, topics[channel], records[at + _BEFORE : end]))
+            found.append((log_time, topics[channel], records[at + before : end]))
         at = end
     if at != size:
         raise ReaderError("A record reaches beyond the end of its chunk.")
@@ -135,23 +130,15 @@ def _records(file: BinaryIO, chunk: ChunkIndex) -> bytes:
     """The records in a chunk, uncompressed."""
     file.seek(chunk.chunk_start_offset)
     data = file.read(chunk.chunk_length)
-    begin = _FRAME.size + _CHUNK.size + 4 + len(chunk.compression) + 8
+    begin = FRAME.size + CHUNK.size + 4 + len(chunk.compression) + 8
     if len(data) < chunk.chunk_length or begin + chunk.compressed_size > len(data):
         raise ReaderError(f"Truncated chunk at offset {chunk.chunk_start_offset}.")
-    *_, size, checksum = _CHUNK.unpack_from(data, _FRAME.size)
-    records = _uncompressed(data[begin : begin + chunk.compressed_size], chunk.compression, size)
+    *_, size, checksum = CHUNK.unpack_from(data, FRAME.size)
+    if chunk.compression not in COMPRESSIONS:
+        raise ReaderError(f"Unsupported chunk compression {chunk.compression!r}.")
+    records = uncompressed(data[begin : begin + chunk.compressed_size], chunk.compression, size)
     if len(records) != size:
         raise ReaderError(f"Chunk size mismatch: expected {size} bytes, got {len(records)}.")
     if checksum and zlib.crc32(records) != checksum:
         raise ReaderError("Chunk checksum mismatch.")
     return records
-
-
-def _uncompressed(data: bytes, compression: str, size: int) -> bytes:
-    if compression == "zstd":
-        return bytes(zstandard.ZstdDecompressor().decompress(data, max_output_size=size))
-    if compression == "lz4":
-        return bytes(lz4.frame.decompress(data))
-    if compression:
-        raise ReaderError(f"Unsupported chunk compression {compression!r}.")
-    return data

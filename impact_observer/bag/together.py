@@ -4,7 +4,6 @@
 are joined at once and handed to its open chunk, so that the file is the same in every byte.
 """
 
-import struct
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
@@ -14,14 +13,11 @@ from typing import Any, TypeAlias
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Writer
 
+from impact_observer.bag.mcap_layout import FRAMED_MESSAGE, MESSAGE, MESSAGE_OPCODE
+
 Item: TypeAlias = tuple[Connection, int, bytes]
 """A message: its topic, its log time (ns), its bytes."""
 
-_RECORD = struct.Struct("<BQHIQQ")
-"""What comes before a message: opcode, length, channel, sequence, log and publish time."""
-_MESSAGE = 0x05
-_COUNTED = 22
-"""Bytes of that which count into the length."""
 _FULL = 2**20
 """Bytes with which ``rosbags`` closes a chunk."""
 _OF_STORAGE = ("channel_stats", "close_chunk", "message_start_time", "message_end_time")
@@ -58,12 +54,14 @@ def _take(writer: Writer, items: Sequence[Item]) -> int:
     chunk = storage.chunk
     connections, times, data = zip(*items, strict=True)
     sizes = [len(each) for each in data]
-    ends = [*accumulate((size + _RECORD.size for size in sizes), initial=chunk.bio.tell())]
+    ends = [*accumulate((size + FRAMED_MESSAGE.size for size in sizes), initial=chunk.bio.tell())]
     # The message with which it is full is the last one in it.
     count = min(bisect_right(ends, _FULL, lo=1), len(items))
     numbers, times = [each.id for each in connections[:count]], times[:count]
-    lengths = [size + _COUNTED for size in sizes]
-    heads = map(_RECORD.pack, repeat(_MESSAGE), lengths, numbers, repeat(0), times, times)
+    lengths = [size + MESSAGE.size for size in sizes]
+    heads = map(
+        FRAMED_MESSAGE.pack, repeat(MESSAGE_OPCODE), lengths, numbers, repeat(0), times, times
+    )
     chunk.bio.write(b"".join(chain.from_iterable(zip(heads, data, strict=False))))
     for number, place in zip(numbers, zip(times, ends, strict=False), strict=False):
         chunk.msgs[number].append(place)

@@ -1,28 +1,26 @@
 """The messages of an MCAP file from its beginning on, without index or footer.
 
-Records are parsed by the package ``mcap``; finding the way past what is broken is ours. The
-layout is that of https://mcap.dev/spec.
+Records are parsed by the package ``mcap``; finding the way past what is broken is ours.
 """
 
-import struct
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
 from typing import BinaryIO, NamedTuple
 
-import lz4.frame
-import zstandard
 from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
-from mcap.summary import Summary
 
-MAGIC = b"\x89MCAP0\r\n"
-_FRAME = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQI")
-"""First and last log time, uncompressed size, checksum of a chunk."""
-_SMALLEST_MESSAGE = 22
+from impact_observer.bag.mcap_layout import (
+    CHUNK,
+    FRAME,
+    MAGIC,
+    MESSAGE,
+    summary_of,
+    uncompressed,
+)
+
 _KNOWN = range(1, 0x10)
 """Record types of this version of the format."""
 
@@ -75,7 +73,7 @@ class Facts(NamedTuple):
 
 def facts(file: BinaryIO) -> Facts | None:
     """What the index of an MCAP file says of its chunks; None without one."""
-    summary = _summary(file)
+    summary = summary_of(file)
     if summary is None or not summary.chunk_indexes:
         return None
     kinds = sorted({each.compression or "none" for each in summary.chunk_indexes})
@@ -85,15 +83,6 @@ def facts(file: BinaryIO) -> Facts | None:
         sum(each.compressed_size for each in summary.chunk_indexes),
         sum(each.uncompressed_size for each in summary.chunk_indexes),
     )
-
-
-def _summary(file: BinaryIO) -> Summary | None:
-    """The index at the end of an MCAP file; None where there is none that can be read."""
-    file.seek(0)
-    try:
-        return make_reader(file).get_summary()
-    except Exception:  # noqa: BLE001 (whatever mcap trips over)
-        return None
 
 
 class McapFile:
@@ -127,13 +116,13 @@ class McapFile:
             opcode, length = frame
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
-            begin = self.at + _FRAME.size
+            begin = self.at + FRAME.size
             wanted = opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
             body = self._file.read(min(length, self._size)) if wanted else b""
             if opcode == Opcode.CHUNK:
                 yield from self._chunk(body, length)
             elif wanted and len(body) == length:
-                yield from self._records(_FRAME.pack(opcode, length) + body)
+                yield from self._records(FRAME.pack(opcode, length) + body)
             self.at = begin + length
             self._file.seek(self.at)
             if self.at > self._size:
@@ -143,12 +132,12 @@ class McapFile:
     def _frame(self) -> tuple[int, int] | None:
         """Type and length of the next record; None at the end of what can be read."""
         while True:
-            head = self._file.read(_FRAME.size)
-            if len(head) < _FRAME.size:
+            head = self._file.read(FRAME.size)
+            if len(head) < FRAME.size:
                 self.losses.append(f"was cut short at byte {self._size}")
                 return None
-            opcode, length = _FRAME.unpack(head)
-            if opcode in _KNOWN and self.at + _FRAME.size + length <= self._size:
+            opcode, length = FRAME.unpack(head)
+            if opcode in _KNOWN and self.at + FRAME.size + length <= self._size:
                 return opcode, length
             later = min((each for each in self._chunks if each > self.at), default=None)
             if later is None and opcode == Opcode.CHUNK:
@@ -162,7 +151,7 @@ class McapFile:
 
     def _consult_index(self) -> None:
         """Note what the index at the end of the file tells, if it is there."""
-        if (summary := _summary(self._file)) is None:
+        if (summary := summary_of(self._file)) is None:
             return
         self._chunks = [each.chunk_start_offset for each in summary.chunk_indexes]
         for schema in summary.schemas.values():
@@ -175,10 +164,10 @@ class McapFile:
         """The messages of a chunk, of one that was cut short as many as are whole."""
         whole, data = len(body) == length, b""
         try:
-            *_, size, checksum = _CHUNK.unpack_from(body)
-            stream = ReadDataStream(BytesIO(body[_CHUNK.size :]))
+            *_, size, checksum = CHUNK.unpack_from(body)
+            stream = ReadDataStream(BytesIO(body[CHUNK.size :]))
             compression, stored = stream.read_prefixed_string(), stream.read8()
-            data = _decompressed(compression, body[_CHUNK.size + stream.count :][:stored])
+            data = uncompressed(body[CHUNK.size + stream.count :][:stored], compression)
         except Exception as error:  # noqa: BLE001 (whatever a decompressor says of broken data)
             self.losses.append(f"the chunk at byte {self.at} cannot be decompressed ({error})")
             return
@@ -190,9 +179,9 @@ class McapFile:
     def _records(self, data: bytes) -> Iterator[Message]:
         """The messages among records, which may end early."""
         place = 0
-        while place + _FRAME.size <= len(data):
-            opcode, length = _FRAME.unpack_from(data, place)
-            body = data[place + _FRAME.size : place + _FRAME.size + length]
+        while place + FRAME.size <= len(data):
+            opcode, length = FRAME.unpack_from(data, place)
+            body = data[place + FRAME.size : place + FRAME.size + length]
             try:
                 if opcode not in _KNOWN:
                     raise ValueError
@@ -205,7 +194,7 @@ class McapFile:
             except Exception:  # noqa: BLE001 (whatever mcap trips over)
                 self.losses.append(f"the chunk at byte {self.at} is damaged at its byte {place}")
                 return
-            place += _FRAME.size + length
+            place += FRAME.size + length
 
     def _declaration(self, opcode: int, body: bytes) -> None:
         """Note a message type or a channel."""
@@ -223,18 +212,7 @@ class McapFile:
 
     def _message(self, body: bytes) -> Message:
         """The message in a record."""
-        if len(body) < _SMALLEST_MESSAGE:
+        if len(body) < MESSAGE.size:
             raise ValueError
-        number, _, log_time, _ = struct.unpack_from("<HIQQ", body)
-        return Message(self._channels[number], log_time, body[_SMALLEST_MESSAGE:])
-
-
-def _decompressed(compression: str, data: bytes) -> bytes:
-    """As much as can be decompressed of ``data``, which may be cut short."""
-    if compression == "zstd":
-        return bytes(zstandard.ZstdDecompressor().decompressobj().decompress(data))
-    if compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
-    if compression:
-        raise ValueError(f"unknown compression {compression}")
-    return data
+        number, _, log_time, _ = MESSAGE.unpack_from(body)
+        return Message(self._channels[number], log_time, body[MESSAGE.size :])

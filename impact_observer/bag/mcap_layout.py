@@ -1,0 +1,64 @@
+"""The layout of MCAP files, as https://mcap.dev/spec has it: records, chunks, the index.
+
+A record is an opcode, a length and what is so long.
+"""
+
+import struct
+from typing import BinaryIO
+
+import lz4.frame
+import zstandard
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.summary import Summary
+
+MAGIC = b"\x89MCAP0\r\n"
+"""How a file begins."""
+FRAME = struct.Struct("<BQ")
+"""Opcode and length of a record."""
+MESSAGE = struct.Struct("<HIQQ")
+"""Channel, sequence, log and publish time of a message, before its bytes."""
+FRAMED_MESSAGE = struct.Struct("<BQHIQQ")
+"""``FRAME`` and ``MESSAGE`` at once."""
+LOGGED = struct.Struct("<BQHIQ")
+"""The same as far as the log time: a seventh quicker to unpack, of which reading consists."""
+MESSAGE_OPCODE = int(Opcode.MESSAGE)  # compared a million times: an enumeration's member is slow
+CHUNK = struct.Struct("<QQQI")
+"""First and last log time, uncompressed size, checksum of a chunk, before its records."""
+COMPRESSIONS = ("", "lz4", "zstd")
+"""How the records of a chunk may be compressed."""
+
+
+def summary_of(file: BinaryIO) -> Summary | None:
+    """The index at the end of an MCAP file; None where there is none that can be read."""
+    file.seek(0)
+    try:
+        return make_reader(file).get_summary()
+    except Exception:  # noqa: BLE001 (whatever mcap trips over)
+        return None
+
+
+def uncompressed(data: bytes, compression: str, size: int | None = None) -> bytes:
+    """The records of a chunk.
+
+    Args:
+        data: as they are stored.
+        compression: one of ``COMPRESSIONS``.
+        size: of the records, bytes; None for as many as are in ``data``, which may be cut short.
+
+    Raises:
+        ValueError: no such compression.
+        Exception: whatever the decompressor says of broken data.
+    """
+    if compression == "zstd":
+        zstd = zstandard.ZstdDecompressor()
+        if size is None:
+            return bytes(zstd.decompressobj().decompress(data))
+        return bytes(zstd.decompress(data, max_output_size=size))
+    if compression == "lz4":
+        if size is None:
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
+        return bytes(lz4.frame.decompress(data))
+    if compression:
+        raise ValueError(f"unknown compression {compression}")
+    return data
