@@ -42,12 +42,14 @@ def _times(matrix: Rows, vector: Vector) -> Vector:
 
 
 def _series(matrix: Rows, start: Vector, s: Decimal) -> Vector:
-    """``exp(s matrix) start``, term by term."""
+    """``exp(s matrix) start``, term by term; noughts of the matrix, most of it, are left out."""
+    rows = [[(i, value) for i, value in enumerate(row) if value] for row in matrix]
     total = term = start
     k = 0
-    while k < 10 or max(abs(value) for value in term) > _SMALL:
+    while k < 10 or max(map(abs, term)) > _SMALL:
         k += 1
-        term = [value * s / k for value in _times(matrix, term)]
+        scale = s / k
+        term = [scale * sum((a * term[i] for i, a in row), Decimal(0)) for row in rows]
         total = [a + b for a, b in zip(total, term, strict=True)]
     return total
 

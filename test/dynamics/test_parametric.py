@@ -26,9 +26,10 @@ class Quadratic:
         self.root = led(np.roll(root, -P, axis=0), slice(N, N + P))
 
     def value(self, x: Array, theta: Array) -> Array:
-        """``F``."""
-        bent = np.einsum("j,k,jkn->n", theta, theta, self.c) / 2
-        return np.asarray((self.A + np.tensordot(theta, self.B, 1)) @ x + theta @ self.b + bent)
+        """``F`` of one state and one theta, or of as many as there are rows of both."""
+        bent = np.einsum("...j,...k,jkn->...n", theta, theta, self.c) / 2
+        turned = np.einsum("...j,jnm,...m->...n", theta, self.B, x)
+        return np.asarray(x @ self.A.T + turned + theta @ self.b + bent)
 
     def at(self, theta: Array) -> Map:
         """The map for other parameters."""
@@ -64,8 +65,7 @@ def test_noise_covers_what_is_left_of_a_quadratic_map(seed: int) -> None:
     linear[:, :P] += columns
     rng = np.random.default_rng(seed + 100)
     drawn = rng.normal(size=(40_000, N + P)) @ F.root.T
-    errors = np.array([F.value(F.x + d[:N], F.theta + d[N:]) for d in drawn])
-    errors -= F.value(F.x, F.theta)
+    errors = F.value(F.x + drawn[:, :N], F.theta + drawn[:, N:]) - F.value(F.x, F.theta)
     left = errors - drawn @ np.linalg.lstsq(F.root.T, linear.T, rcond=None)[0]
     true, claimed = left.T @ left / len(left), noise @ noise.T
     ratios = np.linalg.eigvals(np.linalg.solve(claimed, true)).real
