@@ -1,6 +1,7 @@
 """Writing a bag."""
 
 import _thread
+import gc
 import threading
 from pathlib import Path
 
@@ -144,8 +145,12 @@ def test_bag_is_whole_after_an_exception(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("patience", np.linspace(0.01, 0.2, 8).tolist())
-def test_bag_is_whole_wherever_an_interrupt_strikes(tmp_path: Path, patience: float) -> None:
+def test_bag_is_whole_wherever_an_interrupt_strikes(
+    request: pytest.FixtureRequest, tmp_path: Path, patience: float
+) -> None:
     """Also amid a record: everything that was taken before is read back."""
+    gc.disable()  # an interrupt within a callback of it, such as hypothesis's, would be lost
+    request.addfinalizer(gc.enable)
     timer = threading.Timer(patience, _thread.interrupt_main)
     taken: list[int] = []
 
