@@ -69,10 +69,10 @@ def lines(written: str) -> list[str]:
 @pytest.mark.parametrize("columns", [60, 160])
 def test_bar_says_what_is_done_its_share_the_rate_and_the_time_left(columns: int) -> None:
     """Within one line of the terminal; and what stays, stays above it."""
-    code, written = on_terminal(WORK.format(seconds=0.8, end=""), columns)
+    code, written = on_terminal(WORK.format(seconds=1.2, end=""), columns)
     assert code == 0
     shown = CONTROL.sub("", written)
-    assert re.search(r"\d+/800 +\d+%  (\d+|1(\.\d+)?k)/s  0:00:0\d", shown)
+    assert re.search(r"\d+/1200 +\d+%  (\d+|1(\.\d+)?k)/s  0:00:0\d", shown)
     assert re.search(r"simulating .*12\.0/60\.0 s +20%", shown)
     assert "writing" in shown
     if columns == 160:
