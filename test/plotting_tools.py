@@ -174,7 +174,7 @@ def messages_in(bag: Path) -> dict[str, list[object]]:
 
 
 def everything(
-    path: Path, laws: Mapping[str, str], *, model: str = "two_mass", duration: float = 6.0
+    path: Path, laws: Mapping[str, str], *, model: str = "two_mass", duration: float = 3.0
 ) -> Path:
     """A bag of a plant and of observers, as nodes would have published it.
 

@@ -148,9 +148,18 @@ def is_test(node: ast.AST) -> bool:
     )
 
 
+def scopes(path: Path) -> Iterator[ast.Module | ast.ClassDef]:
+    """Where pytest looks for tests: the file, its classes and theirs."""
+    waiting: list[ast.Module | ast.ClassDef] = [parsed(path)]
+    while waiting:
+        scope = waiting.pop()
+        waiting += [node for node in scope.body if isinstance(node, ast.ClassDef)]
+        yield scope
+
+
 def functions_of(path: Path) -> list[ast.FunctionDef]:
     """All test functions of a file, in classes too."""
-    return [node for node in ast.walk(parsed(path)) if is_test(node)]  # type: ignore[misc]
+    return [node for scope in scopes(path) for node in scope.body if is_test(node)]  # type: ignore[misc]
 
 
 def called_name(call: ast.Call) -> str:
@@ -189,10 +198,9 @@ def test_every_test_asserts_and_says_what(path: Path) -> None:
 @pytest.mark.parametrize("path", FILES, ids=named)
 def test_no_test_is_hidden_by_another_of_its_name(path: Path) -> None:
     """Of two functions of one name pytest would see the second only."""
-    for scope in ast.walk(parsed(path)):
-        if isinstance(scope, (ast.Module, ast.ClassDef)):
-            names = [node.name for node in scope.body if is_test(node)]  # type: ignore[attr-defined]
-            assert len(names) == len(set(names))
+    for scope in scopes(path):
+        names = [node.name for node in scope.body if is_test(node)]  # type: ignore[attr-defined]
+        assert len(names) == len(set(names))
 
 
 def test_collecting_tests_has_no_side_effects() -> None:

@@ -40,10 +40,10 @@ def estimate(stamp: int, law: str = "geometric") -> object:
     )
 
 
-@pytest.fixture
-def bag(tmp_path: Path) -> Path:
-    """A bag with everything we publish; joint states in changing order of names."""
-    path = tmp_path / "bag"
+@pytest.fixture(scope="module")
+def first_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What ``bag`` is a copy of."""
+    path = tmp_path_factory.mktemp("first") / "bag"
     with BagWriter(path) as writer:
         writer.write("/plant/model", 5, MAKE.model("name: first"))
         writer.write("/plant/model", 6, MAKE.model("name: last"))
@@ -55,6 +55,12 @@ def bag(tmp_path: Path) -> Path:
         writer.write("/observer_geometric/verdicts", 30, MAKE.verdict(VERDICT, 0.5))
         writer.write("/rig/observer/joint_states", 30, state(1, a=(1, 2)))
     return path
+
+
+@pytest.fixture
+def bag(first_bag: Path, tmp_path: Path) -> Path:
+    """A bag with everything we publish; joint states in changing order of names."""
+    return Path(shutil.copytree(first_bag, tmp_path / "bag"))
 
 
 def rewritten(source: Path, target: Path, **choices: object) -> Path:

@@ -72,10 +72,10 @@ def test_page_needs_nothing_else(sample_bag: Path, tmp_path: Path) -> None:
 
 def test_page_has_the_name_of_its_file_whatever_that_is(sample_bag: Path, tmp_path: Path) -> None:
     """As text, even where it is a word of the page's own."""
-    for name in ("PICTURES", "a <b> & FPS"):
-        output = tmp_path / f"{name}.html"
-        assert main(["animate", str(sample_bag), "-o", str(output), "--duration", "0.05"]) == 0
-        assert f"<title>{html.escape(name)}</title>" in output.read_text("utf-8")
+    name = "PICTURES <b> & FPS"
+    output = tmp_path / f"{name}.html"
+    assert main(["animate", str(sample_bag), "-o", str(output), "--duration", "0.05"]) == 0
+    assert f"<title>{html.escape(name)}</title>" in output.read_text("utf-8")
 
 
 def test_mp4_is_a_film(sample_bag: Path, tmp_path: Path) -> None:

@@ -393,7 +393,7 @@ def test_gap_of_a_two_sided_stop_without_play_never_moves() -> None:
         force=forcing(2, 0, [Harmonic(3.0, [2.0, 1.0], [0.0, 1.0])]),
     )
     motion = holds(model).motion(0.0, np.array([0.0, 1.0, 1.0, -1.0]), ())
-    states = motion.states(np.linspace(0.0, 20.0, 101))
+    states = motion.states(np.linspace(0.0, 5.0, 26))
     np.testing.assert_allclose(states[:, 0], 0.0, atol=1e-13)
     assert np.ptp(states[:, 1]) > 1
 

@@ -28,7 +28,7 @@ MAKE = bag_messages()
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two observers of one plant, 6 s."""
-    return everything(tmp_path_factory.mktemp("listening") / "bag", LAWS)
+    return everything(tmp_path_factory.mktemp("listening") / "bag", LAWS, duration=6.0)
 
 
 def serialized(message: object, kind: str) -> bytes:
