@@ -86,7 +86,7 @@ def test_exact_estimates_leave_a_gap() -> None:
     assert low > 1e-4
 
 
-@pytest.mark.parametrize("paper", [False, True])
+@pytest.mark.parametrize("paper", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_legend_and_impacts_cover_no_curve(paper: bool) -> None:
     """The legend lies above the axes and within the picture, impacts above the curves."""
     figure = picture(FIVE, paper=paper)
@@ -114,7 +114,9 @@ def test_very_many_contacts_share_one_row() -> None:
     assert np.size(marks.get_xdata()) == sum(STAMPS[3 :: 40 + i].size for i in range(30))
 
 
-@pytest.mark.parametrize("letters", [30, pytest.param(60, marks=pytest.mark.slow), 300])
+@pytest.mark.parametrize(
+    "letters", [*(pytest.param(each, marks=pytest.mark.slow) for each in (30, 60)), 300]
+)
 @pytest.mark.parametrize("paper", [False, True])
 def test_long_names_leave_the_curves_their_room(letters: int, paper: bool) -> None:
     """Names of bags go into fewer columns, and lose their middle before the axes get narrow."""

@@ -62,7 +62,7 @@ def truth(found: Identified, model: System, stiffness: float = 1.03) -> Array:
     return np.array([known[name] for name in found.family.names])
 
 
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)])
 def test_exact_times_give_every_parameter(name: str) -> None:
     """To a part in ten millions: stamps are rounded to 1 ns, and it finds that out."""
     model = sample(name)
@@ -246,6 +246,7 @@ def test_lasting_contacts_are_part_of_the_motion() -> None:
     np.testing.assert_allclose(found.values, [1 / 1.03], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_impacts_that_accumulate_are_part_of_the_recording() -> None:
     """A ball until it rests: 174 events, the last ones microseconds apart."""
     model = sample("bouncing_ball")

@@ -76,7 +76,14 @@ def by_rosbags(path: Path, start: int | None = None) -> list[tuple[str, int, byt
         return [(c.topic, time, data) for c, time, data in reader.messages(start=start)]
 
 
-@pytest.mark.parametrize("sizes", [[6000], [1, 256, 0, 1000, 4743], [100] * 60])
+@pytest.mark.parametrize(
+    "sizes",
+    [
+        pytest.param([6000], marks=pytest.mark.slow),
+        [1, 256, 0, 1000, 4743],
+        pytest.param([100] * 60, marks=pytest.mark.slow),
+    ],
+)
 def test_file_is_that_of_rosbags_in_every_byte(tmp_path: Path, sizes: list[int]) -> None:
     """However many come at a time, across several chunks."""
     messages = some(6000, seed=1)
@@ -108,7 +115,13 @@ def test_rosbags_writes_itself_where_its_chunks_are_not_as_we_know_them(
     assert sorted(by_rosbags(tmp_path / "bag")) == sorted(messages)
 
 
-@pytest.mark.parametrize("compression", list(CompressionType), ids=lambda each: each.name)
+@pytest.mark.parametrize(
+    "compression",
+    [
+        pytest.param(each, marks=pytest.mark.slow if each is CompressionType.NONE else (), id=name)
+        for name, each in CompressionType.__members__.items()
+    ],
+)
 @pytest.mark.parametrize("start", [0, 500_000_000])
 def test_order_is_that_of_rosbags(
     tmp_path: Path, compression: CompressionType, start: int

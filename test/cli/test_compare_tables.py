@@ -23,7 +23,9 @@ def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return estimates
 
 
-@pytest.mark.parametrize("columns", [30, pytest.param(60, marks=pytest.mark.slow), 79])
+@pytest.mark.parametrize(
+    "columns", [30, *(pytest.param(each, marks=pytest.mark.slow) for each in (60, 79))]
+)
 def test_narrow_terminals_have_every_figure_of_wide_ones(
     observed: Path,
     columns: int,

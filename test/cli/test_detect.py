@@ -110,8 +110,12 @@ def detected(bag: Path, output: Path, *arguments: str) -> list[ImpactEvent]:
     [
         (["--topic", "/switch", "--latency", "0.005"], 0),
         (["--topic", "/force", "--threshold", "20"], 0.01 * MS),
-        (["--topic", "imu", "--threshold", "20"], 0.02 * MS),
-        (["--topic", "/imu", "--field", "linear_acceleration.x", "--threshold", "20"], 0.02 * MS),
+        pytest.param(["--topic", "imu", "--threshold", "20"], 0.02 * MS, marks=pytest.mark.slow),
+        pytest.param(
+            ["--topic", "/imu", "--field", "linear_acceleration.x", "--threshold", "20"],
+            0.02 * MS,
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["switch", "force", "imu", "axis"],
 )

@@ -57,7 +57,9 @@ def test_observe_writes_the_parameters_that_it_learns(
     """By name, in the order in which they are carried, with deviations that fall."""
     free = ["--estimate-parameters", "restitution=0.02,stiffness-scale=0.01"]
     free += ["--clock-error", "0", "--missed", "0", "--invented", "0", "--mislabelled", "0"]
-    bag = observed(run_bag, "learnt", "--law", "minimum-variance", *free, "--rate", "5")
+    bag = observed(
+        run_bag, "learnt", "--law", "minimum-variance", *free, "--rate", "1", "--ensemble", "1"
+    )
     with BagReader(bag) as reader:
         read = (cast(EstimateMessage, each) for _, each in reader.messages("/observer/state"))
         states = [read_estimate(each)[1] for each in read]
@@ -68,13 +70,21 @@ def test_observe_writes_the_parameters_that_it_learns(
         assert after < 1e-2 * before
         assert abs(value - right) < 5 * after
     capsys.readouterr()
-    compared = ["compare", str(run_bag), "--laws", "geometric,minimum-variance", *free, "--json"]
-    assert main(compared) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert set(found) == {"geometric", "minimum-variance"}
     other = ["observe", str(run_bag), *free, "-o", str(run_bag.parent / "none")]
     assert main(other) == 2
     assert "the law geometric learns none" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_laws_that_learn_nothing_are_compared_with_one_that_does(
+    run_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is to be learnt is said to those that learn."""
+    laws = ["--laws", "geometric,minimum-variance", "--estimate-parameters", "restitution=0.02"]
+    capsys.readouterr()
+    assert main(["compare", str(run_bag), *laws, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"geometric", "minimum-variance"}
 
 
 def test_truth_in_a_bag_starts_at_the_epoch_and_follows_the_events(run_bag: Path) -> None:

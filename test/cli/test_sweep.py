@@ -28,7 +28,7 @@ SMALL = (
         "--runs",
         "2",
         "--duration",
-        "3",
+        "1",
         "--rate",
         "20",
     ),
@@ -216,7 +216,7 @@ def test_a_row_is_what_the_other_commands_say_of_its_seed(
 ) -> None:
     """simulate, observe and compare with the values of the row come to the same figures."""
     path, plant, bag = tmp_path / "sweep.parquet", tmp_path / "plant", tmp_path / "bag"
-    how = ("--duration", "8", "--rate", "50", "--jitter", "0.002", "--missed", "0.1")
+    how = ("--duration", "4", "--rate", "20", "--jitter", "0.002", "--missed", "0.1")
     words = ("--laws", "unilateral", "--runs", "1", "--seed", "4", "--jobs", "1")
     assert main(["sweep", "three_mass", *words, *how, "-o", str(path)]) == 0
     assert main(["simulate", "three_mass", *how, "--seed", "4", "-o", str(plant)]) == 0

@@ -51,7 +51,13 @@ def test_nearly_critical_mode_stays_exact(distance: float) -> None:
     assert error(model, np.array([1.0, -0.7]), SECONDS) < 2e-14
 
 
-@pytest.mark.parametrize("distance", DISTANCES)
+@pytest.mark.parametrize(
+    "distance",
+    [
+        pytest.param(each, marks=pytest.mark.slow if k % 3 else ())
+        for k, each in enumerate(DISTANCES)
+    ],
+)
 def test_nearly_defective_system_stays_exact(distance: float) -> None:
     """At distance 0 two pairs share one eigenvector; modes serve near it, then an exponential."""
     model = system(

@@ -139,8 +139,17 @@ CONTACTS = [([1, 0, 0], 0.25, 0.5), ([-1, 1, 0], 0.5, 0.5), ([0, 0, -1], 0.75, 0
 LAPLACIAN = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
 
 
-@pytest.mark.parametrize("K", [np.zeros((3, 3)), 5 * LAPLACIAN, 5 * LAPLACIAN + np.eye(3)])
-@pytest.mark.parametrize("held", [(), (0,), (1, 2), (2, 1), (0, 1, 2)])
+@pytest.mark.parametrize(
+    "K",
+    [
+        np.zeros((3, 3)),
+        pytest.param(5 * LAPLACIAN, marks=pytest.mark.slow),
+        5 * LAPLACIAN + np.eye(3),
+    ],
+)
+@pytest.mark.parametrize(
+    "held", [(), (0,), (1, 2), pytest.param((2, 1), marks=pytest.mark.slow), (0, 1, 2)]
+)
 @pytest.mark.parametrize("fixed", [(), (0, 1, 2)])
 def test_every_number_of_held_contacts_is_integrated(
     K: Array, held: Contacts, fixed: Contacts
@@ -151,7 +160,9 @@ def test_every_number_of_held_contacts_is_integrated(
     assert_is_the_integrated_one(model, held, fixed, 0.7, x)
 
 
-@pytest.mark.parametrize("held", [(), (0,), (1,)])
+@pytest.mark.parametrize(
+    "held", [*(pytest.param(each, marks=pytest.mark.slow) for each in ((), (0,))), (1,)]
+)
 def test_fixed_contacts_may_be_redundant(held: Contacts) -> None:
     """Floor, ceiling and the floor in other units: all their gaps stay."""
     floor = ([1, 0, 0], 0.25, 0.5)

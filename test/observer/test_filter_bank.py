@@ -176,7 +176,7 @@ def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) ->
     return course.state(s), course.root(s)
 
 
-@pytest.mark.parametrize("name", ["three_mass", "pressed"])
+@pytest.mark.parametrize("name", ["three_mass", pytest.param("pressed", marks=pytest.mark.slow)])
 def test_believing_every_event_is_the_plain_filter(name: str) -> None:
     """With all three probabilities at 0: the same bits as ``ImpactFilter`` by hand."""
     if name == "pressed":

@@ -71,7 +71,8 @@ def bouncier(model: System, by: float) -> System:
     return replace(model, contacts=contacts)
 
 
-@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
 def test_wrong_stiffness_is_learnt_and_its_floor_is_gone(name: str) -> None:
     """Without, V stays where 2 % of stiffness put it."""
     model, true = sample(name).system, truth(name)
@@ -87,7 +88,7 @@ def test_wrong_stiffness_is_learnt_and_its_floor_is_gone(name: str) -> None:
     assert abs(value - 1 / 1.02) < 4 * deviation < 1e-7
 
 
-@pytest.mark.parametrize("wrong", [0.0, 0.1])
+@pytest.mark.parametrize("wrong", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
 def test_restitution_is_learnt_and_costs_little_where_it_was_right(wrong: float) -> None:
     """The estimate is as exact as the stamps let it be a few impacts later than without."""
     model, true = sample("two_mass").system, truth("two_mass", 30.0)
@@ -117,6 +118,7 @@ def test_everything_at_once_is_learnt() -> None:
         assert abs(value - right[name]) < 4 * deviation < 1e-4
 
 
+@pytest.mark.slow
 def test_gaps_are_learnt_where_contacts_rest() -> None:
     """A body at rest on a stop that is elsewhere is elsewhere itself, and so surely."""
     contacts = tuple(replace(c, gap=c.gap + 0.015) for c in PRESSED.contacts)

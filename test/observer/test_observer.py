@@ -62,7 +62,7 @@ def state(watcher: Observer, seconds: float) -> list[float]:
     return [*found.q.tolist(), *found.u.tolist()]
 
 
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "law", ["kinematic", "geometric", pytest.param("unilateral", marks=pytest.mark.slow)]
 )
@@ -77,7 +77,7 @@ def test_distance_to_the_plant_never_rises(name: str, law: str) -> None:
         assert V[-1] < 0.5 * V[0]
 
 
-@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)])
 def test_geometric_law_ends_closer_than_kinematic(name: str) -> None:
     """The paper's claim, in the median of 20 initial states after 30 s."""
     model, truth = sample(name).system, true_run(name, 30.0, rate=1.0)
@@ -104,7 +104,9 @@ def test_open_loop_is_the_flow_without_contact() -> None:
 
 
 @pytest.mark.parametrize("law", ["kinematic", "geometric"])
-@pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball"])
+@pytest.mark.parametrize(
+    "name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow), "bouncing_ball"]
+)
 def test_observer_that_starts_in_the_true_state_stays_there(name: str, law: str) -> None:
     """To what stamps of 1 ns allow."""
     model, truth = sample(name), true_run(name, 5.0)
@@ -160,7 +162,10 @@ def test_order_of_arrival_does_not_decide_where_a_late_observer_starts() -> None
     assert len(found) == 1
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    "law",
+    [pytest.param(law, marks=pytest.mark.slow if law != "geometric" else ()) for law in LAWS],
+)
 def test_estimate_does_not_depend_on_who_asked_before(law: str) -> None:
     """A node that is asked at 1 kHz and a command that asks once get the same bits."""
     truth = true_run("two_mass", 4.0)

@@ -175,7 +175,11 @@ def locked(count: int, *invented: float) -> Observer:
     return watcher
 
 
-@pytest.mark.parametrize("invented", [(), (17.829,)], ids=["silence", "after an invented one"])
+@pytest.mark.parametrize(
+    "invented",
+    [(), pytest.param((17.829,), marks=pytest.mark.slow)],
+    ids=["silence", "after an invented one"],
+)
 def test_missed_impact_is_foreseen_before_anything_is_heard(invented: tuple[float, ...]) -> None:
     """The impacts of 18.2 and 20.1 s: on the right side 1 ms after, right to rounding for long."""
     model, _, whole = truth("two_mass", 30.0)
@@ -219,7 +223,7 @@ def explained(verdicts: Sequence[Verdict]) -> bool:
     return any(word in each.reason for each in verdicts for word in words)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_start_that_is_declared_far_too_sure_is_forgotten(seed: int) -> None:
     """Wrong by 1 and said to be known to 1e-6: right after a few impacts, and that is said."""
     model, start, whole = truth("two_mass", 30.0)
@@ -228,7 +232,7 @@ def test_start_that_is_declared_far_too_sure_is_forgotten(seed: int) -> None:
     assert explained(recovered(watcher, whole, whole.events))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_kicked_plant_is_found_again(seed: int) -> None:
     """Locked on; then it goes on from another state, as if somebody had pushed it."""
     model, start, whole = truth("two_mass", 30.0)
@@ -246,7 +250,7 @@ def test_kicked_plant_is_found_again(seed: int) -> None:
     assert explained(recovered(watcher, later, after))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_state_that_is_set_wrong_and_sure_is_forgotten(seed: int) -> None:
     """By ``set_state`` with a deviation of 1e-6 while locked on."""
     _, _, whole = truth("two_mass", 30.0)

@@ -94,7 +94,11 @@ LOCKED = {"two_mass": 12.0, "three_mass": 14.0}
 
 @pytest.mark.parametrize(
     ("name", "seed"),
-    [("two_mass", 1), ("two_mass", 2), pytest.param("three_mass", 1, marks=pytest.mark.slow)],
+    [
+        ("two_mass", 1),
+        pytest.param("two_mass", 2, marks=pytest.mark.slow),
+        pytest.param("three_mass", 1, marks=pytest.mark.slow),
+    ],
 )
 def test_once_locked_every_event_is_what_it_is(name: str, seed: int) -> None:
     """Invented: rejected. True: applied. Missed: inserted where it was, within 2 ns."""

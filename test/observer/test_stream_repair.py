@@ -252,7 +252,7 @@ def test_events_without_a_number_go_by_their_stamps() -> None:
 
 
 @LAWS
-@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("numbered", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -> None:
     """In either order, as if there had been no IMPACT; another of that stamp is left."""
     first = told(("c1", Kind.IMPACT), seconds=0.5, sequence=1 * numbered)

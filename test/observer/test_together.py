@@ -59,7 +59,13 @@ def each_alone(motion: Motion, s: NDArray[np.float64]) -> bytes:
     return b"".join(motion.state(at).tobytes() for at in s.tolist())
 
 
-@pytest.mark.parametrize("kind", motions())
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=pytest.mark.slow if kind in {"resonant", "soft"} else ())
+        for kind in motions()
+    ],
+)
 def test_states_are_those_of_each_instant_alone(kind: str) -> None:
     """Whatever the size of the batch and wherever in it an instant stands."""
     motion, random = motions()[kind], np.random.default_rng(7)
@@ -118,7 +124,14 @@ def test_estimates_are_those_of_each_stamp_alone(law: str) -> None:
     assert checked(watcher, np.repeat(stamps[:9], 2))
 
 
-@pytest.mark.parametrize("law", ["kinematic", "geometric", "unilateral"])
+@pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param("kinematic", marks=pytest.mark.slow),
+        "geometric",
+        pytest.param("unilateral", marks=pytest.mark.slow),
+    ],
+)
 def test_estimates_during_lasting_contact_are_those_of_each_stamp_alone(law: str) -> None:
     """Phase after phase, while the stop stays closed."""
     model = sample("two_mass").system

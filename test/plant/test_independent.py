@@ -166,9 +166,9 @@ def agreement(ours: Switching, other: Found, n: int) -> float:
     ("case", "count"),
     [
         (cases.floor_and_ceiling, 23),
-        (cases.collapsing_beads, 37),
+        pytest.param(cases.collapsing_beads, 37, marks=pytest.mark.slow),
         (cases.thrown_beads, 28),
-        (cases.resting_beads, 4),
+        pytest.param(cases.resting_beads, 4, marks=pytest.mark.slow),
     ],
 )
 def test_simultaneous_impacts_are_those_of_an_enumeration(
@@ -200,7 +200,7 @@ def test_resting_beads_stay_closed_under_the_falling_one() -> None:
     assert [one.closed for one in found] == [tuple(range(9))] * 4
 
 
-@pytest.mark.parametrize("eps", [0.0, 0.5])
+@pytest.mark.parametrize("eps", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_contact_opens_where_the_known_load_vanishes(eps: float) -> None:
     """``lambda = 2 - 3 cos t`` at the stop, so a lasting contact ends at ``cos t = 2/3``."""
     found = cases.switchings(cases.pressed_mass(eps))
@@ -212,7 +212,7 @@ def test_contact_opens_where_the_known_load_vanishes(eps: float) -> None:
 @pytest.mark.parametrize(
     "case", [cases.pressed_mass, pytest.param(cases.pulled_mass, marks=pytest.mark.slow)]
 )
-@pytest.mark.parametrize("eps", [0.0, 0.5])
+@pytest.mark.parametrize("eps", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_sticking_and_release_are_those_of_another_integrator(
     case: Callable[[float], Case], eps: float
 ) -> None:

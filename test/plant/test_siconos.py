@@ -79,11 +79,11 @@ def described(case: Case) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("case", "count"),
     [
-        (cases.ball, 26),
-        (cases.oscillator, 40),
-        (cases.floor_and_ceiling, 23),
-        (cases.collapsing_beads, 37),
-        (cases.thrown_beads, 28),
+        pytest.param(cases.ball, 26, marks=pytest.mark.slow),
+        pytest.param(cases.oscillator, 40, marks=pytest.mark.slow),
+        pytest.param(cases.floor_and_ceiling, 23, marks=pytest.mark.slow),
+        pytest.param(cases.collapsing_beads, 37, marks=pytest.mark.slow),
+        pytest.param(cases.thrown_beads, 28, marks=pytest.mark.slow),
         (cases.resting_beads, 4),
     ],
 )
@@ -117,8 +117,10 @@ def loaded(result: Any) -> NDArray[np.int64]:  # noqa: ANN401
     return np.flatnonzero(np.diff(np.concatenate([[0], pressed, [0]]))).reshape(-1, 2)
 
 
-@pytest.mark.parametrize("case", [cases.pressed_mass, cases.pulled_mass])
-@pytest.mark.parametrize("eps", [0.0, 0.3])
+@pytest.mark.parametrize(
+    "case", [pytest.param(cases.pressed_mass, marks=pytest.mark.slow), cases.pulled_mass]
+)
+@pytest.mark.parametrize("eps", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
 def test_time_stepping_siconos_sticks_and_releases_alike(
     siconos: Siconos, case: Callable[[float], Case], eps: float
 ) -> None:

@@ -219,17 +219,37 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
-def test_every_fault_of_events_has_its_line(case: str) -> None:
-    """With the message where it is first seen; an observer can use what is said to be usable."""
-    events, usable, expected = CASES[case]
+def recorded(events: list[ImpactEvent]) -> None:
+    """A bag of a plant with these events in this order."""
     with BagWriter(Path("bag")) as writer:
         writer.write("/plant/model", S, MAKE.model(model()))
         for k in range(1, 8):
             writer.write("/plant/joint_states", k * S, state(k * S))
         for k, event in enumerate(events):
             writer.write("/impacts", 2 * S + k, MAKE.event(event))
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_every_fault_of_events_has_its_line(case: str) -> None:
+    """With the message where it is first seen."""
+    events, usable, expected = CASES[case]
+    recorded(events)
     assert lines(usable=usable) == expected
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        pytest.param(
+            case, marks=() if case in {"a gap", "none but unknown contacts"} else pytest.mark.slow
+        )
+        for case in CASES
+    ],
+)
+def test_an_observer_can_use_what_is_said_to_be_usable(case: str) -> None:
+    """And nothing of what is said not to be."""
+    events, usable, _ = CASES[case]
+    recorded(events)
     assert observed() is usable
 
 

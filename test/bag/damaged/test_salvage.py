@@ -179,7 +179,10 @@ def test_metadata_that_is_missing_or_wrong_loses_nothing(whole: Path) -> None:
     assert found(bag, whole) == 406
 
 
-@pytest.mark.parametrize("share", [0.4, 0.6, 0.9])
+@pytest.mark.parametrize(
+    "share",
+    [0.4, pytest.param(0.6, marks=pytest.mark.slow), pytest.param(0.9, marks=pytest.mark.slow)],
+)
 def test_database_that_was_cut(whole: Path, share: float) -> None:
     """Its pages tell, whether or not those that lead to them are there."""
     bag = humble_sqlite(whole, Path("bag"))
