@@ -104,6 +104,7 @@ def test_legend_and_impacts_cover_no_curve(paper: bool) -> None:
     assert min(float(np.min(np.asarray(line.get_ydata()))) for line in marks) > highest + 0.01
 
 
+@pytest.mark.slow
 def test_very_many_contacts_share_one_row() -> None:
     """Rows and a legend for each would leave no room for the curves."""
     few, many = picture({"geometric": 3.0}, contacts=8), picture({"geometric": 3.0}, contacts=30)
@@ -129,6 +130,7 @@ def test_long_names_leave_the_curves_their_room(letters: int, paper: bool) -> No
     assert all(label.startswith("geometric recording") for label in shown[:3])
 
 
+@pytest.mark.slow
 def test_twenty_decades_stay_readable() -> None:
     """Labels on the axis of V are whole powers of ten, some, and none over another."""
     figure = picture(FIVE)

@@ -298,6 +298,7 @@ def test_what_is_told_too_weakly_is_named_after_the_fit() -> None:
     assert surely.unknown == ()
 
 
+@pytest.mark.slow
 def test_a_parameter_at_its_bound_ends_there() -> None:
     """It is held, the others are fitted, and that is a fit."""
     force = forcing(1, 0.0, [Harmonic(1.3, [3.0], [0.0])])

@@ -55,6 +55,7 @@ def assert_derivatives(family: Family, start: Array, moments: list[Moment], t: A
         np.testing.assert_allclose(found, shot.by_instant[:, k], atol=2e-7 * scale)
 
 
+@pytest.mark.slow
 @examples(20)
 @given(
     model=systems(max_n=3, contacts=(1, 2)),

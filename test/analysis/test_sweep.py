@@ -88,6 +88,7 @@ def test_a_case_is_a_value_that_can_be_sent_elsewhere() -> None:
     assert run_case(sent) == run_case(case)
 
 
+@pytest.mark.slow
 def test_outcomes_do_not_depend_on_the_order_of_the_cases() -> None:
     """Forwards, backwards, alone: the same bits."""
     laws, troubles = ("geometric", "minimum-variance"), {"jitter": [0.0, 1e-3]}

@@ -70,6 +70,7 @@ def test_what_never_settles_stands_above_all_times() -> None:
     assert "never" not in words
 
 
+@pytest.mark.slow
 def test_other_quantities_make_panels() -> None:
     """One for each combination; --against says which is on the axis."""
     sweep = swept({"dead_time": [0.0, 0.1]}, {"gap": [0.4, 0.5, 0.6]})

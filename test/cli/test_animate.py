@@ -78,6 +78,7 @@ def test_page_has_the_name_of_its_file_whatever_that_is(sample_bag: Path, tmp_pa
     assert f"<title>{html.escape(name)}</title>" in output.read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_mp4_is_a_film(sample_bag: Path, tmp_path: Path) -> None:
     """H.264 of as many pictures, which ffmpeg itself reads back."""
     ffmpeg = shutil.which("ffmpeg")

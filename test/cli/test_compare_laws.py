@@ -68,6 +68,7 @@ def test_laws_are_laid_over_the_estimates_in_the_bag(
     assert found["geometric"]["V_start"] != found["geometric /observer"]["V_start"]
 
 
+@pytest.mark.slow
 def test_laws_are_told_what_the_user_does_not_know(
     plant_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -176,6 +176,7 @@ def test_what_cannot_be_compared_or_written_is_one_line(
     assert re.search(said, error), error
 
 
+@pytest.mark.slow
 def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: Path) -> None:
     """One curve each from 0 on; impacts are told apart where they are not of one run."""
     plant, later = tmp_path / "plant", tmp_path / "later"

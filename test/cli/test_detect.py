@@ -132,6 +132,7 @@ def test_every_kind_of_sensor_gives_the_impacts_of_the_plant(
     assert np.abs(late).max() <= error
 
 
+@pytest.mark.slow
 def test_what_is_found_can_be_observed_without_naming_a_model(
     rig_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -76,6 +76,7 @@ def test_the_ending_says_the_format(
     assert str(output) in table
 
 
+@pytest.mark.slow
 def test_figures_in_json_are_those_of_a_simulated_bag(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

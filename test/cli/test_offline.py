@@ -175,6 +175,7 @@ def test_compare_orders_the_laws_and_draws_them(
     assert "dx2/dt" in table
 
 
+@pytest.mark.slow
 def test_equal_starts_leave_ratios_undefined(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

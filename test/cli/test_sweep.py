@@ -86,6 +86,7 @@ def test_a_cluster_of_two_workers_gives_the_same_bits(serial: Path, tmp_path: Pa
     assert path.read_bytes() == serial.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_cluster_without_workers_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -211,6 +212,7 @@ def test_a_case_that_fails_is_a_row_and_exit_code_1(
     assert [value is None for value in table["V_end"]] == [False, False, False, True, False]
 
 
+@pytest.mark.slow
 def test_a_row_is_what_the_other_commands_say_of_its_seed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

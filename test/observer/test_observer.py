@@ -115,6 +115,7 @@ def test_observer_that_starts_in_the_true_state_stays_there(name: str, law: str)
     np.testing.assert_allclose(estimates(watcher, truth.stamps), truth.states, atol=2e-7)
 
 
+@pytest.mark.slow
 def test_geometric_observer_of_a_ball_finds_its_height() -> None:
     """K = 0: each bounce tells the height exactly, and the speed converges with eps."""
     model, truth = sample("bouncing_ball").system, true_run("bouncing_ball", 7.5)

@@ -66,7 +66,7 @@ def velocity_errors(law: type[Law], model: System = BALL) -> Array:
 @pytest.mark.parametrize(
     ("law", "published"),
     [
-        (HybridGain, (-0.690, 0.139, 0.0347, 0.0118)),
+        pytest.param(HybridGain, (-0.690, 0.139, 0.0347, 0.0118), marks=pytest.mark.slow),
         (PositionReset, (-1.444, 0.516, 0.173, 0.0654)),
     ],
     ids=["hybrid-gain", "position-reset"],

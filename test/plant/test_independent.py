@@ -209,10 +209,9 @@ def test_contact_opens_where_the_known_load_vanishes(eps: float) -> None:
     np.testing.assert_allclose(opened, expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "case", [cases.pressed_mass, pytest.param(cases.pulled_mass, marks=pytest.mark.slow)]
-)
-@pytest.mark.parametrize("eps", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [cases.pressed_mass, cases.pulled_mass])
+@pytest.mark.parametrize("eps", [0.0, 0.5])
 def test_sticking_and_release_are_those_of_another_integrator(
     case: Callable[[float], Case], eps: float
 ) -> None:

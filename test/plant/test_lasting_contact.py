@@ -428,6 +428,7 @@ def test_random_systems_obey_all_laws(data: st.DataObject) -> None:
         assert np.max(np.diff(total)) < 1e-9 * (1 + np.max(np.abs(total)))
 
 
+@pytest.mark.slow
 def test_light_body_between_a_heavy_one_and_a_wall_keeps_all_energy() -> None:
     """Galperin's billiard: 314 collisions for a mass ratio of 10^4, many within one instant."""
     wall, between = ([1, 0], 0.0, 1.0), ([-1, 1], 0.0, 1.0)
@@ -454,6 +455,7 @@ def test_heavy_body_does_not_hide_the_impacts_of_a_light_one() -> None:
     assert np.min(found.states[:, 1]) >= -(1 - 1e-9)
 
 
+@pytest.mark.slow
 def test_redundant_supports_close_together_when_their_impacts_accumulate() -> None:
     """Three legs of a rigid table, two floors in one place: no contact that touches is open."""
     legs = [([1, -1], 0.0, 0.4), ([1, 0], 0.0, 0.4), ([1, 1], 0.0, 0.4)]

@@ -57,6 +57,7 @@ def test_ball_bounces_at_the_published_times() -> None:
     np.testing.assert_allclose(times, expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_ball_comes_to_rest_at_the_published_time() -> None:
     """Published is the accumulation at 8.578949178728887 s; we stop up to 1e-7 s before it."""
     plant = started(sample("bouncing_ball").system, [1.0], [0.0])

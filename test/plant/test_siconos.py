@@ -117,10 +117,9 @@ def loaded(result: Any) -> NDArray[np.int64]:  # noqa: ANN401
     return np.flatnonzero(np.diff(np.concatenate([[0], pressed, [0]]))).reshape(-1, 2)
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(cases.pressed_mass, marks=pytest.mark.slow), cases.pulled_mass]
-)
-@pytest.mark.parametrize("eps", [0.0, pytest.param(0.3, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [cases.pressed_mass, cases.pulled_mass])
+@pytest.mark.parametrize("eps", [0.0, 0.3])
 def test_time_stepping_siconos_sticks_and_releases_alike(
     siconos: Siconos, case: Callable[[float], Case], eps: float
 ) -> None:

@@ -255,6 +255,7 @@ def test_gaps_are_violated_by_a_step_of_motion_at_most() -> None:
         assert np.min(x[:, :3] @ model.W + model.q_r) >= -step * fastest
 
 
+@pytest.mark.slow
 def test_states_at_the_ends_of_steps_are_the_schemes() -> None:
     """Impacts included, and after them; positions are continuous, velocities from the left too."""
     model, start = sample("two_mass").system, sample("two_mass").initial_state()
@@ -322,6 +323,7 @@ def test_switchings_do_not_depend_on_who_asks_when() -> None:
         np.testing.assert_array_equal(one.after, two.after)
 
 
+@pytest.mark.slow
 def test_steps_are_whole_nanoseconds_from_the_epoch() -> None:
     """No step of a third of a millisecond drifts, nor does the epoch matter."""
     late = 1_700_000_000_123_456_789

@@ -208,6 +208,7 @@ def test_stop_far_away_does_not_make_the_motion_invisible() -> None:
     assert scene.frame(motion[3]).pins[0] == pytest.approx(bar.plate + bar.span)
 
 
+@pytest.mark.slow
 def test_very_long_chain_shows_its_first_bodies_and_says_so() -> None:
     """A thousand bodies would be lines."""
     n = 1000

@@ -305,6 +305,7 @@ def test_stamps_of_another_clock_are_told() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_a_long_row_of_events_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     """Duplicates and gaps are remembered for a while only; a late number still fills its gap."""
     monkeypatch.setattr(event_check, "_RECENT", 300)
