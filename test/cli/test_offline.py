@@ -20,6 +20,11 @@ from impact_observer.stamps import grid
 
 EPOCH = 1_000_000_000
 CERTIFIED = ("geometric", "unilateral")
+FREE = (
+    *("--estimate-parameters", "restitution=0.02,stiffness-scale=0.01"),
+    *("--clock-error", "0", "--missed", "0", "--invented", "0", "--mislabelled", "0"),
+)
+"""Two parameters to be learnt from events that are all believed."""
 
 
 @pytest.fixture(scope="module")
@@ -55,10 +60,8 @@ def test_observe_writes_the_parameters_that_it_learns(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By name, in the order in which they are carried, with deviations that fall."""
-    free = ["--estimate-parameters", "restitution=0.02,stiffness-scale=0.01"]
-    free += ["--clock-error", "0", "--missed", "0", "--invented", "0", "--mislabelled", "0"]
     bag = observed(
-        run_bag, "learnt", "--law", "minimum-variance", *free, "--rate", "1", "--ensemble", "1"
+        run_bag, "learnt", "--law", "minimum-variance", *FREE, "--rate", "1", "--ensemble", "1"
     )
     with BagReader(bag) as reader:
         read = (cast(EstimateMessage, each) for _, each in reader.messages("/observer/state"))
@@ -70,7 +73,7 @@ def test_observe_writes_the_parameters_that_it_learns(
         assert after < 1e-2 * before
         assert abs(value - right) < 5 * after
     capsys.readouterr()
-    other = ["observe", str(run_bag), *free, "-o", str(run_bag.parent / "none")]
+    other = ["observe", str(run_bag), *FREE, "-o", str(run_bag.parent / "none")]
     assert main(other) == 2
     assert "the law geometric learns none" in capsys.readouterr().err
 
@@ -80,9 +83,9 @@ def test_laws_that_learn_nothing_are_compared_with_one_that_does(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """What is to be learnt is said to those that learn."""
-    laws = ["--laws", "geometric,minimum-variance", "--estimate-parameters", "restitution=0.02"]
+    laws = ["--laws", "geometric,minimum-variance"]
     capsys.readouterr()
-    assert main(["compare", str(run_bag), *laws, "--json"]) == 0
+    assert main(["compare", str(run_bag), *laws, *FREE, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found) == {"geometric", "minimum-variance"}
 
