@@ -87,10 +87,14 @@ class SpectralFlow(Flow):
         self._young = 1.0 / np.min(distance[far], initial=np.inf)
         self.near = Driven(modes, beta, mu, near)
         self.all = Driven(modes, beta, mu, forced)
-        self.turning: Turning | None = None
-        if self.near.nothing and Turning.suits(modes):
-            parts = (self._steady_constant, self._steady_cosine, self._steady_sine)
-            self.turning = Turning(modes, Steady(self._frequency, *parts))
+
+    @cached_property
+    def turning(self) -> Turning | None:
+        """One state alone, in a cheaper way; None where not all modes turn, or some resonate."""
+        if not (self.near.nothing and Turning.suits(self.modes)):
+            return None
+        parts = (self._steady_constant, self._steady_cosine, self._steady_sine)
+        return Turning(self.modes, Steady(self._frequency, *parts))
 
     def view(self, functions: Functions) -> View:
         """Of motions young and old."""

@@ -40,7 +40,7 @@ class Turning:
     """What turns in the motions of one flow."""
 
     def __init__(self, modes: Modes, steady: Steady) -> None:
-        """Take ``modes`` that are ``suitable``, and the response to the forcing."""
+        """Take ``modes`` that ``suits`` says yes of, and the response to the forcing."""
         a, d = modes.rates.a, modes.rates.d
         to_pair = _to_pairs(modes)
         n, h = d.size, steady.frequency.size

@@ -167,11 +167,8 @@ class _Apart(Course):
         return self._motions[0].each(s)
 
     def belief(self, s: float) -> Belief:
-        first, *others = (motion.state(s) for motion in self._motions)
-        ensemble = Ensemble(first, self._belief.ensemble.columns)
-        return _moved(
-            self._belief, Ensemble.of(np.array([first, *others])) if others else ensemble
-        )
+        replicas = np.array([motion.state(s) for motion in self._motions])
+        return _moved(self._belief, Ensemble.of(replicas))
 
 
 class _Together(Course):
