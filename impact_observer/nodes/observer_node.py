@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from impact_observer.bag import interfaces
 from impact_observer.bag.interfaces import Quality
-from impact_observer.bag.messages import EventMessage, JointState, MessageError, read_event
+from impact_observer.bag.messages import MessageError
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
 from impact_observer.model import read_model
@@ -24,14 +24,19 @@ from impact_observer.model.parameters import with_unit
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
+from impact_observer.nodes.serialized import Serialized, read_impact
+from impact_observer.nodes.subscribing import waiting
 from impact_observer.observer import SURPRISING, Options, initial_state
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
 
 _BACKLOG = 20
-"""Estimates made up for at once when the node was late; older ones are passed over."""
+"""Estimates made up for when simulated time has jumped; older ones are passed over."""
 _BURST = 8
-"""Estimates that fit into the history of their topics, of 10, before somebody must hear them."""
+"""The same when the node was late: to make up for more would make it later. So many fit into the
+history of their topics, of 10, before somebody must hear them."""
+_AT_ONCE = 100
+"""Events taken one after the other before estimates have their turn."""
 _PATIENCE = Duration(seconds=0.01)
 """How long a burst waits to be heard."""
 _STALE = 60 * NS_PER_S
@@ -74,7 +79,7 @@ class ObserverNode(Node):
             estimate_parameters=values.texts("estimate_parameters"),
             parameter_drift=values.number("parameter_drift"),
         ).observer(system, model.elements)
-        self._names = system.coordinates
+        self._serialized = Serialized(system.coordinates)
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
         self._future = from_seconds(values.number("future"))
@@ -93,12 +98,13 @@ class ObserverNode(Node):
         self._forget()
         durability = values.text("events_durability")
         events = Quality(transient_local=durability == "transient_local", depth=2000)
-        self.create_subscription(
+        self._impacts = self.create_subscription(
             message_class(interfaces.IMPACTS.type),
             "impacts",
-            self._on_event,
+            self._on_events,
             qos_profile(events),
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_mismatch),
+            raw=True,
         )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetState, "~/set_state", self._on_set_state)
@@ -127,10 +133,17 @@ class ObserverNode(Node):
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
-    def _on_event(self, message: EventMessage) -> None:
+    def _on_events(self, *messages: bytes) -> None:
+        """Apply what has come, and what has come behind it meanwhile."""
+        for message in messages:
+            self._on_event(message)
+        for message, _ in waiting(self._impacts, _AT_ONCE, raw=True):
+            self._on_event(message)
+
+    def _on_event(self, message: bytes) -> None:
         """Apply an event and say what became of it."""
         try:
-            event = read_event(message)
+            event = read_impact(message)
         except MessageError as error:
             self._counts["invalid"] += 1
             self.get_logger().error(f"impacts: {error}")
@@ -144,16 +157,16 @@ class ObserverNode(Node):
             )
         latency = max(seconds_between(event.stamp, self._now()), 0.0)
         late = event.stamp <= self._last_stamp
-        for verdict in self._beside_lag(verdicts) if late else verdicts:
-            self._counts[verdict.ruling.name.lower()] += not verdict.revises
-            self._counts["surprising"] += verdict.innovation > SURPRISING
-            self._log(verdict)
-            self._verdicts.publish(self._make.verdict(verdict, latency))
         if any(verdict.ruling is Ruling.APPLIED for verdict in verdicts):
             self._latency = max(self._latency, latency)
             if late:
                 self._counts["corrected"] += 1
                 self._publish(self._last_stamp)
+        for verdict in self._beside_lag(verdicts) if late else verdicts:
+            self._counts[verdict.ruling.name.lower()] += not verdict.revises
+            self._counts["surprising"] += verdict.innovation > SURPRISING
+            self._log(verdict)
+            self._verdicts.publish(self._make.verdict(verdict, latency))
 
     def _log(self, verdict: Verdict) -> None:
         """Tell what is not as usual."""
@@ -193,7 +206,8 @@ class ObserverNode(Node):
             return
         epoch = self._observer.epoch or start
         newest = int(seconds_between(epoch, now) * self._rate) + 1
-        first = max(self._last_sample + 1, newest - _BACKLOG)
+        simulated = self.get_clock().ros_time_is_active
+        first = max(self._last_sample + 1, newest - (_BACKLOG if simulated else _BURST))
         due = [*range(first, newest + 1)]
         # Where it began is told in any case: what is said of V is relative to that.
         beginning = math.ceil(seconds_between(epoch, start) * self._rate)
@@ -211,18 +225,19 @@ class ObserverNode(Node):
             else:
                 self._last_stamp = stamp
                 self._publish(stamp)
-            if (k - first) % _BURST == _BURST - 1:
+            if simulated and (k - first) % _BURST == _BURST - 1:
                 self._states.wait_for_all_acked(_PATIENCE)
                 self._joint_states.wait_for_all_acked(_PATIENCE)
+        self._on_events()  # not one turn of the executor later
 
     def _publish(self, stamp: int) -> None:
         estimate = self._observer.estimate(stamp)
+        state, joints = self._serialized.of(estimate)
+        self._states.publish(state)
+        self._joint_states.publish(joints)
         if estimate.bound != (-1.0 if self._last is None else self._last.bound):
             self._bounds.publish(self._make.bound(estimate))
         self._last = estimate
-        self._states.publish(self._make.estimate(estimate, self._names))
-        state = JointState(stamp, self._names, estimate.q, estimate.u)
-        self._joint_states.publish(self._make.joint_state(state))
 
     def _on_clock_back(self, _: TimeJump) -> None:
         """The clock jumped back (a bag loop, say): begin again."""

@@ -58,13 +58,17 @@ def _follow(process: str | None) -> None:
 
 def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str] | None) -> None:
     import rclpy
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import ExternalShutdownException
 
+    from impact_observer.nodes.executor import DirectExecutor
+
+    # Before numpy is imported: threads for small matrices only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     make = getattr(import_module(module), node_class)
     node = executor = None
     try:
         node = _started(make, args)
-        executor = SingleThreadedExecutor()
+        executor = DirectExecutor()
         executor.add_node(node)
         while rclpy.ok() and not stop.requested and not getattr(node, "done", False):
             executor.spin_once(timeout_sec=_PATIENCE)

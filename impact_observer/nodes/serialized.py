@@ -1,0 +1,238 @@
+"""What an observer node hears and says, as bytes: without message objects.
+
+At a kilohertz, to make message objects, to look at each field and to convert them takes longer
+than the estimate itself. The bytes of two estimates of one shape (OMG CDR, little endian) differ
+in numbers only, whose places are found once. Subscribers cannot tell the difference. What is not
+as usual goes the usual way.
+"""
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from struct import Struct
+from struct import error as StructError  # noqa: N812 (its own name says nothing)
+from typing import TypeAlias, cast
+
+import numpy as np
+from rclpy.serialization import deserialize_message, serialize_message
+
+from impact_observer.bag.interfaces import IMPACT_EVENT
+from impact_observer.bag.messages import EventMessage, JointState, read_event
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.nodes.messages import message_class, ros_messages
+from impact_observer.stamps import MAX_STAMP, NS_PER_S
+from impact_observer.states import Estimate, Vector
+
+_START = b"\x00\x01\x00\x00"
+"""The header of a serialized message, little endian; places are aligned from behind it."""
+_FLOAT = 8
+"""Bytes of a ``float64``."""
+_MOST_FORMS = 64
+"""Shapes that are kept: closed contacts come and go."""
+_TIME = Struct("<iI")
+_HEADER = Struct("<iII")
+"""Of an event: its stamp and the length of its frame."""
+_EVENT = Struct("<QIiII")
+"""Number, episode, epoch, how many switches."""
+_LENGTH = Struct("<I")
+_KINDS = {int(kind): kind for kind in Kind}
+_SURROUNDINGS = Struct("<d?7xdQiI")
+"""Convergence, synchronized, offset of the clock, number and stamp of the last event."""
+
+
+_Shape: TypeAlias = tuple[str, tuple[str, ...], int, tuple[str, ...]]
+"""Law, closed contacts, numbers of the covariance, names of what is learnt."""
+
+
+class _Form:
+    """A message with zeros for its numbers, and where these lie, made from its start on."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(_START)
+
+    def numbers(self, size: int, count: int) -> int:
+        """Leave space for ``count`` numbers of ``size`` bytes; where it begins."""
+        if count:
+            self._align(size)
+        begin = len(self.data)
+        self.data += bytes(size * count)
+        return begin
+
+    def floats(self, count: int) -> int:
+        """Leave space for a sequence of ``float64``; where its numbers begin."""
+        self._length(count)
+        return self.numbers(_FLOAT, count)
+
+    def string(self, text: str) -> None:
+        """A text, and the zero at its end."""
+        data = text.encode() + b"\x00"
+        self._length(len(data))
+        self.data += data
+
+    def strings(self, texts: Sequence[str]) -> None:
+        """A sequence of texts."""
+        self._length(len(texts))
+        for text in texts:
+            self.string(text)
+
+    def _length(self, count: int) -> None:
+        self._align(4)
+        self.data += count.to_bytes(4, "little")
+
+    def _align(self, size: int) -> None:
+        self.data += bytes((len(_START) - len(self.data)) % size)
+
+
+class _JointStateForm:
+    """Of ``sensor_msgs/JointState`` without efforts."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        form = _Form()
+        self._stamp = form.numbers(4, 2)
+        form.string("")
+        form.strings(names)
+        self._q, self._u = form.floats(len(names)), form.floats(len(names))
+        form.floats(0)
+        self._data = form.data
+
+    def packed(self, estimate: Estimate) -> bytes:
+        """The message with the numbers of an estimate of this shape."""
+        data = self._data
+        _TIME.pack_into(data, self._stamp, *divmod(estimate.stamp, NS_PER_S))
+        _put(data, self._q, estimate.q)
+        _put(data, self._u, estimate.u)
+        return bytes(data)
+
+
+class _EstimateForm:
+    """Of ``impact_observer_msgs/ObserverState``, for estimates of one shape."""
+
+    def __init__(self, shape: _Shape, names: tuple[str, ...]) -> None:
+        law, closed, entries, learnt = shape
+        form = _Form()
+        self._stamp = form.numbers(4, 2)
+        for text in ("", law):
+            form.string(text)
+        form.strings(names)
+        self._q, self._u = form.floats(len(names)), form.floats(len(names))
+        self._covariance = form.floats(entries)
+        form.strings(closed)
+        self._surroundings = form.numbers(_FLOAT, _SURROUNDINGS.size // _FLOAT)
+        form.strings(learnt)
+        self._learnt, self._deviations = form.floats(len(learnt)), form.floats(len(learnt))
+        self._data = form.data
+
+    def packed(self, estimate: Estimate) -> bytes:
+        """The message with the numbers of an estimate of this shape."""
+        data = self._data
+        _TIME.pack_into(data, self._stamp, *divmod(estimate.stamp, NS_PER_S))
+        _put(data, self._q, estimate.q)
+        _put(data, self._u, estimate.u)
+        if estimate.covariance.size:
+            _put(data, self._covariance, estimate.covariance)
+        _SURROUNDINGS.pack_into(
+            data,
+            self._surroundings,
+            estimate.convergence,
+            estimate.synchronized,
+            estimate.clock_offset,
+            estimate.last_sequence,
+            *divmod(estimate.last_event, NS_PER_S),
+        )
+        if estimate.learnt:
+            _, values, deviations = zip(*estimate.learnt, strict=True)
+            _put(data, self._learnt, np.array(values))
+            _put(data, self._deviations, np.array(deviations))
+        return bytes(data)
+
+
+def read_impact(data: bytes) -> ImpactEvent:
+    """The event in a serialized ``impact_observer_msgs/ImpactEvent``.
+
+    Raises:
+        MessageError: as :func:`~impact_observer.bag.messages.read_event`.
+    """
+    try:
+        event = _read_impact(data)
+    except (StructError, LookupError, ValueError):
+        event = None
+    if event is not None:
+        return event
+    message = deserialize_message(data, message_class(IMPACT_EVENT))
+    return read_event(cast("EventMessage", message))
+
+
+def _read_impact(data: bytes) -> ImpactEvent | None:
+    """The same; None where it is not as usual.
+
+    Raises:
+        StructError, LookupError, ValueError: likewise.
+    """
+    seconds, nanoseconds, length = _HEADER.unpack_from(data, len(_START))
+    at = len(_START) + _HEADER.size + length
+    at += (len(_START) - at) % 8
+    sequence, episode, since, and_nanoseconds, count = _EVENT.unpack_from(data, at)
+    at += _EVENT.size
+    switches: list[Switch] = []
+    for _ in range(count):
+        at += -at % 4
+        (length,) = _LENGTH.unpack_from(data, at)
+        end = at + _LENGTH.size + length
+        switches.append(Switch(data[at + _LENGTH.size : end - 1].decode(), _KINDS[data[end]]))
+        at = end + 1
+    stamp, epoch = seconds * NS_PER_S + nanoseconds, since * NS_PER_S + and_nanoseconds
+    known = data.startswith(_START[:2]) and max(nanoseconds, and_nanoseconds) < NS_PER_S
+    if not (known and 0 < stamp <= MAX_STAMP and 0 <= epoch <= MAX_STAMP):
+        return None
+    return ImpactEvent(stamp, tuple(switches), sequence, episode, epoch)
+
+
+class Serialized:
+    """Makes the messages of estimates of one system."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        """Begin.
+
+        Args:
+            names: of the coordinates, n of them.
+        """
+        self._names = names
+        self._joints = _JointStateForm(names)
+        self._forms = lru_cache(maxsize=_MOST_FORMS)(lambda shape: _EstimateForm(shape, names))
+
+    def of(self, estimate: Estimate) -> tuple[bytes, bytes]:
+        """An estimate as ``impact_observer_msgs/ObserverState`` and ``sensor_msgs/JointState``.
+
+        Raises:
+            MessageError: as :class:`~impact_observer.bag.messages.Messages`.
+        """
+        if not _is_plain(estimate, len(self._names)):
+            state = JointState(estimate.stamp, self._names, estimate.q, estimate.u)
+            make = ros_messages()
+            both = make.estimate(estimate, self._names), make.joint_state(state)
+            return serialize_message(both[0]), serialize_message(both[1])
+        learnt = tuple([name for name, _, _ in estimate.learnt])
+        form = self._forms((estimate.law, estimate.closed, estimate.covariance.size, learnt))
+        return form.packed(estimate), self._joints.packed(estimate)
+
+
+def _is_plain(estimate: Estimate, n: int) -> bool:
+    """Whether there is nothing in it that would be refused."""
+    scalars = [estimate.convergence, estimate.clock_offset]
+    scalars += [number for _, *two in estimate.learnt for number in two]
+    return (
+        0 < estimate.stamp <= MAX_STAMP
+        and 0 <= estimate.last_event <= MAX_STAMP
+        and 0 <= estimate.last_sequence < 2**64
+        and estimate.q.size == estimate.u.size == n
+        and estimate.covariance.size in {0, 4 * n * n}
+        and all(map(math.isfinite, scalars))
+        and bool(np.isfinite(estimate.q).all() and np.isfinite(estimate.u).all())
+        and bool(np.isfinite(estimate.covariance).all())
+    )
+
+
+def _put(data: bytearray, begin: int, values: Vector) -> None:
+    """Write numbers where they belong."""
+    raw = values.astype("<f8", copy=False).tobytes()
+    data[begin : begin + len(raw)] = raw
