@@ -2,29 +2,41 @@
 
 import argparse
 import json
-import platform
 import sys
-from collections.abc import Sequence
-from dataclasses import asdict
-from importlib.metadata import PackageNotFoundError, version
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
-from benchmarks import compare_bag, observe_bag, plant_run
+from benchmarks import (
+    bulk_bag,
+    compare_bag,
+    ensemble,
+    events,
+    growth,
+    observe_bag,
+    plant_run,
+    report,
+    start,
+    topic,
+)
 from benchmarks.fast_bags import SECONDS
 from benchmarks.harness import Benchmark, DisagreementError, Result, measure
-
-PACKAGES = ("impact_observer", "numpy", "scipy", "rosbags")
 
 
 def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
     """All there are; ``seconds`` is the length of bags to observe and to compare."""
     return (
         plant_run.BENCHMARK,
+        topic.BENCHMARK,
         *observe_bag.benchmarks(seconds),
+        bulk_bag.BENCHMARK,
         compare_bag.benchmark(seconds),
+        ensemble.BENCHMARK,
+        *events.benchmarks(),
+        growth.BENCHMARK,
+        start.BENCHMARK,
     )
 
 
@@ -34,11 +46,35 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         0; 1 when contestants disagree, so that there is nothing to compare; 2 for wrong use.
     """
+    given = arguments(args)
+    if given.list:
+        for each in benchmarks(SECONDS):
+            print(f"{each.name:24} {each.question}")
+        return 0
+    chosen = [each for each in benchmarks(given.seconds) if each.name in given.names]
+    try:
+        told = measured(chosen, given.rounds)
+    except DisagreementError as error:
+        print(f"benchmarks: results disagree: {error}", file=sys.stderr)
+        return 1
+    if given.json:
+        given.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+    console = Console(width=max(Console().width, 100))
+    console.print(report.table(told))
+    for found in told["benchmarks"]:
+        console.print(f"{found['name']}: {found['work']}", highlight=False)
+    for name, reason in told["skipped"].items():
+        console.print(f"{name}: skipped: {reason}", highlight=False)
+    return 0
+
+
+def arguments(args: Sequence[str] | None) -> argparse.Namespace:
+    """What is asked for, checked; ``names`` are those of all where none are given."""
     known = [each.name for each in benchmarks(SECONDS)]
     parser = argparse.ArgumentParser(prog="./dev bench", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these (default: all)")
     parser.add_argument("--list", action="store_true", help="say what there is, and end")
-    parser.add_argument("--rounds", type=int, default=7, metavar="N", help="turns (default 7)")
+    parser.add_argument("--rounds", type=int, metavar="N", help="turns (default: each its own)")
     parser.add_argument(
         "--seconds",
         type=float,
@@ -50,73 +86,32 @@ def main(args: Sequence[str] | None = None) -> int:
     given = parser.parse_args(args)
     if unknown := [name for name in given.names if name not in known]:
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(known)}")
-    if given.rounds < 1:
+    if given.rounds is not None and given.rounds < 1:
         parser.error(f"argument --rounds: {given.rounds}; expected 1 or more")
     if not 1 <= given.seconds <= 100_000:
         parser.error(f"argument --seconds: {given.seconds:g}; expected 1 to 100000")
     if given.json and not given.json.absolute().parent.is_dir():
         parser.error(f"argument --json: no folder {given.json.parent}; make it first")
-    console = Console()
-    if given.list:
-        for each in benchmarks(SECONDS):
-            console.print(f"{each.name:16} {each.question}", highlight=False)
-        return 0
-    chosen = [each for each in benchmarks(given.seconds) if each.name in (given.names or known)]
-    try:
-        with console.status("") as status:
-            results = [measure(each, given.rounds, status.update) for each in chosen]
-    except DisagreementError as error:
-        print(f"benchmarks: results disagree: {error}", file=sys.stderr)
-        return 1
-    console.print(_table(results))
-    for result in results:
-        console.print(f"{result.benchmark.name}: {result.work}", highlight=False)
-    if given.json:
-        given.json.write_text(json.dumps(_document(results), indent=2) + "\n", encoding="utf-8")
-    return 0
+    given.names = given.names or known
+    return given
 
 
-def _table(results: Sequence[Result]) -> Table:
-    """One row a peer."""
-    table = Table(caption="ratio: the peer's time over ours, above 1 we are faster; medians")
-    for heading in ("benchmark", "peer"):
-        table.add_column(heading)
-    for heading in ("ours [ms]", "peer [ms]", "ratio", "lowest to highest"):
-        table.add_column(heading, justify="right")
-    for result in results:
-        name, ours = result.benchmark.name, f"{1e3 * result.median('ours'):.2f}"
-        for peer, ratio in result.ratios.items():
-            spread = f"{ratio.low:.3g} to {ratio.high:.3g}"
-            theirs = f"{1e3 * result.median(peer):.2f}"
-            table.add_row(name, peer, ours, theirs, f"{ratio.median:.3g}", spread)
-        for peer, reason in result.absent.items():
-            table.add_row(name, peer, ours, "", "", f"skipped: {reason}")
-    return table
+def measured(chosen: Iterable[Benchmark], rounds: int | None) -> dict[str, Any]:
+    """The document of what is chosen.
 
-
-def _document(results: Sequence[Result]) -> dict[str, object]:
-    """Everything measured, and with what; nothing that names the machine."""
-    return {
-        "versions": {"python": platform.python_version()} | {p: _version(p) for p in PACKAGES},
-        "benchmarks": [
-            {
-                "name": result.benchmark.name,
-                "question": result.benchmark.question,
-                "work": result.work,
-                "seconds": result.seconds,
-                "ratios": {peer: asdict(ratio) for peer, ratio in result.ratios.items()},
-                "skipped": result.absent,
-            }
-            for result in results
-        ],
-    }
-
-
-def _version(package: str) -> str | None:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
+    Raises:
+        DisagreementError: the contestants of one of them differ.
+    """
+    results: list[Result] = []
+    skipped: dict[str, str] = {}
+    with Console(stderr=True).status("") as status:
+        for each in chosen:
+            result = measure(each, rounds, status.update)
+            if isinstance(result, str):
+                skipped[each.name] = result
+            else:
+                results.append(result)
+    return report.document(results, skipped)
 
 
 if __name__ == "__main__":

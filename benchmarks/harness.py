@@ -7,14 +7,23 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
+Figures: TypeAlias = Mapping[str, float]
+"""What was measured, by name."""
 Job: TypeAlias = Callable[[Path], object]
 """Does the work once; gets an empty folder, which is gone afterwards."""
+TIME = "time"
+"""How long a job takes, s: the figure of those that measure nothing themselves."""
+OURS = "ours"
 
 
 class DisagreementError(Exception):
     """The contestants did not do the same work: there is nothing to compare."""
+
+
+class SkippedError(Exception):
+    """A benchmark lacks something here; the message says what."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +35,30 @@ class Contest:
         ours: the package.
         peers: the others, by name.
         absent: why a peer cannot take part here, by name.
+        units: of the figures, by their names. Jobs with any other figure than ``TIME`` return all
+            of them.
     """
 
     work: str
     ours: Job
-    peers: Mapping[str, Job]
+    peers: Mapping[str, Job] = field(default_factory=dict)
     absent: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=lambda: {TIME: "s"})
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """What a figure should come down to.
+
+    Attributes:
+        most: the largest value that is good enough.
+        peer: over whose figure; empty where it is ours that counts, in its unit.
+        figure: its name.
+    """
+
+    most: float
+    peer: str = ""
+    figure: str = TIME
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +69,20 @@ class Benchmark:
         name: how it is selected.
         question: what its ratios answer, one line.
         prepare: makes the data in a folder and checks that the results agree.
+        goals: what they should come down to.
+        rounds: how many turns it takes, unless told otherwise.
     """
 
     name: str
     question: str
     prepare: Callable[[Path], Contest]
+    goals: tuple[Goal, ...] = ()
+    rounds: int = 7
 
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """A peer's time over ours: above 1 we are faster.
+    """Our figure over a peer's: below 1 we are faster.
 
     Attributes:
         median: over the rounds.
@@ -70,67 +101,72 @@ class Result:
 
     Attributes:
         benchmark: which one.
-        work: as in :class:`Contest`.
-        seconds: each round's time by contestant, s; ours is called ``ours``.
-        absent: as in :class:`Contest`.
+        contest: its contestants.
+        figures: what each round gave, by contestant and figure; ours is called ``OURS``.
     """
 
     benchmark: Benchmark
-    work: str
-    seconds: Mapping[str, list[float]]
-    absent: Mapping[str, str]
+    contest: Contest
+    figures: Mapping[str, Mapping[str, list[float]]]
 
-    @property
-    def ratios(self) -> dict[str, Ratio]:
-        """Of each peer; times of the same round are divided, so that a slow spell cancels."""
-        return {
-            name: _ratio(times, self.seconds["ours"])
-            for name, times in self.seconds.items()
-            if name != "ours"
-        }
+    def ratio(self, peer: str, figure: str) -> Ratio:
+        """Those of the same round are divided, so that a slow spell cancels."""
+        ours, theirs = self.figures[OURS][figure], self.figures[peer][figure]
+        return _spread([a / b for a, b in zip(ours, theirs, strict=True)])
 
-    def median(self, name: str) -> float:
-        """The median time of a contestant, s."""
-        return statistics.median(self.seconds[name])
+    def own(self, figure: str) -> Ratio:
+        """Ours as it is."""
+        return _spread(self.figures[OURS][figure])
 
 
-def measure(benchmark: Benchmark, rounds: int, show: Callable[[str], None]) -> Result:
+def measure(benchmark: Benchmark, rounds: int | None, show: Callable[[str], None]) -> Result | str:
     """Prepare a benchmark and let its contestants take turns.
 
     Args:
         benchmark: what to measure.
-        rounds: turns of each; the order rotates.
+        rounds: turns of each, the order rotates; None for what the benchmark wants.
         show: told what is being done.
+
+    Returns:
+        What was measured, or why nothing can be measured here.
 
     Raises:
         DisagreementError: the contestants' results differ.
     """
+    turns = rounds or benchmark.rounds
     with tempfile.TemporaryDirectory(prefix="impact_observer_") as folder:
         show(f"{benchmark.name}: preparing")
-        contest = benchmark.prepare(Path(folder))
-        jobs = {"ours": contest.ours, **contest.peers}
-        seconds: dict[str, list[float]] = {name: [] for name in jobs}
+        try:
+            contest = benchmark.prepare(Path(folder))
+        except SkippedError as reason:
+            return str(reason)
+        jobs = {OURS: contest.ours, **contest.peers}
+        found: dict[str, dict[str, list[float]]] = {
+            name: {figure: [] for figure in contest.units} for name in jobs
+        }
         names = list(jobs)
-        for k in range(rounds):
+        for k in range(turns):
             for name in names[k % len(names) :] + names[: k % len(names)]:
-                show(f"{benchmark.name}: round {k + 1} of {rounds}, {name}")
-                seconds[name].append(_timed(jobs[name], Path(folder)))
-    return Result(benchmark, contest.work, seconds, contest.absent)
+                show(f"{benchmark.name}: round {k + 1} of {turns}, {name}")
+                measured = _measured(jobs[name], Path(folder), timed=TIME in contest.units)
+                for figure, values in found[name].items():
+                    values.append(measured[figure])
+    return Result(benchmark, contest, found)
 
 
-def _timed(job: Job, folder: Path) -> float:
-    """How long ``job`` takes, s: with garbage collected before, not during."""
+def _measured(job: Job, folder: Path, *, timed: bool) -> Figures:
+    """What ``job`` says, or how long it takes, s: with garbage collected before, not during."""
     with tempfile.TemporaryDirectory(dir=folder) as place:
         gc.collect()
         gc.disable()
         try:
             begin = time.perf_counter()
-            job(Path(place))
-            return time.perf_counter() - begin
+            said = job(Path(place))
+            taken = time.perf_counter() - begin
         finally:
             gc.enable()
+    return {TIME: taken} if timed else cast("Figures", said)
 
 
-def _ratio(theirs: list[float], ours: list[float]) -> Ratio:
-    each = [a / b for a, b in zip(theirs, ours, strict=True)]
-    return Ratio(statistics.median(each), min(each), max(each))
+def _spread(values: list[float]) -> Ratio:
+    return Ratio(statistics.median(values), min(values), max(values))

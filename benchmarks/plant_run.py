@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from benchmarks import siconos_peer
-from benchmarks.harness import Benchmark, Contest, DisagreementError
+from benchmarks.harness import Benchmark, Contest, DisagreementError, Goal
 from impact_observer.model import Model, System, read_model
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import from_seconds, grid, seconds_between
@@ -160,4 +160,9 @@ def _reflection(system: System) -> Array:
     return R
 
 
-BENCHMARK = Benchmark("plant", "how fast is a plant's run, with its impacts?", prepare)
+BENCHMARK = Benchmark(
+    "plant",
+    "how fast is a plant's run, with its impacts?",
+    prepare,
+    (Goal(0.25, "Siconos, C++"),),
+)

@@ -1,0 +1,111 @@
+"""What plays the sensor and listens, in the process of the benchmark."""
+
+import random
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from impact_observer_msgs.msg import ImpactEvent, ObserverState
+from rclpy.context import Context
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from benchmarks.harness import DisagreementError
+from impact_observer.bag.interfaces import EVENTS, STATES
+from impact_observer.events import ImpactEvent as Event
+from impact_observer.events import Switch
+from impact_observer.nodes.executor import DirectExecutor
+from impact_observer.nodes.messages import ros_messages
+from impact_observer.nodes.quality import qos_profile
+from impact_observer.stamps import NS_PER_S
+
+PATIENCE = 10.0
+"""How long an answer may take, s."""
+WARM = 1.0
+"""So long estimates are published before the first event that counts, s."""
+PAUSES = (0.005, 0.015)
+"""Between an answer and the next event, s."""
+
+
+class Driver:
+    """Publishes events and waits for the estimates that contain them."""
+
+    def __init__(self, context: Context, late: int) -> None:
+        """Join a domain.
+
+        Args:
+            context: of ROS.
+            late: how long ago the instants of events are when they are published, ns.
+        """
+        self._node = Node("driver", context=context)
+        # The joint states have a subscriber too, which nobody asks for what it has heard.
+        self._beside = Node("beside", context=context)
+        self._late = late
+        self._executor = DirectExecutor(context=context)
+        self._executor.add_node(self._node)
+        self._impacts = self._node.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
+        state, joints = "observer/state", "observer/joint_states"
+        self._node.create_subscription(ObserverState, state, self._hear, qos_profile(STATES))
+        self._beside.create_subscription(JointState, joints, print, qos_profile(STATES))
+        self._make = ros_messages()
+        self._pauses = random.Random(1)
+        self._epoch = time.time_ns() - NS_PER_S
+        self._sent = self._heard = 0
+        self._arrived = 0.0
+
+    def meet(self) -> None:
+        """Wait for the other side, and until it has been publishing for a while."""
+        self._until(self._impacts.get_subscription_count)
+        self.trip()
+        self._spin(WARM)
+
+    def trip(self) -> float:
+        """How long one event takes to come back in an estimate, s."""
+        self._spin(self._pauses.uniform(*PAUSES))
+        self._sent += 1
+        stamp = time.time_ns() - self._late
+        event = Event(stamp, (Switch("stop"),), self._sent, epoch=self._epoch)
+        message = self._make.event(event)
+        begin = time.perf_counter()
+        self._impacts.publish(message)
+        self._until(lambda: self._heard >= self._sent)
+        return self._arrived - begin
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._executor.shutdown()
+        for node in (self._node, self._beside):
+            node.destroy_node()
+
+    def _hear(self, message: ObserverState) -> None:
+        if message.last_sequence > self._heard:
+            self._arrived = time.perf_counter()
+            self._heard = message.last_sequence
+
+    def _spin(self, seconds: float) -> None:
+        end = time.perf_counter() + seconds
+        while (left := end - time.perf_counter()) > 0:
+            self._executor.spin_once(left)
+
+    def _until(self, condition: Callable[[], object]) -> None:
+        end = time.perf_counter() + PATIENCE
+        while not condition():
+            if time.perf_counter() > end:
+                raise DisagreementError(f"no answer to event {self._sent} in {PATIENCE:g} s")
+            self._executor.spin_once(0.05)
+
+
+@contextmanager
+def driving(late: int) -> Iterator[Driver]:
+    """A driver that has met the other side, in the domain that the environment says."""
+    context = Context()
+    context.init(args=[])
+    try:
+        driver = Driver(context, late)
+        try:
+            driver.meet()
+            yield driver
+        finally:
+            driver.close()
+    finally:
+        context.try_shutdown()

@@ -1,0 +1,55 @@
+"""An event of very many replicas against one product of matrices of their size."""
+
+import statistics
+import time
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import Benchmark, Contest, DisagreementError, Figures, Goal
+from benchmarks.impacts import EPOCH, each_received, impacts
+from impact_observer.model import read_model
+from impact_observer.observer import Options
+
+REPLICAS = 100_000
+SECONDS = 300.0
+TURN = 5
+"""Events, or products, of which the median is taken."""
+EVENT = "event"
+PEER = "one product"
+
+
+def prepare(_: Path) -> Contest:
+    """An ensemble that goes on from event to event, round after round."""
+    system = read_model("three_mass").system
+    observer = Options(ensemble=REPLICAS, epoch=EPOCH, history=1.0).observer(system)
+    alone = Options(ensemble=1, epoch=EPOCH).observer(system)
+    told = iter(impacts("three_mass", SECONDS))
+    for event in islice(told, TURN):
+        for each in (observer, alone):
+            each.receive(event)
+        many, one = (each.estimate(event.stamp) for each in (observer, alone))
+        if not np.allclose(many.q, one.q, rtol=0, atol=1e-12):
+            raise DisagreementError("the estimate depends on the other replicas")
+    x, phi = np.ones((REPLICAS, 2 * system.n)), np.eye(2 * system.n)
+
+    def ours(_: Path) -> Figures:
+        return {EVENT: statistics.median(each_received(observer, islice(told, TURN)))}
+
+    def product(_: Path) -> Figures:
+        taken: list[float] = []
+        while len(taken) < TURN:
+            begin = time.perf_counter()
+            x @ phi
+            taken.append(time.perf_counter() - begin)
+        return {EVENT: statistics.median(taken)}
+
+    n = 2 * system.n
+    work = f"three_mass, {REPLICAS} replicas, motion and impact; ({REPLICAS}, {n}) @ ({n}, {n})"
+    return Contest(work, ours, {PEER: product}, units={EVENT: "s"})
+
+
+BENCHMARK = Benchmark(
+    "ensemble", "what do very many replicas cost?", prepare, (Goal(3.0, PEER, EVENT),)
+)

@@ -1,0 +1,102 @@
+"""What an event costs an observer: the next one, one that is late, and one with a long past."""
+
+import statistics
+from functools import partial
+from pathlib import Path
+
+from benchmarks.harness import Benchmark, Contest, DisagreementError, Figures, Goal
+from benchmarks.impacts import each_received, impacts
+from impact_observer.model import read_model
+from impact_observer.observer import Observer, Options
+
+SECONDS = 600.0
+"""Of two_mass, which hits three times in four seconds."""
+DEEP = 100
+"""Events that come after the late one."""
+FIRST = 20
+"""Events before anything is measured."""
+FOREVER = 1e6
+"""A history in which nothing is forgotten, s."""
+EVENT = "event"
+
+
+def _observer(law: str = "geometric", history: float = FOREVER) -> Observer:
+    return Options(law=law, history=history).observer(read_model("two_mass").system)
+
+
+def prepare(_: Path, law: str) -> Contest:
+    """An observer with ten replicas that believes its sensor, and every event in order."""
+    events = impacts("two_mass", SECONDS)
+
+    def ours(_: Path) -> Figures:
+        believing = Options(law=law, missed=0.0, invented=0.0, mislabelled=0.0)
+        observer = believing.observer(read_model("two_mass").system)
+        return {EVENT: statistics.median(each_received(observer, events)[FIRST:])}
+
+    work = (
+        f"two_mass, n = 2, ten replicas, no event in doubt, median of {len(events) - FIRST} events"
+    )
+    return Contest(work, ours, units={EVENT: "s"})
+
+
+def prepare_late(_: Path) -> Contest:
+    """An event in its place among others that came before it, or the others in order."""
+    events = impacts("two_mass", SECONDS)[: FIRST + DEEP + 1]
+    late, last = events[FIRST], events[-1].stamp
+    before, after = events[:FIRST], events[FIRST + 1 :]
+    ordered, disordered = _observer(), _observer()
+    each_received(ordered, events)
+    each_received(disordered, (*before, *after, late))
+    if ordered.estimate(last).q.tobytes() != disordered.estimate(last).q.tobytes():
+        raise DisagreementError("an event that is late is not what it would have been in time")
+
+    def ours(_: Path) -> Figures:
+        observer = _observer()
+        each_received(observer, (*before, *after))
+        return {EVENT: sum(each_received(observer, [late]))}
+
+    def in_order(_: Path) -> Figures:
+        observer = _observer()
+        each_received(observer, (*before, late))
+        return {EVENT: sum(each_received(observer, after))}
+
+    work = f"two_mass, one event {DEEP} events deep, or {DEEP} events in order: the same bits"
+    return Contest(work, ours, {f"{DEEP} in order": in_order}, units={EVENT: "s"})
+
+
+def prepare_long(_: Path) -> Contest:
+    """Events in order, with all of the past or with the last seconds of it."""
+    events = impacts("two_mass", SECONDS)
+
+    def median(_: Path, history: float) -> Figures:
+        observer = _observer(history=history)
+        return {EVENT: statistics.median(each_received(observer, events)[-DEEP:])}
+
+    work = f"two_mass, median of the last {DEEP} of {len(events)} events in order"
+    ours, short = partial(median, history=FOREVER), partial(median, history=10.0)
+    return Contest(work, ours, {"10 s kept": short}, units={EVENT: "s"})
+
+
+def benchmarks() -> tuple[Benchmark, ...]:
+    """With the laws that most will choose between."""
+    goals = {"geometric": 40e-6, "minimum-variance": 80e-6}
+    nexts = [
+        Benchmark(
+            f"event_{law}".replace("-", "_"),
+            "what does an event cost?",
+            partial(prepare, law=law),
+            (Goal(most, figure=EVENT),),
+        )
+        for law, most in goals.items()
+    ]
+    late = "is an event that is late dearer than those that it has others run again?"
+    long = "does an event in order cost more where one may be late by much?"
+    return (
+        *nexts,
+        Benchmark(
+            "event_late", late, prepare_late, (Goal(1.0, f"{DEEP} in order", EVENT),), rounds=15
+        ),
+        Benchmark(
+            "event_in_order", long, prepare_long, (Goal(1.05, "10 s kept", EVENT),), rounds=15
+        ),
+    )

@@ -1,0 +1,29 @@
+"""Impacts of the sample models, to be fed to observers without bags or ROS."""
+
+import time
+from collections.abc import Iterable
+
+from impact_observer.events import ImpactEvent
+from impact_observer.model import read_model
+from impact_observer.observer import Observer
+from impact_observer.plant import Plant, simulate
+from impact_observer.stamps import from_seconds, grid
+
+EPOCH = 1_000_000_000
+
+
+def impacts(name: str, seconds: float) -> tuple[ImpactEvent, ...]:
+    """What an ideal sensor tells of a sample's plant."""
+    model = read_model(name)
+    stamps = grid(EPOCH, EPOCH + from_seconds(seconds), 1 / seconds)
+    return simulate(Plant(model.system, *model.initial_state(), epoch=EPOCH), stamps).events
+
+
+def each_received(observer: Observer, events: Iterable[ImpactEvent]) -> list[float]:
+    """How long each event takes, s."""
+    taken: list[float] = []
+    for event in events:
+        begin = time.perf_counter()
+        observer.receive(event)
+        taken.append(time.perf_counter() - begin)
+    return taken

@@ -1,0 +1,189 @@
+"""What was measured, as a document, and the document as a table or as rows for the README.
+
+python -m benchmarks.report FILE     # of ./dev bench --json FILE, in Markdown
+"""
+
+import json
+import math
+import os
+import platform
+import statistics
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree as ET
+
+from rich import box
+from rich.table import Table
+
+from benchmarks.harness import OURS, Goal, Result
+
+PACKAGES = {
+    "impact_observer": (),
+    "numpy": (),
+    "scipy": (),
+    "rosbags": (),
+    "mcap": (),
+    "rclpy": ("ros-rclpy",),
+    "fastrtps": ("ros-fastrtps",),
+}
+"""What is used, and what it is called as a wheel."""
+_SICONOS = Path("/usr/include/siconos/SiconosConfig.h")
+_PREFIXES = {"s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))}
+
+
+class Row(NamedTuple):
+    """A line of the table."""
+
+    benchmark: str
+    ours: str
+    peer: str
+    theirs: str
+    ratio: str
+    spread: str
+    goal: str
+    met: str
+
+
+HEADINGS = Row("benchmark", "ours", "peer", "peer's", "ratio", "of the rounds", "goal", "met")
+
+CAPTION = (
+    "Medians of the rounds. Ratios are ours over the peer's in the same round: below 1 is"
+    " less.\nTables of their own: ./dev bench memory, of a node after 1e6 events; ./dev bench"
+    " sweep, how that scales."
+)
+
+
+def document(results: Sequence[Result], skipped: Mapping[str, str]) -> dict[str, Any]:
+    """Everything measured, and with what; nothing that names the machine.
+
+    Args:
+        results: of the benchmarks.
+        skipped: why others have none, by name.
+    """
+    return {
+        "versions": {"python": platform.python_version(), **_versions()},
+        "benchmarks": [
+            {
+                "name": result.benchmark.name,
+                "question": result.benchmark.question,
+                "work": result.contest.work,
+                "units": dict(result.contest.units),
+                "figures": result.figures,
+                "ratios": {
+                    peer: {f: asdict(result.ratio(peer, f)) for f in result.contest.units}
+                    for peer in result.contest.peers
+                },
+                "goals": [
+                    {**asdict(goal), **_reached(result, goal)} for goal in result.benchmark.goals
+                ],
+                "skipped": dict(result.contest.absent),
+            }
+            for result in results
+        ],
+        "skipped": dict(skipped),
+    }
+
+
+def _reached(result: Result, goal: Goal) -> dict[str, float | bool | None]:
+    """What became of a goal; nothing where its peer is absent."""
+    if goal.peer and goal.peer not in result.contest.peers:
+        return {"found": None, "met": None}
+    found = result.ratio(goal.peer, goal.figure) if goal.peer else result.own(goal.figure)
+    return {"found": found.median, "met": found.median <= goal.most}
+
+
+def rows(told: Mapping[str, Any]) -> Iterator[Row]:
+    """The table of a document: a row for each goal, and for each other peer and figure."""
+    for each in told["benchmarks"]:
+        left = {(peer, figure) for peer in each["ratios"] for figure in each["units"]}
+        left |= {(peer, next(iter(each["units"]))) for peer in each["skipped"]}
+        if not left:
+            left = {("", figure) for figure in each["units"]}
+        goals = {(goal["peer"], goal["figure"]): goal for goal in each["goals"]}
+        for peer, figure in sorted(left | goals.keys(), key=lambda two: (two[1], two[0])):
+            yield _row(each, peer, figure, goals.get((peer, figure)))
+
+
+def _row(each: Mapping[str, Any], peer: str, figure: str, goal: Mapping[str, Any] | None) -> Row:
+    unit, figures = each["units"][figure], each["figures"]
+    ours = figures[OURS][figure]
+    theirs = ratio = ""
+    spread = f"{shown(min(ours), unit)} to {shown(max(ours), unit)}"
+    if peer in each["skipped"]:
+        spread = f"skipped: {each['skipped'][peer]}"
+    elif peer:
+        theirs = shown(statistics.median(figures[peer][figure]), unit)
+        own = each["ratios"][peer][figure]
+        ratio, spread = f"{own['median']:.3g}", f"{own['low']:.3g} to {own['high']:.3g}"
+    limit = met = ""
+    if goal is not None:
+        limit = f"{goal['most']:g}" if peer else shown(goal["most"], unit)
+        met = {True: "yes", False: "no", None: ""}[goal["met"]]
+    median = shown(statistics.median(ours), unit)
+    wanted = f"<= {limit}" if limit else ""
+    name = each["name"] if len(each["units"]) == 1 else f"{each['name']}, {figure}"
+    return Row(name, median, peer, theirs, ratio, spread, wanted, met)
+
+
+def shown(value: float, unit: str) -> str:
+    """Three digits, with a prefix that suits."""
+    for scale, name in _PREFIXES.get(unit, ()):
+        if abs(value) >= 0.9995 * scale:
+            rounded = float(f"{value / scale:.3g}")
+            return f"{rounded:.{max(2 - math.floor(math.log10(abs(rounded))), 0)}f} {name}"
+    return f"{value:.3g} {unit}".rstrip()
+
+
+def table(told: Mapping[str, Any]) -> Table:
+    """For the terminal."""
+    made = Table(box=box.SIMPLE_HEAD, caption=CAPTION, caption_justify="left")
+    for heading in HEADINGS:
+        left = heading in {"benchmark", "peer", "met"}
+        whole = heading in {"benchmark", "ours", "peer's", "goal"}
+        made.add_column(heading, justify="left" if left else "right", no_wrap=whole)
+    for row in rows(told):
+        made.add_row(*row)
+    return made
+
+
+def markdown(told: Mapping[str, Any]) -> str:
+    """For the README."""
+    lines = [HEADINGS, ["---"] * len(HEADINGS), *rows(told)]
+    versions = ", ".join(f"{name} {found}" for name, found in told["versions"].items() if found)
+    return "\n".join([*(f"| {' | '.join(line)} |" for line in lines), "", f"With {versions}."])
+
+
+def _versions() -> dict[str, str | None]:
+    found = {name: _version(name, wheels) for name, wheels in PACKAGES.items()}
+    return {**found, "siconos": _siconos()}
+
+
+def _version(name: str, wheels: Sequence[str]) -> str | None:
+    """Of a Python package, or of one of ROS that has none."""
+    for each in (*wheels, name):
+        with suppress(PackageNotFoundError):
+            return version(each)
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        manifest = Path(prefix, "share", name, "package.xml")
+        if manifest.is_file():
+            return ET.parse(manifest).findtext("version")
+    return None
+
+
+def _siconos() -> str | None:
+    """As its header says."""
+    if not _SICONOS.is_file():
+        return None
+    for line in _SICONOS.read_text("utf-8", errors="replace").splitlines():
+        if "SICONOS_VERSION" in line and '"' in line:
+            return line.split('"')[1]
+    return None
+
+
+if __name__ == "__main__":
+    print(markdown(json.loads(Path(sys.argv[1]).read_text("utf-8"))))

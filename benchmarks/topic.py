@@ -1,0 +1,104 @@
+"""From an event on the topic to the corrected estimate on the topic, against an echo.
+
+What is measured is a round trip: from just before the driver publishes an event until its
+callback has the first estimate that contains it. Events are of an instant ``LATE`` ago, as a
+sensor's are that takes its time, so that estimates which should have contained them are out
+already and the observer must publish at once, not with the next of a kilohertz. The echo
+(``echo_node.py``) answers with the same messages, and knows nothing. Each round starts the process
+of either anew; the driver is the same, and so is what both are told.
+"""
+
+import fcntl
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import Benchmark, Contest, Figures, Goal, SkippedError
+
+RATE = 1000.0
+EVENTS = 400
+LATE = 2_000_000
+"""ns"""
+PATIENCE = 10.0
+"""How long a node may take to end, s."""
+ECHO = "echo in rclpy"
+_OURS = ("impact_observer.nodes.observer", "-p", "model:=two_mass", "-p", f"rate:={RATE}")
+_ECHO = ("benchmarks.echo_node", "-p", f"rate:={RATE}")
+
+
+def prepare(_: Path) -> Contest:
+    """Look whether ROS is here."""
+    for package in ("rclpy", "impact_observer_msgs"):
+        if find_spec(package) is None:
+            raise SkippedError(f"no {package} here: source Jazzy, or ./dev setup")
+
+    def measured(_: Path, command: tuple[str, ...]) -> Figures:
+        with take_domain(), _running(command):
+            return _figures()
+
+    return Contest(
+        f"two_mass, geometric, estimates at {RATE:g} Hz, {EVENTS} events {LATE / 1e6:g} ms late,"
+        " each round in a new process",
+        partial(measured, command=_OURS),
+        {ECHO: partial(measured, command=_ECHO)},
+        units={"p50": "s", "p99": "s"},
+    )
+
+
+@contextmanager
+def take_domain() -> Iterator[None]:
+    """Have a ROS domain that no test and no other benchmark of this machine has."""
+    for domain in range(1, 102):
+        path = Path(tempfile.gettempdir(), f"impact_observer_domain_{domain}.lock")
+        with path.open("w", encoding="utf-8") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            os.environ["ROS_DOMAIN_ID"] = str(domain)
+            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+            yield
+            return
+    raise SkippedError("all ROS domains are taken; remove impact_observer_domain_*.lock")
+
+
+@contextmanager
+def _running(command: tuple[str, ...]) -> Iterator[None]:
+    """A node as a process, with one thread for small matrices."""
+    module, *arguments = command
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, "--ros-args", *arguments, "--log-level", "error"],
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        stdin=subprocess.DEVNULL,
+    )
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(PATIENCE)
+
+
+def _figures() -> Figures:
+    """Send events to whoever is there, and take the quantiles of what the answers took, s."""
+    from benchmarks.driver import driving  # noqa: PLC0415 (only where ROS is)
+
+    with driving(LATE) as driver:
+        p50, p99 = np.quantile([driver.trip() for _ in range(EVENTS)], (0.5, 0.99))
+    return {"p50": float(p50), "p99": float(p99)}
+
+
+BENCHMARK = Benchmark(
+    "topic",
+    "what does observing cost beside talking?",
+    prepare,
+    (Goal(1.15, ECHO, "p50"), Goal(1.5, ECHO, "p99")),
+    rounds=10,
+)
