@@ -1,0 +1,40 @@
+"""Memory of an observer node: what it keeps does not grow with what it has heard."""
+
+import gc
+import tracemalloc
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+
+from benchmarks.memory import rig
+
+pytestmark = pytest.mark.ros
+
+SOME = 250
+"""Events, of which the node's history holds as many."""
+MOST = 20.0
+"""Bytes an event; a number that was kept would take more."""
+
+
+def held() -> int:
+    """Bytes that Python has in hand, without what nobody can reach any more."""
+    gc.collect()
+    return tracemalloc.get_traced_memory()[0]
+
+
+def test_memory_of_a_node_does_not_grow_with_its_events(ros_environment: dict[str, str]) -> None:
+    """What Python has in hand after some events is as much after three times as many."""
+    assert ros_environment
+    tracemalloc.start()
+    try:
+        with rig() as made:
+            made.send(2 * SOME)
+            before = held()
+            made.send(4 * SOME)
+            after = held()
+    finally:
+        tracemalloc.stop()
+    assert made.heard >= 6 * SOME
+    assert (after - before) / (4 * SOME) < MOST
