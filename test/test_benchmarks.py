@@ -25,6 +25,12 @@ from benchmarks.harness import (
 UNITS = {"p50": "s", "p99": "s"}
 
 
+@pytest.fixture(autouse=True)
+def no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The garbage of all tests before is not that of a benchmark."""
+    monkeypatch.setattr("benchmarks.harness.gc.collect", lambda: 0)
+
+
 def quiet(_: str) -> None:
     """Nobody is told."""
 
