@@ -106,7 +106,6 @@ class Bounds:
         forcing, c = phase.equations.forcing, watched.force
         self._of_velocity = bool(np.any(watched.velocity))
         self._of_force = bool(np.any(c))
-        self._moving = np.any(watched.velocity, axis=1)
         self._gaps = ~np.any(watched.velocity, axis=1) & ~np.any(c, axis=1)
         self._reach_a, self._reach_b = (
             _lengths(rows, phase.inverse) for rows in (watched.position, watched.velocity)
@@ -121,9 +120,8 @@ class Bounds:
         equations, watched = phase.equations, self.watched
         self._sees_a = phase.scales.seen(watched.position)
         self._sees_b = phase.scales.seen(watched.velocity)
-        pushed = linalg.solve(
-            equations.M, (watched.position + watched.velocity).T, assume_a="pos"
-        ).T
+        rows = [watched.position, watched.velocity] if self._of_velocity else [watched.position]
+        pushed = linalg.solve(equations.M, np.vstack(rows).T, assume_a="pos").T
         self._pushes = [equations.forcing.bound(np.outer(row, row)) for row in pushed]
         self._pulls = np.abs(np.hstack([pushed @ equations.K, pushed @ equations.C]))
 
@@ -145,13 +143,12 @@ class Bounds:
         s = np.minimum(s, self._timescale)[:, None]
         forces = _widest(np.abs(np.hstack([p, u])) @ self._pulls.T)
         forces += np.stack([bound(0, t) for bound in self._pushes], axis=1)
-        moved = _widest(self._scales.reach(p, u) @ self._sees_a.T)
-        scale = np.abs(self.watched.constant) + moved
-        if not self._of_velocity:
-            scale += forces * s**2 / 2
-        else:
-            speeds = _widest(np.abs(u @ self._scales.modes) @ self._sees_b.T)
-            scale += speeds + forces * np.where(self._moving, s, s**2 / 2)
+        deflections, speeds = self._scales.amplitudes(p, u)
+        moved = _widest((deflections + speeds * self._timescale) @ self._sees_a.T)
+        w = self.watched.constant.size
+        scale = np.abs(self.watched.constant) + moved + forces[:, :w] * s**2 / 2
+        if self._of_velocity:
+            scale += _widest(speeds @ self._sees_b.T) + forces[:, w:] * s
         if self._of_force:
             scale += self._forces(0, t)
         return np.asarray(np.maximum(scale, least))

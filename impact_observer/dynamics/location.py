@@ -159,9 +159,12 @@ class Search:
         # Mostly one interval is left, on which it is worth while to look closely.
         start, stop, h = s[doubtful], s[doubtful + 1], h[doubtful]
         taylor = trace.taylor(start, stop)
-        scales = trace.scale(start, stop) if scale is None else np.tile(scale, (h.size, 1))
         least, steepest = taylor.extremes(rough.values[doubtful], h)
-        suspects = np.maximum(low[doubtful], least) < -DEPTH * scales
+        low = np.maximum(low[doubtful], least)
+        if low.min() >= 0:
+            return None
+        scales = trace.scale(start, stop) if scale is None else np.tile(scale, (h.size, 1))
+        suspects = low < -DEPTH * scales
         for j in np.flatnonzero(suspects.any(axis=1)):
             suspect = Suspect(
                 float(start[j]),

@@ -73,3 +73,13 @@ class Scales:
             u: velocities, shape (..., n).
         """
         return np.asarray(np.abs(q @ self.modes) + np.abs(u @ self.modes) * self.timescale)
+
+    def amplitudes(self, q: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
+        """How far each mode is from rest, and how fast, signs apart; shape (samples, n) each.
+
+        Args:
+            q: positions, shape (samples, n).
+            u: velocities, shape (samples, n).
+        """
+        found = np.abs(np.vstack([q, u]) @ self.modes)  # which is read once
+        return found[: len(q)], found[len(q) :]
