@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.divided_differences import Complex
-from impact_observer.dynamics.eigenmodes import congruence, modes_of
+from impact_observer.dynamics.eigenmodes import congruence, diagonal, modes_of
 from impact_observer.dynamics.flow import Equations
 from impact_observer.states import Matrix, Vector
 
@@ -18,6 +18,10 @@ _RIGID = 1e-15
 """``omega^2`` that counts as zero, relative to the stiffest mode's, times n."""
 _WORST_CONDITION = 1e3
 """Condition of the modes, in units of energy, beyond which digits would be lost."""
+_MANY = 32
+"""Modes from which on it is worth while to leave out zeros."""
+_DEAD = -100.0
+"""Its exponential is nothing beside any number that a model can bring about."""
 
 
 class Rates(NamedTuple):
@@ -37,6 +41,10 @@ class Rates(NamedTuple):
 
     def propagated(self, s: Vector) -> NDArray[np.float64]:
         """``c`` and ``S`` of ``e^{Js} = c + S (J - a)``, shape (2, n, samples)."""
+        if (alive := self._alive(s)) is not None:
+            found = np.zeros((2, alive.size, s.size))
+            found[:, alive] = self._of(alive).propagated(s)
+            return found
         a, d, swings = self.a[:, None], self.d[:, None], self.oscillates[:, None]
         found = np.empty((2, self.a.size, s.size))
         decay, angle = np.exp(a * s), d * s
@@ -58,11 +66,26 @@ class Rates(NamedTuple):
         No eigenvalue has a positive real part, so ``|c| <= e^{as}`` and, with the slow eigenvalue
         for ``a`` where a pair does not oscillate, ``|S| <= e^{as} min(s, 1/d)``.
         """
+        if (alive := self._alive(start)) is not None:
+            found = np.zeros((2, alive.size, start.size))
+            found[:, alive] = self._of(alive).largest(start, stop)
+            return found
         found = np.empty((2, self.a.size, start.size))
         np.exp(np.multiply.outer(self.slow, start), out=found[0])
         still = np.divide(1.0, self.d, out=np.full(self.d.shape, np.inf), where=self.d > 0)
         np.multiply(found[0], np.minimum(stop, still[:, None]), out=found[1])
         return found
+
+    def _alive(self, s: Vector) -> NDArray[np.bool_] | None:
+        """Which of many pairs have not died away; None where it is not worth while to ask."""
+        if self.a.size < _MANY or not s.size:
+            return None
+        alive = self.slow * s.min() > _DEAD
+        return None if alive.all() else np.asarray(alive)
+
+    def _of(self, which: NDArray[np.bool_]) -> "Rates":
+        """Those of some of the pairs."""
+        return Rates(self.a[which], self.d[which], self.oscillates[which], self.slow[which])
 
     def beside(self, frequency: Vector) -> "Rates":
         """The same pairs and, after them, harmonics, shape (h,), rad/s, as pairs of their own."""
@@ -83,6 +106,8 @@ class Modes:
             velocity; otherwise it is an eigenvector's two parts, or two real eigenvectors.
         rates: ``a`` and ``d``. Derived.
         deviator: ``J - a``, shape (n, 2, 2), 1/s. Derived.
+        shapes: of many proportional pairs, and what gives their coordinates, shape (n, n) each.
+            Derived.
     """
 
     T: Matrix
@@ -91,6 +116,7 @@ class Modes:
     proportional: bool
     rates: Rates = field(init=False)
     deviator: NDArray[np.float64] = field(init=False)
+    shapes: tuple[Matrix, Matrix] | None = field(init=False)
 
     def __post_init__(self) -> None:
         """Derive the eigenvalues."""
@@ -105,6 +131,30 @@ class Modes:
         slow = np.where(oscillates | (fast == 0), a, determinant / np.where(fast == 0, 1.0, fast))
         object.__setattr__(self, "rates", Rates(a, d, oscillates, slow))
         object.__setattr__(self, "deviator", deviator)
+        n, shapes = len(J), None
+        if self.proportional and n >= _MANY:
+            parts = self.T[:n, 0::2], self.T_inverse[0::2, :n]
+            shapes = np.ascontiguousarray(parts[0]), np.ascontiguousarray(parts[1])
+        object.__setattr__(self, "shapes", shapes)
+
+    def states(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``T y`` of pairs ``y``, shape (n, 2, samples), shape (2n, samples)."""
+        n, _, samples = y.shape
+        if self.shapes is None:
+            return np.asarray(self.T @ y.reshape(2 * n, samples))
+        moving = np.flatnonzero(y.any(axis=(1, 2)))  # mostly slow ones, which come first
+        k = int(moving[-1]) + 1 if moving.size else 1
+        shapes, y = self.shapes[0][:, :k], y[:k]
+        if samples == 1:  # a matrix is read faster for one vector and again than for two
+            return np.concatenate([shapes @ y[:, 0, 0], shapes @ y[:, 1, 0]])[:, None]
+        found = (shapes @ y.reshape(k, 2 * samples)).reshape(n, 2, samples)
+        return np.asarray(found.swapaxes(0, 1).reshape(2 * n, samples))
+
+    def pairs(self, x: Vector) -> Matrix:
+        """``T^-1 x``, shape (n, 2), of a state (q, u), shape (2n,)."""
+        if self.shapes is None:
+            return (self.T_inverse @ x).reshape(-1, 2)
+        return np.stack([self.shapes[1] @ part for part in x.reshape(2, -1)], axis=1)
 
     @property
     def eigenvalues(self) -> tuple[Complex, Complex]:
@@ -116,9 +166,14 @@ class Modes:
         return one, two
 
 
-def split(system: Equations) -> Modes | None:
-    """Split ``system`` into pairs of modes; None where no splitting is well-conditioned."""
-    stiffness, shapes = modes_of(system.M, system.K)
+def split(system: Equations, shapes: Matrix | None = None) -> Modes | None:
+    """Split ``system`` into pairs of modes; None where no splitting is well-conditioned.
+
+    Args:
+        system: what is split.
+        shapes: of its undamped modes by LAPACK, shape (n, n), where they are known.
+    """
+    stiffness, shapes = modes_of(system.M, system.K, shapes)
     rigid = stiffness <= _RIGID * system.n * np.max(np.abs(stiffness))
     stiffness = np.where(rigid, 0.0, stiffness)
     if np.count_nonzero(rigid) > 1:
@@ -126,11 +181,10 @@ def split(system: Equations) -> Modes | None:
         free = shapes[:, rigid]
         within = free.T @ system.C @ free
         shapes[:, rigid] = free @ linalg.eigh(within + within.T)[1]
-    damping = congruence(system.C, shapes)
-    coupling = damping - np.diag(np.diag(damping))
-    if np.max(np.abs(coupling)) <= _PROPORTIONAL * np.max(np.abs(damping)):
-        return _proportional(system, stiffness, np.diag(damping), shapes)
-    return _general(system, stiffness, damping, shapes)
+    damping = diagonal(system.C, shapes, _PROPORTIONAL)
+    if damping is not None:
+        return _proportional(system, stiffness, damping, shapes)
+    return _general(system, stiffness, congruence(system.C, shapes), shapes)
 
 
 def _proportional(system: Equations, stiffness: Vector, damping: Vector, shapes: Matrix) -> Modes:

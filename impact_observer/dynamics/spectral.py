@@ -28,18 +28,23 @@ from impact_observer.dynamics.modes import Modes, split
 from impact_observer.dynamics.responses import response_of
 from impact_observer.dynamics.sampled import SampledFlow
 from impact_observer.dynamics.turning import Steady, Turning
-from impact_observer.dynamics.waves import Rows, View, Waves
+from impact_observer.dynamics.waves import Aging, Rows, View, Waves
 from impact_observer.states import Matrix, Vector
 
 _RESONANCE = 1e-2
-"""Distance of a forcing frequency from an eigenvalue that is near, over the fastest rate."""
+"""Distance of a forcing frequency from an eigenvalue that is near, over the rates of both."""
 _HUGE = 30.0
 """Steady response, over the state, that would cost digits while the motion is young."""
 
 
-def flow_of(system: Equations) -> Flow:
-    """The fastest flow of ``system`` without contact that keeps full accuracy."""
-    modes = split(system)
+def flow_of(system: Equations, shapes: Matrix | None = None) -> Flow:
+    """The fastest flow of ``system`` without contact that keeps full accuracy.
+
+    Args:
+        system: what moves.
+        shapes: of its undamped modes by LAPACK, shape (n, n), where they are known.
+    """
+    modes = split(system, shapes)
     flow = DenseFlow(system) if modes is None else SpectralFlow(system, modes)
     samples = system.forcing.sampled
     if samples is None:
@@ -55,21 +60,25 @@ class SpectralFlow(Flow):
         """Prepare eigenvalues, steady responses and the pairs that resonate."""
         self._n = system.n
         self._M, self._K = system.M, system.K
-        self._T, self._T_inverse = modes.T, modes.T_inverse
         self.modes = modes
         self._prepare_forcing(system, modes)
 
     def _prepare_forcing(self, system: Equations, modes: Modes) -> None:
-        forcing, n = system.forcing, self._n
+        forcing = system.forcing
         mu = 1j * np.concatenate([[0.0], forcing.frequency])
-        force = np.vstack([forcing.constant, forcing.cosine - 1j * forcing.sine])
-        acceleration = linalg.solve(system.M, force.T, assume_a="pos")
-        beta = (self._T_inverse[:, n:] @ acceleration).reshape(n, 2, -1).transpose(0, 2, 1)
+        forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine])
+        acceleration = linalg.solve(system.M, forces.T, assume_a="pos")
+        pushed = np.concatenate([np.zeros(acceleration.shape), acceleration]).T
+        loads = np.stack([modes.pairs(each) for each in pushed], axis=1)
+        constant, cosine, sine = np.split(loads, [1, mu.size], axis=1)
+        beta = np.concatenate([constant, cosine - 1j * sine], axis=1)
         one, two = modes.eigenvalues
         distance = np.minimum(abs(mu - one[:, None]), abs(mu - two[:, None]))
         fastest = float(np.max(np.abs(np.concatenate([one, two, mu]))))
         forced = np.any(beta != 0, axis=2)
-        near = forced & (distance <= _RESONANCE * fastest)
+        # Eigenvalues that are found all together are rounded to the fastest of them.
+        rates = np.abs(one)[:, None] + np.abs(mu) if modes.proportional else fastest
+        near = forced & (distance <= _RESONANCE * rates)
         far = forced & ~near
         # Steady response of the pairs away from resonance, (mu - J)^{-1} beta by Cramer's rule.
         e, f = mu - modes.J[:, 0, 0][:, None], mu - modes.J[:, 1, 1][:, None]
@@ -79,7 +88,7 @@ class SpectralFlow(Flow):
             [f * beta[..., 0] + g * beta[..., 1], h * beta[..., 0] + e * beta[..., 1]], axis=1
         )
         response = np.where(far[:, None, :], response / determinant[:, None, :], 0.0)
-        steady = self._T @ response.reshape(2 * n, -1)
+        steady = modes.states(response.real) + 1j * modes.states(response.imag)
         self._steady_constant = steady[:, 0].real
         self._steady_cosine, self._steady_sine = steady[:, 1:].real, -steady[:, 1:].imag
         self._frequency = forcing.frequency
@@ -90,8 +99,12 @@ class SpectralFlow(Flow):
 
     @cached_property
     def turning(self) -> Turning | None:
-        """One state alone, in a cheaper way; None where not all modes turn, or some resonate."""
-        if not (self.near.nothing and Turning.suits(self.modes)):
+        """One state alone, in a cheaper way; None where not all modes turn, or some resonate.
+
+        Nor is it of many modes, where calls cost less than what is multiplied.
+        """
+        few = self.modes.shapes is None
+        if not (few and self.near.nothing and Turning.suits(self.modes)):
             return None
         parts = (self._steady_constant, self._steady_cosine, self._steady_sine)
         return Turning(self.modes, Steady(self._frequency, *parts))
@@ -103,7 +116,7 @@ class SpectralFlow(Flow):
     def rows(self, functions: Functions, *, young: bool) -> Rows:
         """What ``functions`` see of the pairs, and of harmonics with a steady response or none."""
         rows, harmonics, constant = functions
-        seen = rows @ self._T
+        seen = rows @ self.modes.T
         if young:
             return Rows(self.modes, seen, (self._frequency, harmonics, constant), self.all)
         steady = rows @ (self._steady_cosine - 1j * self._steady_sine)
@@ -118,7 +131,7 @@ class SpectralFlow(Flow):
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
         old = _SpectralMotion(self, t, x)
-        return _YoungMotion(self, self.pairs(x), old, self._young) if self._is_small(x) else old
+        return _YoungMotion(self, self.modes.pairs(x), old, self._young) if self._is_small(x) else old
 
     def _is_small(self, x: Vector) -> bool:
         """Whether ``x`` is small against the steady response; few are, by their speed alone."""
@@ -127,18 +140,15 @@ class SpectralFlow(Flow):
             return False
         return self._steady_size > _HUGE * self.energy(x)
 
-    def pairs(self, x: Vector) -> Matrix:
-        """What ``x``, shape (2n,), has of the pairs, shape (n, 2)."""
-        return (self._T_inverse @ x).reshape(self._n, 2)
-
     def transition(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``, shape (2n, 2n)."""
         if self.turning is not None:
             return self.turning.transition(s)
         c, S = self.modes.rates.propagated(np.array([s]))[..., None]
         blocks = c * np.eye(2) + S * self.modes.deviator
-        moved = np.einsum("xpi,pij->xpj", self._T.reshape(-1, self._n, 2), blocks)
-        return np.asarray(moved.reshape(self._T.shape) @ self._T_inverse)
+        T = self.modes.T
+        moved = np.einsum("xpi,pij->xpj", T.reshape(-1, self._n, 2), blocks)
+        return np.asarray(moved.reshape(T.shape) @ self.modes.T_inverse)
 
     def steady(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         """Steady response of all pairs away from resonance, shape (2n, samples)."""
@@ -159,7 +169,7 @@ class SpectralFlow(Flow):
 
     def assemble(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
         """States from pairs: ``x = T y``, shape (2n, samples)."""
-        return np.asarray(self._T @ y.reshape(2 * self._n, y.shape[-1]))
+        return self.modes.states(y)
 
     def each(self, y: NDArray[np.float64], t: Vector) -> NDArray[np.float64]:
         """``assemble(y) + steady(t)`` as for each sample alone, shape (samples, 2n).
@@ -167,7 +177,7 @@ class SpectralFlow(Flow):
         The products are those of a matrix with one column, over and over: one product with many
         columns may add up in another order.
         """
-        found = self._T @ _columns(y)
+        found = self.modes.T @ _columns(y)
         if not self._frequency.size:
             return np.asarray((found + self._steady_constant[:, None])[..., 0])
         angle = np.multiply.outer(self._frequency, t)
@@ -194,7 +204,7 @@ class _SpectralMotion(Motion):
 
     @cached_property
     def z(self) -> Matrix:
-        return self._flow.pairs(self._x - self._flow.steady(np.array([self.t]))[:, 0])
+        return self._flow.modes.pairs(self._x - self._flow.steady(np.array([self.t]))[:, 0])
 
     def state(self, s: float) -> Vector:
         if (turning := self._flow.turning) is None:
@@ -212,8 +222,8 @@ class _SpectralMotion(Motion):
         flow = self._flow
         if flow.turning is not None:
             return flow.turning.each(flow.turning.start(self.t, self._x), s)
-        if not flow.near.nothing:  # what is near resonance is answered by one way or another
-            return super().each(s)
+        if not flow.near.nothing or flow.modes.shapes is not None:
+            return super().each(s)  # what is near resonance, or left out, depends on the others
         return flow.each(flow.homogeneous(self.z, s), self.t + s)
 
 
@@ -223,30 +233,33 @@ class _SpectralView(View):
     def __init__(self, flow: SpectralFlow, functions: Functions) -> None:
         self._rows = cache(lambda young: flow.rows(functions, young=young))
 
-    def of(self, motion: Motion) -> Waves | None:
+    def of(self, motion: Motion) -> Waves | Aging | None:
         if not isinstance(motion, _SpectralMotion | _YoungMotion):
             return None
-        return self._rows(isinstance(motion, _YoungMotion)).waves(motion.t, motion.z)
+        if isinstance(motion, _SpectralMotion):
+            return self._rows(False).waves(motion.t, motion.z)
+        early = self._rows(True).waves(motion.t, motion.z)
+        return Aging(early, self._rows(False).waves(motion.t, motion.old.z), motion.young)
 
 
 class _YoungMotion(Motion):
     """A motion that is small against the steady response, which it has not had time to reach."""
 
-    def __init__(self, flow: SpectralFlow, z: Matrix, old: Motion, young: float) -> None:
+    def __init__(self, flow: SpectralFlow, z: Matrix, old: _SpectralMotion, young: float) -> None:
         self._flow = flow
         self.t = old.t
         self.z = z
-        self._old = old
-        self._young = young
+        self.old = old
+        self.young = young
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        young = s < self._young
+        young = s < self.young
         if not young.any():
-            return self._old.states(s)
+            return self.old.states(s)
         flow, early = self._flow, s[young]
         y = flow.all.response(self.t, flow.homogeneous(self.z, early), early)
         found = np.empty((s.size, 2 * self.z.shape[0]))
         found[young] = flow.assemble(y).T
         if not young.all():
-            found[~young] = self._old.states(s[~young])
+            found[~young] = self.old.states(s[~young])
         return found

@@ -10,7 +10,7 @@ import numpy as np
 
 from impact_observer.dynamics.bounds import Bounds, Rough, Taylor, parabolas
 from impact_observer.dynamics.flow import Motion
-from impact_observer.dynamics.waves import Waves
+from impact_observer.dynamics.waves import Aging, Waves
 from impact_observer.model import Forcing
 from impact_observer.states import Matrix, Vector
 
@@ -59,7 +59,7 @@ class Trace(ABC):
 class WaveTrace(Trace):
     """Functions of a motion that has a closed form."""
 
-    def __init__(self, motion: Motion, bounds: Bounds, waves: Waves) -> None:
+    def __init__(self, motion: Motion, bounds: Bounds, waves: Waves | Aging) -> None:
         """Look along ``motion``, which shows itself by ``waves``."""
         super().__init__(motion, bounds)
         self._waves = waves

@@ -67,6 +67,43 @@ class Waves(NamedTuple):
         return self._replace(constant=constant)
 
 
+class Aging(NamedTuple):
+    """The same functions in one way early in a motion and in another one later.
+
+    Attributes:
+        early: what drives the motion answered from its start on.
+        late: with steady responses.
+        age: when it is late, s since the start.
+    """
+
+    early: Waves
+    late: Waves
+    age: float
+
+    def derivatives(self, s: Vector, orders: int) -> NDArray[np.float64]:
+        """As of waves."""
+        young = s < self.age
+        if young.all() or not young.any():
+            return (self.early if young.any() else self.late).derivatives(s, orders)
+        found = np.empty((orders, s.size, self.early.constant.shape[1]))
+        found[:, young] = self.early.derivatives(s[young], orders)
+        found[:, ~young] = self.late.derivatives(s[~young], orders)
+        return found
+
+    def largest(self, order: int, start: Vector, stop: Vector) -> Matrix:
+        """As of waves."""
+        young = start < self.age
+        found = np.empty((start.size, self.early.constant.shape[1]))
+        for waves, which in ((self.early, young), (self.late, ~young)):
+            if which.any():
+                found[which] = waves.largest(order, start[which], stop[which])
+        return found
+
+    def shifted(self, by: Vector) -> "Aging":
+        """The same functions with constants ``by``, shape (w,), more."""
+        return self._replace(early=self.early.shifted(by), late=self.late.shifted(by))
+
+
 def _rows(blocks: NDArray[Any]) -> NDArray[Any]:
     """Blocks one below the other: shape (2, r, samples) as (2r, samples)."""
     return blocks.reshape(2 * blocks.shape[1], blocks.shape[2])
@@ -76,7 +113,7 @@ class View(ABC):
     """Functions of the motions of one flow."""
 
     @abstractmethod
-    def of(self, motion: Motion) -> Waves | None:
+    def of(self, motion: Motion) -> Waves | Aging | None:
         """The functions of one motion; None where it has no closed form of that kind."""
 
 
