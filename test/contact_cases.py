@@ -119,7 +119,11 @@ def switchings(case: Case) -> list[Switching]:
 
 def impacts(case: Case) -> list[Switching]:
     """Where a speed of the plant jumps: contacts may be told closed at the start without one."""
-    return [one for one in switchings(case) if not np.array_equal(one.before, one.after)]
+    return [
+        one
+        for one in switchings(case)
+        if not np.allclose(one.before, one.after, rtol=1e-12, atol=1e-12)
+    ]
 
 
 def seconds(switching: Switching) -> float:

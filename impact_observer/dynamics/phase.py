@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.flow import Equations, Flow, Functions, Motion
+from impact_observer.dynamics.free import Free
 from impact_observer.dynamics.projection import KEPT, PositionProjection
 from impact_observer.dynamics.scales import Scales
 from impact_observer.dynamics.spectral import flow_of
-from impact_observer.dynamics.waves import View, Waves
+from impact_observer.dynamics.waves import Aging, View, Waves
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -180,14 +181,14 @@ class Phases:
 
     def white(self, loads: Matrix) -> Matrix:
         """``L^-1 loads``, ``M = L L^T``: accelerations whose length is their energy's root."""
-        # LAPACK's routine itself: on the path of every impact, where checks cost more than it.
+        # LAPACK's routines themselves: on the path of every impact, where checks cost more.
         return np.asarray(linalg.lapack.dtrtrs(self._factor, loads, lower=1)[0])
 
     def unwhite(self, accelerations: Matrix) -> Matrix:
         """``L^-T accelerations``: back to coordinates."""
         if not accelerations.size:
             return accelerations
-        return np.asarray(linalg.solve_triangular(self._factor.T, accelerations, lower=False))
+        return np.asarray(linalg.lapack.dtrtrs(self._factor, accelerations, lower=1, trans=1)[0])
 
     def stopped(
         self, x: Vector, contacts: tuple[int, ...], projection: PositionProjection | None = None
@@ -228,7 +229,8 @@ class Phases:
             W, q_r = system.W[:, contacts], system.q_r[contacts]
             Q, rest = Q - Z @ W.T, -Z @ q_r
             forcing = system.forcing.plus(system.K @ Z @ q_r)
-            equations = Reduced(system.M, system.C, self._restricted(system.K, Q), forcing)
+            stiffness = self._restricted(system.K, Q, np.diag(system.M))
+            equations = Reduced(system.M, system.C, stiffness, forcing)
         inverse = linalg.cho_solve((self._factor, True), np.eye(system.n))
         load = equations.forcing.bound(inverse)
         return Unloaded(equations, frozen(Q), frozen(rest), load, Scales.of(equations))
@@ -250,67 +252,82 @@ class Phases:
                 # scipy before 1.14 knows no empty systems
                 linalg.solve_triangular(triangular[:p], pressing.T) if p else pressing.T
             ),
-            flow=self._held_flow(held, fixed, shapes) if held else flow_of(free.equations),
+            flow=self._held_flow(held, fixed)
+            if held
+            else flow_of(free.equations, free.scales.shapes),
             Q=free.Q,
             rest=free.rest,
             scales=free.scales,
         )
 
-    def _held_flow(self, held: tuple[int, ...], fixed: tuple[int, ...], shapes: Matrix) -> Flow:
-        """Flow in the directions ``shapes``, M-orthonormal, that the held contacts leave free."""
+    def _held_flow(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Flow:
+        """Flow of the coordinates that the held contacts leave free."""
         equations = self.unloaded(fixed).equations
-        inner = None
+        W = self.system.W[:, list(held)]
+        free = Free.of(W, equations.M)
+        shapes = free.shapes
+        inverse, inner = np.zeros(shapes.T.shape), None
         if shapes.size:
-            inner = flow_of(
-                Reduced(
-                    np.eye(shapes.shape[1]),
-                    self._restricted(equations.C, shapes),
-                    self._restricted(equations.K, shapes),
-                    equations.forcing.mapped(shapes.T),
-                )
+            M = _symmetric(shapes.T @ equations.M @ shapes)
+            inverse = linalg.solve(M, shapes.T @ equations.M, assume_a="pos")
+            C, K = (
+                self._restricted(each, shapes, np.diag(M)) for each in (equations.C, equations.K)
             )
+            inner = flow_of(Reduced(M, C, K, equations.forcing.mapped(shapes.T)))
         # Deflections that hold their contact away from its place without a load on the rest.
         static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]
-        return _HeldFlow(
-            inner, shapes, shapes.T @ equations.M, static @ self.system.W[:, list(held)].T
-        )
+        return _HeldFlow(inner, free, inverse, (static, W.T))
 
-    def _restricted(self, matrix: Matrix, shapes: Matrix) -> Matrix:
-        """``shapes^T matrix shapes`` with zeros where everything cancels."""
+    def _restricted(self, matrix: Matrix, shapes: Matrix, mass: Vector) -> Matrix:
+        """``shapes^T matrix shapes`` with zeros where everything cancels.
+
+        Args:
+            matrix: shape (n, n).
+            shapes: shape (n, r).
+            mass: what each moves, shape (r,), kg.
+        """
         restricted = shapes.T @ matrix @ shapes
         whole = np.linalg.norm(self.white(self.white(matrix).T))
-        restricted[np.abs(restricted) <= _CANCELLED * len(matrix) * whole] = 0.0
-        symmetric = np.array_equal(matrix, matrix.T)
-        return np.asarray((restricted + restricted.T) / 2 if symmetric else restricted)
+        size = np.sqrt(mass)
+        nothing = _CANCELLED * len(matrix) * whole * np.outer(size, size)
+        restricted[np.abs(restricted) <= nothing] = 0.0
+        return _symmetric(restricted) if np.array_equal(matrix, matrix.T) else restricted
+
+
+def _symmetric(matrix: Matrix) -> Matrix:
+    return np.asarray((matrix + matrix.T) / 2)
 
 
 class _HeldFlow(Flow):
     """A flow in fewer coordinates, seen in all of them."""
 
     def __init__(
-        self, inner: Flow | None, shapes: Matrix, inverse: Matrix, static: Matrix
+        self, inner: Flow | None, free: Free, inverse: Matrix, static: tuple[Matrix, Matrix]
     ) -> None:
         """Take the flow in the free coordinates; None where nothing is free.
 
         Args:
             inner: flow of the free coordinates.
-            shapes: their directions, shape (n, r).
-            inverse: free coordinates of a position, shape (r, n).
-            static: the part of a position that does not move, shape (n, n).
+            free: which are free.
+            inverse: free coordinates of the nearest motion, shape (r, n).
+            static: the part of a position that does not move, as a product of shapes
+                (n, held) and (held, n).
         """
         self._inner = inner
-        self._shapes = shapes
+        self._free = free
+        self._shapes = free.shapes
         self._inverse = inverse
         self._static = static
 
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``, its velocity freed from what is held."""
         n = len(self._shapes)
-        rest = self._static @ x[:n]
+        static, seen = self._static
+        rest = static @ (seen @ x[:n])
         if self._inner is None:
-            return _HeldMotion(t, None, self._shapes, rest)
+            return _HeldMotion(t, None, self._free, rest)
         free = np.concatenate([self._inverse @ (x[:n] - rest), self._inverse @ x[n:]])
-        return _HeldMotion(t, self._inner.start(t, free), self._shapes, rest)
+        return _HeldMotion(t, self._inner.start(t, free), self._free, rest)
 
     def view(self, functions: Functions) -> View | None:
         """Of the free coordinates, and of constants that each motion has of its own."""
@@ -326,11 +343,12 @@ class _HeldFlow(Flow):
         """That of the free coordinates; velocities that are held are gone at once."""
         n, r = self._shapes.shape
         found = np.zeros((2 * n, 2 * n))
-        found[:n, :n] = self._static
+        static = self._static[0] @ self._static[1]
+        found[:n, :n] = static
         if self._inner is None:
             return found
         free = np.zeros((2 * r, 2 * n))
-        free[:r, :n] = self._inverse @ (np.eye(n) - self._static)
+        free[:r, :n] = self._inverse @ (np.eye(n) - static)
         free[r:, n:] = self._inverse
         moved = self._inner.transition(s) @ free
         found[:n] += self._shapes @ moved[:r]
@@ -339,20 +357,19 @@ class _HeldFlow(Flow):
 
 
 class _HeldMotion(Motion):
-    def __init__(self, t: float, inner: Motion | None, shapes: Matrix, rest: Vector) -> None:
+    def __init__(self, t: float, inner: Motion | None, free: Free, rest: Vector) -> None:
         self.t = t
         self.inner = inner
         self.rest = rest
-        self._shapes = shapes
+        self._free = free
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        n, r = self._shapes.shape
+        n = self.rest.size
         found = np.zeros((s.size, 2 * n))
         found[:, :n] = self.rest
         if self.inner is not None:
-            y = self.inner.states(s)
-            found[:, :n] += y[:, :r] @ self._shapes.T
-            found[:, n:] = y[:, r:] @ self._shapes.T
+            y = self.inner.states(s).reshape(2 * s.size, self._free.free.size)
+            found += self._free.all(y).reshape(s.size, 2 * n)
         return found
 
 
@@ -363,7 +380,7 @@ class _HeldView(View):
         self._inner = inner
         self._position = position
 
-    def of(self, motion: Motion) -> Waves | None:
+    def of(self, motion: Motion) -> Waves | Aging | None:
         if not isinstance(motion, _HeldMotion) or motion.inner is None:
             return None
         waves = self._inner.of(motion.inner)

@@ -1,0 +1,56 @@
+"""The coordinates that held contacts leave free.
+
+As many coordinates as there are contacts follow the others, which move as if they were alone: so
+most of the zeros in the matrices of a system stay.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from impact_observer.states import Matrix
+
+
+class Free(NamedTuple):
+    """Motions with ``W^T u = 0``.
+
+    Attributes:
+        free: coordinates that are free, ascending, shape (r,).
+        following: the others, shape (n - r,).
+        ties: how these follow those, shape (n - r, r).
+    """
+
+    free: NDArray[np.intp]
+    following: NDArray[np.intp]
+    ties: Matrix
+
+    @classmethod
+    def of(cls, W: Matrix, M: Matrix) -> "Free":
+        """What contacts ``W``, shape (n, p), independent of each other, leave free.
+
+        Those follow that would move with the least mass.
+
+        Args:
+            W: directions of the contacts, shape (n, p).
+            M: mass matrix, shape (n, n).
+        """
+        weighed = W / np.sqrt(np.diag(M))[:, None]
+        order = linalg.qr(weighed.T, mode="r", pivoting=True)[1]
+        following, free = order[: W.shape[1]], np.sort(order[W.shape[1] :])
+        if not free.size:
+            return cls(free, following, np.zeros((following.size, 0)))
+        return cls(free, following, -linalg.solve(W[following].T, W[free].T))
+
+    @property
+    def shapes(self) -> Matrix:
+        """The motions, a column for each free coordinate, shape (n, r)."""
+        return np.asarray(self.all(np.eye(self.free.size)).T)
+
+    def all(self, y: Matrix) -> Matrix:
+        """All coordinates, shape (rows, n), from the free ones, shape (rows, r)."""
+        found = np.empty((len(y), self.free.size + self.following.size))
+        found[:, self.free] = y
+        found[:, self.following] = y @ self.ties.T
+        return found
