@@ -1,32 +1,83 @@
-"""How the plant's cost grows with its size: ``python -m benchmarks.bar [N...]``.
+"""How the plant's cost grows with its size: ``./dev bench bar``, ``python -m benchmarks.bar``.
 
-A steel bar of ``n`` finite elements, clamped at one end; a harmonic force at the other one drives
-it against a rigid stop without restitution about a hundred times. It rests there for a while and
-leaves: each hit is two phases, one of them with a held contact.
+A steel bar of ``n`` finite elements, clamped at one end; a force on the other one presses it
+against a rigid stop without restitution, ten times a second, for ten seconds. Each time it stays
+there for half of a period, so a hit is two phases, one of them with a held contact. What the stop
+sees of it is told a hundred times a second.
+
+Making the system, which checks its matrices, and preparing both phases are counted apart: they
+happen once. What a phase costs is the rest over the number of phases. These are times of
+processors, which other programs disturb less; the total is told by the clock as well.
 """
 
 import argparse
+import json
 import math
 import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 
 from impact_observer.model import Contact, Forcing, System
-from impact_observer.plant import Plant, Run, simulate
+from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid
+from impact_observer.states import Vector
 
 EPOCH = 1_000_000_000
 YOUNG, DENSITY, AREA, LENGTH = 210e9, 7850.0, 1e-4, 1.0
-"""N/m2, kg/m3, m2, m."""
+"""N/m2, kg/m3, m2, m: steel."""
 RAYLEIGH = (50.0, 1e-7)
 """Damping over mass, 1/s, and over stiffness, s."""
 GAP = 1e-5
 """m"""
-FORCE = 4000.0
-"""N"""
-HITS = 100
+FORCE, FREQUENCY = 4000.0, 10.0
+"""N, Hz"""
+SECONDS = 10.0
 RATE = 100.0
 """Hz"""
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """What a bar costs.
+
+    Attributes:
+        n: elements.
+        impacts: how often it hits.
+        phases: between changes of its contact.
+        making: of the system, s of processors.
+        preparing: until the first hit, both phases being prepared then, s of processors.
+        running: from there to the end, s of processors.
+        wall: all of it by the clock, s.
+    """
+
+    n: int
+    impacts: int
+    phases: int
+    making: float
+    preparing: float
+    running: float
+    wall: float
+
+    @property
+    def total(self) -> float:
+        """All of it, s of processors."""
+        return self.making + self.preparing + self.running
+
+    @property
+    def phase(self) -> float:
+        """A phase, s of processors."""
+        return self.running / self.phases
+
+    def __str__(self) -> str:
+        """One line."""
+        return (
+            f"n = {self.n}: {self.impacts} hits, {self.phases} phases of"
+            f" {1e3 * self.phase:.1f} ms; system {self.making:.2f} s, preparing"
+            f" {self.preparing:.2f} s, running {self.running:.2f} s,"
+            f" in all {self.total:.2f} s ({self.wall:.2f} s by the clock)"
+        )
 
 
 def bar(n: int) -> System:
@@ -37,45 +88,58 @@ def bar(n: int) -> System:
     beside = np.eye(n, k=1) + np.eye(n, k=-1)
     K = YOUNG * AREA / h * (2 * np.diag(ends) - beside)
     M = DENSITY * AREA * h / 6 * (4 * np.diag(ends) + beside)
-    frequency = 0.8 * math.pi / 2 * math.sqrt(YOUNG / DENSITY) / LENGTH
     last = np.eye(n)[-1]
-    force = Forcing(np.zeros(n), np.array([frequency]), np.zeros((1, n)), FORCE * last[None])
+    frequency = np.array([2 * math.pi * FREQUENCY])
+    force = Forcing(np.zeros(n), frequency, np.zeros((1, n)), FORCE * last[None])
     stop = Contact("stop", -last, GAP, 0.0)
     names = tuple(f"x{i + 1}" for i in range(n))
     return System("bar", names, M, RAYLEIGH[0] * M + RAYLEIGH[1] * K, K, force, (stop,))
 
 
-def run(system: System) -> tuple[Run, float, float]:
-    """A run of about ``HITS`` hits; seconds to prepare it and seconds that it takes."""
-    n = system.n
-    period = 2 * math.pi / float(system.forcing.frequency[0])
-    stamps = grid(EPOCH, EPOCH + from_seconds(HITS * period), RATE)
-    begin = time.process_time()
+def run(n: int) -> tuple[Vector, Cost]:
+    """The coordinate at the stop, shape (samples,), m, and what it cost."""
+    stamps = grid(EPOCH, EPOCH + from_seconds(SECONDS), RATE)
+    wall, times = time.perf_counter(), [time.process_time()]
+    system = bar(n)
+    times.append(time.process_time())
     plant = Plant(system, np.zeros(n), np.zeros(n), epoch=EPOCH)
-    plant.next_switching(EPOCH)
-    prepared = time.process_time()
-    found = simulate(plant, stamps)
-    return found, prepared - begin, time.process_time() - prepared
+    first = plant.next_switching(int(stamps[1]))
+    assert first is not None, "it hits before the second sample"
+    plant.cross(first)
+    times.append(time.process_time())
+    found = simulate(plant, stamps[1:])
+    times.append(time.process_time())
+    told = np.concatenate([[0.0], found.states[:, n - 1]])
+    hits, phases = 1 + len(found.impacts), 1 + len(found.switchings)
+    making, preparing, running = np.diff(times).tolist()
+    wall = time.perf_counter() - wall
+    return told, Cost(n, hits, phases, making, preparing, running, wall)
+
+
+def growth(costs: list[Cost]) -> float:
+    """The power of ``n`` that a phase's cost grows with, by least squares."""
+    sizes, phases = np.log([(cost.n, cost.phase) for cost in costs]).T
+    return float(np.polyfit(sizes, phases, 1)[0])
 
 
 def main() -> None:
     """Print what each size costs, and how that grows."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.bar", description=__doc__)
+    parser = argparse.ArgumentParser(prog="./dev bench bar", description=__doc__)
     parser.add_argument("sizes", nargs="*", type=int, default=[10, 100, 1000], metavar="N")
-    before: tuple[int, float] | None = None
-    for n in parser.parse_args().sizes:
-        found, preparing, running = run(bar(n))
-        phases = len(found.switchings) + 1
-        each = running / phases
-        line = f"n = {n}: {len(found.impacts)} impacts, {phases} phases;"
-        line += (
-            f" prepared in {preparing:.3f} s, run in {running:.3f} s, {1e3 * each:.3f} ms a phase"
-        )
-        if before is not None:
-            exponent = math.log(each / before[1]) / math.log(n / before[0])
-            line += f", growing as n^{exponent:.2f}"
-        print(line)
-        before = n, each
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to FILE")
+    given = parser.parse_args()
+    if any(n < 1 for n in given.sizes):
+        parser.error(f"{min(given.sizes)} elements; expected 1 or more")
+    costs = []
+    for n in given.sizes:
+        costs.append(run(n)[1])
+        print(costs[-1], flush=True)
+    figures: dict[str, object] = {"bars": [asdict(c) | {"total": c.total} for c in costs]}
+    if len(set(given.sizes)) > 1:
+        figures["growth"] = growth(costs)
+        print(f"a phase grows as n^{figures['growth']:.2f}")
+    if given.json:
+        given.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
