@@ -131,7 +131,9 @@ class SpectralFlow(Flow):
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
         old = _SpectralMotion(self, t, x)
-        return _YoungMotion(self, self.modes.pairs(x), old, self._young) if self._is_small(x) else old
+        return (
+            _YoungMotion(self, self.modes.pairs(x), old, self._young) if self._is_small(x) else old
+        )
 
     def _is_small(self, x: Vector) -> bool:
         """Whether ``x`` is small against the steady response; few are, by their speed alone."""
