@@ -17,7 +17,7 @@ def prepare(_: Path) -> Contest:
         return {"exponent": growth(costs), TOTAL: costs[-1].total}
 
     sizes = ", ".join(map(str, SIZES))
-    work = f"steel bars of {sizes} elements that hit 100 times; n to the exponent is a phase's cost"
+    work = f"steel bars of {sizes} elements, 100 hits each; a phase costs n to the exponent"
     return Contest(work, ours, units={"exponent": "", TOTAL: "s"})
 
 
