@@ -84,7 +84,7 @@ class Turning:
     def transition(self, s: float) -> Matrix:
         """How the difference of two motions goes on in ``s`` seconds, shape (2n, 2n)."""
         turned = self._shapes * np.exp(self._rates[: self._pairs] * s)
-        return np.ascontiguousarray((turned @ self._amplitudes).real)
+        return np.ascontiguousarray(turned.dot(self._amplitudes).real)
 
     def each(self, zeta: Complex, s: Vector) -> NDArray[np.float64]:
         """``state`` at each of ``s``, in every bit, shape (samples, 2n).

@@ -76,12 +76,12 @@ class Agreeing:
         largest = max(previous.largest, energy)
         energy = max(energy, _RESTING * largest)
         hit = bool(touch.hit) and belief.applied
-        agrees = convergence >= 0 and self._explained(belief)
+        enough = self.threshold * energy
+        agrees = 0 <= _MARGIN * convergence <= enough and self._explained(belief)
         if agrees:
             # With a covariance the innovation says it, and knows how far a stamp may be off.
             certain = self._certain(before.x, touch) if hit and belief.root is None else 0.0
-            apart = max(_MARGIN * convergence, certain, self._expected(belief))
-            agrees = apart <= self.threshold * energy
+            agrees = max(certain, self._expected(belief)) <= enough
         return Agreement(convergence, energy, largest, previous.held + hit if agrees else 0)
 
     @staticmethod
@@ -116,7 +116,8 @@ class Agreeing:
         squares = products.diagonal()
         among = squares[:, None] + squares
         among -= 2 * products
-        return float(max(among.max(), squares.max())) / 2, energy
+        among.flat[:: len(among) + 1] = squares  # where nothing is: from the estimate itself
+        return float(among.max()) / 2, energy
 
     def _energies(self, x: Matrix) -> Vector:
         """``1/2 x^T diag(K, M) x`` of each row, J."""
