@@ -94,7 +94,8 @@ def rig(law: str = "geometric") -> Iterator[Rig]:
     given = [
         ("-p", f"{name}:={value}") for name, value in {**parameters, "future": "1.0e6"}.items()
     ]
-    rclpy.init(args=["--ros-args", "--log-level", "error", *itertools.chain(*given)])
+    quiet = ["--log-level", "observer:=error"]  # this logger alone: levels outlive a context
+    rclpy.init(args=["--ros-args", *quiet, *itertools.chain(*given)])
     try:
         made = Rig()
         try:

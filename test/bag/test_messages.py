@@ -37,7 +37,9 @@ EVENTS = st.builds(
     episode=st.integers(0, 2**32 - 1),
     epoch=EARLY,
 )
-VERDICTS = st.builds(Verdict, STAMPS, st.sampled_from(Ruling), COUNTS, TEXTS, TEXTS, FLOATS)
+VERDICTS = st.builds(
+    Verdict, STAMPS, st.sampled_from(Ruling), COUNTS, TEXTS, TEXTS, FLOATS, revises=st.just(False)
+)
 NAMES = st.lists(TEXTS, max_size=3, unique=True).map(tuple)
 
 
