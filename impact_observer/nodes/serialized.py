@@ -83,16 +83,15 @@ class _Form:
         self.data += bytes((len(_START) - len(self.data)) % size)
 
 
-class _JointStateForm:
-    """Of ``sensor_msgs/JointState`` without efforts."""
+class _StateForm:
+    """Of a message that has, after a stamp and some texts, coordinates and velocities."""
 
-    def __init__(self, names: tuple[str, ...]) -> None:
-        form = _Form()
+    def __init__(self, form: _Form, texts: Sequence[str], names: tuple[str, ...]) -> None:
         self._stamp = form.numbers(4, 2)
-        form.string("")
+        for text in texts:
+            form.string(text)
         form.strings(names)
         self._q, self._u = form.floats(len(names)), form.floats(len(names))
-        form.floats(0)
         self._data = form.data
 
     def packed(self, estimate: Estimate) -> bytes:
@@ -104,30 +103,31 @@ class _JointStateForm:
         return bytes(data)
 
 
-class _EstimateForm:
+class _JointStateForm(_StateForm):
+    """Of ``sensor_msgs/JointState`` without efforts."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        form = _Form()
+        super().__init__(form, ("",), names)
+        form.floats(0)
+
+
+class _EstimateForm(_StateForm):
     """Of ``impact_observer_msgs/ObserverState``, for estimates of one shape."""
 
     def __init__(self, shape: _Shape, names: tuple[str, ...]) -> None:
         law, closed, entries, learnt = shape
         form = _Form()
-        self._stamp = form.numbers(4, 2)
-        for text in ("", law):
-            form.string(text)
-        form.strings(names)
-        self._q, self._u = form.floats(len(names)), form.floats(len(names))
+        super().__init__(form, ("", law), names)
         self._covariance = form.floats(entries)
         form.strings(closed)
         self._surroundings = form.numbers(_FLOAT, _SURROUNDINGS.size // _FLOAT)
         form.strings(learnt)
         self._learnt, self._deviations = form.floats(len(learnt)), form.floats(len(learnt))
-        self._data = form.data
 
     def packed(self, estimate: Estimate) -> bytes:
-        """The message with the numbers of an estimate of this shape."""
+        """The same, with all else that is told."""
         data = self._data
-        _TIME.pack_into(data, self._stamp, *divmod(estimate.stamp, NS_PER_S))
-        _put(data, self._q, estimate.q)
-        _put(data, self._u, estimate.u)
         if estimate.covariance.size:
             _put(data, self._covariance, estimate.covariance)
         _SURROUNDINGS.pack_into(
@@ -143,7 +143,7 @@ class _EstimateForm:
             _, values, deviations = zip(*estimate.learnt, strict=True)
             _put(data, self._learnt, np.array(values))
             _put(data, self._deviations, np.array(deviations))
-        return bytes(data)
+        return super().packed(estimate)
 
 
 def read_impact(data: bytes) -> ImpactEvent:
