@@ -19,6 +19,10 @@ def frozen(values: object) -> NDArray[np.float64]:
     return array
 
 
+NO_COVARIANCE = frozen(np.empty((0, 0)))
+"""Of a law that has none."""
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """What an observer says at a stamp; mirrors ``impact_observer_msgs/ObserverState``.
@@ -47,7 +51,7 @@ class Estimate:
     law: str
     q: Vector
     u: Vector
-    covariance: Matrix = field(default_factory=lambda: frozen(np.empty((0, 0))))
+    covariance: Matrix = field(default_factory=lambda: NO_COVARIANCE)
     closed: tuple[str, ...] = ()
     convergence: float = -1.0
     synchronized: bool = False

@@ -19,7 +19,15 @@ from impact_observer.observer.order import Key, Reading, Spoken
 from impact_observer.observer.timeline import Entry, Placed, Timeline, beginning
 from impact_observer.observer.uncertainty import covariance_root, spread
 from impact_observer.stamps import from_seconds, seconds_between, text
-from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector, frozen
+from impact_observer.states import (
+    NO_COVARIANCE,
+    Estimate,
+    Estimates,
+    Matrix,
+    Stamps,
+    Vector,
+    frozen,
+)
 
 DEFAULT_HISTORY = 10.0
 """How late an event may be and still be applied, s."""
@@ -248,7 +256,7 @@ class Observer:
             law=self.law.name,
             q=x[:n],
             u=x[n:],
-            covariance=frozen(np.empty((0, 0)) if root is None else root @ root.T),
+            covariance=NO_COVARIANCE if root is None else frozen(root @ root.T),
             closed=tuple(self._names[i] for i in closed),
             convergence=agreement.convergence,
             synchronized=self.law.hears
