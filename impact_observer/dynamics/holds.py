@@ -269,7 +269,7 @@ class Holds:
             if not undecided:
                 break
             fixed = (*closed, *pressed)
-            terms = np.stack([f[k], -system.C @ u, -system.K @ q], axis=1)
+            terms = np.stack([f[k], -(system.C @ u), -(system.K @ q)], axis=1)
             size = float(np.max(np.linalg.norm(phases.white(terms), axis=0)))
             size = max(size, float(phases.unloaded().load(k, at)[0]))
             q = u - phases.projection.jump(fixed) @ values[list(fixed)]

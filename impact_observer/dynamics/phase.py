@@ -147,13 +147,13 @@ class Phases:
     def __init__(self, system: System) -> None:
         """Factorise the mass matrix."""
         self.system = system
-        self.projection = PositionProjection(system)
         self._factor = linalg.cholesky(system.M, lower=True)
         self.B = frozen(linalg.solve_triangular(self._factor, system.W, lower=True))
         self.length = frozen(np.linalg.norm(self.B, axis=0))
         self._prepared = lru_cache(KEPT)(self._prepare)
         self._laws = lru_cache(KEPT)(self._unloaded)
         self.scales = self.unloaded().scales
+        self.projection = PositionProjection(system, (self.scales.squares, self.scales.shapes))
 
     def phase(self, held: tuple[int, ...] = (), fixed: tuple[int, ...] = ()) -> Phase:
         """The phase in which ``held`` contacts, independent of each other, take loads.

@@ -64,10 +64,15 @@ class _Jump(NamedTuple):
 class PositionProjection:
     """The position jumps of one system, one matrix ``Z`` a set of contacts."""
 
-    def __init__(self, system: System) -> None:
-        """Prepare the modes of ``K`` with respect to ``M``."""
+    def __init__(self, system: System, modes: tuple[Vector, Matrix] | None = None) -> None:
+        """Prepare the modes of ``K`` with respect to ``M``.
+
+        Args:
+            system: whose contacts jump.
+            modes: ``omega^2``, shape (n,), ascending, and shapes, (n, n), where they are known.
+        """
         self._system = system
-        stiffness, shapes = linalg.eigh(system.K, system.M)
+        stiffness, shapes = modes or linalg.eigh(system.K, system.M)
         elastic = stiffness > _RIGID * max(float(stiffness[-1]), 0.0)
         self._rigid = shapes[:, ~elastic]
         self._elastic = shapes[:, elastic] / np.sqrt(stiffness[elastic])

@@ -19,11 +19,13 @@ class Scales:
     """Scales of ``M du/dt = -C u - K q + f(t)``.
 
     Attributes:
-        shapes: undamped modes, M-orthonormal, a column each, shape (n, n).
+        squares: ``omega^2`` of the undamped modes, ascending, shape (n,), 1/s2.
+        shapes: of these modes, M-orthonormal, a column each, shape (n, n).
         modes: ``M shapes``: amplitudes of the modes are ``q @ modes``.
         fastest: the fastest mode or harmonic, rad/s; 0 where nothing oscillates.
     """
 
+    squares: Vector
     shapes: Matrix
     modes: Matrix
     fastest: float
@@ -31,9 +33,9 @@ class Scales:
     @classmethod
     def of(cls, equations: Equations) -> "Scales":
         """Those of ``equations``."""
-        stiffness, shapes = linalg.eigh(equations.K, equations.M)
-        rates = [np.sqrt(max(float(stiffness[-1]), 0.0)), *equations.forcing.frequency]
-        return cls(shapes, equations.M @ shapes, float(max(rates)))
+        squares, shapes = linalg.eigh(equations.K, equations.M)
+        rates = [np.sqrt(max(float(squares[-1]), 0.0)), *equations.forcing.frequency]
+        return cls(squares, shapes, equations.M @ shapes, float(max(rates)))
 
     @property
     def timescale(self) -> float:

@@ -27,6 +27,10 @@ _SEMIDEFINITE = 1e-10
 """Most negative eigenvalue accepted as zero, relative to the largest."""
 _SINGULAR = 1e-14
 """Least eigenvalue of a mass matrix, relative to the largest: below it is rounding."""
+_MANY = 32
+"""Coordinates from which on it is worth while to look for a band."""
+_NARROW = 16
+"""Diagonals below the main one that make a band."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,8 +220,8 @@ def _check_symmetric(key: str, matrix: Matrix) -> None:
 
 
 def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
-    eigenvalues = linalg.eigvalsh(symmetric)
-    smallest, largest = eigenvalues[0], np.max(np.abs(eigenvalues))
+    smallest, other = _ends(symmetric)
+    largest = max(abs(smallest), abs(other))
     if strictly and smallest <= _SINGULAR * largest:
         raise ModelError(key, f"is not positive definite: smallest eigenvalue {smallest:g}")
     if strictly and smallest < 1 / LARGEST:
@@ -230,6 +234,23 @@ def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
         raise ModelError(
             key, f"{part}it is not positive semidefinite: smallest eigenvalue {smallest:g}"
         )
+
+
+def _ends(symmetric: Matrix) -> tuple[float, float]:
+    """The least and the largest eigenvalue: those of a band cost n^2, those of others n^3."""
+    n = len(symmetric)
+    below = int(linalg.bandwidth(symmetric)[0]) if n >= _MANY else n
+    if below > _NARROW:
+        eigenvalues = linalg.eigvalsh(symmetric)
+        return float(eigenvalues[0]), float(eigenvalues[-1])
+    band = np.zeros((below + 1, n))
+    for k, row in enumerate(band):
+        row[: n - k] = np.diagonal(symmetric, -k)
+    least, largest = (
+        linalg.eigvals_banded(band, lower=True, select="i", select_range=(i, i))
+        for i in (0, n - 1)
+    )
+    return float(least[0]), float(largest[0])
 
 
 def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
