@@ -48,6 +48,15 @@ class Free(NamedTuple):
         """The motions, a column for each free coordinate, shape (n, r)."""
         return np.asarray(self.all(np.eye(self.free.size)).T)
 
+    def restricted(self, A: Matrix) -> Matrix:
+        """``shapes^T A shapes``, shape (r, r), for ``A`` of shape (n, n)."""
+        seen = self.seen(A)
+        return np.asarray(seen[:, self.free] + seen[:, self.following] @ self.ties)
+
+    def seen(self, A: Matrix) -> Matrix:
+        """``shapes^T A``, shape (r, columns), for ``A`` of shape (n, columns)."""
+        return np.asarray(A[self.free] + self.ties.T @ A[self.following])
+
     def all(self, y: Matrix) -> Matrix:
         """All coordinates, shape (rows, n), from the free ones, shape (rows, r)."""
         found = np.empty((len(y), self.free.size + self.following.size))

@@ -15,7 +15,7 @@ coordinates that are free, and has an exact flow. Where nothing is fixed, ``p = 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -150,6 +150,7 @@ class Phases:
         self._factor = linalg.cholesky(system.M, lower=True)
         self.B = frozen(linalg.solve_triangular(self._factor, system.W, lower=True))
         self.length = frozen(np.linalg.norm(self.B, axis=0))
+        self._inverse = self._left(np.eye(system.n))
         self._prepared = lru_cache(KEPT)(self._prepare)
         self._laws = lru_cache(KEPT)(self._unloaded)
         self.scales = self.unloaded().scales
@@ -229,10 +230,10 @@ class Phases:
             W, q_r = system.W[:, contacts], system.q_r[contacts]
             Q, rest = Q - Z @ W.T, -Z @ q_r
             forcing = system.forcing.plus(system.K @ Z @ q_r)
-            stiffness = self._restricted(system.K, Q, np.diag(system.M))
+            whole = float(np.linalg.norm(self.scales.squares))
+            stiffness = self._cleaned(_symmetric(Q.T @ system.K @ Q), np.diag(system.M), whole)
             equations = Reduced(system.M, system.C, stiffness, forcing)
-        inverse = linalg.cho_solve((self._factor, True), np.eye(system.n))
-        load = equations.forcing.bound(inverse)
+        load = equations.forcing.bound(self._inverse)
         return Unloaded(equations, frozen(Q), frozen(rest), load, Scales.of(equations))
 
     def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
@@ -241,13 +242,12 @@ class Phases:
         p = len(held)
         free = self.unloaded(fixed)
         orthogonal, triangular = np.linalg.qr(self.B[:, list(held)], mode="complete")
-        shapes = self.unwhite(orthogonal[:, p:])
         pressing = self.unwhite(orthogonal[:, :p])
         return Phase(
             held=held,
             fixed=fixed,
             equations=free.equations,
-            inverse=frozen(shapes @ shapes.T),
+            inverse=self._left(orthogonal[:, p:]) if p else self._inverse,
             loads=frozen(
                 # scipy before 1.14 knows no empty systems
                 linalg.solve_triangular(triangular[:p], pressing.T) if p else pressing.T
@@ -262,36 +262,42 @@ class Phases:
 
     def _held_flow(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Flow:
         """Flow of the coordinates that the held contacts leave free."""
-        equations = self.unloaded(fixed).equations
+        equations, *_, scales = self.unloaded(fixed)
         W = self.system.W[:, list(held)]
         free = Free.of(W, equations.M)
-        shapes = free.shapes
-        inverse, inner = np.zeros(shapes.T.shape), None
-        if shapes.size:
-            M = _symmetric(shapes.T @ equations.M @ shapes)
-            inverse = linalg.solve(M, shapes.T @ equations.M, assume_a="pos")
-            C, K = (
-                self._restricted(each, shapes, np.diag(M)) for each in (equations.C, equations.K)
-            )
-            inner = flow_of(Reduced(M, C, K, equations.forcing.mapped(shapes.T)))
+        inverse, inner = np.zeros((free.free.size, self.system.n)), None
+        if free.free.size:
+            M = _symmetric(free.restricted(equations.M))
+            inverse = linalg.cho_solve(linalg.cho_factor(M), free.seen(equations.M))
+            C, K = free.restricted(equations.C), _symmetric(free.restricted(equations.K))
+            C = self._cleaned(C, np.diag(M), self._damping)
+            K = self._cleaned(K, np.diag(M), float(np.linalg.norm(scales.squares)))
+            inner = flow_of(Reduced(M, C, K, equations.forcing.mapped(free.shapes.T)))
         # Deflections that hold their contact away from its place without a load on the rest.
         static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]
         return _HeldFlow(inner, free, inverse, (static, W.T))
 
-    def _restricted(self, matrix: Matrix, shapes: Matrix, mass: Vector) -> Matrix:
-        """``shapes^T matrix shapes`` with zeros where everything cancels.
+    def _left(self, orthogonal: Matrix) -> Matrix:
+        """What is left of ``M^-1`` where only motions along ``orthogonal`` are free."""
+        shapes = self.unwhite(orthogonal)
+        return frozen(shapes @ shapes.T)
+
+    @cached_property
+    def _damping(self) -> float:
+        """Size of ``L^-1 C L^-T``, 1/s."""
+        return float(np.linalg.norm(self.white(self.white(self.system.C).T)))
+
+    def _cleaned(self, restricted: Matrix, mass: Vector, whole: float) -> Matrix:
+        """A restricted matrix with zeros where everything cancels.
 
         Args:
-            matrix: shape (n, n).
-            shapes: shape (n, r).
-            mass: what each moves, shape (r,), kg.
+            restricted: shape (r, r).
+            mass: what each coordinate moves, shape (r,), kg.
+            whole: size of what was restricted, over mass.
         """
-        restricted = shapes.T @ matrix @ shapes
-        whole = np.linalg.norm(self.white(self.white(matrix).T))
         size = np.sqrt(mass)
-        nothing = _CANCELLED * len(matrix) * whole * np.outer(size, size)
-        restricted[np.abs(restricted) <= nothing] = 0.0
-        return _symmetric(restricted) if np.array_equal(matrix, matrix.T) else restricted
+        nothing = _CANCELLED * self.system.n * whole * np.outer(size, size)
+        return np.where(np.abs(restricted) <= nothing, 0.0, restricted)
 
 
 def _symmetric(matrix: Matrix) -> Matrix:
