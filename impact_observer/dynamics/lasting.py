@@ -60,7 +60,7 @@ def resting(
     undecided = list(contacts)
     for k in range(_ORDERS):
         terms = phases.white(
-            np.stack([f[k], -(equations.C @ motion[-1]), -(equations.K @ motion[-2])], axis=1)
+            np.stack([f[k], -unloaded.damped(motion[-1]), -unloaded.sprung(motion[-2])], axis=1)
         )
         basis = _basis(phases.B[:, pressing])
         directions = _without(basis, phases.B[:, undecided])

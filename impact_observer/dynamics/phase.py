@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.dynamics.few import Factor, Product, product_with
 from impact_observer.dynamics.flow import Equations, Flow, Functions, Motion
 from impact_observer.dynamics.free import Free
 from impact_observer.dynamics.projection import KEPT, PositionProjection
@@ -59,6 +60,8 @@ class Unloaded(NamedTuple):
 
     Attributes:
         equations: of ``p``.
+        damped: ``C u`` as a function of ``u``.
+        sprung: ``K p`` as a function of ``p``.
         Q: ``dq/dt = Q u``, shape (n, n).
         rest: ``q = Q p + rest``, shape (n,), m.
         load: bound of ``sqrt(f^(k)^T M^-1 f^(k))``; see ``Forcing.bound``.
@@ -66,6 +69,8 @@ class Unloaded(NamedTuple):
     """
 
     equations: Equations
+    damped: Product
+    sprung: Product
     Q: Matrix
     rest: Vector
     load: Callable[[int, Vector], Vector]
@@ -141,14 +146,16 @@ class Phases:
         projection: its position jumps.
         B: ``L^-1 W``, ``M = L L^T``: ``B^T B = G``, shape (n, m).
         length: of the columns of ``B``, shape (m,).
+        inertia: ``M u`` as a function of ``u``.
         scales: of the system where nothing is held or fixed.
     """
 
     def __init__(self, system: System) -> None:
         """Factorise the mass matrix."""
         self.system = system
-        self._factor = linalg.cholesky(system.M, lower=True)
-        self.B = frozen(linalg.solve_triangular(self._factor, system.W, lower=True))
+        self._factor = Factor(system.M)
+        self.inertia = product_with(system.M)
+        self.B = frozen(self.white(system.W))
         self.length = frozen(np.linalg.norm(self.B, axis=0))
         self._inverse = self._left(np.eye(system.n))
         self._prepared = lru_cache(KEPT)(self._prepare)
@@ -182,14 +189,13 @@ class Phases:
 
     def white(self, loads: Matrix) -> Matrix:
         """``L^-1 loads``, ``M = L L^T``: accelerations whose length is their energy's root."""
-        # LAPACK's routines themselves: on the path of every impact, where checks cost more.
-        return np.asarray(linalg.lapack.dtrtrs(self._factor, loads, lower=1)[0])
+        return self._factor.solved(loads) if loads.size else loads
 
     def unwhite(self, accelerations: Matrix) -> Matrix:
         """``L^-T accelerations``: back to coordinates."""
         if not accelerations.size:
             return accelerations
-        return np.asarray(linalg.lapack.dtrtrs(self._factor, accelerations, lower=1, trans=1)[0])
+        return self._factor.solved_transposed(accelerations)
 
     def stopped(
         self, x: Vector, contacts: tuple[int, ...], projection: PositionProjection | None = None
@@ -205,7 +211,7 @@ class Phases:
         """
         n = self.system.n
         basis = linalg.qr(self.B[:, list(self.independent(contacts))], mode="economic")[0]
-        velocity = self._factor.T @ x[n:]
+        velocity = self._factor.transposed(x[n:])
         velocity -= basis @ (basis.T @ velocity)
         position = (projection or self.projection).position_after(x[:n], contacts)
         return np.concatenate([position, self.unwhite(velocity)])
@@ -215,7 +221,7 @@ class Phases:
 
         Impulses spread what is rounded over all bodies.
         """
-        return np.asarray(_ROUNDING * self.length * np.sqrt(u @ self.system.M @ u))
+        return np.asarray(_ROUNDING * self.length * np.sqrt(u.dot(self.inertia(u))))
 
     def unloaded(self, fixed: tuple[int, ...] = ()) -> "Unloaded":
         """The law of motion while the gaps of ``fixed`` stay closed and nothing is held."""
@@ -234,7 +240,8 @@ class Phases:
             stiffness = self._cleaned(_symmetric(Q.T @ system.K @ Q), np.diag(system.M), whole)
             equations = Reduced(system.M, system.C, stiffness, forcing)
         load = equations.forcing.bound(self._inverse)
-        return Unloaded(equations, frozen(Q), frozen(rest), load, Scales.of(equations))
+        pulls = product_with(equations.C), product_with(equations.K)
+        return Unloaded(equations, *pulls, frozen(Q), frozen(rest), load, Scales.of(equations))
 
     def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
         if fixed and len(self.independent((*held, *fixed))) == len(held):

@@ -23,6 +23,7 @@ from scipy import linalg
 from impact_observer.dynamics.dense import DenseFlow
 from impact_observer.dynamics.divided_differences import Complex
 from impact_observer.dynamics.driven import Driven
+from impact_observer.dynamics.few import product_with
 from impact_observer.dynamics.flow import Equations, Flow, Functions, Motion
 from impact_observer.dynamics.modes import Modes, split
 from impact_observer.dynamics.responses import response_of
@@ -59,7 +60,7 @@ class SpectralFlow(Flow):
     def __init__(self, system: Equations, modes: Modes) -> None:
         """Prepare eigenvalues, steady responses and the pairs that resonate."""
         self._n = system.n
-        self._M, self._K = system.M, system.K
+        self._inertia, self._sprung = product_with(system.M), product_with(system.K)
         self.modes = modes
         self._prepare_forcing(system, modes)
 
@@ -126,7 +127,7 @@ class SpectralFlow(Flow):
     def energy(self, x: Vector) -> float:
         """Size of a state (q, u), shape (2n,), square root of twice its energy."""
         q, u = x[: self._n], x[self._n :]
-        return math.sqrt(max(float(u @ self._M @ u + q @ self._K @ q), 0.0))
+        return math.sqrt(max(float(u.dot(self._inertia(u)) + q.dot(self._sprung(q))), 0.0))
 
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
@@ -138,7 +139,7 @@ class SpectralFlow(Flow):
     def _is_small(self, x: Vector) -> bool:
         """Whether ``x`` is small against the steady response; few are, by their speed alone."""
         u = x[self._n :]
-        if self._steady_size**2 <= _HUGE**2 * u.dot(self._M.dot(u)):
+        if self._steady_size**2 <= _HUGE**2 * u.dot(self._inertia(u)):
             return False
         return self._steady_size > _HUGE * self.energy(x)
 

@@ -164,7 +164,7 @@ class Plant:
 
     def _energy(self, u: Vector) -> float:
         """Kinetic energy of velocities ``u``, J."""
-        return float(u @ self.system.M @ u) / 2
+        return float(u.dot(self._phases.inertia(u))) / 2
 
     def _switched(
         self,

@@ -68,7 +68,8 @@ class Rest:
         gamma = system.contact_speed(u)
         rounding = self._phases.still(before)
         lowest = LOW * self._scale(q, u)
-        free = self._phases.white(system.forcing(t) - system.C @ u - system.K @ q)
+        law = self._phases.unloaded()
+        free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q))
 
         def flights(found: list[int], fall: Vector) -> Vector:
             """The next flight of contacts that come back with ``fall``; up to 1 it is none."""
