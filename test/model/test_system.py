@@ -136,3 +136,28 @@ def test_states_are_checked_and_frozen() -> None:
         example().checked_state([1, 2], [1, np.inf])
     with pytest.raises(UsageError, match="position: is not made of numbers only"):
         example().checked_state(["a", "2"], [1, 2])
+
+
+@pytest.mark.parametrize("shuffled", [False, True])
+@pytest.mark.parametrize(
+    ("key", "lowered", "message"),
+    [
+        ("M", 1.0 + 1e-9, "mass: is not positive definite: smallest eigenvalue -1e-09"),
+        ("C", 1e-6, "damping: .* not positive semidefinite: smallest eigenvalue -1e-06"),
+        ("K", 1e-6, "stiffness: it is not positive semidefinite: smallest eigenvalue -1e-06"),
+    ],
+)
+def test_a_long_chain_is_judged_the_same_in_whatever_order(
+    key: str, lowered: float, message: str, shuffled: bool
+) -> None:
+    """In its own order its matrices have bands; a free chain can move without its springs."""
+    n = 80
+    free = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    free[0, 0] = free[-1, -1] = 1.0
+    order = np.random.default_rng(1).permutation(n) if shuffled else np.arange(n)
+    parts = {"M": free + np.eye(n), "C": 0.1 * free, "K": free}
+    good = {name: matrix[np.ix_(order, order)] for name, matrix in parts.items()}
+    assert system(*good.values()).n == n
+    bad = {**good, key: good[key] - lowered * np.eye(n)}
+    with pytest.raises(ModelError, match=message):
+        system(*bad.values())
