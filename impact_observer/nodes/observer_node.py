@@ -1,6 +1,7 @@
 """The observer node: impact events in, the estimated state out."""
 
 import math
+import time
 from collections import Counter
 from collections.abc import Sequence
 
@@ -36,7 +37,9 @@ _BURST = 8
 """The same when the node was late: to make up for more would make it later. So many fit into the
 history of their topics, of 10, before somebody must hear them."""
 _AT_ONCE = 100
-"""Events taken one after the other before estimates have their turn."""
+"""Events taken one after the other, at most, before estimates have their turn."""
+_TURN = 5_000_000
+"""For so long they are, ns: services and signals wait meanwhile."""
 _PATIENCE = Duration(seconds=0.01)
 """How long a burst waits to be heard."""
 _STALE = 60 * NS_PER_S
@@ -126,7 +129,7 @@ class ObserverNode(Node):
 
     def _forget(self) -> None:
         """Nothing has been published yet."""
-        self._last_sample = -1
+        self._last_sample: int | None = None
         self._last_stamp = 0
         self._last: Estimate | None = None
 
@@ -135,10 +138,12 @@ class ObserverNode(Node):
 
     def _on_events(self, *messages: bytes) -> None:
         """Apply what has come, and what has come behind it meanwhile."""
+        end = time.monotonic_ns() + _TURN
         for message in messages:
             self._on_event(message)
-        for message, _ in waiting(self._impacts, _AT_ONCE, raw=True):
-            self._on_event(message)
+        behind = waiting(self._impacts, _AT_ONCE, raw=True)
+        while time.monotonic_ns() < end and (more := next(behind, None)) is not None:
+            self._on_event(more[0])
 
     def _on_event(self, message: bytes) -> None:
         """Apply an event and say what became of it."""
@@ -188,10 +193,12 @@ class ObserverNode(Node):
     def _judge(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """What the observer makes of an event, unless its stamp or epoch cannot be used."""
         now = self._now()
-        if now and event.stamp > now + self._future:
+        ahead = max(event.stamp, event.epoch) - now
+        if now and ahead > self._future:
             self._counts["future"] += 1
-            ahead, most = seconds_between(now, event.stamp), self._future / NS_PER_S
-            reason = f"stamped {ahead:.3f} s after the clock; future allows {most:g} s"
+            what = "stamped" if event.stamp - now > self._future else "its epoch is"
+            most = self._future / NS_PER_S
+            reason = f"{what} {ahead / NS_PER_S:.3f} s after the clock; future allows {most:g} s"
         else:
             try:
                 return self._observer.receive(event)
@@ -207,17 +214,18 @@ class ObserverNode(Node):
         epoch = self._observer.epoch or start
         newest = int(seconds_between(epoch, now) * self._rate) + 1
         simulated = self.get_clock().ros_time_is_active
-        first = max(self._last_sample + 1, newest - (_BACKLOG if simulated else _BURST))
+        beginning = math.ceil(seconds_between(epoch, start) * self._rate)
+        last = beginning - 1 if self._last_sample is None else self._last_sample
+        first = max(last + 1, newest - (_BACKLOG if simulated else _BURST))
         due = [*range(first, newest + 1)]
         # Where it began is told in any case: what is said of V is relative to that.
-        beginning = math.ceil(seconds_between(epoch, start) * self._rate)
-        if self._last_sample < 0 and beginning < first:
+        if self._last_sample is None and beginning < first:
             due.insert(0, beginning)
         for k in due:
             stamp = epoch + round(k * NS_PER_S / self._rate)
             if stamp > now:
                 break
-            if self._last_sample >= 0:
+            if self._last_sample is not None:
                 self._counts["passed_over"] += k - self._last_sample - 1
             self._last_sample = k
             if stamp < start:

@@ -14,10 +14,11 @@ from struct import error as StructError  # noqa: N812 (its own name says nothing
 from typing import TypeAlias, cast
 
 import numpy as np
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message, serialize_message
 
 from impact_observer.bag.interfaces import IMPACT_EVENT
-from impact_observer.bag.messages import EventMessage, JointState, read_event
+from impact_observer.bag.messages import EventMessage, JointState, MessageError, read_event
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.stamps import MAX_STAMP, NS_PER_S
@@ -150,7 +151,7 @@ def read_impact(data: bytes) -> ImpactEvent:
     """The event in a serialized ``impact_observer_msgs/ImpactEvent``.
 
     Raises:
-        MessageError: as :func:`~impact_observer.bag.messages.read_event`.
+        MessageError: as :func:`~impact_observer.bag.messages.read_event`, or no such message.
     """
     try:
         event = _read_impact(data)
@@ -158,7 +159,10 @@ def read_impact(data: bytes) -> ImpactEvent:
         event = None
     if event is not None:
         return event
-    message = deserialize_message(data, message_class(IMPACT_EVENT))
+    try:
+        message = deserialize_message(data, message_class(IMPACT_EVENT))
+    except rclpy_implementation.RMWError:
+        raise MessageError(f"{len(data)} bytes that are no {IMPACT_EVENT}; left out") from None
     return read_event(cast("EventMessage", message))
 
 

@@ -1,5 +1,6 @@
 """The observer node: estimates on topics, verdicts, services, diagnostics."""
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
 from impact_observer_msgs.srv import SetState
 from processes import Spinner, ros_arguments, running, spinning
 from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -252,6 +254,61 @@ def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
     good = event(EPOCH + 20_000_000, 2)
     rig.send(good)
     assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+
+
+def test_an_epoch_from_the_future_is_rejected(rig: Rig) -> None:
+    """All true events would be of a past that is over."""
+    rig.tick(EPOCH + 50_000_000)
+    rig.send(event(EPOCH + 10_000_000, 1, epoch=EPOCH + 3_600_000_000_000))
+    assert "its epoch is 3599.950 s after the clock" in rig.verdicts[-1].reason
+    rig.send(event(EPOCH + 20_000_000, 2))
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+    assert rig.figures()["from the future"] == "1"
+
+
+def test_bytes_that_are_no_event_are_left_out(rig: Rig) -> None:
+    """A header alone, and more switches than there are bytes: counted, and the node goes on."""
+    rig.tick(EPOCH + 50_000_000)
+    whole = serialize_message(ros_messages().event(event(EPOCH + 10_000_000, 1)))
+    for data in (whole[:4], whole[:-20] + b"\xff" * 20):
+        rig.impacts.publish(data)
+    rig.spinner.until(lambda: rig.figures()["invalid messages"] == "2")
+    rig.send(event(EPOCH + 20_000_000, 2))
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+
+
+def test_services_do_not_wait_for_a_queue_of_events(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Events that take long are taken for some milliseconds, not until none is left."""
+    rig.tick(EPOCH + 950_000_000)
+    receive = rig.node._observer.receive
+
+    def slow(what: Event) -> object:
+        time.sleep(0.05)
+        return receive(what)
+
+    monkeypatch.setattr(rig.node._observer, "receive", slow)
+    client = rig.spinner.probe.create_client(Trigger, "/observer/reset")
+    rig.spinner.until(client.service_is_ready)
+    for k in range(40):
+        rig.impacts.publish(ros_messages().event(event(EPOCH + (k + 1) * 20_000_000, k + 1)))
+    answer = client.call_async(Trigger.Request())
+    rig.spinner.until(answer.done)
+    assert len(rig.verdicts) < 20
+    rig.spinner.until(lambda: len(rig.verdicts) >= 40)
+
+
+def test_estimates_before_the_epoch_are_told_once(rig: Rig) -> None:
+    """The known past may begin before the forcing does, as far as a clock may be ahead."""
+    rig.tick(EPOCH - 500_000_000)
+    rig.send(event(EPOCH - 600_000_000, 3))
+    for k in range(1, 4):
+        rig.tick(EPOCH - 500_000_000 + k * 100_000_000)
+    stamps = [each.stamp for each in rig.estimates()]
+    assert stamps[0] == EPOCH - 600_000_000
+    assert stamps == sorted({*stamps})
+    assert stamps[-1] == EPOCH - 200_000_000
 
 
 def test_how_far_ahead_a_stamp_may_be_is_a_parameter(ros_environment: dict[str, str]) -> None:
