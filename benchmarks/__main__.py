@@ -4,7 +4,6 @@ import argparse
 import json
 import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -22,7 +21,7 @@ from benchmarks import (
     topic,
 )
 from benchmarks.fast_bags import SECONDS
-from benchmarks.harness import Benchmark, DisagreementError, Result, measure
+from benchmarks.harness import Benchmark, DisagreementError, Result, measure, new_file
 
 
 def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
@@ -44,7 +43,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run what is asked for.
 
     Returns:
-        0; 1 when contestants disagree, so that there is nothing to compare; 2 for wrong use.
+        0; 1 when contestants of one disagree, so that it has nothing to compare; 2 for wrong use.
     """
     given = arguments(args)
     if given.list:
@@ -52,11 +51,7 @@ def main(args: Sequence[str] | None = None) -> int:
             print(f"{each.name:24} {each.question}")
         return 0
     chosen = [each for each in benchmarks(given.seconds) if each.name in given.names]
-    try:
-        told = measured(chosen, given.rounds)
-    except DisagreementError as error:
-        print(f"benchmarks: results disagree: {error}", file=sys.stderr)
-        return 1
+    told, agreed = measured(chosen, given.rounds)
     if given.json:
         given.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
     console = Console(width=max(Console().width, 100))
@@ -65,7 +60,7 @@ def main(args: Sequence[str] | None = None) -> int:
         console.print(f"{found['name']}: {found['work']}", highlight=False)
     for name, reason in told["skipped"].items():
         console.print(f"{name}: skipped: {reason}", highlight=False)
-    return 0
+    return 0 if agreed else 1
 
 
 def arguments(args: Sequence[str] | None) -> argparse.Namespace:
@@ -82,7 +77,7 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
         metavar="S",
         help=f"length of the bags to observe and to compare (default {SECONDS:g})",
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
     given = parser.parse_args(args)
     if unknown := [name for name in given.names if name not in known]:
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(known)}")
@@ -90,28 +85,27 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
         parser.error(f"argument --rounds: {given.rounds}; expected 1 or more")
     if not 1 <= given.seconds <= 100_000:
         parser.error(f"argument --seconds: {given.seconds:g}; expected 1 to 100000")
-    if given.json and not given.json.absolute().parent.is_dir():
-        parser.error(f"argument --json: no folder {given.json.parent}; make it first")
     given.names = given.names or known
     return given
 
 
-def measured(chosen: Iterable[Benchmark], rounds: int | None) -> dict[str, Any]:
-    """The document of what is chosen.
-
-    Raises:
-        DisagreementError: the contestants of one of them differ.
-    """
+def measured(chosen: Iterable[Benchmark], rounds: int | None) -> tuple[dict[str, Any], bool]:
+    """The document of what is chosen, and whether all contestants agreed."""
     results: list[Result] = []
     skipped: dict[str, str] = {}
+    agreed = True
     with Console(stderr=True).status("") as status:
         for each in chosen:
-            result = measure(each, rounds, status.update)
+            try:
+                result = measure(each, rounds, status.update)
+            except DisagreementError as error:
+                result, agreed = f"results disagree: {error}", False
+                print(f"benchmarks: {each.name}: {result}", file=sys.stderr)
             if isinstance(result, str):
                 skipped[each.name] = result
             else:
                 results.append(result)
-    return report.document(results, skipped)
+    return report.document(results, skipped), agreed
 
 
 if __name__ == "__main__":

@@ -15,10 +15,10 @@ import json
 import math
 import time
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 
+from benchmarks.harness import new_file
 from impact_observer.model import Contact, Forcing, System
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid
@@ -126,7 +126,7 @@ def main() -> None:
     """Print what each size costs, and how that grows."""
     parser = argparse.ArgumentParser(prog="./dev bench bar", description=__doc__)
     parser.add_argument("sizes", nargs="*", type=int, default=[10, 100, 1000], metavar="N")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
     given = parser.parse_args()
     if any(n < 1 for n in given.sizes):
         parser.error(f"{min(given.sizes)} elements; expected 1 or more")

@@ -1,6 +1,8 @@
 """Measuring contestants side by side: they take turns, and each round gives its own ratio."""
 
+import argparse
 import gc
+import os
 import statistics
 import tempfile
 import time
@@ -16,6 +18,21 @@ Job: TypeAlias = Callable[[Path], object]
 TIME = "time"
 """How long a job takes, s: the figure of those that measure nothing themselves."""
 OURS = "ours"
+
+
+def new_file(text: str) -> Path:
+    """An argument that is a file to be written, checked before anything is measured.
+
+    Raises:
+        ArgumentTypeError: it is a folder, or its own folder is not there or not to be written to.
+    """
+    path = Path(text)
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise argparse.ArgumentTypeError(f"no folder {folder}; make it first")
+    if path.is_dir() or not os.access(path if path.exists() else folder, os.W_OK):
+        raise argparse.ArgumentTypeError(f"{path}: cannot be written; name another file")
+    return path
 
 
 class DisagreementError(Exception):

@@ -24,7 +24,6 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -32,6 +31,7 @@ from rich.progress import track
 from rich.table import Table
 from scipy import stats
 
+from benchmarks.harness import new_file
 from impact_observer.analysis.identification.identifying import Identified, identify
 from impact_observer.analysis.identification.motion import Moment, shoot
 from impact_observer.analysis.lyapunov import distance
@@ -270,7 +270,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="./dev bench identify", description=__doc__)
     parser.add_argument("--seeds", type=int, default=50, metavar="N", help="(default 50)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every figure to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
     given = parser.parse_args(args)
     tables = {
         "exact stamps": [exact(name) for name in MODELS],

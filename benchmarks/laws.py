@@ -18,7 +18,6 @@ import statistics
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
 from rich import box
@@ -26,6 +25,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from benchmarks.harness import new_file
 from impact_observer.analysis.lyapunov import distance
 from impact_observer.analysis.pairing import Series
 from impact_observer.errors import ImpactObserverError
@@ -276,12 +276,10 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="(default 60)")
     parser.add_argument("--models", nargs="+", default=MODELS, metavar="MODEL")
     parser.add_argument("--laws", nargs="+", default=law_names(), metavar="LAW")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every run to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every run to FILE")
     given = parser.parse_args(args)
     if given.runs < 1 or not given.seconds > 0:
         parser.error("argument --runs, --seconds: expected numbers above 0")
-    if given.json and not given.json.absolute().parent.is_dir():
-        parser.error(f"argument --json: no folder {given.json.parent}; make it first")
     try:
         cases = {name: case_of(name, given.seconds) for name in given.models}
         jobs = [

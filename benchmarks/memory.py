@@ -32,6 +32,7 @@ from impact_observer.nodes.executor import DirectExecutor
 from impact_observer.nodes.messages import ros_messages
 from impact_observer.nodes.observer_node import ObserverNode
 from impact_observer.nodes.quality import qos_profile
+from impact_observer.observer import law_names
 
 EPOCH = 1_000_000_000
 RATE = 25
@@ -126,6 +127,8 @@ def main(args: Sequence[str] | None = None) -> int:
     if given.events < 100:
         parser.error(f"argument --events: {given.events}; expected 100 or more")
     tenth, found = given.events // 10, list[float]()
+    if given.law not in law_names():
+        parser.error(f"argument --law: {given.law}; there are {', '.join(law_names())}")
     with take_domain(), rig(given.law) as made, Progress(console=Console(stderr=True)) as progress:
         for _ in progress.track(range(10), description="events"):
             made.send(tenth)

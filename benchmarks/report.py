@@ -186,4 +186,8 @@ def _siconos() -> str | None:
 
 
 if __name__ == "__main__":
-    print(markdown(json.loads(Path(sys.argv[1]).read_text("utf-8"))))
+    try:
+        told = json.loads(Path(sys.argv[1]).read_text("utf-8"))
+    except (IndexError, OSError, ValueError) as error:
+        sys.exit(f"benchmarks.report: {error}; give the FILE of ./dev bench --json FILE")
+    print(markdown(told))

@@ -30,7 +30,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks.harness import DisagreementError
+from benchmarks.harness import DisagreementError, new_file
 from impact_observer.analysis.sweep.replicas import replicas_of
 from impact_observer.analysis.sweep.running import Outcome, run_case
 from impact_observer.analysis.sweep.sweep import Case, Rig, Sweep, sensors_of
@@ -144,12 +144,10 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--runs", type=int, default=4, metavar="N", help="seeds (default 4)")
     parser.add_argument("--rounds", type=int, default=5, metavar="N", help="(default 5)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every time to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every time to FILE")
     given = parser.parse_args(args)
     if given.runs < 1 or given.rounds < 1:
         parser.error("argument --runs, --rounds: expected whole numbers above 0")
-    if given.json and not given.json.absolute().parent.is_dir():
-        parser.error(f"argument --json: no folder {given.json.parent}; make it first")
     size = swept(given.runs).size
     try:
         times = measured(given.runs, given.rounds)

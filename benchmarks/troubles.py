@@ -33,7 +33,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import islice
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +42,7 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.covariance import drawn, least
+from benchmarks.harness import new_file
 from benchmarks.laws import FAR_END
 from impact_observer.analysis.lyapunov import distance
 from impact_observer.errors import ImpactObserverError
@@ -407,12 +407,10 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("--seconds", type=int, default=60, metavar="S", help="(default 60)")
     parser.add_argument("--models", nargs="+", choices=known, default=known, metavar="MODEL")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write every run to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every run to FILE")
     given = parser.parse_args(args)
     if min(given.runs, given.seconds, given.workers) < 1:
         parser.error("arguments --runs, --seconds, --workers: expected numbers above 0")
-    if given.json and not given.json.absolute().parent.is_dir():
-        parser.error(f"argument --json: no folder {given.json.parent}; make it first")
     groups = jobs_of(given.models, given.runs, given.seconds)
     try:
         outcomes = run([job for group in groups.values() for job in group], given.workers)
