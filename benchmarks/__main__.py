@@ -54,7 +54,7 @@ def main(args: Sequence[str] | None = None) -> int:
     told, agreed = measured(chosen, given.rounds)
     if given.json:
         given.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
-    console = Console(width=max(Console().width, 100))
+    console = Console(width=max(Console().width, 120))
     console.print(report.table(told))
     for found in told["benchmarks"]:
         console.print(f"{found['name']}: {found['work']}", highlight=False)
