@@ -39,7 +39,7 @@ class Factor:
         n = len(M)
         self._lower, self._band = linalg.cholesky(M, lower=True), None
         self.transposed = product_with(self._lower.T)
-        below = int(linalg.bandwidth(self._lower)[0])
+        below = int(linalg.bandwidth(self._lower)[0]) if n >= _MANY else n
         if n >= _MANY and below <= _FEW:
             self._band = np.zeros((below + 1, n), order="F")
             for k, row in enumerate(self._band):

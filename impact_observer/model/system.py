@@ -239,7 +239,8 @@ def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
 def _ends(symmetric: Matrix) -> tuple[float, float]:
     """The least and the largest eigenvalue: those of a band cost n^2, those of others n^3."""
     n = len(symmetric)
-    below = int(linalg.bandwidth(symmetric)[0])
+    # A copy, as scipy 1.11 refuses what must not be written to.
+    below = int(linalg.bandwidth(symmetric.copy())[0]) if n >= _MANY else n
     if n < _MANY or below > _NARROW:
         eigenvalues = linalg.eigvalsh(symmetric)
         return float(eigenvalues[0]), float(eigenvalues[-1])
