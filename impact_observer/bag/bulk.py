@@ -61,8 +61,12 @@ class Layout:
         stamp: of the header.
         q: of the first coordinate.
         u: of the first velocity.
+        covariance: of its first number; None for joint states.
+        convergence: None for joint states.
         last_sequence: None for joint states.
         last_event: None for joint states.
+        learnt: of the first parameter; None where a message has no place for them.
+        deviations: of the first deviation of these, likewise.
         fixed: the bytes that make the shape, shape (size,).
     """
 
@@ -70,8 +74,12 @@ class Layout:
     stamp: int
     q: int
     u: int
+    covariance: int | None
+    convergence: int | None
     last_sequence: int | None
     last_event: int | None
+    learnt: int | None
+    deviations: int | None
     fixed: NDArray[np.bool_]
 
 
@@ -128,7 +136,7 @@ def layout_of(type_name: str, data: bytes) -> Layout | None:
     """
     if type_name not in {JOINT_STATE, OBSERVER_STATE} or data[:2] != _LITTLE_ENDIAN:
         return None
-    walk, sequence, event = _Walk(data), None, None
+    walk, covariance, convergence, sequence, event = _Walk(data), None, None, None, None
     try:
         stamp = walk.number(4, 2)
         walk.string()
@@ -137,9 +145,9 @@ def layout_of(type_name: str, data: bytes) -> Layout | None:
         n = walk.strings()
         (q, positions), (u, velocities) = walk.floats(), walk.floats()
         if type_name == OBSERVER_STATE:
-            walk.floats()
+            covariance, _ = walk.floats()
             walk.strings()
-            walk.number(8)
+            convergence = walk.number(8)
             walk.number(1)
             walk.number(8)
             sequence, event = walk.number(8), walk.number(4, 2)
@@ -147,7 +155,19 @@ def layout_of(type_name: str, data: bytes) -> Layout | None:
         return None
     if not positions == velocities == n:
         return None
-    return Layout(n, stamp, q, u, sequence, event, walk.fixed)
+    fixed = walk.fixed.copy()  # what is behind may differ among messages that are read
+    learnt, deviations = (None, None) if event is None else _learnt(walk)
+    places = (covariance, convergence, sequence, event, learnt, deviations)
+    return Layout(n, stamp, q, u, *places, fixed)
+
+
+def _learnt(walk: _Walk) -> tuple[int, int] | tuple[None, None]:
+    """Where parameters and their deviations begin, at the end of what is walked through."""
+    try:
+        walk.strings()
+        return walk.floats()[0], walk.floats()[0]
+    except ValueError:
+        return None, None
 
 
 def decode(type_name: str, block: Sequence[bytes]) -> tuple[list[Rows], list[int]]:

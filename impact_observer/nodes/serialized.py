@@ -2,13 +2,13 @@
 
 At a kilohertz, to make message objects, to look at each field and to convert them takes longer
 than the estimate itself. The bytes of two estimates of one shape (OMG CDR, little endian) differ
-in numbers only, whose places are found once. Subscribers cannot tell the difference. What is not
-as usual goes the usual way.
+in numbers only, whose places are found once (``bag/bulk.py``). Subscribers cannot tell the
+difference. What is not as usual goes the usual way.
 """
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
+from math import isqrt
 from struct import Struct
 from struct import error as StructError  # noqa: N812 (its own name says nothing)
 from typing import TypeAlias, cast
@@ -17,7 +17,8 @@ import numpy as np
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message, serialize_message
 
-from impact_observer.bag.interfaces import IMPACT_EVENT
+from impact_observer.bag.bulk import layout_of
+from impact_observer.bag.interfaces import IMPACT_EVENT, JOINT_STATE, OBSERVER_STATE
 from impact_observer.bag.messages import EventMessage, JointState, MessageError, read_event
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.nodes.messages import message_class, ros_messages
@@ -26,8 +27,6 @@ from impact_observer.states import Estimate, Vector
 
 _START = b"\x00\x01\x00\x00"
 """The header of a serialized message, little endian; places are aligned from behind it."""
-_FLOAT = 8
-"""Bytes of a ``float64``."""
 _MOST_FORMS = 64
 """Shapes that are kept: closed contacts come and go."""
 _TIME = Struct("<iI")
@@ -46,105 +45,36 @@ _Shape: TypeAlias = tuple[str, tuple[str, ...], int, tuple[str, ...]]
 
 
 class _Form:
-    """A message with zeros for its numbers, and where these lie, made from its start on."""
+    """A message of one shape, whose numbers are put in anew."""
 
-    def __init__(self) -> None:
-        self.data = bytearray(_START)
-
-    def numbers(self, size: int, count: int) -> int:
-        """Leave space for ``count`` numbers of ``size`` bytes; where it begins."""
-        if count:
-            self._align(size)
-        begin = len(self.data)
-        self.data += bytes(size * count)
-        return begin
-
-    def floats(self, count: int) -> int:
-        """Leave space for a sequence of ``float64``; where its numbers begin."""
-        self._length(count)
-        return self.numbers(_FLOAT, count)
-
-    def string(self, text: str) -> None:
-        """A text, and the zero at its end."""
-        data = text.encode() + b"\x00"
-        self._length(len(data))
-        self.data += data
-
-    def strings(self, texts: Sequence[str]) -> None:
-        """A sequence of texts."""
-        self._length(len(texts))
-        for text in texts:
-            self.string(text)
-
-    def _length(self, count: int) -> None:
-        self._align(4)
-        self.data += count.to_bytes(4, "little")
-
-    def _align(self, size: int) -> None:
-        self.data += bytes((len(_START) - len(self.data)) % size)
-
-
-class _StateForm:
-    """Of a message that has, after a stamp and some texts, coordinates and velocities."""
-
-    def __init__(self, form: _Form, texts: Sequence[str], names: tuple[str, ...]) -> None:
-        self._stamp = form.numbers(4, 2)
-        for text in texts:
-            form.string(text)
-        form.strings(names)
-        self._q, self._u = form.floats(len(names)), form.floats(len(names))
-        self._data = form.data
+    def __init__(self, type_name: str, example: bytes) -> None:
+        layout = layout_of(type_name, example)
+        assert layout is not None, "a message of ROS has one"
+        self._data, self._layout = bytearray(example), layout
 
     def packed(self, estimate: Estimate) -> bytes:
         """The message with the numbers of an estimate of this shape."""
-        data = self._data
-        _TIME.pack_into(data, self._stamp, *divmod(estimate.stamp, NS_PER_S))
-        _put(data, self._q, estimate.q)
-        _put(data, self._u, estimate.u)
-        return bytes(data)
-
-
-class _JointStateForm(_StateForm):
-    """Of ``sensor_msgs/JointState`` without efforts."""
-
-    def __init__(self, names: tuple[str, ...]) -> None:
-        form = _Form()
-        super().__init__(form, ("",), names)
-        form.floats(0)
-
-
-class _EstimateForm(_StateForm):
-    """Of ``impact_observer_msgs/ObserverState``, for estimates of one shape."""
-
-    def __init__(self, shape: _Shape, names: tuple[str, ...]) -> None:
-        law, closed, entries, learnt = shape
-        form = _Form()
-        super().__init__(form, ("", law), names)
-        self._covariance = form.floats(entries)
-        form.strings(closed)
-        self._surroundings = form.numbers(_FLOAT, _SURROUNDINGS.size // _FLOAT)
-        form.strings(learnt)
-        self._learnt, self._deviations = form.floats(len(learnt)), form.floats(len(learnt))
-
-    def packed(self, estimate: Estimate) -> bytes:
-        """The same, with all else that is told."""
-        data = self._data
-        if estimate.covariance.size:
-            _put(data, self._covariance, estimate.covariance)
-        _SURROUNDINGS.pack_into(
-            data,
-            self._surroundings,
-            estimate.convergence,
-            estimate.synchronized,
-            estimate.clock_offset,
-            estimate.last_sequence,
-            *divmod(estimate.last_event, NS_PER_S),
-        )
-        if estimate.learnt:
+        data, layout = self._data, self._layout
+        _TIME.pack_into(data, layout.stamp, *divmod(estimate.stamp, NS_PER_S))
+        _put(data, layout.q, estimate.q)
+        _put(data, layout.u, estimate.u)
+        if layout.covariance is not None and layout.convergence is not None:
+            if estimate.covariance.size:
+                _put(data, layout.covariance, estimate.covariance)
+            _SURROUNDINGS.pack_into(
+                data,
+                layout.convergence,
+                estimate.convergence,
+                estimate.synchronized,
+                estimate.clock_offset,
+                estimate.last_sequence,
+                *divmod(estimate.last_event, NS_PER_S),
+            )
+        if estimate.learnt and layout.learnt is not None and layout.deviations is not None:
             _, values, deviations = zip(*estimate.learnt, strict=True)
-            _put(data, self._learnt, np.array(values))
-            _put(data, self._deviations, np.array(deviations))
-        return super().packed(estimate)
+            _put(data, layout.learnt, np.array(values))
+            _put(data, layout.deviations, np.array(deviations))
+        return bytes(data)
 
 
 def read_impact(data: bytes) -> ImpactEvent:
@@ -201,8 +131,7 @@ class Serialized:
             names: of the coordinates, n of them.
         """
         self._names = names
-        self._joints = _JointStateForm(names)
-        self._forms = lru_cache(maxsize=_MOST_FORMS)(lambda shape: _EstimateForm(shape, names))
+        self._forms = lru_cache(_MOST_FORMS)(self._forms_of)
 
     def of(self, estimate: Estimate) -> tuple[bytes, bytes]:
         """An estimate as ``impact_observer_msgs/ObserverState`` and ``sensor_msgs/JointState``.
@@ -211,13 +140,28 @@ class Serialized:
             MessageError: as :class:`~impact_observer.bag.messages.Messages`.
         """
         if not _is_plain(estimate, len(self._names)):
-            state = JointState(estimate.stamp, self._names, estimate.q, estimate.u)
-            make = ros_messages()
-            both = make.estimate(estimate, self._names), make.joint_state(state)
-            return serialize_message(both[0]), serialize_message(both[1])
+            return self._converted(estimate)
         learnt = tuple([name for name, _, _ in estimate.learnt])
-        form = self._forms((estimate.law, estimate.closed, estimate.covariance.size, learnt))
-        return form.packed(estimate), self._joints.packed(estimate)
+        state, joints = self._forms(
+            (estimate.law, estimate.closed, estimate.covariance.size, learnt)
+        )
+        return state.packed(estimate), joints.packed(estimate)
+
+    def _forms_of(self, shape: _Shape) -> tuple[_Form, _Form]:
+        """The messages of a shape, converted once."""
+        law, closed, entries, learnt = shape
+        zeros, told = np.zeros(len(self._names)), tuple((name, 0.0, 0.0) for name in learnt)
+        covariance = np.zeros((isqrt(entries),) * 2)
+        example = Estimate(1, law, zeros, zeros, covariance, closed, learnt=told)
+        state, joints = self._converted(example)
+        return _Form(OBSERVER_STATE, state), _Form(JOINT_STATE, joints)
+
+    def _converted(self, estimate: Estimate) -> tuple[bytes, bytes]:
+        """The same by message objects."""
+        known = JointState(estimate.stamp, self._names, estimate.q, estimate.u)
+        make = ros_messages()
+        state, joints = make.estimate(estimate, self._names), make.joint_state(known)
+        return serialize_message(state), serialize_message(joints)
 
 
 def _is_plain(estimate: Estimate, n: int) -> bool:
