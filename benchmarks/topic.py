@@ -8,11 +8,9 @@ already and the observer must publish at once, not with the next of a kilohertz.
 of either anew; the driver is the same, and so is what both are told.
 """
 
-import fcntl
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -21,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.domain import free_domain
 from benchmarks.harness import Benchmark, Contest, Figures, Goal, SkippedError
 
 RATE = 1000.0
@@ -55,19 +54,10 @@ def prepare(_: Path) -> Contest:
 
 @contextmanager
 def take_domain() -> Iterator[None]:
-    """Have a ROS domain that no test and no other benchmark of this machine has."""
-    for domain in range(1, 102):
-        path = Path(tempfile.gettempdir(), f"impact_observer_domain_{domain}.lock")
-        with path.open("w", encoding="utf-8") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            os.environ["ROS_DOMAIN_ID"] = str(domain)
-            os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-            yield
-            return
-    raise SkippedError("all ROS domains are taken; remove impact_observer_domain_*.lock")
+    """Have a ROS domain for this process and those that it starts."""
+    with free_domain() as environment:
+        os.environ.update(environment)
+        yield
 
 
 @contextmanager

@@ -1,16 +1,15 @@
 """What tests of several rooms need."""
 
-import fcntl
 import gc
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.domain import free_domain
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.shares import shared
 from impact_observer.states import Estimate
@@ -27,18 +26,10 @@ def ros_environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]
     """An environment with a ROS domain of its own, which this process gets too."""
     pytest.importorskip("rclpy")
     pytest.importorskip("impact_observer_msgs")
-    for domain in range(1, 102):
-        lock = Path(tempfile.gettempdir(), f"impact_observer_domain_{domain}.lock")
-        with lock.open("w") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-            monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-            yield dict(os.environ)
-            return
-    pytest.fail("all ROS domains are taken; remove impact_observer_domain_*.lock")
+    with free_domain() as environment:
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+        yield dict(os.environ)
 
 
 @pytest.fixture(scope="session")
