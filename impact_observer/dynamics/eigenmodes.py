@@ -52,22 +52,20 @@ def _excess(shapes: Matrix, inertia: Double) -> Matrix:
     return excess
 
 
-def congruence(A: Matrix, X: Matrix) -> Matrix:
-    """``X' A X``, in twice the digits: small entries are not lost beside large ones."""
-    seen = product(A, X)
+def congruence(X: Matrix, seen: Double) -> Matrix:
+    """``X' A X`` of ``seen``, ``A X``, in twice the digits: small entries are not lost."""
     found = product(X.T, seen.high)
     return np.asarray(found.high + (found.low + X.T @ seen.low))
 
 
-def diagonal(A: Matrix, X: Matrix, within: float) -> Vector | None:
+def diagonal(X: Matrix, seen: Double, within: float) -> Vector | None:
     """The diagonal of ``X' A X``, shape (n,), in twice the digits, where there is little else.
 
     Args:
-        A: shape (n, n).
         X: shape (n, n).
+        seen: ``A X``, shape (n, n).
         within: how large other entries may be, relative to the largest of all.
     """
-    seen = product(A, X)
     found, entries = dots(X, seen).total, np.abs(X.T @ seen.high)
     np.fill_diagonal(entries, 0.0)
     others = float(entries.max())

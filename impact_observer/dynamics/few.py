@@ -9,12 +9,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg, sparse
 
+from impact_observer.model.bands import FEW, MANY, band_of
 from impact_observer.states import Matrix, Vector
-
-_MANY = 32
-"""Coordinates from which on it is worth while to leave out zeros."""
-_FEW = 16
-"""Numbers in a row that are few; diagonals beside the main one that are."""
 
 Product = Callable[[Vector], Vector]
 
@@ -22,7 +18,7 @@ Product = Callable[[Vector], Vector]
 def product_with(A: Matrix) -> Product:
     """``A x``, shape (n,), as a function of ``x``, shape (n,); ``A`` has shape (n, n)."""
     n = len(A)
-    few = n >= _MANY and np.count_nonzero(A) <= _FEW * n
+    few = n >= MANY and np.count_nonzero(A) <= FEW * n
     found: Product = sparse.csr_array(A).dot if few else A.dot
     return found
 
@@ -36,14 +32,9 @@ class Factor:
 
     def __init__(self, M: Matrix) -> None:
         """Factorise ``M``, shape (n, n)."""
-        n = len(M)
-        self._lower, self._band = linalg.cholesky(M, lower=True), None
+        self._lower = linalg.cholesky(M, lower=True)
+        self._band = band_of(self._lower)
         self.transposed = product_with(self._lower.T)
-        below = int(linalg.bandwidth(self._lower)[0]) if n >= _MANY else n
-        if n >= _MANY and below <= _FEW:
-            self._band = np.zeros((below + 1, n), order="F")
-            for k, row in enumerate(self._band):
-                row[: n - k] = np.diagonal(self._lower, -k)
 
     # LAPACK's routines themselves: on the path of every impact, where checks cost more.
 

@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.divided_differences import Complex
+from impact_observer.dynamics.double import product
 from impact_observer.dynamics.eigenmodes import congruence, diagonal, modes_of
 from impact_observer.dynamics.flow import Equations
+from impact_observer.model.bands import MANY
 from impact_observer.states import Matrix, Vector
 
 _PROPORTIONAL = 1e-12
@@ -18,8 +20,6 @@ _RIGID = 1e-15
 """``omega^2`` that counts as zero, relative to the stiffest mode's, times n."""
 _WORST_CONDITION = 1e3
 """Condition of the modes, in units of energy, beyond which digits would be lost."""
-_MANY = 32
-"""Modes from which on it is worth while to leave out zeros."""
 _DEAD = -100.0
 """Its exponential is nothing beside any number that a model can bring about."""
 
@@ -78,7 +78,7 @@ class Rates(NamedTuple):
 
     def _alive(self, s: Vector) -> NDArray[np.bool_] | None:
         """Which of many pairs have not died away; None where it is not worth while to ask."""
-        if self.a.size < _MANY or not s.size:
+        if self.a.size < MANY or not s.size:
             return None
         alive = self.slow * s.min() > _DEAD
         return None if alive.all() else np.asarray(alive)
@@ -132,7 +132,7 @@ class Modes:
         object.__setattr__(self, "rates", Rates(a, d, oscillates, slow))
         object.__setattr__(self, "deviator", deviator)
         n, shapes = len(J), None
-        if self.proportional and n >= _MANY:
+        if self.proportional and n >= MANY:
             parts = self.T[:n, 0::2], self.T_inverse[0::2, :n]
             shapes = np.ascontiguousarray(parts[0]), np.ascontiguousarray(parts[1])
         object.__setattr__(self, "shapes", shapes)
@@ -181,10 +181,11 @@ def split(system: Equations, shapes: Matrix | None = None) -> Modes | None:
         free = shapes[:, rigid]
         within = free.T @ system.C @ free
         shapes[:, rigid] = free @ linalg.eigh(within + within.T)[1]
-    damping = diagonal(system.C, shapes, _PROPORTIONAL)
+    damped = product(system.C, shapes)
+    damping = diagonal(shapes, damped, _PROPORTIONAL)
     if damping is not None:
         return _proportional(system, stiffness, damping, shapes)
-    return _general(system, stiffness, congruence(system.C, shapes), shapes)
+    return _general(system, stiffness, congruence(shapes, damped), shapes)
 
 
 def _proportional(system: Equations, stiffness: Vector, damping: Vector, shapes: Matrix) -> Modes:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
+from impact_observer.model.bands import band_of
 from impact_observer.model.checks import LARGEST, finite
 from impact_observer.model.forcing import Forcing
 from impact_observer.states import Matrix, Vector, frozen
@@ -27,10 +28,6 @@ _SEMIDEFINITE = 1e-10
 """Most negative eigenvalue accepted as zero, relative to the largest."""
 _SINGULAR = 1e-14
 """Least eigenvalue of a mass matrix, relative to the largest: below it is rounding."""
-_MANY = 32
-"""Coordinates from which on it is worth while to look for a band."""
-_NARROW = 16
-"""Diagonals below the main one that make a band."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,18 +235,13 @@ def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
 
 def _ends(symmetric: Matrix) -> tuple[float, float]:
     """The least and the largest eigenvalue: those of a band cost n^2, those of others n^3."""
-    n = len(symmetric)
-    # A copy, as scipy 1.11 refuses what must not be written to.
-    below = int(linalg.bandwidth(symmetric.copy())[0]) if n >= _MANY else n
-    if n < _MANY or below > _NARROW:
+    band = band_of(symmetric)
+    if band is None:
         eigenvalues = linalg.eigvalsh(symmetric)
         return float(eigenvalues[0]), float(eigenvalues[-1])
-    band = np.zeros((below + 1, n))
-    for k, row in enumerate(band):
-        row[: n - k] = np.diagonal(symmetric, -k)
     least, largest = (
         linalg.eigvals_banded(band, lower=True, select="i", select_range=(i, i))
-        for i in (0, n - 1)
+        for i in (0, len(symmetric) - 1)
     )
     return float(least[0]), float(largest[0])
 
