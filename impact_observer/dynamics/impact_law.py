@@ -44,9 +44,9 @@ class ImpactLaw:
         self._B = linalg.solve_triangular(factor, system.W, lower=True)
         self._Minv_W = linalg.solve_triangular(factor.T, self._B, lower=False)
         # The law of a single contact is on the path of every event: u+ = u- - kick gamma.
-        self._rows = list(np.ascontiguousarray(system.W.T))
+        self._rows: list[Vector] = list(np.ascontiguousarray(system.W.T))
         kicks = self._Minv_W * ((1.0 + self._eps) / np.sum(self._B**2, axis=0))
-        self._kicks = list(np.ascontiguousarray(kicks.T))
+        self._kicks: list[Vector] = list(np.ascontiguousarray(kicks.T))
         self._nonexpansive = lru_cache(KEPT)(self._is_nonexpansive)
 
     @cached_property
@@ -137,6 +137,10 @@ class ImpactLaw:
         speeds = np.array([closing.get(i, 0.0) for i in active])
         impulses = self._impulses(list(active), speeds)
         return tuple(i for i, impulse in zip(active, impulses, strict=True) if impulse > 0)
+
+    def kick(self, contact: int) -> Vector:
+        """Velocity that an impact of one contact takes away per speed of approach, shape (n,)."""
+        return self._kicks[contact]
 
     def jump(self, pressed: Sequence[int], restitution: Vector | None = None) -> Matrix:
         """``J`` of ``u+ = J u-``, shape (n, n), where exactly the contacts ``pressed`` take part.

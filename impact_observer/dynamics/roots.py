@@ -47,11 +47,7 @@ class Suspect(NamedTuple):
 
 def root(trace: Trace, suspect: Suspect, which: int) -> float:
     """The single root of one function that falls all the way along an interval."""
-    start, stop = suspect.start, suspect.stop
-
-    def value(s: float) -> float:
-        return float(trace.values(np.array([s]))[0, which])
-
+    start, stop, value = suspect.start, suspect.stop, _of(trace, which)
     # Newton's method from the root of the Taylor polynomial: two or three values, not twenty.
     taylor = (suspect.derivatives[:, which] / FACTORIALS[:-1]).tolist()
     slope = [k * coefficient for k, coefficient in enumerate(taylor)][1:]
@@ -81,11 +77,7 @@ def traced(trace: Trace, s: float, which: int) -> float:
     Samples that are below zero by less than ``DEPTH`` raise no suspicion: the root of what falls
     on afterwards lies before them.
     """
-
-    def value(s: float) -> float:
-        return float(trace.values(np.array([s]))[0, which])
-
-    step, below = ROOT * s, s
+    value, step, below = _of(trace, which), ROOT * s, s
     while value(s) < 0:
         if s == 0.0:
             return s
@@ -93,6 +85,11 @@ def traced(trace: Trace, s: float, which: int) -> float:
     if s == below:
         return s
     return _between(value, s, below)
+
+
+def _of(trace: Trace, which: int) -> Callable[[float], float]:
+    """One function by itself."""
+    return lambda s: float(trace.values(np.array([s]))[0, which])
 
 
 def _between(value: Callable[[float], float], low: float, high: float) -> float:

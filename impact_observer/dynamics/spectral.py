@@ -132,9 +132,9 @@ class SpectralFlow(Flow):
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
         old = _SpectralMotion(self, t, x)
-        return (
-            _YoungMotion(self, self.modes.pairs(x), old, self._young) if self._is_small(x) else old
-        )
+        if not self._is_small(x):
+            return old
+        return _YoungMotion(self, self.modes.pairs(x), old, self._young)
 
     def _is_small(self, x: Vector) -> bool:
         """Whether ``x`` is small against the steady response; few are, by their speed alone."""
@@ -210,11 +210,8 @@ class _SpectralMotion(Motion):
         return self._flow.modes.pairs(self._x - self._flow.steady(np.array([self.t]))[:, 0])
 
     def state(self, s: float) -> Vector:
-        if (turning := self._flow.turning) is None:
-            return super().state(s)
-        if self._zeta is None:
-            self._zeta = turning.start(self.t, self._x)
-        return turning.state(self._zeta, s)
+        turning = self._flow.turning
+        return super().state(s) if turning is None else turning.state(self._turned(turning), s)
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         flow = self._flow
@@ -224,10 +221,16 @@ class _SpectralMotion(Motion):
     def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         flow = self._flow
         if flow.turning is not None:
-            return flow.turning.each(flow.turning.start(self.t, self._x), s)
+            return flow.turning.each(self._turned(flow.turning), s)
         if not flow.near.nothing or flow.modes.shapes is not None:
             return super().each(s)  # what is near resonance, or left out, depends on the others
         return flow.each(flow.homogeneous(self.z, s), self.t + s)
+
+    def _turned(self, turning: Turning) -> Complex:
+        """``zeta`` at the start, once somebody has asked for it."""
+        if self._zeta is None:
+            self._zeta = turning.start(self.t, self._x)
+        return self._zeta
 
 
 class _SpectralView(View):

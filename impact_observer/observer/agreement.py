@@ -119,17 +119,13 @@ class Agreeing:
         among.flat[:: len(among) + 1] = squares  # where nothing is: from the estimate itself
         return float(among.max()) / 2, energy
 
-    def _energies(self, x: Matrix) -> Vector:
-        """``1/2 x^T diag(K, M) x`` of each row, J."""
-        return np.asarray(np.maximum(np.einsum("ij,ij->i", x @ self._metric, x), 0.0)) / 2
-
     def _expected(self, belief: Belief) -> float:
         """``V`` to be expected from the covariance, J; 0 for a law that has none."""
         return 0.0 if belief.root is None else self._spread(belief.root)
 
     def _spread(self, root: Matrix) -> float:
         """``V`` to be expected of a covariance, J."""
-        return float(np.sum(self._energies(root.T)))
+        return max(float(np.sum(root * (self._metric @ root))), 0.0) / 2
 
     def _certain(self, x: Vector, touch: Touch) -> float:
         """What V was at least before an impact, J: the plant's gaps were zero there."""

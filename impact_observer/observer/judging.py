@@ -40,7 +40,7 @@ def judged(verdict: Verdict, contact: int, placed: Placed, believed: Notes) -> V
     """
     entry = placed.entry
     innovation = entry.belief.innovations.get(contact, -1.0)
-    note = believed.get(Matter(entry.event, contact)) if believed else None
+    note = believed.get(Matter(entry.event, contact))
     if note is not None:
         verdict = verdict._replace(ruling=note.ruling, reason=note.reason)
         innovation = note.innovation

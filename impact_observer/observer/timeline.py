@@ -121,10 +121,7 @@ class Timeline:
 
     def at(self, stamp: int) -> Entry:
         """The last entry at or before ``stamp``."""
-        entry = self.entries[-1]
-        if entry.key.stamp <= stamp:
-            return entry
-        return self.entries[max(bisect_right(self.entries, stamp, key=_stamp), 1) - 1]
+        return self.around(stamp)[0]
 
     def around(self, stamp: int) -> tuple[Entry, int | None]:
         """``at(stamp)``, and the stamp (ns) of the entry after it; None where there is none."""
@@ -132,7 +129,8 @@ class Timeline:
         if entry.key.stamp <= stamp:
             return entry, None
         after = max(bisect_right(self.entries, stamp, key=_stamp), 1)
-        return self.entries[after - 1], self.entries[after].key.stamp
+        following = self.entries[after].key.stamp if after < len(self.entries) else None
+        return self.entries[after - 1], following
 
     def reaches(self, key: Key) -> bool:
         """Whether there is a past to put an event into.

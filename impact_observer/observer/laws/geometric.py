@@ -49,11 +49,11 @@ class Geometric(ReplicaLaw):
 
     def _jump_of(self, contact: int) -> _Jump:
         """The jump at one contact that approaches."""
-        n, W = self.system.n, self.system.W[:, [contact]]
-        J = self._newton.jump((contact,))
-        P = np.eye(n) - self._projection.jump((contact,)) @ W.T
-        gamma = np.concatenate([np.zeros((1, n)), W.T], axis=1)
-        kick = (np.eye(n) - J) @ W[:, 0] / float(W[:, 0] @ W[:, 0])
+        n, w = self.system.n, self.system.W[:, contact]
+        kick = self._newton.kick(contact)
+        P = np.eye(n) - np.outer(self._projection.jump((contact,)), w)
+        J = np.eye(n) - np.outer(kick, w)
+        gamma = np.concatenate([np.zeros(n), w])[None]
         return _Jump(linalg.block_diag(P, J), gamma, kick)
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
