@@ -93,7 +93,10 @@ class SpectralFlow(Flow):
         self._steady_constant = steady[:, 0].real
         self._steady_cosine, self._steady_sine = steady[:, 1:].real, -steady[:, 1:].imag
         self._frequency = forcing.frequency
-        self._steady_size = self.energy(np.abs(steady).sum(axis=1))
+        self._small = self.energy(np.abs(steady).sum(axis=1)) / _HUGE
+        # Motions that are not so small are told by their speed, with one product.
+        few = modes.shapes is None
+        self._slow = self._small**2 / float(linalg.eigvalsh(system.M)[0]) if few else math.inf
         self._young = 1.0 / np.min(distance[far], initial=np.inf)
         self.near = Driven(modes, beta, mu, near)
         self.all = Driven(modes, beta, mu, forced)
@@ -132,16 +135,10 @@ class SpectralFlow(Flow):
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
         old = _SpectralMotion(self, t, x)
-        if not self._is_small(x):
-            return old
-        return _YoungMotion(self, self.modes.pairs(x), old, self._young)
-
-    def _is_small(self, x: Vector) -> bool:
-        """Whether ``x`` is small against the steady response; few are, by their speed alone."""
         u = x[self._n :]
-        if self._steady_size**2 <= _HUGE**2 * u.dot(self._inertia(u)):
-            return False
-        return self._steady_size > _HUGE * self.energy(x)
+        if float(u.dot(u)) < self._slow and self.energy(x) < self._small:
+            return _YoungMotion(self, self.modes.pairs(x), old, self._young)
+        return old
 
     def transition(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``, shape (2n, 2n)."""

@@ -7,6 +7,7 @@ after the other. Many states together are cheaper by real functions (``spectral.
 alone nothing costs but the calls.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -44,21 +45,22 @@ class Turning:
         a, d = modes.rates.a, modes.rates.d
         to_pair = _to_pairs(modes)
         n, h = d.size, steady.frequency.size
-        self._pairs = n
         pairs = modes.T.reshape(2 * n, n, 1, 2) @ to_pair
         self._V = np.zeros((2 * n, 2 * (n + h + 1)))
         self._V[:, : 2 * n] = pairs.reshape(2 * n, 2 * n)
         self._V[:, 2 * n : -2 : 2], self._V[:, 2 * n + 1 : -2 : 2] = steady.cosine, steady.sine
         self._V[:, -2] = steady.constant
         inverse = np.linalg.inv(to_pair) @ modes.T_inverse.reshape(n, 2, 2 * n)
-        self._of_state = np.zeros((2 * (n + h + 1), 2 * n))
-        self._of_state[: 2 * n] = inverse.reshape(2 * n, 2 * n)
-        self._of_harmonics = np.eye(2 * (n + h + 1))[:, 2 * n :]
-        self._of_harmonics -= self._of_state @ self._V[:, 2 * n :]
+        # From the state, and cosine and sine of each harmonic; a constant has 1 and 0.
+        self._start = np.eye(2 * (n + h + 1), 2 * (n + h) + 1)
+        self._start[: 2 * n, : 2 * n] = inverse.reshape(2 * n, 2 * n)
+        self._start[: 2 * n, 2 * n :] = -self._start[: 2 * n, : 2 * n] @ self._V[:, 2 * n : -1]
         self._shapes = pairs[..., 0, 0] - 1j * pairs[..., 0, 1]
-        self._amplitudes = inverse[:, 0] + 1j * inverse[:, 1]
-        self._harmonics = 1j * np.append(steady.frequency, 0.0)
-        self._rates = np.concatenate([a - 1j * d, self._harmonics])
+        # Re(z a) is a product of real rows and columns: (Re z, Im z) and (Re a, -Im a)
+        self._amplitudes = (inverse * [[1.0], [-1.0]]).reshape(2 * n, 2 * n)
+        self._frequency: list[float] = steady.frequency.tolist()
+        self._rates = np.concatenate([a - 1j * d, 1j * np.append(steady.frequency, 0.0)])
+        self._turns = self._rates[:n]
 
     @staticmethod
     def suits(modes: Modes) -> bool:
@@ -68,23 +70,27 @@ class Turning:
 
     def start(self, t: float, x: Vector) -> Complex:
         """``zeta`` of the motion through ``x`` at ``t``, with what harmonics are then."""
-        harmonics = self._harmonics * t
-        np.exp(harmonics, out=harmonics)
-        zeta = self._of_state.dot(x)
-        zeta += self._of_harmonics.dot(harmonics.view(np.float64))
-        return np.asarray(zeta.view(np.complex128))
+        known = x.tolist()
+        for omega in self._frequency:
+            angle = omega * t
+            known += math.cos(angle), math.sin(angle)
+        known.append(1.0)
+        zeta: Complex = self._start.dot(known).view(np.complex128)
+        return zeta
 
     def state(self, zeta: Complex, s: float) -> Vector:
         """The state (q, u), shape (2n,), ``s`` seconds after the start."""
-        turned = self._rates * s
+        turned = self._rates.dot(s)
         np.exp(turned, out=turned)
         np.multiply(turned, zeta, out=turned)
-        return np.asarray(self._V.dot(turned.view(np.float64)))
+        x: Vector = self._V.dot(turned.view(np.float64))
+        return x
 
     def transition(self, s: float) -> Matrix:
         """How the difference of two motions goes on in ``s`` seconds, shape (2n, 2n)."""
-        turned = self._shapes * np.exp(self._rates[: self._pairs] * s)
-        return np.ascontiguousarray(turned.dot(self._amplitudes).real)
+        turned = self._turns.dot(s)
+        np.exp(turned, out=turned)
+        return np.asarray((self._shapes * turned).view(np.float64).dot(self._amplitudes))
 
     def each(self, zeta: Complex, s: Vector) -> NDArray[np.float64]:
         """``state`` at each of ``s``, in every bit, shape (samples, 2n).

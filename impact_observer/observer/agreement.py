@@ -75,13 +75,13 @@ class Agreeing:
         convergence, energy = self._measured(belief.ensemble)
         largest = max(previous.largest, energy)
         energy = max(energy, _RESTING * largest)
-        hit = bool(touch.hit) and belief.applied
         enough = self.threshold * energy
-        agrees = 0 <= _MARGIN * convergence <= enough and self._explained(belief)
-        if agrees:
-            # With a covariance the innovation says it, and knows how far a stamp may be off.
-            certain = self._certain(before.x, touch) if hit and belief.root is None else 0.0
-            agrees = max(certain, self._expected(belief)) <= enough
+        if not (0 <= _MARGIN * convergence <= enough and self._explained(belief)):
+            return Agreement(convergence, energy, largest)
+        hit = bool(touch.hit) and belief.applied
+        # With a covariance the innovation says it, and knows how far a stamp may be off.
+        certain = self._certain(before.x, touch) if hit and belief.root is None else 0.0
+        agrees = max(certain, self._expected(belief)) <= enough
         return Agreement(convergence, energy, largest, previous.held + hit if agrees else 0)
 
     @staticmethod
@@ -115,9 +115,9 @@ class Agreeing:
         products = apart.T.dot(self._metric.dot(apart))
         squares = products.diagonal()
         among = squares[:, None] + squares
-        among -= 2 * products
-        among.flat[:: len(among) + 1] = squares  # where nothing is: from the estimate itself
-        return float(among.max()) / 2, energy
+        among -= products + products
+        largest = max(float(among.max()), float(squares.max()))  # and from the estimate itself
+        return largest / 2, energy
 
     def _expected(self, belief: Belief) -> float:
         """``V`` to be expected from the covariance, J; 0 for a law that has none."""

@@ -185,6 +185,11 @@ class Belief(NamedTuple):
     fallback: Fallback | None = None
 
     @property
+    def judges(self) -> bool:
+        """Whether it has more to say of an event than that it was applied."""
+        return bool(self.hypotheses or self.innovations)
+
+    @property
     def x(self) -> Vector:
         """The estimate (q, u), shape (2n,)."""
         return self.ensemble.x
@@ -234,6 +239,10 @@ class Touch(NamedTuple):
             stamp: of the event, ns; 0 where nobody asks.
             sequence: of the event.
         """
+        if not before and len(switches) == 1:
+            ((contact, kind),) = switches
+            if kind is Kind.IMPACT:  # as nearly always
+                return cls(t, before, (contact,), before, stamp, sequence)
         hit = {contact for contact, kind in switches if kind is not Kind.OPEN}
         stay = {contact for contact, kind in switches if kind is Kind.CLOSE}
         opened = {contact for contact, kind in switches if kind is Kind.OPEN}

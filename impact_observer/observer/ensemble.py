@@ -1,6 +1,6 @@
 """Replicas that are run together: the estimate, and others as differences from it."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,8 +10,7 @@ _SAME = 1e-200
 """Squared size of a map that leaves nothing of any difference."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ensemble:
+class Ensemble(NamedTuple):
     """The estimate and, for each other replica, by how much it differs.
 
     What acts on all of them alike is a map of differences, however many there are: it is only
@@ -36,7 +35,8 @@ class Ensemble:
     @property
     def others(self) -> int:
         """How many replicas there are besides the estimate."""
-        return int(self.columns.shape[1])
+        found: int = self.columns.shape[1]
+        return found
 
     @property
     def apart(self) -> Matrix:
@@ -55,8 +55,6 @@ class Ensemble:
 
     def carried(self, x: Vector, map_: Matrix) -> "Ensemble":
         """The estimate is ``x`` now; ``map_``, shape (2n, 2n), has acted on all differences."""
-        if not self.others:
-            return Ensemble(x, self.columns)
         due = map_ if self.due is None else map_.dot(self.due)
         size = due.ravel()
         if size.dot(size) < _SAME:

@@ -38,8 +38,9 @@ class Numbering:
     def note(self, sequence: int, stamp: int) -> None:
         """Note that ``sequence`` has come, with the stamp (ns) of its event."""
         if sequence > self._forgotten:
-            self.first = min(self.first or sequence, sequence)
             self.highest = max(self.highest, sequence)
+            if sequence < self.first or not self.first:
+                self.first = sequence
             self._count += 1
             self._stamps[sequence] = stamp
 

@@ -205,9 +205,10 @@ class Observer:
             DynamicsError: the loads of closed contacts cannot be found; likewise.
             UsageError: the forcing depends on time and nobody has said when it began.
         """
-        if (reason := self._outdated(event)) is not None:
-            return self._refused(event, Ruling.REJECTED, reason, Remark.PAST)
-        self._meet(event)
+        if event.episode != self._episode or event.epoch != self._epoch:
+            if (reason := self._outdated(event)) is not None:
+                return self._refused(event, Ruling.REJECTED, reason, Remark.PAST)
+            self._meet(event)
         self._require_epoch()
         if event.sequence in self._numbers:
             reason = "this sequence number was seen"
@@ -220,12 +221,8 @@ class Observer:
             key = Key(event.stamp, event.sequence, switches)
             if not switches:
                 return self._with_news(verdicts)
-            if not timeline.reaches(key):
-                reason = f"older than {text(timeline.start.stamp)} s, where the known past begins"
-                return self._refused(event, Ruling.TOO_LATE, reason, Remark.TOO_LATE)
-            if key in timeline:
-                reason = "the same event was seen"
-                return self._refused(event, Ruling.DUPLICATE, reason, Remark.DUPLICATE)
+            if timeline.newest.stamp >= key.stamp and (why := _misplaced(key, timeline)):
+                return self._refused(event, *why)
             placed = timeline.insert(key, self._step)
         except ImpactObserverError:
             self._numbers.undo(event.sequence)
@@ -338,15 +335,16 @@ class Observer:
         verdicts: list[Verdict] = []
         switches: set[tuple[int, Kind]] = set()
         for switch in event.switches:
-            ruling, reason = Ruling.APPLIED, ""
-            if switch.contact in self._index:
-                switches.add((self._index[switch.contact], switch.kind))
+            verdict = Verdict(event.stamp, Ruling.APPLIED, event.sequence, switch.contact)
+            index = self._index.get(switch.contact)
+            if index is not None:
+                switches.add((index, switch.kind))
             else:
                 self.remarks[Remark.UNKNOWN_CONTACT] += 1
-                known = ", ".join(self._index) or "none"
-                ruling, reason = Ruling.UNKNOWN_CONTACT, f"the model's contacts are {known}"
-            verdicts.append(Verdict(event.stamp, ruling, event.sequence, switch.contact, reason))
-        return tuple(verdicts), tuple(sorted(switches))
+                reason = f"the model's contacts are {', '.join(self._index) or 'none'}"
+                verdict = verdict._replace(ruling=Ruling.UNKNOWN_CONTACT, reason=reason)
+            verdicts.append(verdict)
+        return tuple(verdicts), tuple(sorted(switches) if len(switches) > 1 else switches)
 
     def _require_epoch(self) -> None:
         if self._timed and not self._epoch:
@@ -366,7 +364,8 @@ class Observer:
 
     def _remember(self, event: ImpactEvent) -> None:
         """Note an event, to know it when it comes twice and to miss the others."""
-        self._earliest = min(self._earliest or event.stamp, event.stamp)
+        if event.stamp < self._earliest or not self._earliest:
+            self._earliest = event.stamp
         if gap := self._numbers.gap(event.sequence):
             self.remarks[Remark.GAP] += 1
             self._news = [*self._news, gap]
@@ -374,7 +373,8 @@ class Observer:
 
     def _forget(self, timeline: Timeline) -> None:
         """Keep the past bounded: what is older than the history is too late anyway."""
-        timeline.forget_before(timeline.newest.stamp - self._history)
+        if not timeline.forget_before(timeline.newest.stamp - self._history):
+            return
         self._rulings.forget_before(timeline.start.stamp)
         if len(self._numbers) > 2 * len(timeline.entries) + 64:
             self._numbers.forget_before(timeline.start.stamp)
@@ -410,12 +410,15 @@ class Observer:
             superseded = [each.is_superseded for each in (*own, *(each for _, each in others))]
             self.remarks[Remark.SUPERSEDED] += sum(superseded)
             self.remarks[Remark.DISORDER] += not all(superseded)
+        if not (own or others or placed.entry.belief.judges):
+            return self._with_news(verdicts)
         believed, start = notes(placed), placed.entry.key.stamp - self._history
         told = [
             judged(each, self._index.get(each.contact, -1), placed, believed) for each in verdicts
         ]
         revised = self._rulings.after(placed, believed, start, self._names)
-        self.remarks[Remark.SECOND_THOUGHT] += sum(verdict.revises for verdict in revised)
+        if revised:
+            self.remarks[Remark.SECOND_THOUGHT] += sum(verdict.revises for verdict in revised)
         return (*self._with_news(tuple(told)), *revised)
 
     def _step(self, previous: Entry, event: Key, reading: Reading) -> Entry:
@@ -434,12 +437,12 @@ class Observer:
             belief = self.law.event(touch, before)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
-        if not isfinite(belief.x.dot(belief.x)):
+        agreement = self._agreeing.after(previous.agreement, touch, before, belief)
+        if not isfinite(agreement.energy):
             raise DynamicsError(
                 f"at {text(event.stamp)} s: the estimate is not finite any more; is what was"
                 " declared of its uncertainty too large, or the model another one?"
             )
-        agreement = self._agreeing.after(previous.agreement, touch, before, belief)
         return Entry(
             event,
             event.stamp,
@@ -456,3 +459,13 @@ class Observer:
             t = seconds_between(self._epoch or entry.since, entry.since)
             entry.course = self.law.course(t, entry.belief, entry.closed)
         return entry.course
+
+
+def _misplaced(key: Key, timeline: Timeline) -> tuple[Ruling, str, Remark] | None:
+    """Why an event cannot be put in its place; None if it can."""
+    if not timeline.reaches(key):
+        reason = f"older than {text(timeline.start.stamp)} s, where the known past begins"
+        return Ruling.TOO_LATE, reason, Remark.TOO_LATE
+    if key in timeline:
+        return Ruling.DUPLICATE, "the same event was seen", Remark.DUPLICATE
+    return None

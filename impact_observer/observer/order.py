@@ -85,22 +85,21 @@ def read(event: Key, closed: Contacts, spoken: Spoken, others: Sequence[Key] = (
         others: events that follow it at the same stamp, in order; all of that stamp where it
             has no number.
     """
-    switches, overruled = event.switches, []
-    if others or _is_stale(event, spoken):
-        acting = []
-        for contact, said in switches:
-            found = _overruled(event.sequence, (contact, said), closed, spoken, others)
-            if found is not None:
-                overruled.append(found)
-            acts = said if found is None else found.acts
-            if acts is not None:
-                acting.append((contact, acts))
-        switches = tuple(acting)
-    if event.sequence:
-        spoken = dict(spoken)
-        for contact, _ in switches:
-            spoken[contact] = max(event.sequence, spoken.get(contact, 0))
-    return Reading(switches, spoken, tuple(overruled))
+    is_stale = False  # a higher number has spoken of one of its contacts
+    for contact, _ in event.switches:
+        is_stale |= 0 < event.sequence < spoken.get(contact, 0)
+    if not (others or is_stale):  # as nearly always
+        return Reading(event.switches, _after(event, event.switches, spoken))
+    acting, overruled = [], []
+    for contact, said in event.switches:
+        found = _overruled(event.sequence, (contact, said), closed, spoken, others)
+        if found is not None:
+            overruled.append(found)
+        acts = said if found is None else found.acts
+        if acts is not None:
+            acting.append((contact, acts))
+    switches = tuple(acting)
+    return Reading(switches, _after(event, switches, spoken), tuple(overruled))
 
 
 def beside(i: int, events: Sequence[Key]) -> Sequence[Key]:
@@ -163,9 +162,15 @@ def hits(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]:
                     yield key.stamp, names[contact], kind
 
 
-def _is_stale(event: Key, spoken: Spoken) -> bool:
-    """Whether a higher number has spoken of one of its contacts."""
-    return any(0 < event.sequence < spoken.get(i, 0) for i, _ in event.switches)
+def _after(event: Key, switches: Iterable[tuple[int, Kind]], spoken: Spoken) -> Spoken:
+    """Who has spoken of which contact, once ``switches`` of ``event`` have acted."""
+    if not event.sequence:
+        return spoken
+    latest = dict(spoken)
+    for contact, _ in switches:
+        if event.sequence > latest.get(contact, 0):
+            latest[contact] = event.sequence
+    return latest
 
 
 def _overruled(

@@ -170,11 +170,12 @@ class Timeline:
         overrules = _overrules(key, fresh) if len(fresh) > 1 else ()
         return Placed(fresh[at - first], len(again), overrules, fresh[at - first + 1 :])
 
-    def forget_before(self, stamp: int) -> None:
-        """Drop what lies before ``stamp`` except the state there."""
+    def forget_before(self, stamp: int) -> bool:
+        """Drop what lies before ``stamp`` except the state there; whether there was any."""
         if len(self.entries) < 2 or self.entries[1].key.stamp > stamp:
-            return
+            return False
         del self.entries[: bisect_right(self.entries, stamp, key=_stamp) - 1]
+        return True
 
 
 def _redone(previous: Entry, events: Sequence[Key], step: Step) -> list[Entry]:

@@ -1,7 +1,7 @@
 """Switched geometric unilateral constraints: the paper's contribution."""
 
-from functools import cache
-from typing import ClassVar, NamedTuple
+from functools import cache, cached_property
+from typing import ClassVar
 
 import numpy as np
 from scipy import linalg
@@ -15,18 +15,44 @@ from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix, Vector
 
 
-class _Jump(NamedTuple):
-    """What happens to differences of replicas at one contact.
+class _Jump:
+    """The jump at a single contact, as few products as it takes: it is on every event's path.
 
     Attributes:
-        map: of those that approach, shape (2n, 2n).
         gamma: contact speed of a state, shape (1, 2n).
         kick: velocity that is lost per speed of approach, shape (n,).
     """
 
-    map: Matrix
-    gamma: Matrix
-    kick: Vector
+    def __init__(self, system: System, contact: int, z: Vector, kick: Vector) -> None:
+        """Of a ``contact`` whose gap is closed along ``z``, shape (n,), per metre."""
+        n, w = system.n, system.W[:, contact]
+        self.kick = kick
+        self._seen = linalg.block_diag(w, w)
+        self._gap_of = self._seen[0]
+        self._rest = np.array([system.q_r[contact], 0.0])
+        self._gap, self._strain = float(system.q_r[contact]), float(z.dot(system.K.dot(z)))
+        self._moved = np.zeros((2 * n, 2))
+        self._moved[:n, 0], self._moved[n:, 1] = z, kick
+        self.gamma = self._seen[1:]
+
+    def after(self, x: Vector) -> Vector:
+        """What becomes of a state, shape (2n,); one that separates keeps its velocities."""
+        lost = self._seen.dot(x)
+        lost += self._rest
+        if lost[1] > 0:
+            lost[1] = 0.0
+        after: Vector = x - self._moved.dot(lost)
+        return after
+
+    def taken(self, x: Vector) -> float:
+        """``1/2 g L^-1 g`` of a state, shape (2n,), J."""
+        gap = float(self._gap_of.dot(x)) + self._gap
+        return self._strain * gap * gap / 2
+
+    @cached_property
+    def map(self) -> Matrix:
+        """What becomes of differences of states that all approach, shape (2n, 2n)."""
+        return np.asarray(np.eye(len(self._moved)) - self._moved @ self._seen)
 
 
 class Geometric(ReplicaLaw):
@@ -48,16 +74,14 @@ class Geometric(ReplicaLaw):
         self._jump = cache(self._jump_of)
 
     def _jump_of(self, contact: int) -> _Jump:
-        """The jump at one contact that approaches."""
-        n, w = self.system.n, self.system.W[:, contact]
-        kick = self._newton.kick(contact)
-        P = np.eye(n) - np.outer(self._projection.jump((contact,)), w)
-        J = np.eye(n) - np.outer(kick, w)
-        gamma = np.concatenate([np.zeros(n), w])[None]
-        return _Jump(linalg.block_diag(P, J), gamma, kick)
+        """The jump at one contact."""
+        z = self._projection.jump((contact,))[:, 0]
+        return _Jump(self.system, contact, z, self._newton.kick(contact))
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``q+`` by projection, ``u+`` by Newton's law."""
+        if len(active) == 1 and not closed:
+            return self._jump(active[0]).after(x)
         n = self.system.n
         position = self._projection.position_after(x[:n], active)
         if closed and closed != active:  # all cannot be zero: those that stay count
@@ -93,14 +117,20 @@ class Geometric(ReplicaLaw):
 
     def phase(self, closed: Contacts) -> Phase | None:
         """Free flight; clutches of different replicas hold and slip at different times."""
-        return None if closed else self._clutches.phases.phase()
+        return None if closed else self._free
 
     def taken(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """``1/2 g_A^T L^-1 g_A``, the energy of the position jump, where no impact raises V.
 
         The plant is on the stop, so its distance from the replica loses what the jump measures.
         """
+        if len(active) == 1:
+            return self._jump(active[0]).taken(before)
+        return self.jumped(before, after, active)
+
+    def jumped(self, before: Vector, after: Vector, active: Contacts) -> float | None:
+        """The energy of any position jump, J; None where an impact may raise V."""
         if active and not self._newton.is_nonexpansive(active):
             return None
-        jump = after[: self.system.n] - before[: self.system.n]
+        jump = (after - before)[: self.system.n]
         return float(jump.dot(self.system.K.dot(jump))) / 2

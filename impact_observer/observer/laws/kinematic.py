@@ -40,4 +40,4 @@ class Kinematic(ReplicaLaw):
 
     def phase(self, closed: Contacts) -> Phase | None:
         """Free flight; clutches of different replicas hold and slip at different times."""
-        return None if closed else self._clutches.phases.phase()
+        return None if closed else self._free

@@ -27,4 +27,4 @@ class OpenLoop(ReplicaLaw):
     def phase(self, closed: Contacts) -> Phase:
         """The motion without contact, always."""
         del closed
-        return self._clutches.phases.phase()
+        return self._free

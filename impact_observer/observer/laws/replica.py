@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -32,6 +33,11 @@ class ReplicaLaw(Law):
         """Prepare sprag clutches and all linear phases."""
         super().__init__(system, uncertainty)
         self._clutches = Clutches(system)
+
+    @cached_property
+    def _free(self) -> Phase:
+        """Free flight."""
+        return self._clutches.phases.phase()
 
     @abstractmethod
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
@@ -107,7 +113,7 @@ class ReplicaLaw(Law):
         if bound is not None:
             taken = self.taken(before.x, x, active)
             bound = None if taken is None else bound - taken
-        return self._judged(Belief(after, bound=bound, refuted=belief.refuted))
+        return self._judged(Belief(after, None, bound, belief.refuted))
 
     def struck(self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts) -> Ensemble:
         """All replicas after their own impacts.
@@ -143,10 +149,9 @@ class ReplicaLaw(Law):
 
     def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
         """The estimate by its own motion, the others beside it where all move alike."""
+        if (phase := self.phase(closed)) is not None:
+            return _Together(phase.start(t, belief.x), belief, phase)
         first = self.motion(t, belief.x, closed)
-        phase = self.phase(closed) if belief.ensemble.others else None
-        if phase is not None:
-            return _Together(first, belief, phase)
         others = belief.replicas[1:] if belief.ensemble.others else ()
         return _Apart([first, *(self.motion(t, x, closed) for x in others)], belief)
 
@@ -188,10 +193,13 @@ class _Together(Course):
         return self._first.each(s)
 
     def belief(self, s: float) -> Belief:
-        ensemble = self._belief.ensemble.carried(self.state(s), self._phase.transition(s))
-        return _moved(self._belief, ensemble)
+        before, x = self._belief.ensemble, self._first.state(s)
+        after = Ensemble(x, before.columns)
+        if before.others:
+            after = before.carried(x, self._phase.transition(s))
+        return _moved(self._belief, after)
 
 
 def _moved(belief: Belief, ensemble: Ensemble) -> Belief:
     """``belief`` of a law of replicas, with them elsewhere."""
-    return Belief(ensemble, bound=belief.bound, refuted=belief.refuted)
+    return Belief(ensemble, None, belief.bound, belief.refuted)
