@@ -80,6 +80,7 @@ class PositionProjection:
         self._M = linalg.cho_factor(system.M)
         self._kept = lru_cache(KEPT)(self._solve)
         self._reacting = lru_cache(KEPT)(self._react)
+        self._alone = lru_cache(KEPT)(self._of_one)
 
     def jump(self, active: tuple[int, ...]) -> Matrix:
         """``Z``, the position jump per unit of gap, shape (n, len(active))."""
@@ -97,6 +98,10 @@ class PositionProjection:
 
     def strain(self, q: Vector, active: tuple[int, ...]) -> float:
         """Elastic energy of the jump from ``q``, shape (n,), J: ``1/2 g_A^T L^-1 g_A``."""
+        if len(active) == 1:  # as at nearly every event
+            w, rest, stiffness = self._alone(active[0])
+            one = float(w.dot(q)) + rest
+            return stiffness * one * one / 2
         W, q_r, _, strain = self._kept(active)
         gap = W.dot(q) + q_r
         return float(gap.dot(strain.dot(gap))) / 2
@@ -120,6 +125,11 @@ class PositionProjection:
         system, A, parts = self._system, list(active), self._split(active)
         Z = frozen(self._elastic @ parts.elastic + self._rigid @ parts.rigid)
         return _Jump(frozen(system.W[:, A].T), system.q_r[A], Z, frozen(Z.T @ system.K @ Z))
+
+    def _of_one(self, contact: int) -> tuple[Vector, float, float]:
+        """Direction, gap in the rest position and ``z^T K z`` of a single contact."""
+        W, q_r, _, strain = self._kept((contact,))
+        return W[0], float(q_r[0]), float(strain[0, 0])
 
     def _react(self, active: tuple[int, ...]) -> Matrix:
         parts = self._split(active)

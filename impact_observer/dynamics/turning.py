@@ -55,9 +55,11 @@ class Turning:
         self._start = np.eye(2 * (n + h + 1), 2 * (n + h) + 1)
         self._start[: 2 * n, : 2 * n] = inverse.reshape(2 * n, 2 * n)
         self._start[: 2 * n, 2 * n :] = -self._start[: 2 * n, : 2 * n] @ self._V[:, 2 * n : -1]
-        self._shapes = pairs[..., 0, 0] - 1j * pairs[..., 0, 1]
-        # Re(z a) is a product of real rows and columns: (Re z, Im z) and (Re a, -Im a)
-        self._amplitudes = (inverse * [[1.0], [-1.0]]).reshape(2 * n, 2 * n)
+        shapes = pairs[..., 0, 0] - 1j * pairs[..., 0, 1]
+        amplitudes = inverse[:, 0] + 1j * inverse[:, 1]
+        # Differences turn by e^{lambda s} only: what that makes of a unit, in all its places.
+        places = np.einsum("xp,py->xyp", shapes, amplitudes).conj()
+        self._places = places.reshape(4 * n * n, n).view(np.float64)
         self._frequency: list[float] = steady.frequency.tolist()
         self._rates = np.concatenate([a - 1j * d, 1j * np.append(steady.frequency, 0.0)])
         self._turns = self._rates[:n]
@@ -90,7 +92,8 @@ class Turning:
         """How the difference of two motions goes on in ``s`` seconds, shape (2n, 2n)."""
         turned = self._turns.dot(s)
         np.exp(turned, out=turned)
-        return np.asarray((self._shapes * turned).view(np.float64).dot(self._amplitudes))
+        n = turned.size
+        return np.asarray(self._places.dot(turned.view(np.float64)).reshape(2 * n, 2 * n))
 
     def each(self, zeta: Complex, s: Vector) -> NDArray[np.float64]:
         """``state`` at each of ``s``, in every bit, shape (samples, 2n).

@@ -111,13 +111,7 @@ class Agreeing:
             lengths = ensemble.seen(self._lengths)
             squares = np.einsum("ij,ij->j", lengths, lengths)
             return 2 * float(squares.max()), energy  # half of twice the radius, squared
-        apart = ensemble.apart
-        products = apart.T.dot(self._metric.dot(apart))
-        squares = products.diagonal()
-        among = squares[:, None] + squares
-        among -= products + products
-        largest = max(float(among.max()), float(squares.max()))  # and from the estimate itself
-        return largest / 2, energy
+        return ensemble.farthest(self._metric) / 2, energy
 
     def _expected(self, belief: Belief) -> float:
         """``V`` to be expected from the covariance, J; 0 for a law that has none."""

@@ -49,6 +49,7 @@ class Observer:
         system: the system that plant and replica share.
         law: what the replica does at an event.
         remarks: how often the stream was not as it should be, and how.
+        restarts: how often a new episode or epoch made the replica begin again.
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class Observer:
         self._timed = system.forcing.depends_on_time
         self._given_epoch = epoch
         self.remarks: Counter[Remark] = Counter()
+        self.restarts = 0
         self._news: list[str] = []
         self.restart()
 
@@ -187,11 +189,6 @@ class Observer:
     def missing(self) -> int:
         """Events that the sender numbered and that have not come in time, since the first seen."""
         return self._numbers.missing
-
-    @property
-    def restarts(self) -> int:
-        """How often a new episode or epoch made the replica begin again."""
-        return self.remarks[Remark.EPISODE] + self.remarks[Remark.EPOCH]
 
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """Apply ``event`` at its own stamp, whenever it arrives.
@@ -321,6 +318,7 @@ class Observer:
         if moved or newer:
             name = f"episode {event.episode}" if newer else f"epoch {text(event.epoch)} s"
             self.restart(f"{name} is new")
+            self.restarts += 1
             self.remarks[Remark.EPISODE if newer else Remark.EPOCH] += 1
             self._timeline = None
         self._episode = event.episode

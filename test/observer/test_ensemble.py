@@ -1,6 +1,9 @@
 """Replicas run together: what is noted of all of them is what becomes of each."""
 
+from itertools import combinations
+
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from systems import EPOCH, estimates, examples, observer, run, sample, systems, vectors
@@ -23,6 +26,20 @@ def test_maps_that_are_due_act_in_their_order() -> None:
     functions = random.normal(size=(2, 4))
     np.testing.assert_allclose(ensemble.seen(functions).T, expected[1:] @ functions.T, atol=1e-12)
     np.testing.assert_allclose(Ensemble.of(replicas).replicas, replicas, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("size", "count"), [(4, 2), (4, 10), (6, 10), (20, 40)])
+def test_farthest_is_that_of_all_pairs(size: int, count: int) -> None:
+    """Before anything is due and after, for few replicas and for many."""
+    random = np.random.default_rng(2)
+    replicas, root = random.normal(size=(count, size)), random.normal(size=(size, size))
+    metric = root.T @ root
+    ensemble = Ensemble.of(replicas)
+    for _ in range(3):
+        pairs = combinations(ensemble.replicas - ensemble.x, 2)
+        largest = max((one - two) @ metric @ (one - two) for one, two in pairs)
+        assert ensemble.farthest(metric) == pytest.approx(largest, rel=1e-12)
+        ensemble = ensemble.carried(random.normal(size=size), random.normal(size=(size, size)))
 
 
 def test_differences_that_have_faded_are_none() -> None:

@@ -9,7 +9,7 @@ from scipy import linalg
 from impact_observer.dynamics import ImpactLaw, Motion, Phase
 from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.ensemble import Ensemble
+from impact_observer.observer.ensemble import Differences, Ensemble
 from impact_observer.observer.laws.replica import ReplicaLaw
 from impact_observer.observer.uncertainty import Uncertainty
 from impact_observer.states import Matrix, Vector
@@ -28,9 +28,7 @@ class _Jump:
         n, w = system.n, system.W[:, contact]
         self.kick = kick
         self._seen = linalg.block_diag(w, w)
-        self._gap_of = self._seen[0]
         self._rest = np.array([system.q_r[contact], 0.0])
-        self._gap, self._strain = float(system.q_r[contact]), float(z.dot(system.K.dot(z)))
         self._moved = np.zeros((2 * n, 2))
         self._moved[:n, 0], self._moved[n:, 1] = z, kick
         self.gamma = self._seen[1:]
@@ -43,11 +41,6 @@ class _Jump:
             lost[1] = 0.0
         after: Vector = x - self._moved.dot(lost)
         return after
-
-    def taken(self, x: Vector) -> float:
-        """``1/2 g L^-1 g`` of a state, shape (2n,), J."""
-        gap = float(self._gap_of.dot(x)) + self._gap
-        return self._strain * gap * gap / 2
 
     @cached_property
     def map(self) -> Matrix:
@@ -104,12 +97,12 @@ class Geometric(ReplicaLaw):
         jump = self._jump(active[0])
         gamma = float(jump.gamma[0].dot(before.x))
         speeds = before.seen(jump.gamma)[0]
-        if gamma <= 0 and speeds.max() <= -gamma:
+        if gamma <= 0 and np.maximum.reduce(speeds) <= -gamma:
             return before.carried(x, jump.map)
         apart = before.seen(jump.map)
         kept = np.maximum(speeds + gamma, 0.0) - max(gamma, 0.0)
         apart[self.system.n :] += jump.kick[:, None] * kept
-        return Ensemble(x, apart)
+        return Ensemble(x, Differences(apart))
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed."""
@@ -125,7 +118,7 @@ class Geometric(ReplicaLaw):
         The plant is on the stop, so its distance from the replica loses what the jump measures.
         """
         if len(active) == 1:
-            return self._jump(active[0]).taken(before)
+            return self._projection.strain(before[: self.system.n], active)
         return self.jumped(before, after, active)
 
     def jumped(self, before: Vector, after: Vector, active: Contacts) -> float | None:

@@ -106,7 +106,7 @@ class ReplicaLaw(Law):
             return belief
         before, active, closed = belief.ensemble, touch.active, touch.closed
         x = self.impact(before.x, active, closed)
-        after = Ensemble(x, before.columns)
+        after = Ensemble(x, before.since)
         if before.others:
             after = self.struck(before, x, active, closed)
         bound = belief.bound
@@ -194,7 +194,7 @@ class _Together(Course):
 
     def belief(self, s: float) -> Belief:
         before, x = self._belief.ensemble, self._first.state(s)
-        after = Ensemble(x, before.columns)
+        after = Ensemble(x, before.since)
         if before.others:
             after = before.carried(x, self._phase.transition(s))
         return _moved(self._belief, after)
