@@ -5,10 +5,12 @@ from contextlib import suppress
 from typing import Any, TypeAlias
 
 from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 from impact_observer.stamps import NS_PER_S
 
@@ -51,7 +53,7 @@ class DirectExecutor(SingleThreadedExecutor):
         if not self._context.ok():
             raise ExternalShutdownException
         for subscription in waited.ready("subscription"):
-            _run(self._take_subscription(subscription))
+            _hear(subscription)
         for timer in waited.ready("timer"):
             if timer.handle.is_timer_ready():  # and was not cancelled meanwhile
                 _run(self._take_timer(timer))
@@ -102,6 +104,18 @@ class _Waited:
             if guard in self._guards:
                 guard._executor_triggered = found = True  # noqa: SLF001 (waiting has taken it)
         return found or any(self._set.get_ready_entities(kind) for kind in ("client", "service"))
+
+
+def _hear(subscription: Subscription) -> None:
+    """Take a message and call for it; nothing where it was gone, or the subscription is."""
+    taken = None
+    with suppress(InvalidHandle), subscription.handle:
+        taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+    if taken is None:
+        return
+    kind = subscription._callback_type  # noqa: SLF001 (what its signature told)
+    told = 1 if kind is Subscription.CallbackType.MessageOnly else 2
+    subscription.callback(*taken[:told])
 
 
 def _run(taken: Taken) -> None:

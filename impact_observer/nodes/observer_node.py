@@ -160,13 +160,14 @@ class ObserverNode(Node):
             self.get_logger().warning(
                 f"the plant began again: episode {event.episode}, epoch {event.epoch} ns"
             )
-        latency = max(seconds_between(event.stamp, self._now()), 0.0)
         late = event.stamp <= self._last_stamp
-        if any(verdict.ruling is Ruling.APPLIED for verdict in verdicts):
+        applied = any(verdict.ruling is Ruling.APPLIED for verdict in verdicts)
+        if applied and late:
+            self._publish(self._last_stamp)
+            self._counts["corrected"] += 1
+        latency = max(seconds_between(event.stamp, self._now()), 0.0)
+        if applied:
             self._latency = max(self._latency, latency)
-            if late:
-                self._counts["corrected"] += 1
-                self._publish(self._last_stamp)
         for verdict in self._beside_lag(verdicts) if late else verdicts:
             self._counts[verdict.ruling.name.lower()] += not verdict.revises
             self._counts["surprising"] += verdict.innovation > SURPRISING
@@ -240,9 +241,9 @@ class ObserverNode(Node):
 
     def _publish(self, stamp: int) -> None:
         estimate = self._observer.estimate(stamp)
-        state, joints = self._serialized.of(estimate)
-        self._states.publish(state)
-        self._joint_states.publish(joints)
+        publishers = self._states, self._joint_states
+        for publisher, message in zip(publishers, self._serialized.of(estimate), strict=True):
+            publisher.publish(message)
         if estimate.bound != (-1.0 if self._last is None else self._last.bound):
             self._bounds.publish(self._make.bound(estimate))
         self._last = estimate

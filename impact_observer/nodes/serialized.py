@@ -7,6 +7,7 @@ difference. What is not as usual goes the usual way.
 """
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
 from math import isqrt
 from struct import Struct
@@ -51,16 +52,18 @@ class _Form:
         layout = layout_of(type_name, example)
         assert layout is not None, "a message of ROS has one"
         self._data, self._layout = bytearray(example), layout
+        self._q = _numbers(self._data, layout.q, layout.n)
+        self._u = _numbers(self._data, layout.u, layout.n)
 
     def packed(self, estimate: Estimate) -> bytes:
         """The message with the numbers of an estimate of this shape."""
         data, layout = self._data, self._layout
         _TIME.pack_into(data, layout.stamp, *divmod(estimate.stamp, NS_PER_S))
-        _put(data, layout.q, estimate.q)
-        _put(data, layout.u, estimate.u)
+        self._q[:], self._u[:] = estimate.q, estimate.u
         if layout.covariance is not None and layout.convergence is not None:
             if estimate.covariance.size:
-                _put(data, layout.covariance, estimate.covariance)
+                entries = estimate.covariance.ravel()
+                _numbers(data, layout.covariance, entries.size)[:] = entries
             _SURROUNDINGS.pack_into(
                 data,
                 layout.convergence,
@@ -72,8 +75,8 @@ class _Form:
             )
         if estimate.learnt and layout.learnt is not None and layout.deviations is not None:
             _, values, deviations = zip(*estimate.learnt, strict=True)
-            _put(data, layout.learnt, np.array(values))
-            _put(data, layout.deviations, np.array(deviations))
+            _numbers(data, layout.learnt, len(values))[:] = values
+            _numbers(data, layout.deviations, len(deviations))[:] = deviations
         return bytes(data)
 
 
@@ -133,19 +136,19 @@ class Serialized:
         self._names = names
         self._forms = lru_cache(_MOST_FORMS)(self._forms_of)
 
-    def of(self, estimate: Estimate) -> tuple[bytes, bytes]:
-        """An estimate as ``impact_observer_msgs/ObserverState`` and ``sensor_msgs/JointState``.
+    def of(self, estimate: Estimate) -> Iterator[bytes]:
+        """An estimate as ``impact_observer_msgs/ObserverState``, then ``sensor_msgs/JointState``.
+
+        Each is made when it is asked for: who waits for the first does not wait for the second.
 
         Raises:
             MessageError: as :class:`~impact_observer.bag.messages.Messages`.
         """
         if not _is_plain(estimate, len(self._names)):
-            return self._converted(estimate)
+            return iter(self._converted(estimate))
         learnt = tuple([name for name, _, _ in estimate.learnt])
-        state, joints = self._forms(
-            (estimate.law, estimate.closed, estimate.covariance.size, learnt)
-        )
-        return state.packed(estimate), joints.packed(estimate)
+        shape = estimate.law, estimate.closed, estimate.covariance.size, learnt
+        return (form.packed(estimate) for form in self._forms(shape))
 
     def _forms_of(self, shape: _Shape) -> tuple[_Form, _Form]:
         """The messages of a shape, converted once."""
@@ -166,21 +169,21 @@ class Serialized:
 
 def _is_plain(estimate: Estimate, n: int) -> bool:
     """Whether there is nothing in it that would be refused."""
+    covariance = estimate.covariance
     scalars = [estimate.convergence, estimate.clock_offset]
+    scalars += estimate.q.tolist() + estimate.u.tolist()
     scalars += [number for _, *two in estimate.learnt for number in two]
     return (
         0 < estimate.stamp <= MAX_STAMP
         and 0 <= estimate.last_event <= MAX_STAMP
         and 0 <= estimate.last_sequence < 2**64
         and estimate.q.size == estimate.u.size == n
-        and estimate.covariance.size in {0, 4 * n * n}
         and all(map(math.isfinite, scalars))
-        and bool(np.isfinite(estimate.q).all() and np.isfinite(estimate.u).all())
-        and bool(np.isfinite(estimate.covariance).all())
+        and covariance.size in {0, 4 * n * n}
+        and (not covariance.size or bool(np.isfinite(covariance).all()))
     )
 
 
-def _put(data: bytearray, begin: int, values: Vector) -> None:
-    """Write numbers where they belong."""
-    raw = values.astype("<f8", copy=False).tobytes()
-    data[begin : begin + len(raw)] = raw
+def _numbers(data: bytearray, begin: int, count: int) -> Vector:
+    """The numbers that stand in ``data`` from ``begin`` on, to be written to."""
+    return np.frombuffer(data, "<f8", count, begin)
