@@ -139,3 +139,7 @@ class Flow(ABC):
         Returns:
             ``e^{As}``, shape (2n, 2n).
         """
+
+    def moved(self, motion: Motion, s: float) -> tuple[Vector, Matrix]:
+        """``state`` of a motion of this flow, in every bit, and ``transition`` after ``s``."""
+        return motion.state(s), self.transition(s)

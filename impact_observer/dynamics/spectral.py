@@ -150,6 +150,12 @@ class SpectralFlow(Flow):
         moved = np.einsum("xpi,pij->xpj", T.reshape(-1, self._n, 2), blocks)
         return np.asarray(moved.reshape(T.shape) @ self.modes.T_inverse)
 
+    def moved(self, motion: Motion, s: float) -> tuple[Vector, Matrix]:
+        """Both of what turns by the same."""
+        if self.turning is None or not isinstance(motion, _SpectralMotion):
+            return super().moved(motion, s)
+        return self.turning.moved(motion.turned(self.turning), s)
+
     def steady(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
         """Steady response of all pairs away from resonance, shape (2n, samples)."""
         if not self._frequency.size:
@@ -208,7 +214,7 @@ class _SpectralMotion(Motion):
 
     def state(self, s: float) -> Vector:
         turning = self._flow.turning
-        return super().state(s) if turning is None else turning.state(self._turned(turning), s)
+        return super().state(s) if turning is None else turning.state(self.turned(turning), s)
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         flow = self._flow
@@ -218,12 +224,12 @@ class _SpectralMotion(Motion):
     def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         flow = self._flow
         if flow.turning is not None:
-            return flow.turning.each(self._turned(flow.turning), s)
+            return flow.turning.each(self.turned(flow.turning), s)
         if not flow.near.nothing or flow.modes.shapes is not None:
             return super().each(s)  # what is near resonance, or left out, depends on the others
         return flow.each(flow.homogeneous(self.z, s), self.t + s)
 
-    def _turned(self, turning: Turning) -> Complex:
+    def turned(self, turning: Turning) -> Complex:
         """``zeta`` at the start, once somebody has asked for it."""
         if self._zeta is None:
             self._zeta = turning.start(self.t, self._x)

@@ -92,8 +92,20 @@ class Turning:
         """How the difference of two motions goes on in ``s`` seconds, shape (2n, 2n)."""
         turned = self._turns.dot(s)
         np.exp(turned, out=turned)
+        return self._transition(turned)
+
+    def moved(self, zeta: Complex, s: float) -> tuple[Vector, Matrix]:
+        """``state``, in every bit, and ``transition``."""
+        turned = self._rates.dot(s)
+        np.exp(turned, out=turned)
+        x: Vector = self._V.dot((turned * zeta).view(np.float64))
+        return x, self._transition(turned[: self._turns.size])
+
+    def _transition(self, turned: Complex) -> Matrix:
+        """``transition`` by the complex exponentials of the pairs, shape (n,)."""
         n = turned.size
-        return np.asarray(self._places.dot(turned.view(np.float64)).reshape(2 * n, 2 * n))
+        found: Matrix = self._places.dot(turned.view(np.float64)).reshape(2 * n, 2 * n)
+        return found
 
     def each(self, zeta: Complex, s: Vector) -> NDArray[np.float64]:
         """``state`` at each of ``s``, in every bit, shape (samples, 2n).

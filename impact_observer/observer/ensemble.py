@@ -26,7 +26,7 @@ class Differences:
 
     columns: Matrix
 
-    @property
+    @cached_property
     def are_few(self) -> bool:
         """Whether ``products`` are worth while to have."""
         size, others = self.columns.shape
@@ -84,9 +84,14 @@ class Ensemble(NamedTuple):
         return np.concatenate([self.x[None], self.apart.T + self.x])
 
     def seen(self, functions: Matrix) -> Matrix:
-        """What linear ``functions``, shape (k, 2n), see of the differences, (k, N - 1)."""
+        """What linear ``functions``, shape (k, 2n) or (2n,), see of the differences."""
         due = functions if self.due is None else functions.dot(self.due)
         return np.asarray(due.dot(self.since.columns))
+
+    def most(self, function: Vector) -> float:
+        """The largest value of a linear ``function``, shape (2n,), of the differences."""
+        due = function if self.due is None else function.dot(self.due)
+        return float(np.maximum.reduce(due.dot(self.since.columns)))
 
     def farthest(self, metric: Matrix) -> float:
         """The largest ``d^T metric d`` between two replicas, at least two; (2n, 2n) is given."""

@@ -269,6 +269,10 @@ def test_one_state_is_as_exact_as_many(model: System) -> None:
         alone = np.array([motion.state(at) for at in s.tolist()])
         assert error(model, alone, motion.states(s), x) < 1e-13
         np.testing.assert_array_equal(motion.each(s), alone)
+        for at, state in zip(s.tolist(), alone, strict=True):
+            moved, transition = flow.moved(motion, at)
+            np.testing.assert_array_equal(moved, state)
+            np.testing.assert_array_equal(transition, flow.transition(at))
 
 
 @examples(40)

@@ -39,6 +39,19 @@ def potential(model: System, difference: Array) -> float:
     return float(difference @ model.K @ difference) / 2
 
 
+@examples(30)
+@given(st.data())
+def test_strain_is_the_energy_of_the_jump(data: st.DataObject) -> None:
+    """At one contact, and at several."""
+    model = data.draw(systems(contacts=(1, 3)))
+    active = tuple(sorted(data.draw(st.sets(st.integers(0, model.m - 1), min_size=1))))
+    q = np.array(data.draw(vectors(model.n)))
+    projection = PositionProjection(model)
+    jump = projection.position_after(q, active) - q
+    size = float(np.max(np.abs(model.K)) * (1 + np.max(np.abs(q)) + np.max(np.abs(jump))) ** 2)
+    assert projection.strain(q, active) == pytest.approx(potential(model, jump), abs=1e-9 * size)
+
+
 @examples(50)
 @given(st.data())
 def test_jump_is_the_least_one_of_the_theory(data: st.DataObject) -> None:

@@ -19,7 +19,7 @@ class _Jump:
     """The jump at a single contact, as few products as it takes: it is on every event's path.
 
     Attributes:
-        gamma: contact speed of a state, shape (1, 2n).
+        gamma: contact speed of a state, shape (2n,).
         kick: velocity that is lost per speed of approach, shape (n,).
     """
 
@@ -31,7 +31,9 @@ class _Jump:
         self._rest = np.array([system.q_r[contact], 0.0])
         self._moved = np.zeros((2 * n, 2))
         self._moved[:n, 0], self._moved[n:, 1] = z, kick
-        self.gamma = self._seen[1:]
+        self._gap, self.gamma = self._seen
+        self._distance = float(system.q_r[contact])
+        self._strain = float(z.dot(system.K.dot(z)))
 
     def after(self, x: Vector) -> Vector:
         """What becomes of a state, shape (2n,); one that separates keeps its velocities."""
@@ -41,6 +43,11 @@ class _Jump:
             lost[1] = 0.0
         after: Vector = x - self._moved.dot(lost)
         return after
+
+    def taken(self, x: Vector) -> float:
+        """``1/2 g L^-1 g`` of a state, shape (2n,), J."""
+        gap = float(self._gap.dot(x)) + self._distance
+        return self._strain * gap * gap / 2
 
     @cached_property
     def map(self) -> Matrix:
@@ -95,11 +102,10 @@ class Geometric(ReplicaLaw):
         if len(active) > 1 or closed:
             return super().struck(before, x, active, closed)
         jump = self._jump(active[0])
-        gamma = float(jump.gamma[0].dot(before.x))
-        speeds = before.seen(jump.gamma)[0]
-        if gamma <= 0 and np.maximum.reduce(speeds) <= -gamma:
+        gamma = float(jump.gamma.dot(before.x))
+        if gamma <= 0 and before.most(jump.gamma) <= -gamma:
             return before.carried(x, jump.map)
-        apart = before.seen(jump.map)
+        apart, speeds = before.seen(jump.map), before.seen(jump.gamma)
         kept = np.maximum(speeds + gamma, 0.0) - max(gamma, 0.0)
         apart[self.system.n :] += jump.kick[:, None] * kept
         return Ensemble(x, Differences(apart))
@@ -118,7 +124,7 @@ class Geometric(ReplicaLaw):
         The plant is on the stop, so its distance from the replica loses what the jump measures.
         """
         if len(active) == 1:
-            return self._projection.strain(before[: self.system.n], active)
+            return self._jump(active[0]).taken(before)
         return self.jumped(before, after, active)
 
     def jumped(self, before: Vector, after: Vector, active: Contacts) -> float | None:

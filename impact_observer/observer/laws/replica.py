@@ -75,7 +75,7 @@ class ReplicaLaw(Law):
         return np.reshape(after, replicas.shape)
 
     def phase(self, closed: Contacts) -> Phase | None:
-        """The one linear phase in which every replica moves; None where each has its own."""
+        """The one linear phase, nothing fixed, in which all replicas move; None for several."""
         del closed
         return None
 
@@ -193,10 +193,11 @@ class _Together(Course):
         return self._first.each(s)
 
     def belief(self, s: float) -> Belief:
-        before, x = self._belief.ensemble, self._first.state(s)
-        after = Ensemble(x, before.since)
+        before = self._belief.ensemble
         if before.others:
-            after = before.carried(x, self._phase.transition(s))
+            after = before.carried(*self._phase.flow.moved(self._first, s))
+        else:
+            after = Ensemble(self._first.state(s), before.since)
         return _moved(self._belief, after)
 
 
