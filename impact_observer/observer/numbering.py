@@ -1,5 +1,8 @@
 """Which of the numbers that a sender gives its events have come."""
 
+_LEAST = 64
+"""Numbers that need not be forgotten."""
+
 
 class Numbering:
     """Sequence numbers with their events' stamps, back to a bounded past.
@@ -13,6 +16,7 @@ class Numbering:
         """Nothing has come."""
         self.first = self.highest = self._count = self._forgotten = 0
         self._stamps: dict[int, int] = {}
+        self._room = _LEAST
 
     def __len__(self) -> int:
         """How many are remembered."""
@@ -50,10 +54,16 @@ class Numbering:
             self._count -= 1
 
     def forget_before(self, stamp: int) -> None:
-        """Drop what came with an earlier stamp (ns), but the highest."""
+        """Drop what came with an earlier stamp (ns), but the highest; now and then, not each time.
+
+        So each number is looked at a few times in all, however many there are.
+        """
+        if len(self._stamps) < self._room:
+            return
         old = {k for k, at in self._stamps.items() if at < stamp and k != self.highest}
         self._forgotten = max(old, default=self._forgotten)
         self._stamps = {k: at for k, at in self._stamps.items() if k not in old}
+        self._room = max(2 * len(self._stamps), _LEAST)
 
 
 def _are_missing(low: int, high: int, side: str) -> str:

@@ -217,6 +217,7 @@ class Observer:
             timeline = self._begun()
             key = Key(event.stamp, event.sequence, switches)
             if not switches:
+                self._numbers.forget_before(event.stamp - self._history)
                 return self._with_news(verdicts)
             if timeline.newest.stamp >= key.stamp and (why := _misplaced(key, timeline)):
                 return self._refused(event, *why)
@@ -374,8 +375,7 @@ class Observer:
         if not timeline.forget_before(timeline.newest.stamp - self._history):
             return
         self._rulings.forget_before(timeline.start.stamp)
-        if len(self._numbers) > 2 * len(timeline.entries) + 64:
-            self._numbers.forget_before(timeline.start.stamp)
+        self._numbers.forget_before(timeline.start.stamp)
 
     def _refused(
         self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark

@@ -427,13 +427,27 @@ def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
 def test_numbers_that_are_forgotten_are_neither_new_nor_missing() -> None:
     """Whether they come again or not."""
     numbers = Numbering()
-    for k in (1, 2, 3, 5):
+    for k in (*range(1, 80), 81):
         numbers.note(k, 10 * k)
-    numbers.forget_before(40)
-    assert len(numbers) == 1
+        numbers.forget_before(10)  # nothing is older
+    assert len(numbers) == 80
+    for k in range(82, 300):
+        numbers.note(k, 10 * k)
+        numbers.forget_before(10 * k - 100)
+        assert len(numbers) < 200
     numbers.note(2, 20)
     assert numbers.missing == 1
-    assert numbers.gap(7) == "event 6 before it is missing"
+    assert numbers.gap(301) == "event 300 before it is missing"
+
+
+def test_events_of_unknown_contacts_are_not_remembered_for_ever() -> None:
+    """A sensor that nobody told of the model may send as many as it likes."""
+    watcher = watcher_of("geometric", history=1.0, ensemble=1)
+    for k in range(1, 1000):
+        (verdict,) = watcher.receive(told(("bolt", Kind.IMPACT), seconds=0.01 * k, sequence=k))
+        assert verdict.ruling is Ruling.UNKNOWN_CONTACT
+    assert len(watcher._numbers) <= 200
+    assert watcher.missing == 0
 
 
 def test_page_of_events_names_everything_that_is_counted() -> None:
