@@ -1,4 +1,8 @@
-"""Writing estimates: many messages together, against ``rosbags`` message by message."""
+"""Writing estimates: many messages together, against ``rosbags`` message by message.
+
+A fifth was wanted where making bytes keeps ``observe`` from its goal. It does not, so there is
+no goal here.
+"""
 
 from pathlib import Path
 
@@ -6,7 +10,7 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmarks.fast_bags import EPOCH, RATE
-from benchmarks.harness import Benchmark, Contest, DisagreementError, Goal
+from benchmarks.harness import Benchmark, Contest, DisagreementError
 from impact_observer.bag import interfaces
 from impact_observer.bag.messages import JointState, bag_messages
 from impact_observer.bag.reader import BagReader
@@ -71,6 +75,4 @@ def prepare(folder: Path) -> Contest:
     return Contest(work, ours, {PEER: theirs})
 
 
-BENCHMARK = Benchmark(
-    "write", "what is gained by writing many messages at once?", prepare, (Goal(0.2, PEER),)
-)
+BENCHMARK = Benchmark("write", "what is gained by writing many messages at once?", prepare)
