@@ -193,19 +193,27 @@ class ObserverNode(Node):
 
     def _judge(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """What the observer makes of an event, unless its stamp or epoch cannot be used."""
-        now = self._now()
-        ahead = max(event.stamp, event.epoch) - now
-        if now and ahead > self._future:
-            self._counts["future"] += 1
-            what = "stamped" if event.stamp - now > self._future else "its epoch is"
-            most = self._future / NS_PER_S
-            reason = f"{what} {ahead / NS_PER_S:.3f} s after the clock; future allows {most:g} s"
-        else:
+        reason = self._future_of(event)
+        if not reason:
             try:
                 return self._observer.receive(event)
             except ImpactObserverError as error:  # a message must not end the node
                 reason = str(error)
         return (Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason),)
+
+    def _future_of(self, event: ImpactEvent) -> str:
+        """Why an event is too far ahead of the clock; empty where it is not."""
+        latest = max(event.stamp, event.epoch)
+        if latest <= self._last_stamp:  # that is past by any clock
+            return ""
+        now = self._now()
+        ahead = latest - now
+        if not now or ahead <= self._future:
+            return ""
+        self._counts["future"] += 1
+        what = "stamped" if event.stamp - now > self._future else "its epoch is"
+        most = self._future / NS_PER_S
+        return f"{what} {ahead / NS_PER_S:.3f} s after the clock; future allows {most:g} s"
 
     def _on_timer(self) -> None:
         """Publish the estimates whose stamps are ``lag`` ago."""
