@@ -1,8 +1,8 @@
 """An executor that goes from the middleware to a callback in one step."""
 
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
-from typing import Any, TypeAlias
+from typing import Any
 
 from rclpy.context import Context
 from rclpy.exceptions import InvalidHandle
@@ -11,11 +11,10 @@ from rclpy.guard_condition import GuardCondition
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 from impact_observer.stamps import NS_PER_S
 
-Taken: TypeAlias = Callable[[], Coroutine[Any, Any, None]] | None
-"""What ``rclpy`` makes of something that has come, to be run; None where it was gone."""
 _FOREVER = -1
 _KINDS = {
     "subscription": "subscriptions",
@@ -55,8 +54,7 @@ class DirectExecutor(SingleThreadedExecutor):
         for subscription in waited.ready("subscription"):
             _hear(subscription)
         for timer in waited.ready("timer"):
-            if timer.handle.is_timer_ready():  # and was not cancelled meanwhile
-                _run(self._take_timer(timer))
+            _tick(timer)
         if waited.others_are_ready() or self._tasks:
             super().spin_once(0.0)
 
@@ -118,8 +116,11 @@ def _hear(subscription: Subscription) -> None:
     subscription.callback(*taken[:told])
 
 
-def _run(taken: Taken) -> None:
-    """Call a callback, to its end."""
-    if taken is not None:
-        with suppress(StopIteration):
-            taken().send(None)
+def _tick(timer: Timer) -> None:
+    """Call for a timer, unless it was cancelled meanwhile or is gone."""
+    ready = False
+    with suppress(InvalidHandle), timer.handle:
+        if ready := timer.handle.is_timer_ready():
+            timer.handle.call_timer()
+    if ready:
+        timer.callback()

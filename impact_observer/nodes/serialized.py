@@ -109,19 +109,29 @@ def _read_impact(data: bytes) -> ImpactEvent | None:
     at = len(_START) + _HEADER.size + length
     at += (len(_START) - at) % 8
     sequence, episode, since, and_nanoseconds, count = _EVENT.unpack_from(data, at)
-    at += _EVENT.size
-    switches: list[Switch] = []
+    switches = _read_switches(data[at + _EVENT.size :], count)
+    stamp, epoch = seconds * NS_PER_S + nanoseconds, since * NS_PER_S + and_nanoseconds
+    known = data.startswith(_START[:2]) and max(nanoseconds, and_nanoseconds) < NS_PER_S
+    if not (known and 0 < stamp <= MAX_STAMP and 0 <= epoch <= MAX_STAMP):
+        return None
+    return ImpactEvent(stamp, switches, sequence, episode, epoch)
+
+
+@lru_cache(_MOST_FORMS)
+def _read_switches(data: bytes, count: int) -> tuple[Switch, ...]:
+    """The ``count`` switches of an event: few contacts switch in few ways.
+
+    Raises:
+        StructError, LookupError, ValueError: they are not as usual.
+    """
+    switches, at = [], 0
     for _ in range(count):
         at += -at % 4
         (length,) = _LENGTH.unpack_from(data, at)
         end = at + _LENGTH.size + length
         switches.append(Switch(data[at + _LENGTH.size : end - 1].decode(), _KINDS[data[end]]))
         at = end + 1
-    stamp, epoch = seconds * NS_PER_S + nanoseconds, since * NS_PER_S + and_nanoseconds
-    known = data.startswith(_START[:2]) and max(nanoseconds, and_nanoseconds) < NS_PER_S
-    if not (known and 0 < stamp <= MAX_STAMP and 0 <= epoch <= MAX_STAMP):
-        return None
-    return ImpactEvent(stamp, tuple(switches), sequence, episode, epoch)
+    return tuple(switches)
 
 
 class Serialized:

@@ -97,7 +97,7 @@ class Ensemble(NamedTuple):
         """The largest ``d^T metric d`` between two replicas, at least two; (2n, 2n) is given."""
         if self.due is not None and self.since.are_few:
             seen = self.due.T.dot(metric.dot(self.due))
-            return max(float(self.since.products.dot(seen.ravel()).max()), 0.0)
+            return max(float(np.maximum.reduce(self.since.products.dot(seen.ravel()))), 0.0)
         apart = self.apart
         products = apart.T.dot(metric.dot(apart))
         squares = products.diagonal()

@@ -239,11 +239,10 @@ class Observer:
         entry, n = self._reaching(stamp).at(stamp), self.system.n
         self._require_epoch()
         course, s = self._course(entry), seconds_between(entry.since, stamp)
-        x, root = (
-            (course.state(s), course.root(s)) if s > 0 else (entry.belief.x, entry.belief.root)
-        )
-        closed = course.closed(s)
-        closed = entry.closed if closed is None else closed
+        x, root = entry.belief.x, entry.belief.root
+        closed = entry.closed if course.is_plain else course.closed(s)
+        if s > 0:
+            x, root = course.state(s), None if course.is_plain else course.root(s)
         bound, agreement = entry.belief.bound, entry.agreement
         applied = bool(entry.key.switches)
         return Estimate(
@@ -252,7 +251,7 @@ class Observer:
             q=x[:n],
             u=x[n:],
             covariance=NO_COVARIANCE if root is None else frozen(root @ root.T),
-            closed=tuple(self._names[i] for i in closed),
+            closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
             convergence=agreement.convergence,
             synchronized=self.law.hears
             and agreement.held >= HELD
