@@ -17,7 +17,7 @@ from impact_observer.dynamics.parametric import Map, Sensitivity, led
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.projection import KEPT, PositionProjection
 from impact_observer.dynamics.spectral import flow_of
-from impact_observer.dynamics.switched import ROUNDING, Expansion, Measured, Mirror, Rates
+from impact_observer.dynamics.switched import ROUNDING, Expansion, Jet, Measured, Mirror, Rates
 from impact_observer.dynamics.watched import Watched
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "Expansion",
     "Flow",
     "ImpactLaw",
+    "Jet",
     "Map",
     "Measured",
     "Mirror",

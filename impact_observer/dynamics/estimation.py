@@ -11,8 +11,10 @@ Särkkä, Posterior linearization filter, 2015).
 """
 
 import math
+from collections.abc import Iterable
 from functools import lru_cache
-from typing import NamedTuple
+from operator import mul
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -27,7 +29,7 @@ class Correction(NamedTuple):
     """What a measurement does to a state of ``d`` numbers.
 
     Attributes:
-        gain: what the state moves by per unit of innovation, shape (d, k).
+        gain: what the state moves by per ``whitened`` innovation, shape (d, k).
         innovation: a square root of the innovation's covariance, lower triangular, shape (k, k).
         root: a square root of the covariance after it, lower triangular, shape (d, d).
     """
@@ -37,30 +39,43 @@ class Correction(NamedTuple):
     root: Matrix
 
     @property
-    def deviations(self) -> Vector:
-        """Standard deviations of the innovations, shape (k,)."""
+    def deviations(self) -> list[float]:
+        """Standard deviations of the innovations."""
         return lengths(self.innovation)
 
+    def whitened(self, seen: Iterable[Any]) -> list[Any]:
+        """``innovation^-1 seen``: innovations, or rows of several ones, in standard deviations."""
+        found: list[Any] = []
+        for row, value in zip(self.innovation.tolist(), seen, strict=True):
+            known = sum(map(mul, row, found))  # row by row: there are hardly ever many
+            found.append((value - known) / row[len(found)])
+        return found
 
-def lengths(rows: Matrix) -> Vector:
+    def change(self, seen: Matrix) -> Matrix:
+        """What the state moves by, shape (d, ...), of innovations, shape (k, ...)."""
+        return np.asarray(self.gain.dot(np.reshape(self.whitened(seen), seen.shape)))
+
+
+def lengths(rows: Matrix) -> list[float]:
     """Euclidean lengths of ``rows``: deviations, of rows of a covariance's root."""
-    return np.asarray(np.sqrt((rows * rows).sum(axis=1)))
+    return [math.sqrt(row.dot(row)) for row in rows]
 
 
 def triangular(root: Matrix) -> Matrix:
     """A lower triangular square root, shape (d, d), of the same covariance; (d, any) is given."""
-    d, rank = len(root), min(root.shape)
-    found = np.zeros((d, d))
-    if rank:
-        # LAPACK's routine itself: of small matrices checks cost more than it.
-        found[:, :rank] = linalg.lapack.dgeqrf(root.T)[0][:rank].T
-    return found * _lower(d)
+    d, columns = root.shape
+    if columns < d:
+        root = np.concatenate([root, np.zeros((d, d - columns))], axis=1)
+    # LAPACK's routine itself: of small matrices checks cost more than it.
+    turned = linalg.lapack.dgeqrf(root.T)[0] if d else root.T
+    found: Matrix = (turned[:d] * _upper(d)).T
+    return found
 
 
 @lru_cache(KEPT)
-def _lower(d: int) -> Matrix:
-    """Ones where a lower triangular matrix has its entries, shape (d, d)."""
-    return frozen(np.tri(d))
+def _upper(d: int) -> Matrix:
+    """Ones where an upper triangular matrix has its entries, shape (d, d)."""
+    return np.asarray(frozen(np.tri(d)).T)  # column after column, as LAPACK's matrices are
 
 
 def correction(root: Matrix, H: Matrix, noise: Matrix) -> Correction:
@@ -73,13 +88,9 @@ def correction(root: Matrix, H: Matrix, noise: Matrix) -> Correction:
     """
     (k, d), own = H.shape, noise.shape[1]
     joint = np.zeros((k + d, own + root.shape[1]))
-    joint[:k, :own], joint[:k, own:], joint[k:, own:] = noise, H @ root, root
+    joint[:k, :own], joint[:k, own:], joint[k:, own:] = noise, H.dot(root), root
     found = triangular(joint)
-    innovation = found[:k, :k]
-    gain = found[k:, :k]
-    if k:
-        gain = linalg.lapack.dtrtrs(innovation, gain.T, lower=1, trans=1)[0].T
-    return Correction(gain, innovation, found[k:, k:])
+    return Correction(found[k:, :k], found[:k, :k], found[k:, k:])
 
 
 def product(root: Matrix, D: Matrix, E: Vector) -> tuple[Vector, Matrix]:
@@ -94,8 +105,9 @@ def product(root: Matrix, D: Matrix, E: Vector) -> tuple[Vector, Matrix]:
     Returns:
         Shapes (k,) and (k, 1 + c).
     """
-    deviation, along, apart = root[0, 0], root[1:, 0], root[1:, 1:]
-    mean = deviation * (D @ along + E * (deviation / 2))
-    noise = np.empty((len(D), root.shape[1]))
-    noise[:, 0], noise[:, 1:] = _SQRT2 * mean, deviation * (D @ apart)
+    deviation = float(root[0, 0])
+    noise: Matrix = D.dot(root[1:])
+    noise *= deviation
+    mean: Vector = noise[:, 0] + E * (deviation * deviation / 2)
+    noise[:, 0] = mean * _SQRT2
     return mean, noise

@@ -22,25 +22,28 @@ class Scales:
         squares: ``omega^2`` of the undamped modes, ascending, shape (n,), 1/s2.
         shapes: of these modes, M-orthonormal, a column each, shape (n, n).
         modes: ``M shapes``: amplitudes of the modes are ``q @ modes``.
+        spread: sizes of ``shapes``, a row each: how large an amplitude may make each coordinate.
         fastest: the fastest mode or harmonic, rad/s; 0 where nothing oscillates.
+        timescale: the inverse of the fastest rate, at most 1 s.
     """
 
     squares: Vector
     shapes: Matrix
     modes: Matrix
+    spread: Matrix
     fastest: float
+    timescale: float
+    _in_time: Matrix
 
     @classmethod
     def of(cls, equations: Equations) -> "Scales":
         """Those of ``equations``."""
         squares, shapes = linalg.eigh(equations.K, equations.M)
-        rates = [np.sqrt(max(float(squares[-1]), 0.0)), *equations.forcing.frequency]
-        return cls(squares, shapes, equations.M @ shapes, float(max(rates)))
-
-    @property
-    def timescale(self) -> float:
-        """The inverse of the fastest rate, at most 1 s."""
-        return 1.0 / max(self.fastest, 1.0)
+        spread = np.ascontiguousarray(np.abs(shapes).T)
+        fastest = float(max(np.sqrt(max(squares[-1], 0.0)), *equations.forcing.frequency, 0.0))
+        timescale = 1.0 / max(fastest, 1.0)
+        in_time = np.array([[1.0, timescale], [0.0, 1.0]])
+        return cls(squares, shapes, equations.M @ shapes, spread, fastest, timescale, in_time)
 
     @property
     def window(self) -> float:
@@ -63,9 +66,9 @@ class Scales:
         Returns:
             Shape (2n,), not negative.
         """
-        amplitudes = np.abs(x.reshape(2, -1) @ self.modes)
-        amplitudes[0] += amplitudes[1] * self.timescale
-        return np.asarray((amplitudes @ np.abs(self.shapes).T).ravel())
+        amplitudes = np.abs(x.reshape(2, -1).dot(self.modes))
+        found: Vector = self._in_time.dot(amplitudes).dot(self.spread).ravel()
+        return found
 
     def reach(self, q: Matrix, u: Matrix) -> Matrix:
         """How far each mode may be from rest within the time scale, signs apart.

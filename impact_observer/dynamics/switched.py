@@ -23,6 +23,7 @@ ROUNDING = 4 * float(np.finfo(np.float64).eps)
 """Of what is measured, relative to the terms that it is the sum of."""
 _LEAST = 1e-150
 """Standard deviation of a measurement in which nothing is rounded."""
+_ONE = np.ones(1)
 
 
 class Rates:
@@ -47,8 +48,9 @@ class Rates:
 
     def along(self, x: Vector, forces: Matrix) -> tuple[Vector, Vector]:
         """``dx/dt`` and its derivative by time, (2n,) each; ``forces`` are f, df/dt, ..."""
-        first = self.A @ x + self.B @ forces[0]
-        return first, self.A @ first + self.B @ forces[1]
+        first: Vector = self.A.dot(x) + self.B.dot(forces[0])
+        second: Vector = self.A.dot(first) + self.B.dot(forces[1])
+        return first, second
 
 
 class Expansion(NamedTuple):
@@ -67,54 +69,102 @@ class Expansion(NamedTuple):
     E: Vector
 
 
+class Jet(NamedTuple):
+    """Expansions of the same functions at any ``y``: only what is affine in it is left to find.
+
+    Attributes:
+        now: value, slope and E as rows, each shape (k,), of (1, y, f, df/dt, d2f/dt2),
+            shape (3 k, 1 + 2n + 3n).
+        H: as of ``Expansion``, with no slope.
+        D: likewise.
+    """
+
+    now: Matrix
+    H: Matrix
+    D: Matrix
+
+    @classmethod
+    def of(cls, rows: list[list[Matrix | Vector]], D: Matrix) -> "Jet":
+        """From the parts of ``now``; a row for each of value, slope and E."""
+        parts = [np.column_stack(row) for row in rows]
+        H = np.zeros((len(D), 1 + D.shape[1]))
+        H[:, 1:] = rows[0][1]
+        return cls(np.concatenate(parts), H, np.ascontiguousarray(D))
+
+    def expanded(self, y: Vector, forces: Matrix) -> Expansion:
+        """At ``y``; ``forces`` are f and its first two derivatives at its instant."""
+        now = self.now.dot(np.concatenate([_ONE, y, forces.ravel()]))
+        k, H = len(self.D), self.H.copy()
+        H[:, 0] = now[k : 2 * k]
+        return Expansion(now[:k], H, self.D, now[2 * k :])
+
+
 class Measured(NamedTuple):
-    """Functions ``c x + d(t)`` that are zero when something switches.
+    """Functions ``c x + rest - load f(t)`` that are zero when something switches.
 
     Attributes:
         c: shape (k, 2n).
-        d: with its first two derivatives by time, shape (3, k).
+        rest: shape (k,).
+        load: shape (k, n); None for nothing.
     """
 
     c: Matrix
-    d: Matrix
+    rest: Vector
+    load: Matrix | None = None
 
     @classmethod
     def gaps(cls, system: System, contacts: Contacts) -> "Measured":
         """The gaps of ``contacts``."""
-        W, d = system.W[:, list(contacts)].T, np.zeros((3, len(contacts)))
-        d[0] = system.q_r[list(contacts)]
-        return cls(np.hstack([W, np.zeros_like(W)]), d)
+        W = system.W[:, list(contacts)].T
+        return cls(np.hstack([W, np.zeros_like(W)]), system.q_r[list(contacts)])
 
     @classmethod
     def speeds(cls, system: System, contacts: Contacts) -> "Measured":
         """The contact speeds of ``contacts``."""
         W = system.W[:, list(contacts)].T
-        return cls(np.hstack([np.zeros_like(W), W]), np.zeros((3, len(contacts))))
+        return cls(np.hstack([np.zeros_like(W), W]), np.zeros(len(contacts)))
 
     @classmethod
-    def loads(cls, phase: Phase, contacts: Contacts, forces: Matrix) -> "Measured":
-        """Loads of held ``contacts``; ``forces`` are f and its first two derivatives."""
+    def loads(cls, phase: Phase, contacts: Contacts) -> "Measured":
+        """Loads of held ``contacts``."""
         L, equations = phase.loads[[phase.held.index(i) for i in contacts]], phase.equations
-        return cls(np.hstack([L @ equations.K, L @ equations.C]), -forces[:3] @ L.T)
+        return cls(np.hstack([L @ equations.K, L @ equations.C]), np.zeros(len(contacts)), L)
 
-    def value(self, x: Vector) -> Vector:
-        """Shape (k,)."""
-        return np.asarray(self.c @ x + self.d[0])
+    def value(self, x: Vector, force: Vector | None = None) -> Vector:
+        """At a state, shape (2n,), and the force then, shape (n,), if any: shape (k,)."""
+        return np.asarray(self.c.dot(x) + self._rest(force))
 
-    def rounding(self, x: Vector) -> Vector:
-        """Standard deviation of what is rounded in it, positive, shape (k,)."""
-        return np.asarray(ROUNDING * (np.abs(self.c) @ np.abs(x) + np.abs(self.d[0])) + _LEAST)
+    def rounding(self, x: Vector, force: Vector | None = None) -> list[float]:
+        """Standard deviation of what is rounded in each of them, positive."""
+        terms = np.abs(self.c).dot(np.abs(x)).tolist()
+        rests = self._rest(force).tolist()
+        return [
+            ROUNDING * (size + abs(rest)) + _LEAST for size, rest in zip(terms, rests, strict=True)
+        ]
+
+    def _rest(self, force: Vector | None) -> Vector:
+        if self.load is None:
+            return self.rest
+        assert force is not None, "what is loaded depends on the force"
+        return np.asarray(self.rest - self.load.dot(force))
+
+    def along(self, rates: Rates) -> Jet:
+        """Their expansions while a phase lasts."""
+        nothing = np.zeros((len(self.c), rates.B.shape[1]))
+        load = nothing if self.load is None else self.load
+        still, first = np.zeros_like(self.rest), self.c @ rates.A
+        return Jet.of(
+            [
+                [self.rest, self.c, -load, nothing, nothing],
+                [still, -first, -self.c @ rates.B, load, nothing],
+                [still, first @ rates.A, first @ rates.B, self.c @ rates.B, -load],
+            ],
+            -first,
+        )
 
     def expanded(self, rates: Rates, y: Vector, forces: Matrix) -> Expansion:
         """Their values at the jump; ``forces`` are f, df/dt, ... at the instant of ``y``."""
-        first, second = rates.along(y, forces)
-        slope = -self.c @ first - self.d[1]
-        return Expansion(
-            self.value(y),
-            np.column_stack([slope, self.c]),
-            -self.c @ rates.A,
-            self.c @ second + self.d[2],
-        )
+        return self.along(rates).expanded(y, forces)
 
 
 class Mirror(NamedTuple):
@@ -149,12 +199,28 @@ class Mirror(NamedTuple):
             offset[:n] = (J - np.eye(n)) @ linalg.lstsq(system.W[:, P].T, q_r)[0]
         return cls(linalg.block_diag(J, J), offset)
 
+    def between(self, before: Rates, after: Rates) -> Jet:
+        """The expansions of the state after the jump, at the instant of the one before."""
+        J, (d, n) = self.J, before.B.shape
+        D, kicked = after.A @ J - J @ before.A, after.B - J @ before.B
+        # ``D y`` and the rest are the first order, and what that changes by the second
+        pulled = after.A @ self.offset
+        nothing = np.zeros((d, n))
+        return Jet.of(
+            [
+                [self.offset, J, nothing, nothing, nothing],
+                [pulled, D, kicked, nothing, nothing],
+                [
+                    after.A @ pulled,
+                    after.A @ D - D @ before.A,
+                    after.A @ kicked - D @ before.B,
+                    -kicked,
+                    nothing,
+                ],
+            ],
+            D,
+        )
+
     def expanded(self, before: Rates, after: Rates, y: Vector, forces: Matrix) -> Expansion:
         """The state after the jump, at the instant of ``y``."""
-        J, x = self.J, self.J @ y + self.offset
-        ending, further = before.along(y, forces)
-        jump = after.A @ x + after.B @ forces[0] - J @ ending
-        D = after.A @ J - J @ before.A
-        # jump as a function of the instant: what it changes by while the jump moves back
-        onward = after.A @ (J @ ending) + after.B @ forces[1] - J @ further
-        return Expansion(x, np.column_stack([jump, J]), D, after.A @ jump - onward)
+        return self.between(before, after).expanded(y, forces)

@@ -1,6 +1,7 @@
 """The forcing ``f(t)`` of a system: constant, harmonics and samples, with bounds on them."""
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,14 +78,54 @@ class Forcing:
         found[0] = self.constant
         if self.frequency.size:
             wave = np.exp(1j * np.outer(t, self.frequency))
-            amplitude = self.cosine - 1j * self.sine
-            for k in range(order + 1):
+            for k, amplitude in enumerate(self._amplitudes(order)):
                 found[k] += (wave @ amplitude).real
-                amplitude = amplitude * (1j * self.frequency[:, None])
         if self.sampled is not None:
-            found[0] += self.sampled.values(t)
-            found[1:2] += self.sampled.slope[self.sampled.index(t)]
+            self._add_samples(found, t)
         return found
+
+    def _add_samples(self, found: NDArray[np.float64], t: Vector) -> None:
+        """Add what is sampled at ``t``, and its slope, to ``found`` as of ``derivatives``."""
+        assert self.sampled is not None, "nothing is sampled"
+        found[0] += self.sampled.values(t)
+        found[1:2] += self.sampled.slope[self.sampled.index(t)]
+
+    def jet(self, order: int) -> Callable[[float], Matrix]:
+        """``derivatives`` at one instant, prepared to be cheap.
+
+        Args:
+            order: of the highest derivative.
+
+        Returns:
+            A function of ``t``, s since the epoch: shape (order + 1, n). It raises DynamicsError
+            where there is no sample.
+        """
+        frequency: list[float] = self.frequency.tolist()
+        # What 1 and each harmonic's cosine and sine are multiplied by.
+        parts = np.zeros((order + 1, self.constant.size, 1 + 2 * len(frequency)))
+        parts[0, :, 0] = self.constant
+        for k, amplitude in enumerate(self._amplitudes(order)):
+            parts[k, :, 1::2], parts[k, :, 2::2] = amplitude.real.T, -amplitude.imag.T
+        shape, rows = parts.shape[:2], parts.reshape(-1, parts.shape[2])
+
+        def at(t: float) -> Matrix:
+            known = [1.0]
+            for omega in frequency:
+                angle = omega * t
+                known += math.cos(angle), math.sin(angle)
+            found: Matrix = rows.dot(known).reshape(shape)
+            if self.sampled is not None:
+                self._add_samples(found[:, None], np.array([t]))
+            return found
+
+        return at
+
+    def _amplitudes(self, order: int) -> Iterator[NDArray[np.complex128]]:
+        """Of ``e^{i omega t}`` in f and its derivatives, shape (h, n) each."""
+        amplitude = self.cosine - 1j * self.sine
+        for _ in range(order + 1):
+            yield amplitude
+            amplitude = amplitude * (1j * self.frequency[:, None])
 
     def bound(self, X: Matrix) -> Callable[[int, Vector], Vector]:
         """A bound on the size of ``f`` and its derivatives, prepared to be cheap.
@@ -149,8 +190,8 @@ class Forcing:
         return Forcing(
             finite("forcing.constant", self.constant, (n,), f"{n} numbers, one a coordinate"),
             frequency,
-            _amplitudes("cosine", self.cosine, h, n),
-            _amplitudes("sine", self.sine, h, n),
+            _checked("cosine", self.cosine, h, n),
+            _checked("sine", self.sine, h, n),
             self.sampled,
         )
 
@@ -174,7 +215,7 @@ def _bound_of_samples(samples: Samples, X: Matrix) -> Callable[[int, Vector], Ve
     return bounded
 
 
-def _amplitudes(part: str, rows: Iterable[ArrayLike], h: int, n: int) -> Matrix:
+def _checked(part: str, rows: Iterable[ArrayLike], h: int, n: int) -> Matrix:
     checked = [
         finite(f"forcing.harmonics[{k}].{part}", row, (n,), f"{n} numbers, one a coordinate")
         for k, row in enumerate(rows)

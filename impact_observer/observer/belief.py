@@ -1,7 +1,9 @@
 """What an observer carries from one event to the next, and what a law is told of an event."""
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
+from itertools import takewhile
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
@@ -20,40 +22,59 @@ class Known(NamedTuple):
     """A state and how surely it is known.
 
     Attributes:
-        replicas: states (q, u), shape (N, 2n): the estimate, and others that began elsewhere.
-        slow: what stays between events, to each replica, shape (N, k): the parameters theta that
-            are learnt, then, where it is unknown, what the sensor's stamps are late by.
+        x: the estimate (q, u), shape (2n,).
+        slow: what stays between events, shape (k,): the parameters theta that are learnt, then,
+            where it is unknown, what the sensor's stamps are late by.
         root: a square root ``S`` of the covariance ``S S^T`` of (q, u, slow), shape (2n + k, any).
+        apart: (q, u, slow) of replicas that began elsewhere, less the estimate's, one a column,
+            shape (2n + k, N - 1).
         closed: contacts that are closed.
         parameters: how many are learnt, k or k - 1.
     """
 
-    replicas: Matrix
-    slow: Matrix
+    x: Vector
+    slow: Vector
     root: Matrix
+    apart: Matrix
     closed: Contacts = ()
     parameters: int = 0
 
     @classmethod
     def of(cls, replicas: Matrix, root: Matrix, closed: Contacts = ()) -> "Known":
-        """With nothing slow, or with an offset of 0 where ``root`` has a row for it."""
-        slow = np.zeros((len(replicas), len(root) - replicas.shape[1]))
-        return cls(replicas, slow, root, closed)
+        """With nothing slow, or with an offset of 0 where ``root`` has a row for it.
+
+        Args:
+            replicas: states (q, u), shape (N, 2n), the estimate first.
+            root: as of ``Known``.
+            closed: likewise.
+        """
+        size = replicas.shape[1]
+        apart = np.zeros((len(root), len(replicas) - 1))
+        apart[:size] = (replicas[1:] - replicas[0]).T
+        return cls(replicas[0], np.zeros(len(root) - size), root, apart, closed)
 
     @property
     def theta(self) -> Vector:
         """The estimate's parameters, shape (p,)."""
-        return np.asarray(self.slow[0, : self.parameters])
+        return np.asarray(self.slow[: self.parameters])
 
     @property
     def offset(self) -> float:
         """What the sensor's stamps are late by to the estimate, s."""
-        return float(sum(self.slow[0, self.parameters :].tolist()))
+        p = self.parameters
+        return float(self.slow[p]) if self.slow.size > p else 0.0
 
     @property
-    def x(self) -> Vector:
-        """The estimate (q, u), shape (2n,)."""
-        return np.asarray(self.replicas[0])
+    def ensemble(self) -> Ensemble:
+        """The states of all replicas."""
+        return Ensemble(self.x, self.apart[: self.x.size])
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether the states of all replicas are."""
+        if not math.isfinite(self.x.dot(self.x)):
+            return False
+        return not self.apart.size or bool(np.isfinite(self.apart).all())
 
     def carried(self, x: Vector, map_: Matrix, turn: Matrix | None = None) -> "Known":
         """What ``map_`` makes of errors, and ``x`` of the estimate itself.
@@ -63,16 +84,27 @@ class Known(NamedTuple):
             map_: shape (2n, 2n).
             turn: how the state changes with the parameters, shape (2n, p); None where it does not.
         """
-        size, p = x.size, self.parameters
-        replicas = (self.replicas - self.x) @ map_.T + x
-        root = map_ @ self.root[:size]
+        root = carried(self.root, 0, map_, turn)
+        apart = carried(self.apart, 0, map_, turn)
+        return Known(x, self.slow, root, apart, self.closed, self.parameters)
+
+
+def carried(errors: Matrix, first: int, map_: Matrix, turn: Matrix | None = None) -> Matrix:
+    """What a map of states makes of errors of more than a state.
+
+    Args:
+        errors: one a column, shape (d, any); after the state's rows come the parameters'.
+        first: of the state's rows.
+        map_: shape (2n, 2n).
+        turn: how the state changes with the parameters, shape (2n, p); None where it does not.
+    """
+    last = first + len(map_)
+    found: Matrix = errors.copy()
+    if errors.size:
+        found[first:last] = map_.dot(errors[first:last])
         if turn is not None:
-            replicas += (self.slow[:, :p] - self.theta) @ turn.T
-            root += turn @ self.root[size : size + p]
-        replicas[0] = x  # in every bit, however many others there are
-        if len(self.root) > size:
-            root = np.vstack([root, self.root[size:]])
-        return self._replace(replicas=replicas, root=root)
+            found[first:last] += turn.dot(errors[last : last + turn.shape[1]])
+    return found
 
 
 class Note(NamedTuple):
@@ -140,6 +172,24 @@ class Hypothesis(NamedTuple):
     notes: tuple[Note, ...] = ()
     sunk: Mapping[int, float] = _NOTHING
     unheard: tuple[Unheard, ...] = ()
+
+    @property
+    def whole_weight(self) -> float:
+        """Its weight, and that of what it has fallen through."""
+        return self.weight + sum(self.sunk.values()) if self.sunk else self.weight
+
+    def knowing(self, known: Known) -> "Hypothesis":
+        """The same account, with the state as it is ``known``."""
+        return Hypothesis(known, self.clock, self.weight, self.notes, self.sunk, self.unheard)
+
+    def weighing(self, weight: float) -> "Hypothesis":
+        """The same, with another ``weight``."""
+        return Hypothesis(self.known, self.clock, weight, self.notes, self.sunk, self.unheard)
+
+    def noted(self, event: tuple[int, int]) -> list[Note]:
+        """Its notes on the contacts of ``event``, which is the latest."""
+        latest = takewhile(lambda note: note.event == event, reversed(self.notes))
+        return [note for note in latest if not note.is_inserted][::-1]
 
 
 class Fallback(NamedTuple):
@@ -251,6 +301,8 @@ class Touch(NamedTuple):
 
     def after(self, before: Contacts) -> "Touch":
         """The same event where other contacts were closed before it."""
+        if before == self.before:
+            return self
         stay = set(self.closed) & set(self.hit) | set(before) - set(self.hit)
         opened = set(self.before) - set(self.closed)
         return self._replace(before=before, closed=tuple(sorted(stay - opened)))
@@ -263,7 +315,8 @@ class Touch(NamedTuple):
     @property
     def contacts(self) -> Contacts:
         """All of which the event speaks: those that hit, and those that open."""
-        return tuple(sorted({*self.hit, *self.opened}))
+        opened = self.opened
+        return tuple(sorted({*self.hit, *opened})) if opened else self.hit
 
     @property
     def active(self) -> Contacts:
@@ -296,7 +349,8 @@ class Touch(NamedTuple):
             ImpactLawError: the law has no solution on these contacts.
         """
         taking = newton.pressed(self.active, self.hit, gamma)
-        return tuple(sorted({*taking, *(set(self.before) & set(self.closed))}))
+        stay = set(self.before) & set(self.closed)
+        return tuple(sorted({*taking, *stay})) if stay else taking
 
 
 class Course(ABC):

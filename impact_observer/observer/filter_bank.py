@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
-import numpy as np
 from scipy import special
 
 from impact_observer.events import Kind, Ruling
@@ -118,8 +117,7 @@ class FilterBank:
         One that falls through a stop divides: into what it is, and into one that hit it.
         """
         if self._trusting:
-            moved = [self.filter.course(t, each.known).known(s) for each in hypotheses]
-            return tuple(h._replace(known=k) for h, k in zip(hypotheses, moved, strict=True))
+            return tuple(h.knowing(self.filter.course(t, h.known).known(s)) for h in hypotheses)
         found: list[Hypothesis] = []
         best = -math.inf
         for each in sorted(hypotheses, key=_weight):
@@ -128,7 +126,7 @@ class FilterBank:
         found.sort(key=_weight)
         enough = found[0].weight + NEGLIGIBLE
         likely = [each for each in found[: 2 * MOST] if each.weight >= enough]
-        return tuple(sorted(likely, key=_whole_weight, reverse=True))
+        return tuple(sorted(likely, key=lambda each: each.whole_weight, reverse=True))
 
     def _paths(self, h: Hypothesis, t: float, left: float, enough: float) -> Iterator[Hypothesis]:
         """What may have become of ``h`` from ``t`` on, ``left`` seconds later.
@@ -186,21 +184,21 @@ class FilterBank:
             hypotheses: just before it.
             anew: makes what to believe if nothing that came before can be.
         """
-        leading = max(map(_whole_weight, hypotheses)) + LEADING
+        leading = max(each.whole_weight for each in hypotheses) + LEADING
         branches = [
             branch
             for each in hypotheses
-            for branch in self._branches(touch, each, leads=_whole_weight(each) >= leading)
+            for branch in self._branches(touch, each, leads=each.whole_weight >= leading)
         ]
         branches.sort(key=lambda branch: branch.weight, reverse=True)
         enough = branches[0].weight + NEGLIGIBLE
         likely = [each for each in branches if each.weight >= enough][:MOST]
         made = [each.make() for each in likely]
-        made = self._distinct([h for h in made if np.isfinite(h.known.replicas).all()])
+        made = self._distinct([h for h in made if h.known.is_finite])
         if not (self._sure or branches[0].foretold):
             made = sorted([*made, *self._anew(touch, made, anew())], key=_weight)
         total = _total(made)
-        return tuple(h._replace(weight=h.weight - total) for h in made)
+        return tuple(h.weighing(h.weight - total) for h in made)
 
     def _branches(self, touch: Touch, h: Hypothesis, *, leads: bool) -> Iterator[_Branch]:
         """What the event may have been to ``h``."""
@@ -229,10 +227,11 @@ class FilterBank:
     def _nothing(self, touch: Touch, h: Hypothesis, reason: str) -> _Branch:
         """Nothing has happened."""
         odds = self._invented if self._invented > -math.inf else 0.0
-        weight = _whole_weight(h) + len(touch.contacts) * odds
+        weight = h.whole_weight + len(touch.contacts) * odds
 
         def make() -> Hypothesis:
-            return _noted(h._replace(weight=weight), touch, (Ruling.REJECTED, reason), {})
+            notes = _noted(h, touch, (Ruling.REJECTED, reason), {})
+            return Hypothesis(h.known, h.clock, weight, notes)
 
         return _Branch(weight, make)
 
@@ -243,8 +242,9 @@ class FilterBank:
         prior = self.filter.prior(here, h.known, h.clock)
         evidence = self.filter.evidence(here, prior)
         contacts = here.contacts
-        unexplained = sum(each for i, each in h.sunk.items() if i not in contacts)
-        weight = h.weight + chance + evidence.density + unexplained
+        weight = h.weight + chance + evidence.density
+        if h.sunk:
+            weight += sum(each for i, each in h.sunk.items() if i not in contacts)
 
         def make() -> Hypothesis:
             known = self.filter.after(here, self.filter.heard(here, prior, evidence))
@@ -253,8 +253,8 @@ class FilterBank:
                 for said, i in zip(touch.contacts, contacts, strict=False)
                 if i in evidence.innovations
             }
-            after = h._replace(known=known, weight=weight)
-            return _noted(after, touch, (Ruling.APPLIED, reason), judged)
+            notes = _noted(h, touch, (Ruling.APPLIED, reason), judged)
+            return Hypothesis(known, h.clock, weight, notes)
 
         depth = max(evidence.innovations.values(), default=0.0)
         soon = evidence.density > len(contacts) * self._slow
@@ -278,14 +278,16 @@ class FilterBank:
         ruling = (Ruling.APPLIED, "nothing before it is believed any more")
         notes = _before(touch, made[0].notes) if made else ()
         for h in anew:
-            begun = h._replace(weight=h.weight + total + ANEW, notes=notes)
-            yield _noted(begun, touch, ruling, {})
+            begun = Hypothesis(h.known, h.clock, h.weight + total + ANEW, notes)
+            yield begun._replace(notes=_noted(begun, touch, ruling, {}))
 
     def _distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The likeliest of those that make the same of the latest events, in order.
 
         What they made of older ones has told them nearly the same (N-scan pruning).
         """
+        if len(made) == 1:
+            return [*made]
         found: dict[object, Hypothesis] = {}
         for h in made:
             same = (h.clock, *(note.gist for note in h.notes[-self._deep :]))
@@ -301,17 +303,15 @@ def _logs(probability: float) -> tuple[float, float]:
 
 def _total(hypotheses: Sequence[Hypothesis]) -> float:
     """Logarithm of the sum of probabilities; 0 where there is none."""
-    return float(np.logaddexp.reduce([h.weight for h in hypotheses])) if hypotheses else 0.0
+    largest = max((h.weight for h in hypotheses), default=-math.inf)
+    if largest == -math.inf:
+        return largest if hypotheses else 0.0
+    return largest + math.log(sum(math.exp(h.weight - largest) for h in hypotheses))
 
 
 def _weight(h: Hypothesis) -> float:
     """To sort by: the likeliest first."""
     return -h.weight
-
-
-def _whole_weight(h: Hypothesis) -> float:
-    """Its weight, and that of what it has fallen through."""
-    return h.weight + sum(h.sunk.values())
 
 
 def _before(touch: Touch, notes: tuple[Note, ...]) -> tuple[Note, ...]:
@@ -322,8 +322,8 @@ def _before(touch: Touch, notes: tuple[Note, ...]) -> tuple[Note, ...]:
 
 def _noted(
     h: Hypothesis, touch: Touch, ruling: tuple[Ruling, str], innovations: dict[int, float]
-) -> Hypothesis:
-    """``h`` after an event, with notes of what it made of that, and inserted before."""
+) -> tuple[Note, ...]:
+    """The notes of ``h`` after an event: also of what it made of that, and inserted before."""
     event = (touch.stamp, touch.sequence)
     inserted = [
         Note(
@@ -340,4 +340,4 @@ def _noted(
     first = max(len(notes) - _REMEMBERED, 0)
     while first and notes[first - 1].event == notes[first].event:
         first -= 1  # an event's notes stay together
-    return Hypothesis(h.known, h.clock, h.weight, notes[first:])
+    return notes[first:]

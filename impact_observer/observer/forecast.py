@@ -103,8 +103,7 @@ class Flight:
         self.c = Measured.gaps(self._system, open_).c
         self._distance = self._system.q_r[list(open_)]
         if self._phase.held:
-            forces = np.zeros((3, self._system.n))
-            loads = Measured.loads(self._phase, self._phase.held, forces)
+            loads = Measured.loads(self._phase, self._phase.held)
             self.c = np.vstack([self.c, loads.c])
         self._rest = self._phase.start(t, np.zeros(2 * self._system.n))
         self.over = lru_cache(_KEPT)(self._over)

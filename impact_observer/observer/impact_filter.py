@@ -1,16 +1,15 @@
 """The Kalman filter of impact times: what an instant says of the whole state, and how surely."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg, special
+from scipy import special
 
 from impact_observer.dynamics import (
     ROUNDING,
     Correction,
-    Map,
-    Measured,
     Sensitivity,
     led,
     lengths,
@@ -51,13 +50,13 @@ class Evidence(NamedTuple):
     Attributes:
         density: logarithm of the probability density of its instant, 1/s for each contact.
         innovations: by contact, how far the innovation was from zero, in standard deviations.
-        linear: what was expected about what was known, and what the event tells of that; None
-            where that was not needed.
+        linear: what was expected about what was known, what the event tells of that, and by
+            how much it was something else, whitened; None where that was not needed.
     """
 
     density: float
     innovations: dict[int, float]
-    linear: tuple[Expected, Correction] | None = None
+    linear: tuple[Expected, Correction, list[float]] | None = None
 
 
 class ImpactFilter:
@@ -103,7 +102,8 @@ class ImpactFilter:
         self.phases = self.members.given.moving.phases
         self.short = _SHORT * self.phases.scales.timescale
         self.brief = _BRIEF * self.phases.scales.timescale
-        self._astray = Astray(model_error, unknowns.drift * unknowns.deviations)
+        drift = unknowns.drift * unknowns.deviations
+        self._astray = Astray(model_error, drift) if model_error or np.any(drift) else None
 
     def begin(self, known: Known) -> Known:
         """``known``, and that its closed contacts rest."""
@@ -125,10 +125,10 @@ class ImpactFilter:
             known: when it is stamped.
             clock: standard deviation of the stamp, s.
         """
-        d, p = known.root.shape[0], known.parameters
-        root = np.zeros((1 + d, 1 + known.root.shape[1]))
+        d, columns = known.root.shape
+        root = np.zeros((1 + d, 1 + columns))
         root[0, 0], root[1:, 1:] = clock, known.root
-        if d > known.x.size + p:
+        if d > known.x.size + known.parameters:
             root[0, 1:] = known.root[-1]
             root = triangular(root)
         joint = Joint.of(touch.t, known.offset, known, root, Joint.apart_of(known))
@@ -143,44 +143,43 @@ class ImpactFilter:
         contacts = self._telling(touch)
         if not contacts:
             return Evidence(0.0, {})
-        if (apart := self._far(touch, contacts, prior)) is not None:
-            return apart
-        expected = self._expected(self.member(prior), touch, contacts, prior, prior)
-        learnt, (_, H, D, _) = expected.learnt(prior), expected.expansion
-        white = linalg.lapack.dtrtrs(learnt.innovation, expected.innovation, lower=1)[0]
-        density = -0.5 * float(white @ white) - len(contacts) * _NORMAL
-        density -= float(np.sum(np.log(np.abs(np.diag(learnt.innovation)))))
-        slope = H[:, 0]
-        spread = lengths(D @ prior.own[1:])
-        density += float(np.sum(np.log(np.hypot(slope, spread) + _STILL)))
-        if len(contacts) == 1:
-            surely = max(float(spread[0]), _CLOSING * abs(float(slope[0])), _STILL)
-            density += float(special.log_ndtr(slope[0] / surely))
-        sizes = np.abs(expected.innovation) / learnt.deviations
-        innovations = dict(zip(contacts, sizes.tolist(), strict=True))
-        return Evidence(density, innovations, (expected, learnt))
-
-    def _far(self, touch: Touch, contacts: Contacts, prior: Joint) -> Evidence | None:
-        """The evidence of an event that is so far off that no more need be known; else None."""
-        if not touch.hit:
-            return None
         member = self.member(prior)
-        gaps, rates = member.gaps(contacts), member.moving.rates(touch.before)
-        rate = rates.along(prior.x, member.moving.forces(prior.t))[0]
-        slope = -gaps.c @ rate
-        bent = np.abs(gaps.c @ rates.A @ rate)
-        clock = prior.root[0, 0]
-        seen = (
-            gaps.c @ prior.own[1:] + self.members.gap_rows(contacts) @ prior.root[prior.of_theta]
-        )
-        most = np.hypot(lengths(seen), (np.abs(slope) + bent * clock) * clock)
-        most += self._rounding(touch, gaps, prior.x)
-        value = np.abs(gaps.value(prior.x) + slope * prior.e)
-        sizes = value / most
-        if np.max(sizes) < _FAR:
+        expected = self._expected(member, touch, contacts, prior, prior)
+        if touch.hit and (sizes := self._far(member, touch, expected, prior)):
+            density = -sum(size * size for size in sizes) / 2
+            return Evidence(density, dict(zip(contacts, sizes, strict=True)))
+        learnt, innovation = expected.learnt(prior), expected.innovation.tolist()
+        white = learnt.whitened(innovation)
+        slopes = expected.expansion.H[:, 0].tolist()
+        spreads = lengths(expected.expansion.D.dot(prior.own[1:]))
+        density = -len(contacts) * _NORMAL
+        for i, (each, slope, spread) in enumerate(zip(white, slopes, spreads, strict=True)):
+            speed = math.hypot(slope, spread) + _STILL
+            density += math.log(speed / abs(learnt.innovation[i, i])) - each * each / 2
+        if len(contacts) == 1:
+            surely = max(spreads[0], _CLOSING * abs(slopes[0]), _STILL)
+            density += float(special.log_ndtr(slopes[0] / surely))
+        each_size = zip(contacts, innovation, learnt.deviations, strict=True)
+        innovations = {i: abs(apart) / deviation for i, apart, deviation in each_size}
+        return Evidence(density, innovations, (expected, learnt, white))
+
+    def _far(
+        self, member: Member, touch: Touch, expected: Expected, prior: Joint
+    ) -> list[float] | None:
+        """How far off an event is, in deviations, if so far that no more need be known."""
+        value, H, D, _ = expected.expansion
+        seen = H[:, 1:].dot(prior.own[1:])
+        if prior.parameters:
+            seen += expected.turn.dot(prior.root[prior.of_theta])
+        values, slopes = (value + H[:, 0] * prior.e).tolist(), H[:, 0].tolist()
+        parts = list(zip(values, slopes, lengths(seen), expected.rounded, strict=True))
+        clock, bent = float(prior.root[0, 0]), [0.0] * len(parts)
+        if max(_deviations(parts, bent, clock)) < _FAR:
             return None
-        innovations = dict(zip(contacts, sizes.tolist(), strict=True))
-        return Evidence(-float(sizes @ sizes) / 2, innovations)
+        rates, forces = member.moving.rates(touch.before), member.moving.forces(prior.t)
+        bent = np.abs(D.dot(rates.along(prior.x, forces)[0])).tolist()
+        found = _deviations(parts, bent, clock)
+        return found if max(found) >= _FAR else None
 
     def heard(self, touch: Touch, prior: Joint, evidence: Evidence | None = None) -> Joint:
         """Instant and state, both just before the event, once it is heard.
@@ -199,9 +198,10 @@ class ImpactFilter:
             view = self._moved(member, touch.before, prior, found.t - prior.t)
             if linear is None:
                 expected = self._expected(member, touch, contacts, view, found)
-                linear = expected, expected.learnt(view)
-            (expected, learnt), linear = linear, None
-            found = view.corrected(learnt, expected.rows(view), expected.innovation)
+                learnt = expected.learnt(view)
+                linear = expected, learnt, learnt.whitened(expected.innovation.tolist())
+            (expected, learnt, white), linear = linear, None
+            found = view.corrected(learnt, expected.rows(view), white)
             settled = expected.settled(found)
             found = self._bounded(found) if found.parameters else found
             found = self._at_its_instant(touch, found, member)
@@ -224,10 +224,11 @@ class ImpactFilter:
             pressing = rates.along(after.x, forces)[0]
             short = self.short * self.system.contact_speed(pressing[self.system.n :])
             after = rested(self.members, after, new, np.hypot(short[list(new)], left))
-        phase, s, turn = member.moving.phase(touch.closed), touch.t - joint.t, None
+        s, turn = touch.t - joint.t, None
         if joint.parameters:
             turn = s * self.members.turning(member, touch.closed, after.x, joint.t)
-        return after.carried(phase.moved(joint.t, after.x, s), phase.transition(s), turn)
+        x, map_ = member.moving.moved(joint.t, after.x, s, touch.closed)
+        return after.carried(x, map_, turn)
 
     def unheard(self, touch: Touch, known: Known, left: float = 0.0) -> Known:
         """What is known after an event that nobody heard, at the instant of ``touch``.
@@ -240,22 +241,21 @@ class ImpactFilter:
             left: speed that a contact which closes may have left out before it rested, m/s.
         """
         x, root, member, contacts = known.x, known.root, self.member(known), touch.contacts[:1]
-        measured = self._watched(member, touch, contacts, touch.t)
-        forces = member.moving.forces(touch.t)
-        value, H, D, E = measured.expanded(member.moving.rates(touch.before), x, forces)
+        jet = member.watched(touch.before, contacts, bool(touch.hit)).jet
+        value, H, D, E = jet.expanded(x, member.moving.forces(touch.t))
         seen = np.hstack([H[:, 1:], self._turn(member, touch, contacts, x, touch.t)])
-        late = -float(value[0])
-        deviation = float(np.linalg.norm(seen @ root[: seen.size]))
+        late, bend = -float(value[0]), float(E[0])
+        deviation = lengths(seen.dot(root[: seen.size]))[0]
         # Where it is slow, an acceleration decides when: s = sqrt(2 g / a), not g / gamma.
-        falling = math.sqrt(abs(float(E[0])) * (deviation + abs(late)))
+        falling = math.sqrt(abs(bend) * (deviation + abs(late)))
         slope = max(float(H[0, 0]), falling, _STILL)
         row, e, deviation = -seen / slope, late / slope, deviation / slope
-        bent = deviation * float(np.linalg.norm(D @ root[: x.size])) / slope
-        bent += float(E[0]) / slope * deviation**2 / 2
+        bent = deviation * lengths(D.dot(root[: x.size]))[0] / slope
+        bent += bend / slope * deviation**2 / 2
         apart = Joint.apart_of(known)
-        apart[:, :1] = apart[:, 1 : 1 + row.size] @ row.T
+        apart[:1] = row.dot(apart[1 : 1 + row.size])
         whole = np.zeros((1 + len(root), 1 + root.shape[1]))
-        whole[0, 0], whole[0, 1:], whole[1:, 1:] = bent, row @ root[: row.size], root
+        whole[0, 0], whole[0, 1:], whole[1:, 1:] = bent, row.dot(root[: row.size]), root
         return self.after(touch, Joint.of(touch.t, e, known, triangular(whole), apart), left)
 
     def wider(self, known: Known, factor: float) -> Known:
@@ -266,7 +266,7 @@ class ImpactFilter:
         factors = np.full(len(known.root), factor)
         size, p = known.x.size, known.parameters
         if p:
-            now = np.linalg.norm(known.root[size : size + p], axis=1)
+            now = lengths(known.root[size : size + p])
             most = self._unknowns.deviations / np.maximum(now, _STILL)
             factors[size : size + p] = np.maximum(np.minimum(factor, most), 1.0)
         return known._replace(root=known.root * factors[:, None])
@@ -277,7 +277,7 @@ class ImpactFilter:
 
     def speed(self, contact: int, known: Known) -> float:
         """Speed of a contact, m/s."""
-        return float(self.system.W[:, contact] @ known.x[self.system.n :])
+        return float(self.system.W[:, contact].dot(known.x[self.system.n :]))
 
     def rests(self, t: float, contact: int, known: Known) -> bool:
         """Whether ``contact`` leaves its stop by less than is known of its gap, or not at all.
@@ -290,25 +290,20 @@ class ImpactFilter:
         n, w, speed = self.system.n, self.system.W[:, contact], self.speed(contact, known)
         moving = self.member(known).moving
         rate = moving.rates(known.closed).along(known.x, moving.forces(t))[0]
-        fall = -float(w @ rate[n:])
+        fall = -float(w.dot(rate[n:]))
         if fall <= 0:
             return False
-        unsure = float(np.linalg.norm(w @ known.root[:n]))
+        seen = w.dot(known.root[:n])
+        unsure = math.sqrt(seen.dot(seen))
         flight = 2 * speed / fall
         return flight <= self.short or (speed * flight / 4 <= unsure and flight <= self.brief)
 
     def _telling(self, touch: Touch) -> Contacts:
         """The contacts that say something that is not known already."""
+        if touch.hit:
+            return touch.hit
         held = self.members.given.moving.phase(touch.before).held
         return touch.telling(held, self.system.forcing)
-
-    @staticmethod
-    def _watched(member: Member, touch: Touch, contacts: Contacts, t: float) -> Measured:
-        """What is zero at an event: the gaps of those that hit, or the load of one that opens."""
-        if touch.hit:
-            return member.gaps(contacts)
-        moving = member.moving
-        return Measured.loads(moving.phase(touch.before), contacts, moving.forces(t))
 
     def _turn(
         self, member: Member, touch: Touch, contacts: Contacts, x: Vector, t: float
@@ -318,12 +313,6 @@ class ImpactFilter:
             return self.members.gap_rows(contacts)
         return self.members.load_rows(member, touch.before, contacts, x, t)
 
-    def _rounding(self, touch: Touch, measured: Measured, x: Vector) -> Vector:
-        """Standard deviation of what is rounded in what an event measures, shape (k,)."""
-        if not touch.hit:
-            return measured.rounding(x)
-        return measured.rounding(self.phases.scales.sizes(x))
-
     def _expected(
         self, member: Member, touch: Touch, contacts: Contacts, view: Joint, about: Joint
     ) -> Expected:
@@ -331,18 +320,19 @@ class ImpactFilter:
 
         ``member`` is the one of ``view``.
         """
-        measured = self._watched(member, touch, contacts, view.t)
+        rows, jet = member.watched(touch.before, contacts, bool(touch.hit))
         forces = member.moving.forces(view.t)
-        expansion = measured.expanded(member.moving.rates(touch.before), about.x, forces)
+        expansion = jet.expanded(about.x, forces)
         mean, bent = product(about.own, expansion.D, expansion.E)
-        value = measured.value(view.x)
+        x = view.x
+        value = expansion.value if about is view else rows.value(x, forces[0])
         return Expected(
             about.x,
             expansion,
             self._turn(member, touch, contacts, about.x, view.t),
             -(value + expansion.H[:, 0] * view.e + mean),
             bent,
-            self._rounding(touch, measured, view.x),
+            rows.rounding(self.phases.scales.sizes(x) if touch.hit else x, forces[0]),
         )
 
     def _at_its_instant(self, touch: Touch, joint: Joint, member: Member | None = None) -> Joint:
@@ -366,8 +356,7 @@ class ImpactFilter:
         """``joint`` looked at ``s`` seconds later, as ``member`` moves; first order in ``s``."""
         if not s:
             return joint
-        phase = member.moving.phase(closed)
-        map_ = Map(phase.moved(joint.t, joint.x, s), phase.transition(s))
+        map_ = member.moving.moved(joint.t, joint.x, s, closed)
         if not joint.parameters:
             return joint.moved(s, map_)
         turn = s * self.members.turning(member, closed, joint.x, joint.t)
@@ -376,40 +365,43 @@ class ImpactFilter:
 
     def _bounded(self, joint: Joint) -> Joint:
         """``joint`` with parameters that may be."""
-        return joint.shifted(self.members.inward(joint.theta, joint.root, joint.of_theta))
+        inward = self.members.inward(joint.theta, joint.root, joint.of_theta)
+        return joint._replace(z=joint.z + inward)
 
     def _jumped(self, touch: Touch, joint: Joint) -> Known:
         """What is known after the jump, at the same instant."""
         pressed: Contacts = ()
-        member = self.member(joint)
-        moving = member.moving
+        member, size, e = self.member(joint), joint.size, joint.e
         if touch.hit:
-            gamma = self.system.contact_speed(joint.x[self.system.n :])[list(touch.hit)]
+            n = self.system.n
+            gamma = member.gaps(touch.hit).c[:, :n].dot(joint.x[n:])
             pressed = touch.pressed(member.newton, gamma)
-        before, after = moving.rates(touch.before), moving.rates(touch.closed)
-        mirror, forces = member.mirror(pressed), moving.forces(joint.t)
-        x, H, D, E = mirror.expanded(before, after, joint.x, forces)
+        jet = member.jump(pressed, touch.before, touch.closed)
+        x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, bent = product(joint.own, D, E)
-        x = x + joint.e * (H[:, 0] + E * (joint.e / 2)) + mean
-        # Nothing is known better than the motion's own size allows.
-        rounded = np.diag(ROUNDING * self.phases.scales.sizes(x))
-        replicas = x + joint.apart[:, : 1 + x.size] @ H.T
-        whole, moved = joint.root, H @ joint.own
+        x = x + e * (H[:, 0] + E * (e / 2)) + mean
+        whole, moved, apart = joint.root, H.dot(joint.own), joint.apart[1:].copy()
+        if apart.size:
+            apart[:size] = H.dot(joint.apart[: 1 + size])
         if joint.parameters and pressed:
             whole = led(joint.root, joint.of_theta)
             seen, own = self._seen(joint, pressed), whole[joint.of_theta, : joint.parameters]
-            columns, noise = seen.added(whole[1 : 1 + x.size], own)
-            moved, bent = H @ whole[: 1 + x.size], np.hstack([bent, noise])
+            columns, noise = seen.added(whole[1 : 1 + size], own)
+            moved, bent = H.dot(whole[: 1 + size]), np.hstack([bent, noise])
             moved[:, : joint.parameters] += columns
-            replicas = replicas + joint.apart[:, joint.of_theta] @ seen.first
-            replicas[0] = x
-        root, slow = np.concatenate([moved, bent, rounded], axis=1), whole[1 + x.size :]
-        if len(slow):
-            left = np.zeros((len(slow), root.shape[1] - slow.shape[1]))
-            root = np.concatenate([root, np.concatenate([slow, left], axis=1)])
-        root = triangular(root)
-        others = joint.slow + joint.apart[:, 1 + x.size :]
-        return Known(replicas, others, root, touch.closed, joint.parameters)
+            apart[:size] += seen.first.T.dot(joint.apart[joint.of_theta])
+        slow, first = whole[1 + size :], moved.shape[1]
+        last = first + bent.shape[1]
+        root = np.zeros((size + len(slow), last + size))
+        root[:size, :first], root[:size, first:last], root[size:, : slow.shape[1]] = (
+            moved,
+            bent,
+            slow,
+        )
+        # Nothing is known better than the motion's own size allows.
+        root[:size].flat[last :: last + size + 1] = ROUNDING * self.phases.scales.sizes(x)
+        slow_now = joint.z[1 + size :]
+        return Known(x, slow_now, triangular(root), apart, touch.closed, joint.parameters)
 
     def _seen(self, joint: Joint, pressed: Contacts) -> Sensitivity:
         """How the state after an impact changes with the parameters."""
@@ -417,3 +409,19 @@ class ImpactFilter:
         return Sensitivity.of(
             lambda theta: self.members.jumped(theta, joint.x, pressed), joint.theta, steps
         )
+
+
+def _deviations(
+    parts: Sequence[tuple[float, float, float, float]], bent: Sequence[float], clock: float
+) -> list[float]:
+    """How far off gaps are at an event's stamp, in standard deviations.
+
+    Args:
+        parts: of each its value, m, its speed, m/s, deviation and rounding, m.
+        bent: what the speeds change by, m/s2.
+        clock: standard deviation of the stamp, s.
+    """
+    return [
+        abs(value) / (math.hypot(spread, (abs(slope) + bend * clock) * clock) + rounded)
+        for (value, slope, spread, rounded), bend in zip(parts, bent, strict=True)
+    ]

@@ -1,11 +1,12 @@
 """The instant of an event and the state then, together: one normal vector."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from impact_observer.dynamics import Correction, Expansion, Map, correction, lengths, product
-from impact_observer.observer.belief import Known
+from impact_observer.observer.belief import Known, carried
 from impact_observer.states import Matrix, Vector
 
 _SETTLED = 0.05
@@ -17,49 +18,64 @@ class Joint(NamedTuple):
 
     Attributes:
         t: where the state is looked at, s since the epoch.
-        e: how much earlier than ``t`` the event is believed to have been, s.
-        x: state (q, u) at ``t``, before the event, shape (2n,).
-        slow: parameters and, where it is unknown, the offset: as of ``Known``, shape (k,).
+        z: the estimate, shape (d,), d = 1 + 2n + k: how much earlier than ``t`` the event is
+            believed to have been, s; the state (q, u) at ``t``, before the event; parameters and,
+            where it is unknown, the offset, as of ``Known``.
         root: a square root of the covariance of (e, x, slow); its first row zero but for the
-            first entry, shape (d, d), d = 1 + 2n + k.
-        apart: (e, x, slow) of all replicas less those of the estimate, shape (N, d).
+            first entry, shape (d, d).
+        apart: (e, x, slow) of other replicas less that of the estimate, one a column,
+            shape (d, N - 1).
+        size: of the state, 2n.
         parameters: how many are learnt, k or k - 1.
     """
 
     t: float
-    e: float
-    x: Vector
-    slow: Vector
+    z: Vector
     root: Matrix
     apart: Matrix
+    size: int
     parameters: int = 0
-
-    @property
-    def own(self) -> Matrix:
-        """The rows of ``root`` for (e, x), shape (1 + 2n, d)."""
-        return self.root[: 1 + self.x.size]
 
     @classmethod
     def of(cls, t: float, e: float, known: Known, root: Matrix, apart: Matrix) -> "Joint":
         """Where the state is that of ``known`` at ``t``."""
-        return cls(t, e, known.x, known.slow[0], root, apart, known.parameters)
+        z = np.concatenate([[e], known.x, known.slow])
+        return cls(t, z, root, apart, known.x.size, known.parameters)
 
     @staticmethod
     def apart_of(known: Known) -> Matrix:
         """``apart`` of replicas whose stamps are late by nothing but their offsets."""
-        slow = known.slow - known.slow[0]
-        late = slow[:, known.parameters :].sum(axis=1, keepdims=True)
-        return np.concatenate([late, known.replicas - known.x, slow], axis=1)
+        d, others = known.apart.shape
+        apart = np.empty((1 + d, others))
+        if others:
+            apart[1:] = known.apart
+            apart[0] = known.apart[known.x.size + known.parameters :].sum(axis=0)
+        return apart
+
+    @property
+    def e(self) -> float:
+        """How much earlier than ``t`` the event is believed to have been, s."""
+        return float(self.z[0])
+
+    @property
+    def x(self) -> Vector:
+        """The state (q, u) at ``t``, before the event, shape (2n,)."""
+        return self.z[1 : 1 + self.size]
+
+    @property
+    def own(self) -> Matrix:
+        """The rows of ``root`` for (e, x), shape (1 + 2n, d)."""
+        return self.root[: 1 + self.size]
 
     @property
     def of_theta(self) -> slice:
         """The rows of ``root`` for the parameters."""
-        return slice(1 + self.x.size, 1 + self.x.size + self.parameters)
+        return slice(1 + self.size, 1 + self.size + self.parameters)
 
     @property
     def theta(self) -> Vector:
         """The parameters, shape (p,)."""
-        return self.slow[: self.parameters]
+        return self.z[self.of_theta]
 
     def moved(self, s: float, map_: Map, turn: Matrix | None = None) -> "Joint":
         """The same, looked at ``s`` seconds later.
@@ -69,29 +85,20 @@ class Joint(NamedTuple):
             map_: what becomes of the state.
             turn: how that changes with the parameters, shape (2n, p); None where it does not.
         """
-        rows = slice(1, 1 + self.x.size)
-        root, apart = self.root.copy(), self.apart.copy()
-        root[rows] = map_.linear @ root[rows]
-        apart[:, rows] = apart[:, rows] @ map_.linear.T
-        if turn is not None:
-            root[rows] += turn @ root[self.of_theta]
-            apart[:, rows] += apart[:, self.of_theta] @ turn.T
-        return self._replace(t=self.t + s, e=self.e + s, x=map_.value, root=root, apart=apart)
+        z = self.z.copy()
+        z[0] += s
+        z[1 : 1 + self.size] = map_.value
+        root = carried(self.root, 1, map_.linear, turn)
+        apart = carried(self.apart, 1, map_.linear, turn)
+        return Joint(self.t + s, z, root, apart, self.size, self.parameters)
 
-    def corrected(self, learnt: Correction, H: Matrix, innovation: Vector) -> "Joint":
-        """The same after a measurement of ``H (e, x, slow)``."""
-        change = learnt.gain @ innovation
-        apart = self.apart - (self.apart @ H.T) @ learnt.gain.T
-        return self.shifted(change)._replace(root=learnt.root, apart=apart)
-
-    def shifted(self, change: Vector) -> "Joint":
-        """The same estimate but for a ``change`` of (e, x, slow), shape (d,)."""
-        size = 1 + self.x.size
-        return self._replace(
-            e=self.e + float(change[0]),
-            x=self.x + change[1:size],
-            slow=self.slow + change[size:],
-        )
+    def corrected(self, learnt: Correction, H: Matrix, white: list[float]) -> "Joint":
+        """The same after a measurement of ``H (e, x, slow)``, of ``white`` innovations."""
+        apart = self.apart
+        if apart.size:
+            apart = apart - learnt.change(H.dot(apart))
+        z = self.z + learnt.gain.dot(white)
+        return Joint(self.t, z, learnt.root, apart, self.size, self.parameters)
 
 
 class Expected(NamedTuple):
@@ -103,7 +110,7 @@ class Expected(NamedTuple):
         turn: how that changes with the parameters, shape (k, p).
         innovation: by what it says something else than ``expansion`` does, shape (k,).
         bent: a square root of the covariance of what is not linear, shape (k, any).
-        rounded: standard deviation of what is rounded, shape (k,).
+        rounded: standard deviation of what is rounded in each.
     """
 
     about: Vector
@@ -111,24 +118,35 @@ class Expected(NamedTuple):
     turn: Matrix
     innovation: Vector
     bent: Matrix
-    rounded: Vector
+    rounded: list[float]
 
     def rows(self, view: Joint) -> Matrix:
         """What is measured of (e, x, slow), shape (k, d)."""
-        found, size = np.zeros((len(self.turn), len(view.root))), 1 + view.x.size
-        found[:, :size] = self.expansion.H
-        found[:, size : size + self.turn.shape[1]] = self.turn
+        H, d = self.expansion.H, len(view.root)
+        (k, size), p = H.shape, self.turn.shape[1]
+        if d == size:
+            return H
+        found = np.zeros((k, d))
+        found[:, :size], found[:, size : size + p] = H, self.turn
         return found
 
     def learnt(self, view: Joint) -> Correction:
         """What measuring it tells of ``view``."""
-        noise = np.concatenate([self.bent, np.diag(self.rounded)], axis=1)
+        k, columns = self.bent.shape
+        noise = np.zeros((k, columns + k))
+        noise[:, :columns] = self.bent
+        noise.flat[columns :: columns + k + 1] = self.rounded
         return correction(view.root, self.rows(view), noise)
 
     def settled(self, found: Joint) -> bool:
         """Whether linearising about ``found`` instead would change nothing."""
         _, H, D, E = self.expansion
-        bent = found.e * (D @ (found.x - self.about) + E * (found.e / 2))
-        noise, left = lengths(self.bent), lengths(product(found.own, D, E)[1])
-        scale = np.hypot(np.hypot(H[:, 0] * found.root[0, 0], noise), self.rounded)
-        return bool(np.all(np.abs(bent) + np.abs(noise - left) <= _SETTLED * scale))
+        e, deviation = found.e, float(found.root[0, 0])
+        bent = D.dot(found.x - self.about) + E * (e / 2)
+        now, then = lengths(product(found.own, D, E)[1]), lengths(self.bent)
+        rest = zip(bent.tolist(), H[:, 0].tolist(), self.rounded, strict=True)
+        return all(
+            abs(e * change) + abs(noise - left)
+            <= _SETTLED * math.hypot(slope * deviation, noise, rounded)
+            for noise, left, (change, slope, rounded) in zip(then, now, rest, strict=True)
+        )

@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeAlias
 from impact_observer.events import SECOND_THOUGHT, Ruling, Verdict
 from impact_observer.observer.belief import Note
 from impact_observer.observer.order import Key, Overruled
-from impact_observer.observer.timeline import Placed
+from impact_observer.observer.timeline import Entry, Placed
 
 _NEAR = 1_000
 """Between stamps of an inserted impact that need not be told apart, ns."""
@@ -39,13 +39,14 @@ def judged(verdict: Verdict, contact: int, placed: Placed, believed: Notes) -> V
         believed: then.
     """
     entry = placed.entry
+    ruling, reason = verdict.ruling, verdict.reason
     innovation = entry.belief.innovations.get(contact, -1.0)
     note = believed.get(Matter(entry.event, contact))
     if note is not None:
-        verdict = verdict._replace(ruling=note.ruling, reason=note.reason)
-        innovation = note.innovation
+        ruling, reason, innovation = note.ruling, note.reason, note.innovation
+    verdict = verdict._replace(ruling=ruling, reason=reason, innovation=innovation)
     if not (entry.overruled or placed.overrules):
-        return verdict if innovation < 0 else verdict._replace(innovation=innovation)
+        return verdict
     own = [each for each in entry.overruled if each.contact == contact]
     others = [(key, each) for key, each in placed.overrules if each.contact == contact]
     reasons = [*map(_overruled, own), *(_overruling(*each) for each in others)]
@@ -80,26 +81,26 @@ class Rulings:
     def __init__(self) -> None:
         """Nothing was told yet."""
         self._told: dict[Matter, Note] = {}
+        self._account: tuple[Note, ...] = ()
 
     def after(
-        self, placed: Placed, believed: Notes, start: int, names: Sequence[str]
-    ) -> tuple[Verdict, ...]:
-        """What is to be told of others, once an event is in its place.
+        self, placed: Placed, start: int, names: Sequence[str]
+    ) -> tuple[Notes, tuple[Verdict, ...]]:
+        """What is believed, and what is to be told of others, once an event is in its place.
 
         Args:
             placed: what it did. Its own switches have their verdicts already.
-            believed: then.
             start: stamp where the known past begins, ns; what is older is settled.
             names: of the contacts.
+
+        Returns:
+            Notes, among them those on the event itself, and verdicts.
         """
-        believed = {m: n for m, n in believed.items() if m.event[0] >= start}
-        if not believed:
-            return ()
-        since, own = min(matter.event for matter in believed), placed.entry.event
-        before = {m: note for m, note in self._told.items() if m.event >= since}
-        verdicts = []
+        believed, before = self._changed(placed, start)
+        verdicts, own = [], placed.entry.event
         for matter, latest in believed.items():
-            told = before.pop(matter, None)
+            told = self._told.get(matter)
+            before.pop(matter, None)
             if told is not None and told.gist == latest.gist:
                 continue
             note = latest if told is None else latest._replace(stamp=told.stamp)
@@ -110,7 +111,21 @@ class Rulings:
             del self._told[matter]
             if matter.inserted:
                 verdicts.append(_withdrawn(note, names))
-        return tuple(verdicts)
+        return believed, tuple(verdicts)
+
+    def _changed(
+        self, placed: Placed, start: int
+    ) -> tuple[dict[Matter, Note], dict[Matter, Note]]:
+        """What is believed that may not have been told, and what was told in its stead."""
+        last = placed.later[-1] if placed.later else placed.entry
+        account, self._account = self._account, _account(last)
+        fresh = () if placed.later else _continued(account, self._account)
+        found = _matters(fresh) if fresh else _notes(placed)
+        believed = {m: n for m, n in found.items() if m.event[0] >= start}
+        if fresh or not believed:  # nearly always the same account goes on
+            return believed, {}
+        since = min(matter.event for matter in believed)
+        return believed, {m: note for m, note in self._told.items() if m.event >= since}
 
     def forget_before(self, stamp: int) -> None:
         """Drop what lies before ``stamp`` (ns): it will not change any more."""
@@ -120,16 +135,31 @@ class Rulings:
             del self._told[matter]
 
 
-def notes(placed: Placed) -> Notes:
+def _account(entry: Entry) -> tuple[Note, ...]:
+    """The notes of the likeliest account after an event."""
+    hypotheses = entry.belief.hypotheses
+    return hypotheses[0].notes if hypotheses else ()
+
+
+def _continued(before: tuple[Note, ...], now: tuple[Note, ...]) -> tuple[Note, ...]:
+    """What an account has noted since ``before``; nothing if it was another one then."""
+    for first, note in enumerate(before):
+        if now and note is now[0]:
+            kept = len(before) - first
+            return now[kept:] if now[:kept] == before[first:] else ()
+    return ()
+
+
+def _notes(placed: Placed) -> Notes:
     """What is believed of the latest matters once an event is in its place: by the last account.
 
     Of what that does not remember any more, by the last that does.
     """
     found: dict[Matter, Note] = {}
     for entry in (*reversed(placed.later), placed.entry):
-        if hypotheses := entry.belief.hypotheses:
+        if account := _account(entry):
             first = min((matter.event for matter in found), default=None)
-            of_entry = _matters(hypotheses[0].notes).items()
+            of_entry = _matters(account).items()
             found.update({m: n for m, n in of_entry if first is None or m.event < first})
     return found
 

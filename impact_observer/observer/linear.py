@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.dynamics import Map, Motion, Sensitivity, diffusion, led, triangular
-from impact_observer.observer.belief import Known
+from impact_observer.observer.belief import Known, carried
 from impact_observer.observer.members import Members
 from impact_observer.states import Matrix, Vector
 
@@ -33,14 +33,14 @@ class Linear:
         motion: of the estimate.
     """
 
-    def __init__(self, t: float, known: Known, members: Members, astray: Astray) -> None:
+    def __init__(self, t: float, known: Known, members: Members, astray: Astray | None) -> None:
         """Begin at ``t``, s since the epoch.
 
         Args:
             t: s since the epoch.
             known: then.
             members: the family of what moves.
-            astray: what makes it less sure in time.
+            astray: what makes it less sure in time; None for nothing.
         """
         self._t = t
         self._known = known
@@ -70,22 +70,22 @@ class Linear:
         """The covariance's root after ``s`` seconds, all its rows."""
         if self._members.moving:
             return self._astray(self._carried(self._phase.transition(s), self._seen(s)), s)
-        size = self._known.x.size
-        moved = self._phase.transition(s) @ self._root[:size]
-        return self._astray(np.vstack([moved, self._root[size:]]), s)
+        return self._astray(carried(self._root, 0, self._phase.transition(s)), s)
 
     def known(self, s: float) -> Known:
         """All that is known after ``s`` seconds."""
         x, transition = self.state(s), self._phase.transition(s)
         if not self._members.moving:
-            found = self._known.carried(x, transition)
-            return found._replace(root=self._astray(found.root, s))
+            return self._gone(self._known.carried(x, transition), s)
         seen = self._seen(s)
         turn = np.zeros((x.size, self._known.parameters))
         turn[:, : self._members.moving] = seen.first.T
         root = triangular(self._carried(transition, seen))
-        found = self._known.carried(x, transition, turn)
-        return found._replace(root=self._astray(root, s))
+        return self._gone(self._known.carried(x, transition, turn)._replace(root=root), s)
+
+    def _gone(self, known: Known, s: float) -> Known:
+        """``known`` with what ``s`` seconds add to what is not known."""
+        return known if self._noise is None else known._replace(root=self._astray(known.root, s))
 
     def _carried(self, transition: Matrix, seen: Sensitivity) -> Matrix:
         """The root after some time, all rows, where parameters of the motion are learnt."""
@@ -107,7 +107,9 @@ class Linear:
 
     def _astray(self, root: Matrix, s: float) -> Matrix:
         """``root`` with what ``s`` seconds add by the model's error and by parameters' drift."""
-        error, drift, size = self._noise.model_error, self._noise.drift, self._known.x.size
+        if self._noise is None:
+            return root
+        (error, drift), size = self._noise, self._known.x.size
         columns = [root]
         if error and s > 0:
             added = diffusion(self._phase, s, error)

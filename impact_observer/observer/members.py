@@ -4,6 +4,7 @@ What only moves stops or throws back otherwise shares the motion between impacts
 """
 
 from functools import cached_property, lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from impact_observer.dynamics import (
     KEPT,
     ImpactLaw,
+    Jet,
     Map,
     Measured,
     Mirror,
@@ -46,7 +48,8 @@ class Moving:
         self.phases = Phases(system)
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
-        self.forces = lru_cache(KEPT)(self._forces_at)
+        self.forces = lru_cache(KEPT)(system.forcing.jet(2))
+        """f, df/dt and the next derivative at an instant, shape (3, n)."""
 
     @cached_property
     def newton(self) -> ImpactLaw:
@@ -54,9 +57,17 @@ class Moving:
         return ImpactLaw(self.system)
 
     def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> Map:
-        """How states go on from ``t`` (s since the epoch) for ``s`` seconds, seen at ``x``."""
+        """How states go on from ``t`` (s since the epoch), or back for ``s < 0``, seen at ``x``.
+
+        How far back the forcing is known is for the caller to see to.
+        """
         phase = self.phase(closed)
-        return Map(phase.start(t, x).state(s), phase.transition(s))
+        map_ = phase.transition(s)
+        if s >= 0:
+            return Map(phase.start(t, x).state(s), map_)
+        # Had it been at x then, it would now be where it is not: the difference goes back.
+        now = phase.start(t + s, x).state(-s)
+        return Map(x + map_.dot(x - now), map_)
 
     def _phase_of(self, closed: Contacts) -> Phase:
         return self.phases.phase(self.phases.independent(closed))
@@ -64,9 +75,17 @@ class Moving:
     def _rates_of(self, closed: Contacts) -> Rates:
         return Rates(self.phase(closed))
 
-    def _forces_at(self, t: float) -> Matrix:
-        """f, df/dt and the next derivative at ``t``, shape (3, n)."""
-        return np.asarray(self.system.forcing.derivatives(np.array([t]), 2)[:, 0])
+
+class Watched(NamedTuple):
+    """What is zero at an event.
+
+    Attributes:
+        rows: it.
+        jet: it, while the phase before the event lasts.
+    """
+
+    rows: Measured
+    jet: Jet
 
 
 class Member:
@@ -86,7 +105,9 @@ class Member:
         self.moving = moving
         self.newton = moving.newton if moving.system is system else ImpactLaw(system)
         self.gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
+        self.watched = lru_cache(KEPT)(self._watched_of)
         self.mirror = lru_cache(KEPT)(self._mirror_of)
+        self.jump = lru_cache(KEPT)(self._jump_of)
 
     @cached_property
     def projection(self) -> PositionProjection:
@@ -94,8 +115,18 @@ class Member:
         own = self.moving.system is self.system
         return self.moving.phases.projection if own else PositionProjection(self.system)
 
+    def _watched_of(self, before: Contacts, contacts: Contacts, hit: bool) -> Watched:
+        """What is zero at an event: the gaps of those that hit, or the load of one that opens."""
+        moving = self.moving
+        rows = self.gaps(contacts) if hit else Measured.loads(moving.phase(before), contacts)
+        return Watched(rows, rows.along(moving.rates(before)))
+
     def _mirror_of(self, pressed: Contacts) -> Mirror:
         return Mirror.of(self.system, self.newton.jump(pressed), pressed)
+
+    def _jump_of(self, pressed: Contacts, before: Contacts, closed: Contacts) -> Jet:
+        """The jump at an impact between phases in which ``before`` and ``closed`` are closed."""
+        return self.mirror(pressed).between(self.moving.rates(before), self.moving.rates(closed))
 
 
 class Members:
@@ -122,6 +153,7 @@ class Members:
         keeps = np.where([each.moves for each in family.parameters], _ROOM * family.sizes, 0.0)
         low, high = family.bounds
         self.low, self.high = low + keeps, high - keeps
+        self.gap_rows = lru_cache(KEPT)(self._gap_rows)
         self._at = lru_cache(KEPT)(self._member)
         self._moving = lru_cache(KEPT)(self._motion)
         self.given = self.at(family.given)
@@ -150,7 +182,7 @@ class Members:
         learnt = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
         return np.asarray(learnt[list(contacts)], dtype=np.bool_)
 
-    def gap_rows(self, contacts: Contacts) -> Matrix:
+    def _gap_rows(self, contacts: Contacts) -> Matrix:
         """How the gaps of ``contacts`` change with the parameters, shape (k, p)."""
         return np.asarray(self._gap[:, list(contacts)].T)
 

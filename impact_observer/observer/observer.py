@@ -12,7 +12,7 @@ from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, 
 from impact_observer.model import System
 from impact_observer.observer.agreement import AGREED, HELD, Agreeing
 from impact_observer.observer.belief import Course, Touch
-from impact_observer.observer.judging import Rulings, because, judged, notes
+from impact_observer.observer.judging import Rulings, because, judged
 from impact_observer.observer.laws import Law
 from impact_observer.observer.numbering import Numbering
 from impact_observer.observer.order import Key, Reading, Spoken
@@ -409,11 +409,11 @@ class Observer:
             self.remarks[Remark.DISORDER] += not all(superseded)
         if not (own or others or placed.entry.belief.judges):
             return self._with_news(verdicts)
-        believed, start = notes(placed), placed.entry.key.stamp - self._history
+        start = placed.entry.key.stamp - self._history
+        believed, revised = self._rulings.after(placed, start, self._names)
         told = [
             judged(each, self._index.get(each.contact, -1), placed, believed) for each in verdicts
         ]
-        revised = self._rulings.after(placed, believed, start, self._names)
         if revised:
             self.remarks[Remark.SECOND_THOUGHT] += sum(verdict.revises for verdict in revised)
         return (*self._with_news(tuple(told)), *revised)

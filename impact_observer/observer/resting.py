@@ -29,19 +29,19 @@ def rested(members: Members, known: Known, new: Contacts, left: Vector) -> Known
     c = np.vstack([gaps.c, speeds.c])
     value = np.concatenate([gaps.value(known.x), speeds.value(known.x)])
     sizes = members.given.moving.phases.scales.sizes(known.x)
-    floor = [gaps.rounding(sizes), np.hypot(speeds.rounding(sizes), left[sure])]
+    floor = [*gaps.rounding(sizes), *np.hypot(speeds.rounding(sizes), left[sure])]
     H = np.hstack([c, np.zeros((len(c), known.root.shape[0] - size))])
     H[: len(new), size : size + p] = members.gap_rows(new)
-    learnt = correction(known.root, H, np.diag(np.concatenate(floor)))
-    apart = np.hstack([known.replicas - known.x, known.slow - known.slow[0]])
-    change = -(value + apart @ H.T) @ learnt.gain.T
+    learnt = correction(known.root, H, np.diag(floor))
+    change = -learnt.change(value)
     if p:
-        theta = known.theta + change[0, size : size + p]
-        change = change + members.inward(theta, learnt.root, slice(size, size + p))
+        theta = known.theta + change[size : size + p]
+        change += members.inward(theta, learnt.root, slice(size, size + p))
     told = known._replace(
-        replicas=known.replicas + change[:, :size],
-        slow=known.slow + change[:, size:],
+        x=known.x + change[:size],
+        slow=known.slow + change[size:],
         root=learnt.root,
+        apart=known.apart - learnt.change(H.dot(known.apart)),
     )
     return _stopped(members, told)
 

@@ -51,7 +51,7 @@ def test_correction_is_that_of_the_kalman_filter(k: int) -> None:
     expected = H @ P @ H.T + R
     K = np.linalg.solve(expected, H @ P).T
     found = correction(root, H, noise)
-    np.testing.assert_allclose(found.gain, K, atol=1e-12)
+    np.testing.assert_allclose(found.change(np.eye(k)), K, atol=1e-12)
     np.testing.assert_allclose(found.innovation @ found.innovation.T, expected, atol=1e-12)
     np.testing.assert_allclose(found.deviations, np.sqrt(np.diag(expected)), rtol=1e-13)
     np.testing.assert_allclose(found.root @ found.root.T, P - K @ H @ P, atol=1e-12)
@@ -257,11 +257,7 @@ def test_gaps_and_loads_are_expanded_as_they_are() -> None:
             found = -np.linalg.solve(W.T @ push[:, :-1], W.T @ push[:, -1])
             return found[[phase.held.index(i) for i in which]]
 
-        measured = (
-            Measured.loads(phase, contacts, forces(FORCED, T))
-            if held
-            else Measured.gaps(FORCED, contacts)
-        )
+        measured = Measured.loads(phase, contacts) if held else Measured.gaps(FORCED, contacts)
         found = measured.expanded(Rates(phase), y, forces(FORCED, T))
         first, second = differences(lambda e: watched(e, y))  # noqa: B023
         np.testing.assert_allclose(found.value, watched(0.0, y), atol=1e-13)

@@ -161,19 +161,16 @@ def test_small_errors_go_on_by_the_derivatives_of_the_motion(closed: tuple[int, 
     rng = np.random.default_rng(5)
     root = 1e-5 * np.tril(rng.normal(size=(7, 7)))
     x = np.array([0.1, 0.05, 0.0, -0.4])
-    replicas = x + 1e-5 * rng.normal(size=(3, 4))
-    replicas[0] = x
-    slow = told.family.given + 1e-5 * np.vstack([np.zeros(3), rng.normal(size=(2, 3))])
-    known = Known(replicas, slow, root, closed, parameters=3)
+    apart = 1e-5 * rng.normal(size=(7, 2))
+    known = Known(x, told.family.given, root, apart, closed, parameters=3)
     found = filter_.course(0.3, known).known(0.8)
     Phi, turn = linearised(told.family, 0.3, x, 0.8, closed)
     whole = np.block([[Phi, turn], [np.zeros((3, 4)), np.eye(3)]])
     P = whole @ root @ root.T @ whole.T
     size = np.sqrt(np.outer(np.diag(P), np.diag(P))) + 1e-20
     assert np.max(np.abs(found.root @ found.root.T - P) / size) < 1e-3
-    others = (replicas - x) @ Phi.T + (slow - slow[0]) @ turn.T + found.x
-    np.testing.assert_allclose(found.replicas, others, atol=2e-9)
-    np.testing.assert_array_equal(found.slow, slow)
+    np.testing.assert_allclose(found.apart, whole @ apart, atol=2e-9)
+    np.testing.assert_array_equal(found.slow, told.family.given)
 
 
 def test_small_errors_are_learnt_from_as_by_least_squares() -> None:
@@ -233,7 +230,7 @@ def test_a_parameter_that_drifts_is_known_less_as_time_goes_by() -> None:
         for drift in (0.0, 0.4):
             told = Unknowns.named(model, [f"{free}=0.02"], drift=drift)
             root = np.diag([1e-3] * 4 + [0.005])
-            known = Known(x[None], told.family.given[None], root, (), parameters=1)
+            known = Known(x, told.family.given, root, np.empty((5, 0)), (), parameters=1)
             found = ImpactFilter(model, 0.0, told).course(0.0, known).known(s)
             wanted = np.hypot(0.005, 0.02 * drift * np.sqrt(s / 60.0))
             assert np.linalg.norm(found.root[4]) == pytest.approx(wanted)
@@ -310,7 +307,7 @@ def test_a_contact_that_rests_says_nothing_of_its_restitution() -> None:
     told = Unknowns.named(model, ["restitution=0.1"])
     filter_ = ImpactFilter(model, 0.0, told)
     x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
-    known = Known(x[None], told.family.given[None], root, (), parameters=1)
+    known = Known(x, told.family.given, root, np.empty((5, 0)), (), parameters=1)
     touch = Touch(1.0, (), (0,), (0,))
     after = filter_.after(touch, filter_.heard(touch, filter_.prior(touch, known, 1e-4)))
     assert after.closed == (0,)
@@ -326,7 +323,7 @@ def test_an_estimate_that_is_made_less_sure_knows_parameters_as_at_first_at_leas
     filter_ = ImpactFilter(model, 0.0, told)
     rng = np.random.default_rng(4)
     root = np.vstack([rng.normal(size=(4, 6)), 1e-3 * np.eye(2, 6)])
-    known = Known(np.ones((1, 4)), told.family.given[None], root, (), parameters=2)
+    known = Known(np.ones(4), told.family.given, root, np.empty((6, 0)), (), parameters=2)
     wider = filter_.wider(known, 50.0)
     np.testing.assert_allclose(wider.root[:4], 50.0 * root[:4])
     np.testing.assert_allclose(np.linalg.norm(wider.root[4:], axis=1), [0.05, 0.02])

@@ -49,7 +49,7 @@ def test_accelerations_and_loads_change_as_those_of_other_systems(closed: tuple[
 
     def loads(theta: Array) -> Array:
         moving = all_.at(theta).moving
-        return Measured.loads(moving.phase(closed), closed, moving.forces(t)).value(x)
+        return Measured.loads(moving.phase(closed), closed).value(x, moving.forces(t)[0])
 
     found = all_.turning(all_.given, closed, x, t)
     np.testing.assert_allclose(found, slopes(all_, rate), atol=1e-7)

@@ -2,18 +2,17 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import triangular
+from impact_observer.dynamics import lengths, triangular
 from impact_observer.errors import UsageError
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Course, Fallback, Hypothesis, Known, Touch
-from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.filter_bank import SURE, FilterBank
 from impact_observer.observer.forecast import FINE, Forecast
 from impact_observer.observer.impact_filter import ImpactFilter
@@ -67,6 +66,10 @@ class MinimumVariance(Law):
         filter_ = ImpactFilter(system, self.uncertainty.model_error, self.uncertainty.unknowns)
         self._bank = FilterBank(filter_, self.uncertainty, self.clocks)
         self._geometric = Geometric(system)
+        self._names = filter_.members.family.names
+        self._learns = bool(
+            self._names or len(self.clocks) > 1 or self.uncertainty.clock_offset_error
+        )
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """What is declared, and that closed contacts rest."""
@@ -95,10 +98,9 @@ class MinimumVariance(Law):
             found = self._bank.predicted(hypotheses, t, s)
             return self._belief(found, fallback._replace(x=motion.state(s)))
 
-        known, mixed = hypotheses[0].known, _mixed(hypotheses)
         if self.uncertainty.trusting:
-            return _Heard(self._bank.filter.course(t, mixed), later)
-        return _Foreseen(self._bank, t, (known, mixed.root), later)
+            return _Heard(self._bank.filter, t, hypotheses, later)
+        return _Foreseen(self._bank, t, hypotheses, later)
 
     def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; of a bare one, that it is right."""
@@ -124,8 +126,10 @@ class MinimumVariance(Law):
             return known
         p, given = declared.family.size, np.append(replicas[0], declared.family.given)
         others = spread(given, whole[: given.size, : root.shape[1] + p], len(replicas))
-        slow = np.hstack([others[:, replicas.shape[1] :], known.slow[:, p:]])
-        return known._replace(slow=slow, parameters=p)
+        slow, apart = known.slow.copy(), known.apart.copy()
+        slow[:p] = declared.family.given
+        apart[given.size - p : given.size] = (others[1:] - given)[:, -p:].T
+        return known._replace(slow=slow, apart=apart, parameters=p)
 
     def _anew(self, fallback: Fallback, closed: Contacts, count: int) -> tuple[Hypothesis, ...]:
         """If nothing is believed any more: a motion as large as there was, any clock."""
@@ -140,15 +144,14 @@ class MinimumVariance(Law):
         """A belief whose estimate is that of the likeliest of ``hypotheses``."""
         best, size = hypotheses[0], fallback.x.size
         root = _mixed(hypotheses).root
-        event = None if touch is None else (touch.stamp, touch.sequence)
-        notes = [n for n in best.notes if n.event == event and not n.is_inserted]
+        notes = best.noted((touch.stamp, touch.sequence)) if touch else []
         return Belief(
-            Ensemble.of(best.known.replicas),
+            best.known.ensemble,
             root[:size],
             innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
             applied=all(note.ruling is Ruling.APPLIED for note in notes),
             offset=best.known.offset,
-            learnt=self._learnt(hypotheses, root[size:]),
+            learnt=self._learnt(hypotheses, root[size:]) if self._learns else (),
             hypotheses=hypotheses,
             fallback=fallback,
         )
@@ -162,9 +165,8 @@ class MinimumVariance(Law):
             hypotheses: the likeliest first.
             root: rows of the covariance's root for what is slow, shape (k, any).
         """
-        best, deviations = hypotheses[0].known, np.linalg.norm(root, axis=1).tolist()
-        names = self._bank.filter.members.family.names
-        found = list(zip(names, best.theta.tolist(), deviations, strict=False))
+        best, deviations = hypotheses[0].known, lengths(root)
+        found = list(zip(self._names, best.theta.tolist(), deviations, strict=False))
         if len(self.clocks) > 1:
             weights = np.exp([h.weight for h in hypotheses])
             clocks = np.array([h.clock for h in hypotheses])
@@ -184,7 +186,7 @@ def _mixed(hypotheses: Sequence[Hypothesis]) -> Known:
     weights = np.exp([h.weight for h in hypotheses])
     columns = []
     for weight, h in zip(np.sqrt(weights / np.sum(weights)), hypotheses, strict=True):
-        apart = np.append(h.known.x - best.x, h.known.slow[0] - best.slow[0])
+        apart = np.append(h.known.x - best.x, h.known.slow - best.slow)
         columns += [weight * h.known.root, weight * apart[:, None]]
     return best._replace(root=triangular(np.hstack(columns)))
 
@@ -192,9 +194,20 @@ def _mixed(hypotheses: Sequence[Hypothesis]) -> Known:
 class _Heard(Course):
     """What is believed until the next event, where every one is heard."""
 
-    def __init__(self, linear: Linear, later: Callable[[float], Belief]) -> None:
-        self._linear = linear
+    def __init__(
+        self,
+        filter_: ImpactFilter,
+        t: float,
+        hypotheses: Sequence[Hypothesis],
+        later: Callable[[float], Belief],
+    ) -> None:
+        self._begun = partial(filter_.course, t)
+        self._hypotheses = hypotheses
         self._later = later
+
+    @cached_property
+    def _linear(self) -> Linear:
+        return self._begun(_mixed(self._hypotheses))
 
     def state(self, s: float) -> Vector:
         return self._linear.state(s)
@@ -235,15 +248,20 @@ class _Foreseen(Course):
         self,
         bank: FilterBank,
         t: float,
-        first: tuple[Known, Matrix],
+        hypotheses: Sequence[Hypothesis],
         later: Callable[[float], Belief],
     ) -> None:
         self._bank = bank
         self._t = t
+        self._hypotheses = hypotheses
         self._later = later
         self._first = _WINDOW * bank.filter.phases.scales.timescale
-        self._parts = [self._begun(0.0, 0.0, *first)]
         self._looked, self._window = 0.0, self._first
+
+    @cached_property
+    def _parts(self) -> list[_Part]:
+        root = _mixed(self._hypotheses).root
+        return [self._begun(0.0, 0.0, self._hypotheses[0].known, root)]
 
     def state(self, s: float) -> Vector:
         part = self._part(s)
