@@ -11,7 +11,7 @@ Särkkä, Posterior linearization filter, 2015).
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from operator import mul
 from typing import Any, NamedTuple
@@ -58,7 +58,7 @@ class Correction(NamedTuple):
 
 def lengths(rows: Matrix) -> list[float]:
     """Euclidean lengths of ``rows``: deviations, of rows of a covariance's root."""
-    return [math.sqrt(row.dot(row)) for row in rows]
+    return [math.hypot(*row) for row in rows.tolist()]
 
 
 def triangular(root: Matrix) -> Matrix:
@@ -78,17 +78,24 @@ def _upper(d: int) -> Matrix:
     return np.asarray(frozen(np.tri(d)).T)  # column after column, as LAPACK's matrices are
 
 
-def correction(root: Matrix, H: Matrix, noise: Matrix) -> Correction:
+def correction(
+    root: Matrix, H: Matrix, noise: Matrix, rounded: Sequence[float] = ()
+) -> Correction:
     """What measuring ``H z + noise`` tells of ``z``: the Kalman filter's array form.
 
     Args:
         root: a square root of the covariance of ``z``, shape (d, any).
         H: rows measured, shape (k, d).
-        noise: a root of the measurement's own covariance, positive definite, shape (k, any).
+        noise: a root of the measurement's own covariance, with ``rounded`` positive definite,
+            shape (k, any).
+        rounded: standard deviations of noise that each measurement has of its own, k or none.
     """
-    (k, d), own = H.shape, noise.shape[1]
-    joint = np.zeros((k + d, own + root.shape[1]))
-    joint[:k, :own], joint[:k, own:], joint[k:, own:] = noise, H.dot(root), root
+    (k, d), first = H.shape, noise.shape[1]
+    last = first + len(rounded)
+    joint = np.zeros((k + d, last + root.shape[1]))
+    joint[:k, :first], joint[:k, last:], joint[k:, last:] = noise, H.dot(root), root
+    for i, each in enumerate(rounded):
+        joint[i, first + i] = each
     found = triangular(joint)
     return Correction(found[k:, :k], found[:k, :k], found[k:, k:])
 

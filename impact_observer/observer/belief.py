@@ -98,12 +98,14 @@ def carried(errors: Matrix, first: int, map_: Matrix, turn: Matrix | None = None
         map_: shape (2n, 2n).
         turn: how the state changes with the parameters, shape (2n, p); None where it does not.
     """
-    last = first + len(map_)
-    found: Matrix = errors.copy()
-    if errors.size:
-        found[first:last] = map_.dot(errors[first:last])
-        if turn is not None:
-            found[first:last] += turn.dot(errors[last : last + turn.shape[1]])
+    found: Matrix
+    if len(errors) == len(map_):
+        found = map_.dot(errors)
+        return found
+    last, found = first + len(map_), errors.copy()
+    found[first:last] = map_.dot(errors[first:last])
+    if turn is not None:
+        found[first:last] += turn.dot(errors[last : last + turn.shape[1]])
     return found
 
 

@@ -39,8 +39,10 @@ class Joint(NamedTuple):
     @classmethod
     def of(cls, t: float, e: float, known: Known, root: Matrix, apart: Matrix) -> "Joint":
         """Where the state is that of ``known`` at ``t``."""
-        z = np.concatenate([[e], known.x, known.slow])
-        return cls(t, z, root, apart, known.x.size, known.parameters)
+        size = known.x.size
+        z = np.empty(len(root))
+        z[0], z[1 : 1 + size], z[1 + size :] = e, known.x, known.slow
+        return cls(t, z, root, apart, size, known.parameters)
 
     @staticmethod
     def apart_of(known: Known) -> Matrix:
@@ -132,11 +134,7 @@ class Expected(NamedTuple):
 
     def learnt(self, view: Joint) -> Correction:
         """What measuring it tells of ``view``."""
-        k, columns = self.bent.shape
-        noise = np.zeros((k, columns + k))
-        noise[:, :columns] = self.bent
-        noise.flat[columns :: columns + k + 1] = self.rounded
-        return correction(view.root, self.rows(view), noise)
+        return correction(view.root, self.rows(view), self.bent, self.rounded)
 
     def settled(self, found: Joint) -> bool:
         """Whether linearising about ``found`` instead would change nothing."""

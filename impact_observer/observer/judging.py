@@ -1,6 +1,7 @@
 """What became of an event, in words."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import takewhile
 from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import SECOND_THOUGHT, Ruling, Verdict
@@ -129,9 +130,7 @@ class Rulings:
 
     def forget_before(self, stamp: int) -> None:
         """Drop what lies before ``stamp`` (ns): it will not change any more."""
-        for matter in list(self._told):
-            if matter.event[0] >= stamp:
-                break
+        for matter in [*takewhile(lambda each: each.event[0] < stamp, self._told)]:
             del self._told[matter]
 
 

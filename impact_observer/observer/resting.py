@@ -32,7 +32,7 @@ def rested(members: Members, known: Known, new: Contacts, left: Vector) -> Known
     floor = [*gaps.rounding(sizes), *np.hypot(speeds.rounding(sizes), left[sure])]
     H = np.hstack([c, np.zeros((len(c), known.root.shape[0] - size))])
     H[: len(new), size : size + p] = members.gap_rows(new)
-    learnt = correction(known.root, H, np.diag(floor))
+    learnt = correction(known.root, H, np.empty((len(c), 0)), floor)
     change = -learnt.change(value)
     if p:
         theta = known.theta + change[size : size + p]
