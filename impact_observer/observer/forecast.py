@@ -77,7 +77,7 @@ class _Samples(NamedTuple):
 
     def values(self, x: Vector) -> Matrix:
         """Of a motion that starts at ``x``, shape (samples, watched)."""
-        return np.asarray(self.rows @ x + self.constant)
+        return np.asarray(self.rows.dot(x) + self.constant)
 
 
 class Flight:
@@ -120,10 +120,12 @@ class Flight:
 
     def size(self, j: int, s: float, x: Vector) -> float:
         """What function ``j`` is rounded against after ``s`` seconds, at the state ``x``."""
-        size = abs(float(self.offset(np.array([s]))[0, j]))
-        if j < self.gaps:
-            return size + float(np.abs(self.c[j]) @ self._scales.sizes(x))
-        return size + float(np.abs(self.c[j]) @ np.abs(x))
+        sizes = self._scales.sizes(x) if j < self.gaps else np.abs(x)
+        return abs(self.rest(j, s)) + float(np.abs(self.c[j]).dot(sizes))
+
+    def rest(self, j: int, s: float) -> float:
+        """``offset`` of function ``j`` alone, ``s`` seconds after the start."""
+        return float(self._distance[j] if j < self.gaps else self.offset(np.array([s]))[0, j])
 
     def offset(self, s: Vector) -> Matrix:
         """What is watched besides ``c x``, ``s`` seconds after the start, (samples, watched)."""
@@ -205,17 +207,18 @@ class Forecast:
         return np.asarray(x @ self._flight.c[j] + self._flight.offset(s)[:, j])
 
     def _value(self, j: int, s: float) -> float:
-        return float(self._values(j, np.array([s]))[0])
+        x = self.course.state(s)
+        return float(self._flight.c[j].dot(x)) + self._flight.rest(j, s)
 
     def _deviation(self, j: int, s: float) -> float:
         """Standard deviation of function ``j`` after ``s`` seconds, rounding included."""
         if self._known.parameters:
             row = self._row(j, s)
-            spread = row @ self.course.whole(s)[: row.size]
+            spread = row.dot(self.course.whole(s)[: row.size])
         else:
-            spread = self._flight.c[j] @ self.course.root(s)
+            spread = self._flight.c[j].dot(self.course.root(s))
         rounded = _ROUNDED * self._flight.size(j, s, self.course.state(s))
-        return math.hypot(float(np.linalg.norm(spread)), rounded)
+        return math.hypot(*spread.tolist(), rounded)
 
     def _row(self, j: int, s: float) -> Vector:
         """How function ``j`` changes with state and parameters after ``s`` seconds, (2n + p,)."""

@@ -33,6 +33,8 @@ _BRIEF = 1e-2
 """Flights that need not be told from rest where they are lower than is known, likewise."""
 _BACK = 8.0
 """How far the fastest fading motion is followed back, in its own time constants."""
+_NEAR = 1e-8
+"""How far from an event it is seen to rounding by an expansion to second order, likewise."""
 _ROUNDS = 6
 """How often a measurement is linearised about what it says itself, at most."""
 _STILL = 1e-150
@@ -104,6 +106,10 @@ class ImpactFilter:
         self.brief = _BRIEF * self.phases.scales.timescale
         drift = unknowns.drift * unknowns.deviations
         self._astray = Astray(model_error, drift) if model_error or np.any(drift) else None
+        self._near = 0.0
+        if system.forcing.sampled is None and not unknowns.family.size:  # nothing jumps or turns
+            decay = self.members.given.moving.rates(()).decay
+            self._near = _NEAR / max(decay, 1.0 / self.phases.scales.timescale)
 
     def begin(self, known: Known) -> Known:
         """``known``, and that its closed contacts rest."""
@@ -171,14 +177,14 @@ class ImpactFilter:
         seen = H[:, 1:].dot(prior.own[1:])
         if prior.parameters:
             seen += expected.turn.dot(prior.root[prior.of_theta])
-        values, slopes = (value + H[:, 0] * prior.e).tolist(), H[:, 0].tolist()
+        values, slopes, late = value.tolist(), H[:, 0].tolist(), prior.e
         parts = list(zip(values, slopes, lengths(seen), expected.rounded, strict=True))
         clock, bent = float(prior.root[0, 0]), [0.0] * len(parts)
-        if max(_deviations(parts, bent, clock)) < _FAR:
+        if max(_deviations(parts, bent, late, clock)) < _FAR:
             return None
         rates, forces = member.moving.rates(touch.before), member.moving.forces(prior.t)
         bent = np.abs(D.dot(rates.along(prior.x, forces)[0])).tolist()
-        found = _deviations(parts, bent, clock)
+        found = _deviations(parts, bent, late, clock)
         return found if max(found) >= _FAR else None
 
     def heard(self, touch: Touch, prior: Joint, evidence: Evidence | None = None) -> Joint:
@@ -204,6 +210,8 @@ class ImpactFilter:
             found = view.corrected(learnt, expected.rows(view), white)
             settled = expected.settled(found)
             found = self._bounded(found) if found.parameters else found
+            if settled and self._is_near(touch, found):
+                break
             found = self._at_its_instant(touch, found, member)
             if settled:
                 break
@@ -225,6 +233,8 @@ class ImpactFilter:
             short = self.short * self.system.contact_speed(pressing[self.system.n :])
             after = rested(self.members, after, new, np.hypot(short[list(new)], left))
         s, turn = touch.t - joint.t, None
+        if not (s or touch.closed):
+            return after
         if joint.parameters:
             turn = s * self.members.turning(member, touch.closed, after.x, joint.t)
         x, map_ = member.moving.moved(joint.t, after.x, s, touch.closed)
@@ -335,6 +345,10 @@ class ImpactFilter:
             rows.rounding(self.phases.scales.sizes(x) if touch.hit else x, forces[0]),
         )
 
+    def _is_near(self, touch: Touch, joint: Joint) -> bool:
+        """Whether ``joint`` is looked at so near to its event that it need not be moved there."""
+        return abs(joint.e) <= self._near and not (touch.before or touch.closed)
+
     def _at_its_instant(self, touch: Touch, joint: Joint, member: Member | None = None) -> Joint:
         """``joint`` looked at where it believes the event to have been.
 
@@ -380,6 +394,10 @@ class ImpactFilter:
         x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, bent = product(joint.own, D, E)
         x = x + e * (H[:, 0] + E * (e / 2)) + mean
+        if self._is_near(touch, joint):
+            slope, linear = H[:, 0], H[:, 1:]
+            slope += e * E
+            linear += e * D
         whole, moved, apart = joint.root, H.dot(joint.own), joint.apart[1:].copy()
         if apart.size:
             apart[:size] = H.dot(joint.apart[: 1 + size])
@@ -412,16 +430,22 @@ class ImpactFilter:
 
 
 def _deviations(
-    parts: Sequence[tuple[float, float, float, float]], bent: Sequence[float], clock: float
+    parts: Sequence[tuple[float, float, float, float]],
+    bent: Sequence[float],
+    late: float,
+    clock: float,
 ) -> list[float]:
-    """How far off gaps are at an event's stamp, in standard deviations.
+    """How far off gaps are at an event, in standard deviations.
 
     Args:
-        parts: of each its value, m, its speed, m/s, deviation and rounding, m.
-        bent: what the speeds change by, m/s2.
+        parts: of each its value and what it changes by per second back, m, m/s, its deviation and
+            rounding, m.
+        bent: what those speeds change by, m/s2.
+        late: of the event's stamp, s.
         clock: standard deviation of the stamp, s.
     """
     return [
-        abs(value) / (math.hypot(spread, (abs(slope) + bend * clock) * clock) + rounded)
+        abs(value + slope * late)
+        / (math.hypot(spread, (abs(slope) + bend * clock) * clock) + rounded)
         for (value, slope, spread, rounded), bend in zip(parts, bent, strict=True)
     ]

@@ -45,7 +45,7 @@ def judged(verdict: Verdict, contact: int, placed: Placed, believed: Notes) -> V
     note = believed.get(Matter(entry.event, contact))
     if note is not None:
         ruling, reason, innovation = note.ruling, note.reason, note.innovation
-    verdict = verdict._replace(ruling=ruling, reason=reason, innovation=innovation)
+    verdict = Verdict(verdict.stamp, ruling, verdict.sequence, verdict.contact, reason, innovation)
     if not (entry.overruled or placed.overrules):
         return verdict
     own = [each for each in entry.overruled if each.contact == contact]

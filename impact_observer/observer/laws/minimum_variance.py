@@ -96,7 +96,7 @@ class MinimumVariance(Law):
 
         def later(s: float) -> Belief:
             found = self._bank.predicted(hypotheses, t, s)
-            return self._belief(found, fallback._replace(x=motion.state(s)))
+            return self._belief(found, Fallback(motion.state(s), fallback.reach))
 
         if self.uncertainty.trusting:
             return _Heard(self._bank.filter, t, hypotheses, later)
