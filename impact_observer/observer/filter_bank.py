@@ -18,8 +18,9 @@ from scipy import special
 
 from impact_observer.events import Kind, Ruling
 from impact_observer.observer.belief import Hypothesis, Known, Note, Touch, Unheard
+from impact_observer.observer.evidence import Evidence
 from impact_observer.observer.forecast import Dip, Flight, Forecast
-from impact_observer.observer.impact_filter import Evidence, ImpactFilter
+from impact_observer.observer.impact_filter import ImpactFilter
 from impact_observer.observer.uncertainty import Uncertainty
 
 RARE = 0.1

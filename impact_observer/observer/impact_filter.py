@@ -1,15 +1,11 @@
 """The Kalman filter of impact times: what an instant says of the whole state, and how surely."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
-from scipy import special
 
 from impact_observer.dynamics import (
     ROUNDING,
-    Correction,
     Sensitivity,
     led,
     lengths,
@@ -20,6 +16,7 @@ from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.model.family import Family
 from impact_observer.observer.belief import Known, Touch
+from impact_observer.observer.evidence import STILL, Evidence, far_off, likelihood
 from impact_observer.observer.joint import Expected, Joint
 from impact_observer.observer.learning import Unknowns
 from impact_observer.observer.linear import Astray, Linear
@@ -37,28 +34,6 @@ _NEAR = 1e-8
 """How far from an event it is seen to rounding by an expansion to second order, likewise."""
 _ROUNDS = 6
 """How often a measurement is linearised about what it says itself, at most."""
-_STILL = 1e-150
-"""Speed that is none."""
-_CLOSING = 1e-3
-"""Standard deviation of a closing speed below which its sign is sure, relative to it."""
-_FAR = 30.0
-"""Innovation, in standard deviations, beyond which an event cannot be what it is said to be."""
-_NORMAL = math.log(2 * math.pi) / 2
-
-
-class Evidence(NamedTuple):
-    """How an event fits what was known.
-
-    Attributes:
-        density: logarithm of the probability density of its instant, 1/s for each contact.
-        innovations: by contact, how far the innovation was from zero, in standard deviations.
-        linear: what was expected about what was known, what the event tells of that, and by
-            how much it was something else, whitened; None where that was not needed.
-    """
-
-    density: float
-    innovations: dict[int, float]
-    linear: tuple[Expected, Correction, list[float]] | None = None
 
 
 class ImpactFilter:
@@ -141,51 +116,19 @@ class ImpactFilter:
         return self._at_its_instant(touch, joint) if known.offset else joint
 
     def evidence(self, touch: Touch, prior: Joint) -> Evidence:
-        """How an event fits what is known, if it is what it is said to be.
-
-        The density of a gap at an instant, times the speed at which it goes through zero, is the
-        density of the instant; and it can only go through it from above.
-        """
+        """How an event fits what is known, if it is what it is said to be."""
         contacts = self._telling(touch)
         if not contacts:
             return Evidence(0.0, {})
         member = self.member(prior)
         expected = self._expected(member, touch, contacts, prior, prior)
-        if touch.hit and (sizes := self._far(member, touch, expected, prior)):
-            density = -sum(size * size for size in sizes) / 2
-            return Evidence(density, dict(zip(contacts, sizes, strict=True)))
-        learnt, innovation = expected.learnt(prior), expected.innovation.tolist()
-        white = learnt.whitened(innovation)
-        slopes = expected.expansion.H[:, 0].tolist()
-        spreads = lengths(expected.expansion.D.dot(prior.own[1:]))
-        density = -len(contacts) * _NORMAL
-        for i, (each, slope, spread) in enumerate(zip(white, slopes, spreads, strict=True)):
-            speed = math.hypot(slope, spread) + _STILL
-            density += math.log(speed / abs(learnt.innovation[i, i])) - each * each / 2
-        if len(contacts) == 1:
-            surely = max(spreads[0], _CLOSING * abs(slopes[0]), _STILL)
-            density += float(special.log_ndtr(slopes[0] / surely))
-        each_size = zip(contacts, innovation, learnt.deviations, strict=True)
-        innovations = {i: abs(apart) / deviation for i, apart, deviation in each_size}
-        return Evidence(density, innovations, (expected, learnt, white))
 
-    def _far(
-        self, member: Member, touch: Touch, expected: Expected, prior: Joint
-    ) -> list[float] | None:
-        """How far off an event is, in deviations, if so far that no more need be known."""
-        value, H, D, _ = expected.expansion
-        seen = H[:, 1:].dot(prior.own[1:])
-        if prior.parameters:
-            seen += expected.turn.dot(prior.root[prior.of_theta])
-        values, slopes, late = value.tolist(), H[:, 0].tolist(), prior.e
-        parts = list(zip(values, slopes, lengths(seen), expected.rounded, strict=True))
-        clock, bent = float(prior.root[0, 0]), [0.0] * len(parts)
-        if max(_deviations(parts, bent, late, clock)) < _FAR:
-            return None
-        rates, forces = member.moving.rates(touch.before), member.moving.forces(prior.t)
-        bent = np.abs(D.dot(rates.along(prior.x, forces)[0])).tolist()
-        found = _deviations(parts, bent, late, clock)
-        return found if max(found) >= _FAR else None
+        def rate() -> Vector:
+            rates, forces = member.moving.rates(touch.before), member.moving.forces(prior.t)
+            return rates.along(prior.x, forces)[0]
+
+        apart = far_off(contacts, expected, prior, rate) if touch.hit else None
+        return apart or likelihood(contacts, expected, prior)
 
     def heard(self, touch: Touch, prior: Joint, evidence: Evidence | None = None) -> Joint:
         """Instant and state, both just before the event, once it is heard.
@@ -258,7 +201,7 @@ class ImpactFilter:
         deviation = lengths(seen.dot(root[: seen.size]))[0]
         # Where it is slow, an acceleration decides when: s = sqrt(2 g / a), not g / gamma.
         falling = math.sqrt(abs(bend) * (deviation + abs(late)))
-        slope = max(float(H[0, 0]), falling, _STILL)
+        slope = max(float(H[0, 0]), falling, STILL)
         row, e, deviation = -seen / slope, late / slope, deviation / slope
         bent = deviation * lengths(D.dot(root[: x.size]))[0] / slope
         bent += bend / slope * deviation**2 / 2
@@ -277,7 +220,7 @@ class ImpactFilter:
         size, p = known.x.size, known.parameters
         if p:
             now = lengths(known.root[size : size + p])
-            most = self._unknowns.deviations / np.maximum(now, _STILL)
+            most = self._unknowns.deviations / np.maximum(now, STILL)
             factors[size : size + p] = np.maximum(np.minimum(factor, most), 1.0)
         return known._replace(root=known.root * factors[:, None])
 
@@ -427,25 +370,3 @@ class ImpactFilter:
         return Sensitivity.of(
             lambda theta: self.members.jumped(theta, joint.x, pressed), joint.theta, steps
         )
-
-
-def _deviations(
-    parts: Sequence[tuple[float, float, float, float]],
-    bent: Sequence[float],
-    late: float,
-    clock: float,
-) -> list[float]:
-    """How far off gaps are at an event, in standard deviations.
-
-    Args:
-        parts: of each its value and what it changes by per second back, m, m/s, its deviation and
-            rounding, m.
-        bent: what those speeds change by, m/s2.
-        late: of the event's stamp, s.
-        clock: standard deviation of the stamp, s.
-    """
-    return [
-        abs(value + slope * late)
-        / (math.hypot(spread, (abs(slope) + bend * clock) * clock) + rounded)
-        for (value, slope, spread, rounded), bend in zip(parts, bent, strict=True)
-    ]
