@@ -12,6 +12,7 @@ Johnson, Saltation matrices, 2023), but regular where ``gamma`` is zero.
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.phase import Phase
@@ -75,28 +76,36 @@ class Jet(NamedTuple):
     Attributes:
         now: value, slope and E as rows, each shape (k,), of (1, y, f, df/dt, d2f/dt2),
             shape (3 k, 1 + 2n + 3n).
-        H: as of ``Expansion``, with no slope.
-        D: likewise.
+        maps: what each of the three changes by with ``y``, shape (3, k, 2n).
     """
 
     now: Matrix
-    H: Matrix
-    D: Matrix
+    maps: NDArray[np.float64]
 
     @classmethod
-    def of(cls, rows: list[list[Matrix | Vector]], D: Matrix) -> "Jet":
-        """From the parts of ``now``; a row for each of value, slope and E."""
-        parts = [np.column_stack(row) for row in rows]
-        H = np.zeros((len(D), 1 + D.shape[1]))
-        H[:, 1:] = rows[0][1]
-        return cls(np.concatenate(parts), H, np.ascontiguousarray(D))
+    def of(cls, *rows: list[Matrix | Vector]) -> "Jet":
+        """From the parts of ``now``, a row for each of value, slope and E."""
+        now = np.concatenate([np.column_stack(row) for row in rows])
+        return cls(now, np.array([row[1] for row in rows]))
 
-    def expanded(self, y: Vector, forces: Matrix) -> Expansion:
-        """At ``y``; ``forces`` are f and its first two derivatives at its instant."""
+    def expanded(self, y: Vector, forces: Matrix, e: float = 0.0) -> Expansion:
+        """About ``(e, y)``, itself found to second order in ``e``.
+
+        Args:
+            y: shape (2n,).
+            forces: f and its first two derivatives at the instant of ``y``, shape (3, n).
+            e: how much earlier the jump is, s.
+        """
         now = self.now.dot(np.concatenate([_ONE, y, forces.ravel()]))
-        k, H = len(self.D), self.H.copy()
-        H[:, 0] = now[k : 2 * k]
-        return Expansion(now[:k], H, self.D, now[2 * k :])
+        (_, k, d), maps = self.maps.shape, self.maps
+        value, slope, E = now[:k], now[k : 2 * k], now[2 * k :]
+        if e:
+            value, slope = value + e * slope + (e * e / 2) * E, slope + e * E
+            onward = np.array([[1.0, e, e * e / 2], [0.0, 1.0, e]])
+            maps = onward.dot(maps.reshape(3, -1)).reshape(2, k, d)
+        H = np.empty((k, 1 + d))
+        H[:, 0], H[:, 1:] = slope, maps[0]
+        return Expansion(value, H, maps[1], E)
 
 
 class Measured(NamedTuple):
@@ -154,12 +163,9 @@ class Measured(NamedTuple):
         load = nothing if self.load is None else self.load
         still, first = np.zeros_like(self.rest), self.c @ rates.A
         return Jet.of(
-            [
-                [self.rest, self.c, -load, nothing, nothing],
-                [still, -first, -self.c @ rates.B, load, nothing],
-                [still, first @ rates.A, first @ rates.B, self.c @ rates.B, -load],
-            ],
-            -first,
+            [self.rest, self.c, -load, nothing, nothing],
+            [still, -first, -self.c @ rates.B, load, nothing],
+            [still, first @ rates.A, first @ rates.B, self.c @ rates.B, -load],
         )
 
     def expanded(self, rates: Rates, y: Vector, forces: Matrix) -> Expansion:
@@ -203,22 +209,12 @@ class Mirror(NamedTuple):
         """The expansions of the state after the jump, at the instant of the one before."""
         J, (d, n) = self.J, before.B.shape
         D, kicked = after.A @ J - J @ before.A, after.B - J @ before.B
-        # ``D y`` and the rest are the first order, and what that changes by the second
-        pulled = after.A @ self.offset
-        nothing = np.zeros((d, n))
+        pulled, nothing = after.A @ self.offset, np.zeros((d, n))
+        curved, jerked = after.A @ D - D @ before.A, after.A @ kicked - D @ before.B
         return Jet.of(
-            [
-                [self.offset, J, nothing, nothing, nothing],
-                [pulled, D, kicked, nothing, nothing],
-                [
-                    after.A @ pulled,
-                    after.A @ D - D @ before.A,
-                    after.A @ kicked - D @ before.B,
-                    -kicked,
-                    nothing,
-                ],
-            ],
-            D,
+            [self.offset, J, nothing, nothing, nothing],
+            [pulled, D, kicked, nothing, nothing],
+            [after.A @ pulled, curved, jerked, -kicked, nothing],
         )
 
     def expanded(self, before: Rates, after: Rates, y: Vector, forces: Matrix) -> Expansion:

@@ -30,8 +30,8 @@ _BRIEF = 1e-2
 """Flights that need not be told from rest where they are lower than is known, likewise."""
 _BACK = 8.0
 """How far the fastest fading motion is followed back, in its own time constants."""
-_NEAR = 1e-8
-"""How far from an event it is seen to rounding by an expansion to second order, likewise."""
+_NEAR = 1e-7
+"""How near an event must be for a jump's expansion to leave out but rounding, likewise."""
 _ROUNDS = 6
 """How often a measurement is linearised about what it says itself, at most."""
 
@@ -261,7 +261,7 @@ class ImpactFilter:
     def _turn(
         self, member: Member, touch: Touch, contacts: Contacts, x: Vector, t: float
     ) -> Matrix:
-        """How that changes with the parameters, shape (k, p)."""
+        """How what an event measures changes with the parameters, shape (k, p)."""
         if touch.hit:
             return self.members.gap_rows(contacts)
         return self.members.load_rows(member, touch.before, contacts, x, t)
@@ -290,7 +290,8 @@ class ImpactFilter:
 
     def _is_near(self, touch: Touch, joint: Joint) -> bool:
         """Whether ``joint`` is looked at so near to its event that it need not be moved there."""
-        return abs(joint.e) <= self._near and not (touch.before or touch.closed)
+        far = max(abs(joint.e), float(joint.root[0, 0]))
+        return far <= self._near and not (touch.before or touch.closed)
 
     def _at_its_instant(self, touch: Touch, joint: Joint, member: Member | None = None) -> Joint:
         """``joint`` looked at where it believes the event to have been.
@@ -328,19 +329,17 @@ class ImpactFilter:
     def _jumped(self, touch: Touch, joint: Joint) -> Known:
         """What is known after the jump, at the same instant."""
         pressed: Contacts = ()
-        member, size, e = self.member(joint), joint.size, joint.e
+        member, size = self.member(joint), joint.size
         if touch.hit:
             n = self.system.n
             gamma = member.gaps(touch.hit).c[:, :n].dot(joint.x[n:])
             pressed = touch.pressed(member.newton, gamma)
         jet = member.jump(pressed, touch.before, touch.closed)
-        x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
+        about = joint.e if self._is_near(touch, joint) else 0.0
+        x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t), about)
         mean, bent = product(joint.own, D, E)
+        e = joint.e - about
         x = x + e * (H[:, 0] + E * (e / 2)) + mean
-        if self._is_near(touch, joint):
-            slope, linear = H[:, 0], H[:, 1:]
-            slope += e * E
-            linear += e * D
         whole, moved, apart = joint.root, H.dot(joint.own), joint.apart[1:].copy()
         if apart.size:
             apart[:size] = H.dot(joint.apart[: 1 + size])
