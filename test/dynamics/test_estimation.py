@@ -12,6 +12,7 @@ from systems import Harmonic, chain, examples, forcing, numbers, system, systems
 
 from impact_observer.dynamics import (
     ImpactLaw,
+    Jet,
     Measured,
     Mirror,
     Phase,
@@ -164,6 +165,28 @@ def differences(f: Callable[[float], Array], h: float = 1e-3) -> tuple[Array, Ar
     return np.asarray(first / h), np.asarray(second / h**2)
 
 
+Jumped = Callable[[float, Array], Array]
+
+
+def jump(
+    before: tuple[int, ...], after: tuple[int, ...], pressed: tuple[int, ...]
+) -> tuple[Phase, Mirror, Jet, Jumped]:
+    """The phase before a jump, the jump, and its exact map: back, jump, and on.
+
+    Contacts that stay closed have no restitution here, so that they are held at once.
+    """
+    phases = Phases(FORCED)
+    one, two = phases.phase(before), phases.phase(after)
+    eps = np.where(np.isin(range(FORCED.m), after), 0.0, FORCED.eps)
+    mirror = Mirror.of(FORCED, ImpactLaw(FORCED, eps).jump(pressed), pressed)
+
+    def jumped(e: float, y: Array) -> Array:
+        x = mirror.J @ one.moved(T, y, -e) + mirror.offset
+        return two.moved(T - e, x, e) if e else x
+
+    return one, mirror, mirror.between(Rates(one), Rates(two)), jumped
+
+
 @pytest.mark.parametrize(
     ("before", "after", "pressed"),
     [((), (), (0,)), ((), (0,), (0,)), ((1,), (1,), (1, 2)), ((0,), (), ()), ((), (), (0, 1, 2))],
@@ -171,22 +194,12 @@ def differences(f: Callable[[float], Array], h: float = 1e-3) -> tuple[Array, Ar
 def test_jump_is_expanded_as_its_exact_map(
     before: tuple[int, ...], after: tuple[int, ...], pressed: tuple[int, ...]
 ) -> None:
-    """Back by the phase before, jump, on by the phase after: against finite differences.
-
-    Contacts that stay closed have no restitution here, so that they are held at once.
-    """
-    phases, n = Phases(FORCED), FORCED.n
-    one, two = phases.phase(before), phases.phase(after)
-    eps = np.where(np.isin(range(FORCED.m), after), 0.0, FORCED.eps)
-    mirror = Mirror.of(FORCED, ImpactLaw(FORCED, eps).jump(pressed), pressed)
+    """Back by the phase before, jump, on by the phase after: against finite differences."""
+    one, mirror, jet, jumped = jump(before, after, pressed)
+    n = FORCED.n
     y = np.random.default_rng(6).normal(size=2 * n)
     y[n:] = one.inverse @ FORCED.M @ y[n:]
-
-    def jumped(e: float, y: Array) -> Array:
-        x = mirror.J @ one.moved(T, y, -e) + mirror.offset
-        return two.moved(T - e, x, e) if e else x
-
-    found = mirror.expanded(Rates(one), Rates(two), y, forces(FORCED, T))
+    found = jet.expanded(y, forces(FORCED, T))
     np.testing.assert_allclose(found.value, jumped(0.0, y), atol=1e-14)
     first, second = differences(lambda e: jumped(e, y))
     np.testing.assert_allclose(found.H[:, 0], first, atol=1e-8)
@@ -197,6 +210,22 @@ def test_jump_is_expanded_as_its_exact_map(
         np.testing.assert_allclose(found.D @ dy, mixed, atol=1e-8)
     np.testing.assert_allclose(found.H[:, 1:], mirror.J, atol=0)
     np.testing.assert_allclose(found.H[:n, 0], 0, atol=1e-14)  # positions do not notice
+
+
+def test_jump_is_expanded_about_an_instant_nearby() -> None:
+    """What is left of it is of third order; of its slope, of second."""
+    _, _, jet, jumped = jump((), (), (0,))
+    y, e = np.random.default_rng(6).normal(size=2 * FORCED.n), 1e-4
+    found = jet.expanded(y, forces(FORCED, T), e)
+    np.testing.assert_allclose(found.value, jumped(e, y), atol=1e-9)
+    first, _ = differences(lambda later: jumped(e + later, y))
+    np.testing.assert_allclose(found.H[:, 0], first, atol=1e-5)
+    for dy in np.eye(2 * FORCED.n):
+        np.testing.assert_allclose(
+            found.H[:, 1:] @ dy, jumped(e, y + dy) - jumped(e, y), atol=1e-10
+        )
+        mixed = differences(lambda d, dy=dy: jumped(e + d, y + dy) - jumped(e + d, y))[0]  # type: ignore[misc]
+        np.testing.assert_allclose(found.D @ dy, mixed, atol=1e-5)
 
 
 @examples(8)

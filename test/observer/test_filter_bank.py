@@ -26,12 +26,14 @@ from systems import (
     system,
 )
 
+from impact_observer.dynamics import Map
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
-from impact_observer.observer import Belief, Observer, Touch, Uncertainty
+from impact_observer.observer import Belief, Observer, Touch, Uncertainty, impact_filter
 from impact_observer.observer.belief import Known
 from impact_observer.observer.filter_bank import MOST
 from impact_observer.observer.impact_filter import ImpactFilter
+from impact_observer.observer.joint import Joint
 from impact_observer.observer.laws.minimum_variance import CLOCK_ERRORS
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, seconds_between
@@ -195,6 +197,28 @@ def test_believing_every_event_is_the_plain_filter(name: str) -> None:
     np.testing.assert_array_equal(np.concatenate([told.q, told.u]), state + 0.0)
     np.testing.assert_array_equal(told.covariance, root @ root.T + 0.0)
     assert all(len(each.hypotheses) == 1 for each in beliefs(watcher))
+
+
+def test_event_that_is_near_needs_no_other_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    """State and covariance are the same, but for rounding, if it is looked at where it was."""
+    model, start, whole = truth("three_mass", 20.0)
+    x = start + np.random.default_rng(0).normal(size=start.size)
+    end = int(whole.stamps[-1]) + 1234
+    moved = Joint.moved
+    looks: list[float] = []
+
+    def counted(joint: Joint, s: float, map_: Map, turn: Array | None = None) -> Joint:
+        looks.append(s)
+        return moved(joint, s, map_, turn)
+
+    monkeypatch.setattr(Joint, "moved", counted)
+    state, root = by_hand(model, x, whole.events, end)
+    assert not looks
+    monkeypatch.setattr(impact_filter, "_NEAR", 0.0)
+    far = by_hand(model, x, whole.events, end)
+    assert looks
+    np.testing.assert_allclose(far[0], state, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(far[1] @ far[1].T, root @ root.T, rtol=1e-5, atol=1e-26)
 
 
 @pytest.mark.slow
