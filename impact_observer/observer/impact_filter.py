@@ -153,9 +153,8 @@ class ImpactFilter:
             found = view.corrected(learnt, expected.rows(view), white)
             settled = expected.settled(found)
             found = self._bounded(found) if found.parameters else found
-            if settled and self._is_near(touch, found):
-                break
-            found = self._at_its_instant(touch, found, member)
+            if not (settled and self._is_near(touch, found)):
+                found = self._at_its_instant(touch, found, member)
             if settled:
                 break
         return found
@@ -277,13 +276,15 @@ class ImpactFilter:
         forces = member.moving.forces(view.t)
         expansion = jet.expanded(about.x, forces)
         mean, bent = product(about.own, expansion.D, expansion.E)
-        x = view.x
+        x, e = view.x, view.e
         value = expansion.value if about is view else rows.value(x, forces[0])
+        if e:
+            value = value + expansion.H[:, 0] * e
         return Expected(
             about.x,
             expansion,
             self._turn(member, touch, contacts, about.x, view.t),
-            -(value + expansion.H[:, 0] * view.e + mean),
+            -(value + mean),
             bent,
             rows.rounding(self.phases.scales.sizes(x) if touch.hit else x, forces[0]),
         )
@@ -338,8 +339,9 @@ class ImpactFilter:
         about = joint.e if self._is_near(touch, joint) else 0.0
         x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t), about)
         mean, bent = product(joint.own, D, E)
-        e = joint.e - about
-        x = x + e * (H[:, 0] + E * (e / 2)) + mean
+        x = x + mean
+        if e := joint.e - about:
+            x += e * (H[:, 0] + E * (e / 2))
         whole, moved, apart = joint.root, H.dot(joint.own), joint.apart[1:].copy()
         if apart.size:
             apart[:size] = H.dot(joint.apart[: 1 + size])
@@ -353,15 +355,12 @@ class ImpactFilter:
         slow, first = whole[1 + size :], moved.shape[1]
         last = first + bent.shape[1]
         root = np.zeros((size + len(slow), last + size))
-        root[:size, :first], root[:size, first:last], root[size:, : slow.shape[1]] = (
-            moved,
-            bent,
-            slow,
-        )
+        root[:size, :first], root[:size, first:last] = moved, bent
+        root[size:, : slow.shape[1]] = slow
         # Nothing is known better than the motion's own size allows.
         root[:size].flat[last :: last + size + 1] = ROUNDING * self.phases.scales.sizes(x)
-        slow_now = joint.z[1 + size :]
-        return Known(x, slow_now, triangular(root), apart, touch.closed, joint.parameters)
+        root, learnt = triangular(root), joint.z[1 + size :]
+        return Known(x, learnt, root, apart, touch.closed, joint.parameters)
 
     def _seen(self, joint: Joint, pressed: Contacts) -> Sensitivity:
         """How the state after an impact changes with the parameters."""

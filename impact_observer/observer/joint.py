@@ -141,10 +141,10 @@ class Expected(NamedTuple):
         _, H, D, E = self.expansion
         e, deviation = found.e, float(found.root[0, 0])
         bent = D.dot(found.x - self.about) + E * (e / 2)
-        now, then = lengths(product(found.own, D, E)[1]), lengths(self.bent)
-        rest = zip(bent.tolist(), H[:, 0].tolist(), self.rounded, strict=True)
+        noises = zip(lengths(self.bent), lengths(product(found.own, D, E)[1]), strict=True)
+        each = zip(bent.tolist(), H[:, 0].tolist(), self.rounded, noises, strict=True)
         return all(
             abs(e * change) + abs(noise - left)
             <= _SETTLED * math.hypot(slope * deviation, noise, rounded)
-            for noise, left, (change, slope, rounded) in zip(then, now, rest, strict=True)
+            for change, slope, rounded, (noise, left) in each
         )
