@@ -48,8 +48,8 @@ def likelihood(contacts: Contacts, expected: Expected, prior: Joint) -> Evidence
     spreads = lengths(expected.expansion.D.dot(prior.own[1:]))
     density = -len(contacts) * _NORMAL
     for i, (each, slope, spread) in enumerate(zip(white, slopes, spreads, strict=True)):
-        speed = math.hypot(slope, spread) + STILL
-        density += math.log(speed / abs(learnt.innovation[i, i])) - each * each / 2
+        density += math.log(math.hypot(slope, spread) + STILL) - each * each / 2
+        density -= math.log(abs(learnt.innovation[i, i]))
     if len(contacts) == 1:
         surely = max(spreads[0], _CLOSING * abs(slopes[0]), STILL)
         density += float(special.log_ndtr(slopes[0] / surely))
