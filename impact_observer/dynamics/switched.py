@@ -96,16 +96,14 @@ class Jet(NamedTuple):
             forces: f and its first two derivatives at the instant of ``y``, shape (3, n).
             e: how much earlier the jump is, s.
         """
-        now = self.now.dot(np.concatenate([_ONE, y, forces.ravel()]))
-        (_, k, d), maps = self.maps.shape, self.maps
-        value, slope, E = now[:k], now[k : 2 * k], now[2 * k :]
+        now = self.now.dot(np.concatenate([_ONE, y, forces.ravel()])).reshape(3, -1)
+        (_, k, d), maps, E = self.maps.shape, self.maps, now[2]
         if e:
-            value, slope = value + e * slope + (e * e / 2) * E, slope + e * E
             onward = np.array([[1.0, e, e * e / 2], [0.0, 1.0, e]])
-            maps = onward.dot(maps.reshape(3, -1)).reshape(2, k, d)
+            now, maps = onward.dot(now), onward.dot(maps.reshape(3, -1)).reshape(2, k, d)
         H = np.empty((k, 1 + d))
-        H[:, 0], H[:, 1:] = slope, maps[0]
-        return Expansion(value, H, maps[1], E)
+        H[:, 0], H[:, 1:] = now[1], maps[0]
+        return Expansion(now[0], H, maps[1], E)
 
 
 class Measured(NamedTuple):
