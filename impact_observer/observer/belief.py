@@ -12,7 +12,7 @@ import numpy as np
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.model import Forcing
-from impact_observer.observer.ensemble import Ensemble
+from impact_observer.observer.ensemble import Differences, Ensemble
 from impact_observer.states import Matrix, Vector
 
 _NOTHING: Mapping[int, float] = MappingProxyType({})
@@ -67,7 +67,7 @@ class Known(NamedTuple):
     @property
     def ensemble(self) -> Ensemble:
         """The states of all replicas."""
-        return Ensemble(self.x, self.apart[: self.x.size])
+        return Ensemble(self.x, Differences(self.apart[: self.x.size]))
 
     @property
     def is_finite(self) -> bool:
