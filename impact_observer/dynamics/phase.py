@@ -123,8 +123,8 @@ class Phase:
         n = self.equations.n
         return np.vstack([self.Q @ found[:n], found[n:]])
 
-    def moved(self, t: float, x: Vector, s: float) -> Vector:
-        """The state (q, u), shape (2n,), ``s`` seconds after or, where negative, before ``x``.
+    def moved(self, t: float, x: Vector, s: float) -> tuple[Vector, Matrix]:
+        """State (q, u) and ``transition`` ``s`` seconds after or, where negative, before ``x``.
 
         Args:
             t: s since the epoch, of ``x``.
@@ -132,10 +132,10 @@ class Phase:
             s: seconds; how far back the forcing is known is for the caller to see to.
         """
         if s >= 0:
-            return self.flow.start(t, x).state(s)
+            return self.flow.moved(self.flow.start(t, x), s)
         # Had it been at x then, it would now be where it is not: the difference goes back.
-        now = self.flow.start(t + s, x).state(-s)
-        return np.asarray(x + self.flow.transition(s) @ (x - now))
+        now, back = self.flow.start(t + s, x).state(-s), self.flow.transition(s)
+        return x + back.dot(x - now), back
 
 
 class Phases:

@@ -74,7 +74,7 @@ class Linear:
 
     def known(self, s: float) -> Known:
         """All that is known after ``s`` seconds."""
-        x, transition = self.state(s), self._phase.transition(s)
+        x, transition = self._phase.flow.moved(self.motion, s)
         if not self._members.moving:
             return self._gone(self._known.carried(x, transition), s)
         seen = self._seen(s)

@@ -61,13 +61,7 @@ class Moving:
 
         How far back the forcing is known is for the caller to see to.
         """
-        phase = self.phase(closed)
-        map_ = phase.transition(s)
-        if s >= 0:
-            return Map(phase.start(t, x).state(s), map_)
-        # Had it been at x then, it would now be where it is not: the difference goes back.
-        now = phase.start(t + s, x).state(-s)
-        return Map(x + map_.dot(x - now), map_)
+        return Map(*self.phase(closed).moved(t, x, s))
 
     def _phase_of(self, closed: Contacts) -> Phase:
         return self.phases.phase(self.phases.independent(closed))
