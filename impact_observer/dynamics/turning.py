@@ -7,7 +7,7 @@ after the other. Many states together are cheaper by real functions (``spectral.
 alone nothing costs but the calls.
 """
 
-import math
+from math import cos, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -75,7 +75,7 @@ class Turning:
         known = x.tolist()
         for omega in self._frequency:
             angle = omega * t
-            known += math.cos(angle), math.sin(angle)
+            known += cos(angle), sin(angle)
         known.append(1.0)
         zeta: Complex = self._start.dot(known).view(np.complex128)
         return zeta

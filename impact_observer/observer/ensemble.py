@@ -27,6 +27,11 @@ class Differences:
     columns: Matrix
 
     @cached_property
+    def count(self) -> int:
+        """How many replicas they are of."""
+        return int(self.columns.shape[1])
+
+    @cached_property
     def are_few(self) -> bool:
         """Whether ``products`` are worth while to have."""
         size, others = self.columns.shape
@@ -70,8 +75,7 @@ class Ensemble(NamedTuple):
     @property
     def others(self) -> int:
         """How many replicas there are besides the estimate."""
-        found: int = self.since.columns.shape[1]
-        return found
+        return self.since.count
 
     @property
     def apart(self) -> Matrix:
@@ -106,8 +110,10 @@ class Ensemble(NamedTuple):
 
     def carried(self, x: Vector, map_: Matrix) -> "Ensemble":
         """The estimate is ``x`` now; ``map_``, shape (2n, 2n), has acted on all differences."""
-        due = map_ if self.due is None else map_.dot(self.due)
-        size = due.ravel()
-        if size.dot(size) < _SAME:
-            return Ensemble(x, Differences(np.zeros_like(self.since.columns)))
-        return Ensemble(x, self.since, due)
+        return Ensemble(x, self.since, map_ if self.due is None else map_.dot(self.due))
+
+    def told_apart(self) -> "Ensemble":
+        """The same without differences that have faded: tiny numbers are slow to reckon with."""
+        if self.due is None or (left := self.due.ravel()).dot(left) >= _SAME:
+            return self
+        return Ensemble(self.x, Differences(np.zeros_like(self.since.columns)))

@@ -356,7 +356,7 @@ class Observer:
         start = self._epoch if self._epoch and self._numbers.first <= 1 else self._earliest
         if self._timeline is None:
             self._timeline = Timeline(self._beginning(start))
-        elif self._timeline.whole and not self._placed and self._timeline.start.stamp != start:
+        elif self._timeline.start.stamp != start and self._timeline.whole and not self._placed:
             self._timeline.begin(self._beginning(start), self._step)
         return self._timeline
 

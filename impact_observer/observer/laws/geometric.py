@@ -104,7 +104,7 @@ class Geometric(ReplicaLaw):
         jump = self._jump(active[0])
         gamma = float(jump.gamma.dot(before.x))
         if gamma <= 0 and before.most(jump.gamma) <= -gamma:
-            return before.carried(x, jump.map)
+            return before.carried(x, jump.map).told_apart()
         apart, speeds = before.seen(jump.map), before.seen(jump.gamma)
         kept = np.maximum(speeds + gamma, 0.0) - max(gamma, 0.0)
         apart[self.system.n :] += jump.kick[:, None] * kept

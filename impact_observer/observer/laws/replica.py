@@ -173,7 +173,8 @@ class _Apart(Course):
 
     def belief(self, s: float) -> Belief:
         replicas = np.array([motion.state(s) for motion in self._motions])
-        return _moved(self._belief, Ensemble.of(replicas))
+        belief = self._belief
+        return Belief(Ensemble.of(replicas), None, belief.bound, belief.refuted)
 
 
 class _Together(Course):
@@ -198,9 +199,4 @@ class _Together(Course):
             after = before.carried(*self._phase.flow.moved(self._first, s))
         else:
             after = Ensemble(self._first.state(s), before.since)
-        return _moved(self._belief, after)
-
-
-def _moved(belief: Belief, ensemble: Ensemble) -> Belief:
-    """``belief`` of a law of replicas, with them elsewhere."""
-    return Belief(ensemble, None, belief.bound, belief.refuted)
+        return Belief(after, None, self._belief.bound, self._belief.refuted)
