@@ -166,10 +166,6 @@ class Measured(NamedTuple):
             [still, first @ rates.A, first @ rates.B, self.c @ rates.B, -load],
         )
 
-    def expanded(self, rates: Rates, y: Vector, forces: Matrix) -> Expansion:
-        """Their values at the jump; ``forces`` are f, df/dt, ... at the instant of ``y``."""
-        return self.along(rates).expanded(y, forces)
-
 
 class Mirror(NamedTuple):
     """``x+ = J x- + offset``: velocities jump, and so does what a gap is not closed by.
@@ -214,7 +210,3 @@ class Mirror(NamedTuple):
             [pulled, D, kicked, nothing, nothing],
             [after.A @ pulled, curved, jerked, -kicked, nothing],
         )
-
-    def expanded(self, before: Rates, after: Rates, y: Vector, forces: Matrix) -> Expansion:
-        """The state after the jump, at the instant of ``y``."""
-        return self.between(before, after).expanded(y, forces)

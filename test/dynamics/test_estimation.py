@@ -253,7 +253,7 @@ def test_jump_at_the_own_root_is_the_saltation_matrix(data: st.DataObject) -> No
         return phase.moved(T - e, at, e)[0]
 
     mirror = Mirror.of(model, law.jump((0,)), (0,))
-    expansion = mirror.expanded(rates, rates, x, forces(model, T))
+    expansion = mirror.between(rates, rates).expanded(x, forces(model, T))
     grad = np.concatenate([w, np.zeros(n)])
     Xi = expansion.H[:, 1:] + np.outer(expansion.H[:, 0], grad) / (w @ x[n:])
     ending = rates.along(x, forces(model, T))[0]
@@ -287,7 +287,7 @@ def test_gaps_and_loads_are_expanded_as_they_are() -> None:
             return found[[phase.held.index(i) for i in which]]
 
         measured = Measured.loads(phase, contacts) if held else Measured.gaps(FORCED, contacts)
-        found = measured.expanded(Rates(phase), y, forces(FORCED, T))
+        found = measured.along(Rates(phase)).expanded(y, forces(FORCED, T))
         first, second = differences(lambda e: watched(e, y))  # noqa: B023
         np.testing.assert_allclose(found.value, watched(0.0, y), atol=1e-13)
         np.testing.assert_allclose(found.H[:, 0], first, atol=1e-8)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from systems import EPOCH, examples, sample, switchings, systems, vectors
 
 from impact_observer.analysis import lyapunov
+from impact_observer.dynamics import Motion
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.model import System
 from impact_observer.observer import ReplicaLaw, law_named, law_names
@@ -186,6 +187,24 @@ class Mirror(ReplicaLaw):
         """Everything turned round."""
         del active, closed
         return -x
+
+
+class Later(Geometric):
+    """A law that moves otherwise than what it derives from."""
+
+    def motion(self, t: float, x: Array, closed: tuple[int, ...]) -> Motion:
+        """As if the forcing had begun a second later."""
+        return super().motion(t - 1.0, x, closed)
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_law_that_moves_otherwise_is_asked_how(count: int) -> None:
+    """For each replica, whatever the law that it derives from knows of all together."""
+    model, replicas = sample("two_mass").system, np.arange(12.0).reshape(3, 4)[:count]
+    law, geometric = Later(model), Geometric(model)
+    found = law.course(2.0, Belief(Ensemble.of(replicas)), ()).belief(0.3)
+    for x, moved in zip(replicas, found.replicas, strict=True):
+        np.testing.assert_allclose(moved, geometric.motion(1.0, x, ()).state(0.3), rtol=1e-12)
 
 
 def install(monkeypatch: pytest.MonkeyPatch, **entries: str) -> None:

@@ -29,6 +29,12 @@ class ReplicaLaw(Law):
     and certify a bound where a law knows what each event takes away.
     """
 
+    def __init_subclass__(cls) -> None:
+        """Who moves otherwise than what it derives from has no ``phase`` but its own."""
+        super().__init_subclass__()
+        if "motion" in vars(cls) and "phase" not in vars(cls):
+            cls.phase = ReplicaLaw.phase  # type: ignore[method-assign]
+
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare sprag clutches and all linear phases."""
         super().__init__(system, uncertainty)
@@ -57,6 +63,8 @@ class ReplicaLaw(Law):
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """One replica's motion until the next event: sprag clutches, unless a law says else.
+
+        Not asked for where all replicas move in one ``phase``.
 
         Args:
             t: s since the epoch.
