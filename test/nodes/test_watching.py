@@ -141,7 +141,9 @@ def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
             return False
         whole, own = seen[-1], seen[-1].observers[0]
         plant = whole.model and whole.truth and whole.simulated and own.source == "monitor"
-        return bool(plant and own.health and own.verdicts and own.bound is not None)
+        # Diagnostics may be older than the first estimate of which they tell.
+        told = own.health and b"synchronized" in listening.diagnostics[-1]
+        return bool(plant and told and own.verdicts and own.bound is not None)
 
     with system(ros_environment), ExitStack() as stack:
         lines = stack.enter_context(started([], ros_environment))
