@@ -95,8 +95,8 @@ class SpectralFlow(Flow):
         self._frequency = forcing.frequency
         self._small = self.energy(np.abs(steady).sum(axis=1)) / _HUGE
         # Motions that are not so small are told by their speed, with one product.
-        few = modes.shapes is None
-        self._slow = self._small**2 / float(linalg.eigvalsh(system.M)[0]) if few else math.inf
+        least = float(linalg.eigvalsh(system.M)[0]) if modes.shapes is None else 0.0
+        self._slow = self._small**2 / least if least > 0 else math.inf
         self._young = 1.0 / np.min(distance[far], initial=np.inf)
         self.near = Driven(modes, beta, mu, near)
         self.all = Driven(modes, beta, mu, forced)

@@ -74,7 +74,7 @@ class Agreeing:
         """The agreement after an event, between the beliefs ``before`` and after it."""
         convergence, energy = self._measured(belief.ensemble)
         largest = max(previous.largest, energy)
-        energy = max(energy, _RESTING * largest)
+        energy = max(energy, _RESTING * largest)  # likewise
         enough = self.threshold * energy
         if not (0 <= _MARGIN * convergence <= enough and self._explained(belief)):
             return Agreement(convergence, energy, largest)
@@ -104,7 +104,7 @@ class Agreeing:
     def _measured(self, ensemble: Ensemble) -> tuple[float, float]:
         """The largest V distance of two replicas, of very many an upper bound, and energy, J."""
         x = ensemble.x
-        energy = max(float(x.dot(self._metric.dot(x))), 0.0) / 2
+        energy = max(float(x.dot(self._metric.dot(x))), 0.0) / 2  # NaN stays, standing first
         if not ensemble.others:
             return -1.0, energy
         if ensemble.others >= _PAIRS:

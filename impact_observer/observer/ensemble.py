@@ -10,8 +10,6 @@ from impact_observer.states import Matrix, Vector
 
 _SAME = 1e-200
 """Squared size of a map that leaves nothing of any difference."""
-
-
 _FEW = 4096
 """Numbers of all pairs' products that are worth while to have."""
 
@@ -112,7 +110,7 @@ class Ensemble(NamedTuple):
         """The estimate is ``x`` now; ``map_``, shape (2n, 2n), has acted on all differences."""
         return Ensemble(x, self.since, map_ if self.due is None else map_.dot(self.due))
 
-    def told_apart(self) -> "Ensemble":
+    def without_faded(self) -> "Ensemble":
         """The same without differences that have faded: tiny numbers are slow to reckon with."""
         if self.due is None or (left := self.due.ravel()).dot(left) >= _SAME:
             return self

@@ -65,6 +65,14 @@ class Numbering:
         self._stamps = {k: at for k, at in self._stamps.items() if k not in old}
         self._room = max(2 * len(self._stamps), _LEAST)
 
+    def keep(self, most: int) -> None:
+        """Drop all but the ``most`` highest; now and then, not each time."""
+        if len(self._stamps) < 2 * most:
+            return
+        kept = sorted(self._stamps)[-most:]
+        self._forgotten = max(self._forgotten, kept[0] - 1)
+        self._stamps = {k: self._stamps[k] for k in kept}
+
 
 def _are_missing(low: int, high: int, side: str) -> str:
     """Numbers ``low`` to ``high`` are missing before or after an event."""

@@ -33,6 +33,8 @@ DEFAULT_HISTORY = 10.0
 """How late an event may be and still be applied, s."""
 DEFAULT_ENSEMBLE = 10
 """Replicas that are run together."""
+MOST_NUMBERS = 100_000
+"""Numbers of events that are remembered, where none of them can be applied."""
 
 
 class Observer:
@@ -217,7 +219,7 @@ class Observer:
             timeline = self._begun()
             key = Key(event.stamp, event.sequence, switches)
             if not switches:
-                self._numbers.forget_before(event.stamp - self._history)
+                self._numbers.keep(MOST_NUMBERS)  # no stamp of its own may decide what is over
                 return self._with_news(verdicts)
             if timeline.newest.stamp >= key.stamp and (why := _misplaced(key, timeline)):
                 return self._refused(event, *why)

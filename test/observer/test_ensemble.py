@@ -46,7 +46,7 @@ def test_differences_that_have_faded_are_none() -> None:
     """They do not go on as numbers that are slow to reckon with."""
     ensemble = Ensemble.of(np.eye(4))
     for _ in range(12):
-        ensemble = ensemble.carried(np.ones(4), 1e-10 * np.eye(4)).told_apart()
+        ensemble = ensemble.carried(np.ones(4), 1e-10 * np.eye(4)).without_faded()
     assert ensemble.others == 3
     np.testing.assert_array_equal(ensemble.replicas, np.ones((4, 4)))
 

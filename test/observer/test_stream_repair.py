@@ -15,6 +15,7 @@ from impact_observer.analysis.comparison import impacts_in
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
 from impact_observer.observer import Observer
+from impact_observer.observer import observer as observer_module
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.observer.numbering import Numbering
 from impact_observer.observer.order import hits
@@ -440,13 +441,30 @@ def test_numbers_that_are_forgotten_are_neither_new_nor_missing() -> None:
     assert numbers.gap(301) == "event 300 before it is missing"
 
 
-def test_events_of_unknown_contacts_are_not_remembered_for_ever() -> None:
+def test_events_of_unknown_contacts_are_not_remembered_for_ever(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A sensor that nobody told of the model may send as many as it likes."""
+    monkeypatch.setattr(observer_module, "MOST_NUMBERS", 100)
     watcher = watcher_of("geometric", history=1.0, ensemble=1)
     for k in range(1, 1000):
         (verdict,) = watcher.receive(told(("bolt", Kind.IMPACT), seconds=0.01 * k, sequence=k))
         assert verdict.ruling is Ruling.UNKNOWN_CONTACT
-    assert len(watcher._numbers) <= 200
+        assert len(watcher._numbers) <= 200
+    assert watcher.missing == 0
+
+
+def test_event_that_is_not_applied_makes_nothing_forgotten() -> None:
+    """However far ahead it is stamped: what came before it is known when it comes again."""
+    watcher = watcher_of("geometric", history=100.0, ensemble=1)
+    events = [told(("c1", Kind.IMPACT), seconds=0.1 * k, sequence=k) for k in range(1, 101)]
+    for each in (*events[:89], *events[90:]):
+        watcher.receive(each)
+    watcher.receive(told(("bolt", Kind.IMPACT), seconds=1000.0, sequence=101))
+    again = replace(events[90], stamp=events[90].stamp + 3)
+    assert watcher.receive(again)[0].ruling is Ruling.DUPLICATE
+    assert watcher.missing == 1
+    assert watcher.receive(events[89])[0].ruling is Ruling.APPLIED
     assert watcher.missing == 0
 
 

@@ -104,7 +104,7 @@ class Geometric(ReplicaLaw):
         jump = self._jump(active[0])
         gamma = float(jump.gamma.dot(before.x))
         if gamma <= 0 and before.most(jump.gamma) <= -gamma:
-            return before.carried(x, jump.map).told_apart()
+            return before.carried(x, jump.map).without_faded()
         apart, speeds = before.seen(jump.map), before.seen(jump.gamma)
         kept = np.maximum(speeds + gamma, 0.0) - max(gamma, 0.0)
         apart[self.system.n :] += jump.kick[:, None] * kept
@@ -125,9 +125,9 @@ class Geometric(ReplicaLaw):
         """
         if len(active) == 1:
             return self._jump(active[0]).taken(before)
-        return self.jumped(before, after, active)
+        return self.energy_of_jump(before, after, active)
 
-    def jumped(self, before: Vector, after: Vector, active: Contacts) -> float | None:
+    def energy_of_jump(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """The energy of any position jump, J; None where an impact may raise V."""
         if active and not self._newton.is_nonexpansive(active):
             return None

@@ -119,8 +119,8 @@ class MinimumVariance(Law):
         """``replicas`` and ``root`` with what else is not known, as it was declared."""
         declared, late = self.uncertainty.unknowns, self.uncertainty.clock_offset_error
         deviations = [*([] if declared is None else declared.deviations)]
-        slow = np.diag([*deviations, *([late] if late else [])])
-        whole = linalg.block_diag(root, slow) if len(slow) else root
+        unsure = np.diag([*deviations, *([late] if late else [])])
+        whole = linalg.block_diag(root, unsure) if len(unsure) else root
         known = Known.of(replicas, whole, closed)
         if declared is None:
             return known
@@ -128,7 +128,7 @@ class MinimumVariance(Law):
         others = spread(given, whole[: given.size, : root.shape[1] + p], len(replicas))
         slow, apart = known.slow.copy(), known.apart.copy()
         slow[:p] = declared.family.given
-        apart[given.size - p : given.size] = (others[1:] - given)[:, -p:].T
+        apart[given.size - p : given.size] = (others[1:] - given)[:, given.size - p :].T
         return known._replace(slow=slow, apart=apart, parameters=p)
 
     def _anew(self, fallback: Fallback, closed: Contacts, count: int) -> tuple[Hypothesis, ...]:

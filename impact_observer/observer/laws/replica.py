@@ -30,8 +30,13 @@ class ReplicaLaw(Law):
     """
 
     def __init_subclass__(cls) -> None:
-        """Who moves otherwise than what it derives from has no ``phase`` but its own."""
+        """Who jumps or moves otherwise than what it derives from knows only what it says itself.
+
+        ``phase`` is of ``motion``, and ``taken`` of ``impact``.
+        """
         super().__init_subclass__()
+        if "impact" in vars(cls) and "taken" not in vars(cls):
+            cls.taken = ReplicaLaw.taken  # type: ignore[method-assign]
         if "motion" in vars(cls) and "phase" not in vars(cls):
             cls.phase = ReplicaLaw.phase  # type: ignore[method-assign]
 

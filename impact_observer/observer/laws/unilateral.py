@@ -78,7 +78,9 @@ class Unilateral(Geometric):
 
     def taken(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """As with geometric, where the contacts can be closed at all."""
-        return self.jumped(before, after, active) if self._joint.is_possible(active) else None
+        return (
+            self.energy_of_jump(before, after, active) if self._joint.is_possible(active) else None
+        )
 
     def _told(self, belief: Belief, contacts: Contacts) -> Belief:
         """No replica separates at ``contacts`` any more; the bound loses what that takes."""
