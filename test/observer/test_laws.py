@@ -207,6 +207,22 @@ def test_law_that_moves_otherwise_is_asked_how(count: int) -> None:
         np.testing.assert_allclose(moved, geometric.motion(1.0, x, ()).state(0.3), rtol=1e-12)
 
 
+class Halfway(Geometric):
+    """A law that jumps otherwise than what it derives from."""
+
+    def impact(self, x: Array, active: tuple[int, ...], closed: tuple[int, ...]) -> Array:
+        """Half of it."""
+        return (x + super().impact(x, active, closed)) / 2
+
+
+def test_law_that_jumps_otherwise_certifies_nothing_by_itself() -> None:
+    """What a geometric impact takes away from V is not known of another one."""
+    model, replicas = sample("two_mass").system, np.ones((1, 4))
+    bounds = [law(model).begin(replicas, np.eye(4), ()).bound for law in (Geometric, Halfway)]
+    assert bounds[0] is not None
+    assert bounds[1] is None
+
+
 def install(monkeypatch: pytest.MonkeyPatch, **entries: str) -> None:
     """As if packages with these entry points were installed."""
     found = EntryPoints(
