@@ -126,9 +126,9 @@ def main(args: Sequence[str] | None = None) -> int:
     given = parser.parse_args(args)
     if given.events < 100:
         parser.error(f"argument --events: {given.events}; expected 100 or more")
-    tenth, found = given.events // 10, list[float]()
     if given.law not in law_names():
         parser.error(f"argument --law: {given.law}; there are {', '.join(law_names())}")
+    tenth, found = given.events // 10, list[float]()
     with take_domain(), rig(given.law) as made, Progress(console=Console(stderr=True)) as progress:
         for _ in progress.track(range(10), description="events"):
             made.send(tenth)

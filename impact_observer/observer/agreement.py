@@ -74,7 +74,7 @@ class Agreeing:
         """The agreement after an event, between the beliefs ``before`` and after it."""
         convergence, energy = self._measured(belief.ensemble)
         largest = max(previous.largest, energy)
-        energy = max(energy, _RESTING * largest)  # likewise
+        energy = max(energy, _RESTING * largest)  # NaN stays, standing first
         enough = self.threshold * energy
         if not (0 <= _MARGIN * convergence <= enough and self._explained(belief)):
             return Agreement(convergence, energy, largest)

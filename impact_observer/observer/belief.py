@@ -191,7 +191,7 @@ class Hypothesis(NamedTuple):
     def noted(self, event: tuple[int, int]) -> list[Note]:
         """Its notes on the contacts of ``event``, which is the latest."""
         latest = takewhile(lambda note: note.event == event, reversed(self.notes))
-        return [note for note in latest if note.ruling is not Ruling.INSERTED][::-1]
+        return [note for note in latest if not note.is_inserted][::-1]
 
 
 class Fallback(NamedTuple):

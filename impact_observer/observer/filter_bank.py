@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
+import numpy as np
 from scipy import special
 
 from impact_observer.events import Kind, Ruling
@@ -304,10 +305,7 @@ def _logs(probability: float) -> tuple[float, float]:
 
 def _total(hypotheses: Sequence[Hypothesis]) -> float:
     """Logarithm of the sum of probabilities; 0 where there is none."""
-    largest = max((h.weight for h in hypotheses), default=-math.inf)
-    if largest == -math.inf:
-        return largest if hypotheses else 0.0
-    return largest + math.log(sum(math.exp(h.weight - largest) for h in hypotheses))
+    return float(np.logaddexp.reduce([h.weight for h in hypotheses])) if hypotheses else 0.0
 
 
 def _weight(h: Hypothesis) -> float:

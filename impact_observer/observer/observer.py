@@ -51,7 +51,6 @@ class Observer:
         system: the system that plant and replica share.
         law: what the replica does at an event.
         remarks: how often the stream was not as it should be, and how.
-        restarts: how often a new episode or epoch made the replica begin again.
     """
 
     def __init__(
@@ -99,7 +98,6 @@ class Observer:
         self._timed = system.forcing.depends_on_time
         self._given_epoch = epoch
         self.remarks: Counter[Remark] = Counter()
-        self.restarts = 0
         self._news: list[str] = []
         self.restart()
 
@@ -192,6 +190,11 @@ class Observer:
         """Events that the sender numbered and that have not come in time, since the first seen."""
         return self._numbers.missing
 
+    @property
+    def restarts(self) -> int:
+        """How often a new episode or epoch made the replica begin again."""
+        return self.remarks[Remark.EPISODE] + self.remarks[Remark.EPOCH]
+
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """Apply ``event`` at its own stamp, whenever it arrives.
 
@@ -242,9 +245,10 @@ class Observer:
         self._require_epoch()
         course, s = self._course(entry), seconds_between(entry.since, stamp)
         x, root = entry.belief.x, entry.belief.root
-        closed = entry.closed if course.is_plain else course.closed(s)
         if s > 0:
-            x, root = course.state(s), None if course.is_plain else course.root(s)
+            x, root = course.state(s), course.root(s)
+        closed = course.closed(s)
+        closed = entry.closed if closed is None else closed
         bound, agreement = entry.belief.bound, entry.agreement
         applied = bool(entry.key.switches)
         return Estimate(
@@ -253,7 +257,7 @@ class Observer:
             q=x[:n],
             u=x[n:],
             covariance=NO_COVARIANCE if root is None else frozen(root @ root.T),
-            closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
+            closed=tuple([self._names[i] for i in closed]),
             convergence=agreement.convergence,
             synchronized=self.law.hears
             and agreement.held >= HELD
@@ -320,7 +324,6 @@ class Observer:
         if moved or newer:
             name = f"episode {event.episode}" if newer else f"epoch {text(event.epoch)} s"
             self.restart(f"{name} is new")
-            self.restarts += 1
             self.remarks[Remark.EPISODE if newer else Remark.EPOCH] += 1
             self._timeline = None
         self._episode = event.episode
