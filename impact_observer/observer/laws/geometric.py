@@ -31,9 +31,7 @@ class _Jump:
         self._rest = np.array([system.q_r[contact], 0.0])
         self._moved = np.zeros((2 * n, 2))
         self._moved[:n, 0], self._moved[n:, 1] = z, kick
-        self._gap, self.gamma = self._seen
-        self._distance = float(system.q_r[contact])
-        self._strain = float(z.dot(system.K.dot(z)))
+        self.gamma = self._seen[1]
 
     def after(self, x: Vector) -> Vector:
         """What becomes of a state, shape (2n,); one that separates keeps its velocities."""
@@ -43,11 +41,6 @@ class _Jump:
             lost[1] = 0.0
         after: Vector = x - self._moved.dot(lost)
         return after
-
-    def taken(self, x: Vector) -> float:
-        """``1/2 g L^-1 g`` of a state, shape (2n,), J."""
-        gap = float(self._gap.dot(x)) + self._distance
-        return self._strain * gap * gap / 2
 
     @cached_property
     def map(self) -> Matrix:
@@ -124,7 +117,7 @@ class Geometric(ReplicaLaw):
         The plant is on the stop, so its distance from the replica loses what the jump measures.
         """
         if len(active) == 1:
-            return self._jump(active[0]).taken(before)
+            return self._projection.strain(before[: self.system.n], active)
         return self.energy_of_jump(before, after, active)
 
     def energy_of_jump(self, before: Vector, after: Vector, active: Contacts) -> float | None:
