@@ -170,6 +170,19 @@ class Timeline:
         overrules = _overrules(key, fresh) if len(fresh) > 1 else ()
         return Placed(fresh[at - first], len(again), overrules, fresh[at - first + 1 :])
 
+    def rehearsed(self, step: Step) -> Entry | None:
+        """The latest event's entry, made again as ``insert`` made it, and put nowhere.
+
+        None where there is no event, where it does nothing, or where another one, which may
+        have a say in it, stands at its stamp.
+        """
+        if len(self.entries) < 2:
+            return None
+        previous, latest = self.entries[-2:]
+        if latest.since <= previous.key.stamp:
+            return None
+        return Timeline(previous).insert(latest.key, step).entry
+
     def forget_before(self, stamp: int) -> bool:
         """Drop what lies before ``stamp`` except the state there; whether there was any."""
         if len(self.entries) < 2 or self.entries[1].key.stamp > stamp:

@@ -14,7 +14,7 @@ from systems import EPOCH, Harmonic, chain, event, examples, forcing, observer, 
 from impact_observer.analysis.comparison import impacts_in
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
-from impact_observer.observer import Observer
+from impact_observer.observer import Observer, Uncertainty
 from impact_observer.observer import observer as observer_module
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.observer.numbering import Numbering
@@ -42,9 +42,9 @@ def told(*switches: tuple[str, Kind], seconds: float, sequence: int = 0) -> Impa
     return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), sequence, 0, EPOCH)
 
 
-def watcher_of(law: str, events: Iterable[ImpactEvent] = (), **options: float) -> Observer:
+def watcher_of(law: str, events: Iterable[ImpactEvent] = (), **options: object) -> Observer:
     """An observer of ``MODEL`` that has received ``events``, in that order."""
-    given = {"ensemble": 2, "history": 60.0, "epoch": EPOCH, **options}
+    given: dict[str, object] = {"ensemble": 2, "history": 60.0, "epoch": EPOCH, **options}
     watcher = observer(MODEL, law, START, **given)
     for each in events:
         watcher.receive(each)
@@ -148,6 +148,34 @@ def test_order_of_arrival_and_duplicates_change_no_bit(law: str, data: st.DataOb
     assert set(rulings) <= {Ruling.APPLIED, Ruling.REJECTED, Ruling.DUPLICATE}
     assert known(shuffled) == known(ordered)
     assert state_of_knowledge(shuffled) == state_of_knowledge(ordered)
+
+
+@LAWS
+@examples(4)
+@given(data=st.data())
+def test_rehearsals_in_between_change_no_bit(law: str, data: st.DataObject) -> None:
+    """Whatever comes, late, twice or too late, and is set: equal verdicts, estimates, counts."""
+    events = data.draw(streams(numbered=data.draw(st.booleans())))
+    order = data.draw(arrivals(events))
+    placed = data.draw(st.integers(0, 2 * len(order)))
+    history = data.draw(st.sampled_from([0.3, 60.0]))
+    rehearsing, plain = (
+        watcher_of(law, uncertainty=Uncertainty(), history=history) for _ in range(2)
+    )
+    rehearsing.rehearse()
+    for k, each in enumerate(order):
+        assert rehearsing.receive(each) == plain.receive(each)
+        for _ in range(1 + k % 2):
+            rehearsing.rehearse()
+        if k == placed:
+            for watcher in (rehearsing, plain):
+                watcher.set_state(each.stamp, START[:2], START[2:])
+            rehearsing.rehearse()
+        soon = [each.stamp + ahead * TICK for ahead in (0, 1, 20)]
+        assert known(rehearsing, soon) == known(plain, soon)
+        assert rehearsing.remarks == plain.remarks
+    assert known(rehearsing) == known(plain)
+    assert state_of_knowledge(rehearsing) == state_of_knowledge(plain)
 
 
 @LAWS

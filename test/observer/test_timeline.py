@@ -113,3 +113,30 @@ def test_step_that_fails_leaves_the_past_as_it_was() -> None:
         timeline.insert(key(2), failing)
     assert states(timeline) == kept
     assert key(2) not in timeline
+
+
+def test_rehearsed_entry_is_the_latest_once_more_and_is_not_kept() -> None:
+    """Made from the entry before it, by one step; the timeline is what it was."""
+    timeline = filled(key(1), key(2), key(4))
+    kept, asked = [*timeline.entries], []
+
+    def counted(previous: Entry, event: Key, reading: Reading) -> Entry:
+        asked.append((previous, event))
+        return step(previous, event, reading)
+
+    made = timeline.rehearsed(counted)
+    assert made is not None
+    assert asked == [(kept[-2], key(4))]
+    assert made is not kept[-1]
+    assert (made.key, made.belief.x.tolist()) == (key(4), [124.0])
+    assert timeline.entries == kept
+
+
+def test_nothing_is_rehearsed_where_an_event_was_not_made_by_one_step_alone() -> None:
+    """Before the first one, beside another of its stamp, and of one that does nothing."""
+    stale = Key(4, 1, ((0, Kind.OPEN),))
+    timelines = [filled(), filled(key(2), key(2, 0, 1)), filled(key(2, 7), stale)]
+    timelines[2].forget_before(3)
+    assert [len(each.entries) for each in timelines] == [1, 3, 2]
+    assert timelines[2].entries[-1].since == 2
+    assert [each.rehearsed(step) for each in timelines] == [None, None, None]
