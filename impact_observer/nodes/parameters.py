@@ -189,6 +189,14 @@ OBSERVER = (
         "of the subscription to impacts",
         choices=("volatile", "transient_local"),
     ),
+    Parameter(
+        "rehearsal",
+        0.1,
+        "share of its time, at most, in which the node runs the last event again, so that the"
+        " next is answered at once; 0 for never",
+        low=0.0,
+        high=0.5,
+    ),
 )
 DETECTOR = (
     Parameter("sources", "", "a file of sensors, or a sample's name", required=True),
