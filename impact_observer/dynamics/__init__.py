@@ -16,6 +16,7 @@ from impact_observer.dynamics.noise import diffusion
 from impact_observer.dynamics.parametric import Map, Sensitivity, led
 from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.projection import KEPT, PositionProjection
+from impact_observer.dynamics.scales import sizes
 from impact_observer.dynamics.spectral import flow_of
 from impact_observer.dynamics.switched import ROUNDING, Expansion, Jet, Measured, Mirror, Rates
 from impact_observer.dynamics.watched import Watched
@@ -50,5 +51,6 @@ __all__ = [
     "lengths",
     "product",
     "resting",
+    "sizes",
     "triangular",
 ]

@@ -14,6 +14,23 @@ _STILL = 16.0
 """The same where nothing oscillates, s."""
 
 
+def sizes(x: Vector, modes: Matrix, in_time: Matrix, spread: Matrix) -> Vector:
+    """What (q, u) is rounded against: each number as large as all modes may make it.
+
+    Args:
+        x: state (q, u), shape (2n,).
+        modes: as of ``Scales``.
+        in_time: what an amplitude and its speed come to within the time scale, shape (2, 2).
+        spread: as of ``Scales``.
+
+    Returns:
+        Shape (2n,), not negative.
+    """
+    amplitudes = np.abs(x.reshape(2, -1).dot(modes))
+    found: Vector = in_time.dot(amplitudes).dot(spread).ravel()
+    return found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scales:
     """Scales of ``M du/dt = -C u - K q + f(t)``.
@@ -58,17 +75,13 @@ class Scales:
         return np.abs(rows @ self.shapes)
 
     def sizes(self, x: Vector) -> Vector:
-        """What (q, u) is rounded against: each number as large as all modes may make it.
+        """``sizes`` of a state (q, u), shape (2n,)."""
+        return sizes(x, *self.of_sizes)
 
-        Args:
-            x: state (q, u), shape (2n,).
-
-        Returns:
-            Shape (2n,), not negative.
-        """
-        amplitudes = np.abs(x.reshape(2, -1).dot(self.modes))
-        found: Vector = self._in_time.dot(amplitudes).dot(self.spread).ravel()
-        return found
+    @property
+    def of_sizes(self) -> tuple[Matrix, Matrix, Matrix]:
+        """What ``sizes`` needs besides a state."""
+        return self.modes, self._in_time, self.spread
 
     def reach(self, q: Matrix, u: Matrix) -> Matrix:
         """How far each mode may be from rest within the time scale, signs apart.

@@ -237,11 +237,6 @@ class Belief(NamedTuple):
     fallback: Fallback | None = None
 
     @property
-    def judges(self) -> bool:
-        """Whether it has more to say of an event than that it was applied."""
-        return bool(self.hypotheses or self.innovations)
-
-    @property
     def x(self) -> Vector:
         """The estimate (q, u), shape (2n,)."""
         return self.ensemble.x

@@ -16,7 +16,7 @@ STILL = 1e-150
 """Speed that is none."""
 _CLOSING = 1e-3
 """Standard deviation of a closing speed below which its sign is sure, relative to it."""
-_FAR = 30.0
+FAR = 30.0
 """Innovation, in standard deviations, beyond which an event cannot be what it is said to be."""
 _NORMAL = math.log(2 * math.pi) / 2
 
@@ -46,16 +46,42 @@ def likelihood(contacts: Contacts, expected: Expected, prior: Joint) -> Evidence
     white = learnt.whitened(innovation)
     slopes = expected.expansion.H[:, 0].tolist()
     spreads = lengths(expected.expansion.D.dot(prior.own[1:]))
-    density = -len(contacts) * _NORMAL
+    density = 0.0
     for i, (each, slope, spread) in enumerate(zip(white, slopes, spreads, strict=True)):
-        density += math.log(math.hypot(slope, spread) + STILL) - each * each / 2
-        density -= math.log(abs(learnt.innovation[i, i]))
+        density += _density(each, learnt.innovation[i, i], slope, spread)
     if len(contacts) == 1:
-        surely = max(spreads[0], _CLOSING * abs(slopes[0]), STILL)
-        density += float(special.log_ndtr(slopes[0] / surely))
+        density += _from_above(slopes[0], spreads[0])
     sizes = [abs(each) / s for each, s in zip(innovation, learnt.deviations, strict=True)]
     innovations = dict(zip(contacts, sizes, strict=True))
     return Evidence(density, innovations, (expected, learnt, white))
+
+
+def likelihood_of_one(
+    contact: int, white: float, deviation: float, slope: float, spread: float
+) -> Evidence:
+    """The same of a single contact.
+
+    Args:
+        contact: index.
+        white: innovation of its gap, in standard deviations.
+        deviation: one, of either sign, m.
+        slope: of the gap, m/s.
+        spread: standard deviation of that, m/s.
+    """
+    density = _density(white, deviation, slope, spread) + _from_above(slope, spread)
+    return Evidence(density, {contact: abs(white)})
+
+
+def _density(white: float, deviation: float, slope: float, spread: float) -> float:
+    """Logarithm of the density of the instant at which one gap goes through zero, 1/s."""
+    speed = math.log(math.hypot(slope, spread) + STILL)
+    return speed - white * white / 2 - math.log(abs(deviation)) - _NORMAL
+
+
+def _from_above(slope: float, spread: float) -> float:
+    """Logarithm of the probability that a gap of this ``slope`` does so from above."""
+    surely = max(spread, _CLOSING * abs(slope), STILL)
+    return float(special.log_ndtr(slope / surely))
 
 
 def far_off(
@@ -76,11 +102,11 @@ def far_off(
     values, slopes, late = value.tolist(), H[:, 0].tolist(), prior.e
     parts = list(zip(values, slopes, lengths(seen), expected.rounded, strict=True))
     clock, bent = float(prior.root[0, 0]), [0.0] * len(parts)
-    if max(_deviations(parts, bent, late, clock)) < _FAR:  # bent ones are less far off
+    if max(_deviations(parts, bent, late, clock)) < FAR:  # bent ones are less far off
         return None
     bent = np.abs(D.dot(rate())).tolist()
     sizes = _deviations(parts, bent, late, clock)
-    if max(sizes) < _FAR:
+    if max(sizes) < FAR:
         return None
     density = -sum(size * size for size in sizes) / 2
     return Evidence(density, dict(zip(contacts, sizes, strict=True)))

@@ -241,22 +241,20 @@ class FilterBank:
         self, touch: Touch, h: Hypothesis, here: Touch, chance: float, reason: str = ""
     ) -> tuple[_Branch, Evidence]:
         """It was ``here`` that something happened, which had the logarithmic ``chance``."""
-        prior = self.filter.prior(here, h.known, h.clock)
-        evidence = self.filter.evidence(here, prior)
+        evidence, after = self.filter.told(here, h.known, h.clock)
         contacts = here.contacts
         weight = h.weight + chance + evidence.density
         if h.sunk:
             weight += sum(each for i, each in h.sunk.items() if i not in contacts)
 
         def make() -> Hypothesis:
-            known = self.filter.after(here, self.filter.heard(here, prior, evidence))
             judged = {
                 said: evidence.innovations[i]
                 for said, i in zip(touch.contacts, contacts, strict=False)
                 if i in evidence.innovations
             }
             notes = _noted(h, touch, (Ruling.APPLIED, reason), judged)
-            return Hypothesis(known, h.clock, weight, notes)
+            return Hypothesis(after(), h.clock, weight, notes)
 
         depth = max(evidence.innovations.values(), default=0.0)
         soon = evidence.density > len(contacts) * self._slow

@@ -1,10 +1,13 @@
 """The Kalman filter of impact times: what an instant says of the whole state, and how surely."""
 
 import math
+from collections.abc import Callable, Mapping
+from functools import lru_cache
 
 import numpy as np
 
 from impact_observer.dynamics import (
+    KEPT,
     ROUNDING,
     Sensitivity,
     led,
@@ -16,12 +19,19 @@ from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.model.family import Family
 from impact_observer.observer.belief import Known, Touch
-from impact_observer.observer.evidence import STILL, Evidence, far_off, likelihood
+from impact_observer.observer.evidence import (
+    STILL,
+    Evidence,
+    far_off,
+    likelihood,
+    likelihood_of_one,
+)
 from impact_observer.observer.joint import Expected, Joint
 from impact_observer.observer.learning import Unknowns
 from impact_observer.observer.linear import Astray, Linear
 from impact_observer.observer.members import Member, Members
 from impact_observer.observer.resting import rested
+from impact_observer.observer.single import ROUNDS, Contact, Fit, State, single
 from impact_observer.states import Matrix, Vector
 
 _SHORT = 1e-8
@@ -32,8 +42,6 @@ _BACK = 8.0
 """How far the fastest fading motion is followed back, in its own time constants."""
 _NEAR = 1e-7
 """How near an event must be for a jump's expansion to leave out but rounding, likewise."""
-_ROUNDS = 6
-"""How often a measurement is linearised about what it says itself, at most."""
 
 
 class ImpactFilter:
@@ -85,6 +93,8 @@ class ImpactFilter:
         if system.forcing.sampled is None and not unknowns.family.size:  # nothing jumps or turns
             decay = self.members.given.moving.rates(()).decay
             self._near = _NEAR / max(decay, 1.0 / self.phases.scales.timescale)
+        self._contact = lru_cache(KEPT)(self._contact_of)
+        self._single = single
 
     def begin(self, known: Known) -> Known:
         """``known``, and that its closed contacts rest."""
@@ -97,6 +107,63 @@ class ImpactFilter:
     def member(self, known: Known | Joint) -> Member:
         """The system whose parameters are those of an estimate."""
         return self.members.at(known.theta)
+
+    def told(
+        self, touch: Touch, known: Known, clock: float
+    ) -> tuple[Evidence, Callable[[], Known]]:
+        """How an event fits what is known, and what is known after it, for whoever asks.
+
+        Args:
+            touch: what is heard, from the contacts that ``known`` has closed.
+            known: when it is stamped.
+            clock: standard deviation of the stamp, s.
+        """
+        if (usual := self._usually(touch, known, clock)) is not None:
+            (x, root, apart), fit = usual
+            after = Known(x, known.slow, root, apart)
+            return likelihood_of_one(touch.hit[0], *fit), lambda: after
+        prior = self.prior(touch, known, clock)
+        evidence = self.evidence(touch, prior)
+        return evidence, lambda: self.after(touch, self.heard(touch, prior, evidence))
+
+    def believed(
+        self, touch: Touch, known: Known, clock: float
+    ) -> tuple[Known, Mapping[int, float]]:
+        """What is known after an event that is beyond doubt.
+
+        Args:
+            touch: this and the others as of ``told``.
+            known: likewise.
+            clock: likewise.
+
+        Returns:
+            It, and innovations by contact, in standard deviations.
+        """
+        if (usual := self._usually(touch, known, clock)) is not None:
+            (x, root, apart), (white, *_) = usual
+            return Known(x, known.slow, root, apart), {touch.hit[0]: abs(white)}
+        evidence, later = self.told(touch, known, clock)
+        return later(), evidence.innovations
+
+    def _usually(self, touch: Touch, known: Known, clock: float) -> tuple[State, Fit] | None:
+        """What an event tells that is as nearly all are; None of others."""
+        alone = len(touch.hit) == 1 and not (touch.before or touch.closed)
+        if not (alone and self._near and len(known.root) == known.x.size):
+            return None
+        root, apart = np.array(known.root, order="C"), np.array(known.apart, order="C")
+        forces = self.members.given.moving.forces(touch.t)
+        state, contact = (np.array(known.x), root, apart), self._contact(touch.hit[0])
+        usual, after, fit = self._single(state, clock, forces, contact)
+        return (after, fit) if usual else None
+
+    def _contact_of(self, contact: int) -> Contact:
+        """What an impact of one contact depends on while none is closed."""
+        member = self.members.given
+        rows, gap = member.watched((), (contact,), True)
+        jump = member.jump((contact,), (), ())
+        H, D, _ = np.ascontiguousarray(gap.maps)
+        scale = self.phases.scales.of_sizes
+        return (gap.now, H, D, float(rows.rest[0])), (jump.now, jump.maps), scale, self._near
 
     def prior(self, touch: Touch, known: Known, clock: float) -> Joint:
         """Instant and state as they are believed before an event is heard.
@@ -143,7 +210,7 @@ class ImpactFilter:
         contacts = self._telling(touch)
         found, member = prior, self.member(prior)
         linear = evidence and evidence.linear
-        for _ in range(_ROUNDS if contacts else 0):
+        for _ in range(ROUNDS if contacts else 0):
             view = self._moved(member, touch.before, prior, found.t - prior.t)
             if linear is None:
                 expected = self._expected(member, touch, contacts, view, found)

@@ -9,7 +9,7 @@ from impact_observer.dynamics import Correction, Expansion, Map, correction, len
 from impact_observer.observer.belief import Known, carried
 from impact_observer.states import Matrix, Vector
 
-_SETTLED = 0.05
+SETTLED = 0.05
 """What another linearisation may change, relative to the deviation of what was measured."""
 
 
@@ -145,6 +145,6 @@ class Expected(NamedTuple):
         each = zip(bent.tolist(), H[:, 0].tolist(), self.rounded, noises, strict=True)
         return all(
             abs(e * change) + abs(noise - left)
-            <= _SETTLED * math.hypot(slope * deviation, noise, rounded)
+            <= SETTLED * math.hypot(slope * deviation, noise, rounded)
             for change, slope, rounded, (noise, left) in each
         )

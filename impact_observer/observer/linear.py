@@ -45,7 +45,8 @@ class Linear:
         self._t = t
         self._known = known
         self._members = members
-        self._phase = members.motion(known.theta).phase(known.closed)
+        moving = members.motion(known.theta) if known.parameters else members.given.moving
+        self._phase = moving.phase(known.closed)
         self._noise = astray
         self.motion: Motion = self._phase.start(t, known.x)
         self._root = known.root

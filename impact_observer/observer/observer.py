@@ -13,7 +13,7 @@ from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, 
 from impact_observer.model import System
 from impact_observer.observer.agreement import AGREED, HELD, Agreeing
 from impact_observer.observer.belief import Course, Touch
-from impact_observer.observer.judging import Rulings, because, judged
+from impact_observer.observer.judging import Notes, Rulings, because, judged
 from impact_observer.observer.laws import Law
 from impact_observer.observer.numbering import Numbering
 from impact_observer.observer.order import Key, Reading, Spoken
@@ -432,15 +432,18 @@ class Observer:
             superseded = [each.is_superseded for each in (*own, *(each for _, each in others))]
             self.remarks[Remark.SUPERSEDED] += sum(superseded)
             self.remarks[Remark.DISORDER] += not all(superseded)
-        if not (own or others or placed.entry.belief.judges):
+        belief = placed.entry.belief
+        if not (own or others or belief.hypotheses or belief.innovations):
             return self._with_news(verdicts)
-        start = placed.entry.key.stamp - self._history
-        believed, revised = self._rulings.after(placed, start, self._names)
-        told = [
-            judged(each, self._index.get(each.contact, -1), placed, believed) for each in verdicts
-        ]
+        believed: Notes = {}
+        revised: tuple[Verdict, ...] = ()
+        if belief.hypotheses:
+            start = placed.entry.key.stamp - self._history
+            believed, revised = self._rulings.after(placed, start, self._names)
         if revised:
             self.remarks[Remark.SECOND_THOUGHT] += sum(verdict.revises for verdict in revised)
+        index = self._index
+        told = [judged(each, index.get(each.contact, -1), placed, believed) for each in verdicts]
         return (*self._with_news(tuple(told)), *revised)
 
     def _step(self, previous: Entry, event: Key, reading: Reading) -> Entry:

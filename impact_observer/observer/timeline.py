@@ -8,6 +8,7 @@ and the replica is run again from there.
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import Contacts, Kind
@@ -185,10 +186,13 @@ class Timeline:
 
     def forget_before(self, stamp: int) -> bool:
         """Drop what lies before ``stamp`` except the state there; whether there was any."""
-        if len(self.entries) < 2 or self.entries[1].key.stamp > stamp:
-            return False
-        del self.entries[: bisect_right(self.entries, stamp, key=_stamp) - 1]
-        return True
+        over = 0
+        for following in islice(self.entries, 1, None):  # hardly ever more than one
+            if following.key.stamp > stamp:
+                break
+            over += 1
+        del self.entries[:over]
+        return over > 0
 
 
 def _redone(previous: Entry, events: Sequence[Key], step: Step) -> list[Entry]:

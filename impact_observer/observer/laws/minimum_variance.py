@@ -26,6 +26,7 @@ CLOCK_ERRORS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Standard deviations of a stamp among which the events decide where none is declared, s."""
 _STAMP = 1e-9 / math.sqrt(12)
 """Standard deviation of what rounding to 1 ns does to a stamp, s."""
+_NOTHING = np.zeros(0)
 _IMPACTS = 1024
 """Impacts that are believed unheard, one after the other."""
 _WINDOW = 64 / FINE
@@ -70,18 +71,25 @@ class MinimumVariance(Law):
         self._learns = bool(
             self._names or len(self.clocks) > 1 or self.uncertainty.clock_offset_error
         )
+        self._sure = self.uncertainty.trusting and not self._learns
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """What is declared, and that closed contacts rest."""
+        known = self._bank.filter.begin(self._known(replicas, root, closed))
+        if self._sure:
+            return Belief(known.ensemble, known.root)
         x = replicas[0]
         x = self._geometric.impact(x, closed, closed) if closed else x
-        known = self._bank.filter.begin(self._known(replicas, root, closed))
         return self._belief(self._even(known), Fallback(x, np.linalg.norm(root, axis=1)))
 
     def event(self, touch: Touch, belief: Belief) -> Belief:
         """What each hypothesis makes of the event, and which is the likeliest then."""
         if not touch.hit and touch.before == touch.closed:
             return belief
+        if self._sure:
+            known = self._bare(belief, touch.before)
+            known, innovations = self._bank.filter.believed(touch, known, self.clocks[0])
+            return Belief(known.ensemble, known.root, innovations=innovations)
         hypotheses, fallback = self._taken(belief, touch.before)
         x = fallback.x
         x = self._geometric.impact(x, touch.active, touch.closed) if touch.hit else x
@@ -91,6 +99,8 @@ class MinimumVariance(Law):
 
     def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
         """The likeliest account for the estimate, all of them for the next event."""
+        if self._sure:
+            return _Sure(self._bank.filter.course(t, self._bare(belief, closed)))
         hypotheses, fallback = self._taken(belief, closed)
         motion = self._geometric.motion(t, fallback.x, closed)
 
@@ -101,6 +111,12 @@ class MinimumVariance(Law):
         if self.uncertainty.trusting:
             return _Heard(self._bank.filter, t, hypotheses, later)
         return _Foreseen(self._bank, t, hypotheses, later)
+
+    @staticmethod
+    def _bare(belief: Belief, closed: Contacts) -> Known:
+        """What is known where there is one account, and nothing to learn."""
+        assert belief.root is not None, "a belief of another law"
+        return Known(belief.x, _NOTHING, belief.root, belief.ensemble.apart, closed)
 
     def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; of a bare one, that it is right."""
@@ -189,6 +205,23 @@ def _mixed(hypotheses: Sequence[Hypothesis]) -> Known:
         apart = np.append(h.known.x - best.x, h.known.slow - best.slow)
         columns += [weight * h.known.root, weight * apart[:, None]]
     return best._replace(root=triangular(np.hstack(columns)))
+
+
+class _Sure(Course):
+    """What is believed until the next event, where none is in doubt."""
+
+    def __init__(self, linear: Linear) -> None:
+        self._linear = linear
+
+    def state(self, s: float) -> Vector:
+        return self._linear.state(s)
+
+    def root(self, s: float) -> Matrix:
+        return self._linear.root(s)
+
+    def belief(self, s: float) -> Belief:
+        known = self._linear.known(s)
+        return Belief(known.ensemble, known.root)
 
 
 class _Heard(Course):
