@@ -19,6 +19,7 @@ from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.model.family import Family
 from impact_observer.observer.belief import Known, Touch
+from impact_observer.observer.compiled import Single, compiled_single
 from impact_observer.observer.evidence import (
     STILL,
     Evidence,
@@ -94,7 +95,15 @@ class ImpactFilter:
             decay = self.members.given.moving.rates(()).decay
             self._near = _NEAR / max(decay, 1.0 / self.phases.scales.timescale)
         self._contact = lru_cache(KEPT)(self._contact_of)
-        self._single = single
+        self._single: Single = single
+
+    def compile(self) -> None:
+        """Have machine code for what nearly every event takes; see ``compiled.py``.
+
+        Raises:
+            UsageError: ``numba`` is not installed.
+        """
+        self._single = compiled_single()
 
     def begin(self, known: Known) -> Known:
         """``known``, and that its closed contacts rest."""

@@ -34,6 +34,7 @@ class Options:
         history: how late an event may be and still be applied, s.
         estimate_parameters: of the model, to learn with the state; see ``Unknowns.named``.
         parameter_drift: of their deviations, what these go astray by in a minute.
+        compiled: whether to have machine code for what an event takes; see ``Law.compile``.
     """
 
     law: str = "geometric"
@@ -51,6 +52,7 @@ class Options:
     history: float = DEFAULT_HISTORY
     estimate_parameters: tuple[str, ...] = ()
     parameter_drift: float = 0.0
+    compiled: bool = False
 
     def of_laws(self, laws: Sequence[str]) -> "list[Options]":
         """These for each law; parameters are learnt by the laws that can, if there is one.
@@ -96,9 +98,12 @@ class Options:
             self.mislabelled,
             unknowns,
         )
+        chosen = law(system, uncertainty)
+        if self.compiled:
+            chosen.compile()
         return Observer(
             system,
-            law(system, uncertainty),
+            chosen,
             *initial_state(self.initial, system),
             epoch=self.epoch,
             history=self.history,

@@ -73,12 +73,12 @@ def heard(y: Vector, known: State, clock: float, contact: Contact) -> tuple[bool
     (x, root, apart), ((jet, H, D, rest), _, scale, near) = known, contact
     (size, columns), now = root.shape, jet.dot(y)
     value, slope, E = now[0], now[1], now[2:]
-    seen, others, unsure = H.dot(root), H.dot(apart), _length(D.dot(root))
+    seen, others, unsure = H.dot(root), H.dot(apart), length(D.dot(root))
     rounded = ROUNDING * (np.abs(H).dot(sizes(x, *scale))[0] + abs(rest)) + _LEAST
     prior, replicas = np.zeros((1 + size, 1 + columns)), np.zeros((1 + size, apart.shape[1]))
     prior[0, 0], prior[1:, 1:], replicas[1:] = clock, root, apart
     z, learnt, fit = np.zeros(1 + size), prior, (0.0, 1.0, slope, unsure)
-    far = abs(value) / (math.hypot(_length(seen), slope * clock) + rounded)
+    far = abs(value) / (math.hypot(length(seen), slope * clock) + rounded)
     usual, about, own = far < FAR, x, prior
     for turn in range(ROUNDS if usual else 0):
         mean, bent = product(own, D, E)
@@ -95,7 +95,7 @@ def heard(y: Vector, known: State, clock: float, contact: Contact) -> tuple[bool
         z[1:] += x
         e, clear = z[0], learnt[0, 0]
         change = e * (D.dot(z[1:] - about)[0] + E[0] * (e / 2))
-        noise, after = _length(bent), _length(product(learnt, D, E)[1])
+        noise, after = length(bent), length(product(learnt, D, E)[1])
         enough = SETTLED * math.hypot(math.hypot(slope * clear, noise), rounded)
         settled = abs(change) + abs(noise - after) <= enough or turn + 1 == ROUNDS
         usual = max(abs(e), clear) <= near
@@ -133,7 +133,7 @@ def struck(y: Vector, joint: State, contact: Contact) -> State:
     return x, triangular(whole), H.dot(apart)
 
 
-def _length(row: Matrix) -> float:
+def length(row: Matrix) -> float:
     """The Euclidean length of the only one, shape (1, k)."""
     flat = row.ravel()
     return math.sqrt(flat.dot(flat))

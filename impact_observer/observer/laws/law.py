@@ -37,6 +37,13 @@ class Law(ABC):
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
         self.uncertainty.root(system.n)
 
+    def compile(self) -> None:  # noqa: B027 (most laws have nothing to compile)
+        """Have machine code for what an event takes, where that is much faster: not here.
+
+        Raises:
+            UsageError: the compiler is not installed.
+        """
+
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """What is believed before any event.

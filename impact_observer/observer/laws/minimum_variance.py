@@ -73,6 +73,14 @@ class MinimumVariance(Law):
         )
         self._sure = self.uncertainty.trusting and not self._learns
 
+    def compile(self) -> None:
+        """Have machine code for the numbers of nearly every event.
+
+        Raises:
+            UsageError: ``numba`` is not installed.
+        """
+        self._bank.filter.compile()
+
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """What is declared, and that closed contacts rest."""
         known = self._bank.filter.begin(self._known(replicas, root, closed))

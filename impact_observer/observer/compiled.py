@@ -1,0 +1,92 @@
+"""``single`` in machine code, by ``numba``: the same numbers in a quarter of the time.
+
+It takes half a minute, once: ``numba`` keeps what it made beside this file, or in the user's
+cache where it cannot.
+"""
+
+import hashlib
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import TypeAlias
+
+import numpy as np
+
+from impact_observer.dynamics import estimation, product, scales, sizes, triangular
+from impact_observer.errors import UsageError
+from impact_observer.observer import evidence, joint, single
+from impact_observer.observer.single import Contact, Fit, State
+from impact_observer.states import Matrix
+
+Single: TypeAlias = Callable[[State, float, Matrix, Contact], tuple[bool, State, Fit]]
+_SOURCES = (single, evidence, joint, estimation, scales, sys.modules[__name__])
+"""Where everything is that is compiled, or a constant in it."""
+
+
+@cache
+def compiled_single() -> Single:
+    """``single.single``, compiled.
+
+    Raises:
+        UsageError: ``numba`` is not installed.
+    """
+    try:
+        import numba  # noqa: PLC0415 (half a second that only this takes)
+        from numba import types  # noqa: PLC0415
+        from numba.extending import overload, register_jitable  # noqa: PLC0415
+    except ImportError as error:
+        raise UsageError(
+            f"compiled needs numba ({error}): pip install impact_observer[compiled], or leave"
+            " compiled out"
+        ) from None
+    overload(triangular)(_triangular)
+    for part in (product, sizes, single.length, single.heard, single.struck, single.single):
+        register_jitable(part)
+    number, truth = types.float64, types.boolean
+    vector, matrix, maps = (types.Array(number, k, "C") for k in (1, 2, 3))
+    state = types.Tuple((vector, matrix, matrix))
+    gap, jump = types.Tuple((matrix, matrix, matrix, number)), types.Tuple((matrix, maps))
+    contact = types.Tuple((gap, jump, types.UniTuple(matrix, 3), number))
+    told = types.Tuple((truth, state, types.UniTuple(number, 4)))
+    # Of one signature, so that nothing is compiled while an event waits.
+    signature = told(state, number, matrix, contact)
+    made: Single = numba.njit(signature, cache=True)(_from(_digest(_SOURCES)))
+    return made
+
+
+def _from(sources: str) -> Single:
+    """``single.single`` as it is in ``sources``.
+
+    What ``numba`` has kept it takes for the same while the file of a function is, and what is
+    bound to it; not if what that calls has changed.
+    """
+
+    def run(
+        known: State, clock: float, forces: Matrix, contact: Contact
+    ) -> tuple[bool, State, Fit]:
+        assert sources
+        return single.single(known, clock, forces, contact)
+
+    return run
+
+
+def _digest(modules: tuple[ModuleType, ...]) -> str:
+    """What tells that something in the source of ``modules`` has changed."""
+    found = hashlib.sha256()
+    for module in modules:
+        assert module.__file__ is not None, "it has one"
+        found.update(Path(module.__file__).read_bytes())
+    return found.hexdigest()
+
+
+def _triangular(root: Matrix) -> Callable[[Matrix], Matrix]:
+    """How ``numba`` makes ``triangular`` of a type of ``root``: it knows no LAPACK but numpy's."""
+    del root
+
+    def made(root: Matrix) -> Matrix:
+        found: Matrix = np.linalg.qr(root.T.copy())[1].T.copy()
+        return found
+
+    return made
