@@ -101,12 +101,7 @@ class Forcing:
             where there is no sample.
         """
         frequency: list[float] = self.frequency.tolist()
-        # What 1 and each harmonic's cosine and sine are multiplied by.
-        parts = np.zeros((order + 1, self.constant.size, 1 + 2 * len(frequency)))
-        parts[0, :, 0] = self.constant
-        for k, amplitude in enumerate(self._amplitudes(order)):
-            parts[k, :, 1::2], parts[k, :, 2::2] = amplitude.real.T, -amplitude.imag.T
-        shape, rows = parts.shape[:2], parts.reshape(-1, parts.shape[2])
+        shape, rows = (order + 1, self.constant.size), self.jet_rows(order)
 
         def at(t: float) -> Matrix:
             known = [1.0]
@@ -119,6 +114,22 @@ class Forcing:
             return found
 
         return at
+
+    def jet_rows(self, order: int) -> Matrix:
+        """What 1, and each harmonic's cosine and sine, are multiplied by in ``jet``.
+
+        Args:
+            order: of the highest derivative.
+
+        Returns:
+            Shape ((order + 1) n, 1 + 2h).
+        """
+        h = self.frequency.size
+        parts = np.zeros((order + 1, self.constant.size, 1 + 2 * h))
+        parts[0, :, 0] = self.constant
+        for k, amplitude in enumerate(self._amplitudes(order)):
+            parts[k, :, 1::2], parts[k, :, 2::2] = amplitude.real.T, -amplitude.imag.T
+        return np.asarray(parts.reshape(-1, 1 + 2 * h))
 
     def _amplitudes(self, order: int) -> Iterator[NDArray[np.complex128]]:
         """Of ``e^{i omega t}`` in f and its derivatives, shape (h, n) each."""

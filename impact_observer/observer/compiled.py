@@ -5,6 +5,7 @@ cache where it cannot.
 """
 
 import hashlib
+import math
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -14,14 +15,14 @@ from typing import TypeAlias
 
 import numpy as np
 
-from impact_observer.dynamics import estimation, product, scales, sizes, triangular
+from impact_observer.dynamics import estimation, product, scales, sizes, switched, triangular
 from impact_observer.errors import UsageError
 from impact_observer.observer import evidence, joint, single
 from impact_observer.observer.single import Contact, Fit, State
 from impact_observer.states import Matrix
 
-Single: TypeAlias = Callable[[State, float, Matrix, Contact], tuple[bool, State, Fit]]
-_SOURCES = (single, evidence, joint, estimation, scales, sys.modules[__name__])
+Single: TypeAlias = Callable[[float, State, float, Contact], tuple[bool, State, Fit]]
+_SOURCES = (single, evidence, joint, estimation, scales, switched, sys.modules[__name__])
 """Where everything is that is compiled, or a constant in it."""
 
 
@@ -48,10 +49,11 @@ def compiled_single() -> Single:
     vector, matrix, maps = (types.Array(number, k, "C") for k in (1, 2, 3))
     state = types.Tuple((vector, matrix, matrix))
     gap, jump = types.Tuple((matrix, matrix, matrix, number)), types.Tuple((matrix, maps))
-    contact = types.Tuple((gap, jump, types.UniTuple(matrix, 3), number))
+    forces, scale = types.Tuple((vector, matrix)), types.UniTuple(matrix, 3)
+    contact = types.Tuple((forces, gap, jump, scale, number))
     told = types.Tuple((truth, state, types.UniTuple(number, 4)))
     # Of one signature, so that nothing is compiled while an event waits.
-    signature = told(state, number, matrix, contact)
+    signature = told(number, state, number, contact)
     made: Single = numba.njit(signature, cache=True)(_from(_digest(_SOURCES)))
     return made
 
@@ -63,11 +65,9 @@ def _from(sources: str) -> Single:
     bound to it; not if what that calls has changed.
     """
 
-    def run(
-        known: State, clock: float, forces: Matrix, contact: Contact
-    ) -> tuple[bool, State, Fit]:
+    def run(t: float, known: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
         assert sources
-        return single.single(known, clock, forces, contact)
+        return single.single(t, known, clock, contact)
 
     return run
 
@@ -82,11 +82,39 @@ def _digest(modules: tuple[ModuleType, ...]) -> str:
 
 
 def _triangular(root: Matrix) -> Callable[[Matrix], Matrix]:
-    """How ``numba`` makes ``triangular`` of a type of ``root``: it knows no LAPACK but numpy's."""
+    """How ``numba`` makes ``triangular`` of a type of ``root``."""
     del root
+    return _reflected
 
-    def made(root: Matrix) -> Matrix:
-        found: Matrix = np.linalg.qr(root.T.copy())[1].T.copy()
-        return found
 
-    return made
+def _reflected(root: Matrix) -> Matrix:
+    """``triangular`` by Householder's reflections, as LAPACK does it.
+
+    The QR that ``numba`` has makes Q too, and takes three times as long.
+    """
+    d, columns = root.shape
+    left = np.zeros((d, max(d, columns)))
+    left[:, :columns] = root
+    for k in range(d):
+        largest = np.abs(left[k, k + 1 :]).max() if k + 1 < left.shape[1] else 0.0
+        if largest == 0.0:
+            continue
+        first, size = left[k, k], max(largest, abs(left[k, k]))
+        length = 0.0
+        for each in left[k, k:]:
+            length += (each / size) ** 2
+        end = -math.copysign(size * math.sqrt(length), first)
+        along = (end - first) / end
+        for j in range(k + 1, left.shape[1]):
+            left[k, j] /= first - end
+        for i in range(k + 1, d):
+            seen = left[i, k]
+            for j in range(k + 1, left.shape[1]):
+                seen += left[i, j] * left[k, j]
+            seen *= along
+            left[i, k] -= seen
+            for j in range(k + 1, left.shape[1]):
+                left[i, j] -= seen * left[k, j]
+        left[k, k], left[k, k + 1 :] = end, 0.0
+    found: Matrix = left[:, :d].copy()
+    return found

@@ -1,7 +1,7 @@
 """The Kalman filter of impact times: what an instant says of the whole state, and how surely."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -64,6 +64,7 @@ class ImpactFilter:
         system: what moves, as the model says.
         members: the family of what may move.
         phases: linear phases of ``system``.
+        astray: what makes knowledge less sure in time; None for nothing.
         short: flights that a plant may leave out before it is at rest, s.
         brief: flights that are left out where they are not known from rest, s.
     """
@@ -89,7 +90,7 @@ class ImpactFilter:
         self.short = _SHORT * self.phases.scales.timescale
         self.brief = _BRIEF * self.phases.scales.timescale
         drift = unknowns.drift * unknowns.deviations
-        self._astray = Astray(model_error, drift) if model_error or np.any(drift) else None
+        self.astray = Astray(model_error, drift) if model_error or np.any(drift) else None
         self._near = 0.0
         if system.forcing.sampled is None and not unknowns.family.size:  # nothing jumps or turns
             decay = self.members.given.moving.rates(()).decay
@@ -111,7 +112,7 @@ class ImpactFilter:
 
     def course(self, t: float, known: Known) -> Linear:
         """How ``known`` goes on from ``t`` (s since the epoch) while nothing switches."""
-        return Linear(t, known, self.members, self._astray)
+        return Linear(t, known, self.members, self.astray)
 
     def member(self, known: Known | Joint) -> Member:
         """The system whose parameters are those of an estimate."""
@@ -127,7 +128,10 @@ class ImpactFilter:
             known: when it is stamped.
             clock: standard deviation of the stamp, s.
         """
-        if (usual := self._usually(touch, known, clock)) is not None:
+        state, usual = (known.x, known.root, known.apart), None
+        if len(known.root) == known.x.size:  # nothing is slow
+            usual = self.usually(touch, state, clock)
+        if usual is not None:
             (x, root, apart), fit = usual
             after = Known(x, known.slow, root, apart)
             return likelihood_of_one(touch.hit[0], *fit), lambda: after
@@ -135,34 +139,20 @@ class ImpactFilter:
         evidence = self.evidence(touch, prior)
         return evidence, lambda: self.after(touch, self.heard(touch, prior, evidence))
 
-    def believed(
-        self, touch: Touch, known: Known, clock: float
-    ) -> tuple[Known, Mapping[int, float]]:
-        """What is known after an event that is beyond doubt.
+    def usually(self, touch: Touch, known: State, clock: float) -> tuple[State, Fit] | None:
+        """``told`` of an event that is as nearly all are; None of others.
 
         Args:
-            touch: this and the others as of ``told``.
-            known: likewise.
-            clock: likewise.
-
-        Returns:
-            It, and innovations by contact, in standard deviations.
+            touch: what is heard.
+            known: when it is stamped; nothing is slow.
+            clock: standard deviation of the stamp, s.
         """
-        if (usual := self._usually(touch, known, clock)) is not None:
-            (x, root, apart), (white, *_) = usual
-            return Known(x, known.slow, root, apart), {touch.hit[0]: abs(white)}
-        evidence, later = self.told(touch, known, clock)
-        return later(), evidence.innovations
-
-    def _usually(self, touch: Touch, known: Known, clock: float) -> tuple[State, Fit] | None:
-        """What an event tells that is as nearly all are; None of others."""
-        alone = len(touch.hit) == 1 and not (touch.before or touch.closed)
-        if not (alone and self._near and len(known.root) == known.x.size):
+        if not self._near or len(touch.hit) != 1 or touch.before or touch.closed:
             return None
-        root, apart = np.array(known.root, order="C"), np.array(known.apart, order="C")
-        forces = self.members.given.moving.forces(touch.t)
-        state, contact = (np.array(known.x), root, apart), self._contact(touch.hit[0])
-        usual, after, fit = self._single(state, clock, forces, contact)
+        x, root, apart = known
+        state = np.array(x), np.array(root, order="C"), np.array(apart, order="C")
+        contact = self._contact(touch.hit[0])
+        usual, after, fit = self._single(touch.t, state, clock, contact)
         return (after, fit) if usual else None
 
     def _contact_of(self, contact: int) -> Contact:
@@ -172,7 +162,9 @@ class ImpactFilter:
         jump = member.jump((contact,), (), ())
         H, D, _ = np.ascontiguousarray(gap.maps)
         scale = self.phases.scales.of_sizes
-        return (gap.now, H, D, float(rows.rest[0])), (jump.now, jump.maps), scale, self._near
+        forcing, rest = self.system.forcing, float(rows.rest[0])
+        forces = np.array(forcing.frequency), forcing.jet_rows(2)
+        return forces, (gap.now, H, D, rest), (jump.now, jump.maps), scale, self._near
 
     def prior(self, touch: Touch, known: Known, clock: float) -> Joint:
         """Instant and state as they are believed before an event is heard.

@@ -42,7 +42,7 @@ def judged(verdict: Verdict, contact: int, placed: Placed, believed: Notes) -> V
     entry = placed.entry
     ruling, reason = verdict.ruling, verdict.reason
     innovation = entry.belief.innovations.get(contact, -1.0)
-    note = believed.get(Matter(entry.event, contact))
+    note = believed.get(Matter(entry.event, contact)) if believed else None
     if note is not None:
         ruling, reason, innovation = note.ruling, note.reason, note.innovation
     verdict = Verdict(verdict.stamp, ruling, verdict.sequence, verdict.contact, reason, innovation)

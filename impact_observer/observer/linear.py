@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics import Map, Motion, Sensitivity, diffusion, led, triangular
+from impact_observer.dynamics import Map, Motion, Phase, Sensitivity, diffusion, led, triangular
 from impact_observer.observer.belief import Known, carried
 from impact_observer.observer.members import Members
 from impact_observer.states import Matrix, Vector
@@ -24,6 +24,23 @@ class Astray(NamedTuple):
 
     model_error: float
     drift: Vector
+
+    def gone(self, phase: Phase, root: Matrix, s: float) -> Matrix:
+        """A covariance's root with what ``s`` seconds of ``phase`` add to it.
+
+        Args:
+            phase: what moves.
+            root: of (q, u) and, maybe, what is slow, shape (2n or more, any).
+            s: seconds.
+        """
+        size, columns = 2 * phase.equations.n, [root]
+        if self.model_error and s > 0:
+            added = diffusion(phase, s, self.model_error)
+            columns.append(np.pad(added, ((0, len(root) - size), (0, 0))))
+        if np.any(self.drift) and s > 0 and len(root) > size:
+            added = np.diag(self.drift * math.sqrt(s / _MINUTE))
+            columns.append(np.pad(added, ((size, len(root) - size - len(added)), (0, 0))))
+        return triangular(np.hstack(columns)) if len(columns) > 1 else root
 
 
 class Linear:
@@ -65,28 +82,29 @@ class Linear:
         if self._members.moving:
             return self.whole(s)[: self._known.x.size]
         size = self._known.x.size
-        return self._astray(self._phase.transition(s) @ self._root[:size], s)
+        return self._gone(self._phase.transition(s) @ self._root[:size], s)
 
     def whole(self, s: float) -> Matrix:
         """The covariance's root after ``s`` seconds, all its rows."""
         if self._members.moving:
-            return self._astray(self._carried(self._phase.transition(s), self._seen(s)), s)
-        return self._astray(carried(self._root, 0, self._phase.transition(s)), s)
+            return self._gone(self._carried(self._phase.transition(s), self._seen(s)), s)
+        return self._gone(carried(self._root, 0, self._phase.transition(s)), s)
 
     def known(self, s: float) -> Known:
         """All that is known after ``s`` seconds."""
         x, transition = self._phase.flow.moved(self.motion, s)
         if not self._members.moving:
-            return self._gone(self._known.carried(x, transition), s)
+            known = self._known.carried(x, transition)
+            return known if self._noise is None else known._replace(root=self._gone(known.root, s))
         seen = self._seen(s)
         turn = np.zeros((x.size, self._known.parameters))
         turn[:, : self._members.moving] = seen.first.T
-        root = triangular(self._carried(transition, seen))
-        return self._gone(self._known.carried(x, transition, turn)._replace(root=root), s)
+        root = self._gone(triangular(self._carried(transition, seen)), s)
+        return self._known.carried(x, transition, turn)._replace(root=root)
 
-    def _gone(self, known: Known, s: float) -> Known:
-        """``known`` with what ``s`` seconds add to what is not known."""
-        return known if self._noise is None else known._replace(root=self._astray(known.root, s))
+    def _gone(self, root: Matrix, s: float) -> Matrix:
+        """``root`` with what ``s`` seconds add to what is not known."""
+        return root if self._noise is None else self._noise.gone(self._phase, root, s)
 
     def _carried(self, transition: Matrix, seen: Sensitivity) -> Matrix:
         """The root after some time, all rows, where parameters of the motion are learnt."""
@@ -105,17 +123,3 @@ class Linear:
             return self._members.motion(theta).moved(t, x, s, closed)
 
         return Sensitivity.of(moved, self._known.theta[:q], self._steps)
-
-    def _astray(self, root: Matrix, s: float) -> Matrix:
-        """``root`` with what ``s`` seconds add by the model's error and by parameters' drift."""
-        if self._noise is None:
-            return root
-        (error, drift), size = self._noise, self._known.x.size
-        columns = [root]
-        if error and s > 0:
-            added = diffusion(self._phase, s, error)
-            columns.append(np.pad(added, ((0, len(root) - size), (0, 0))))
-        if np.any(drift) and s > 0 and len(root) > size:
-            added = np.diag(drift * math.sqrt(s / _MINUTE))
-            columns.append(np.pad(added, ((size, len(root) - size - len(drift)), (0, 0))))
-        return triangular(np.hstack(columns)) if len(columns) > 1 else root

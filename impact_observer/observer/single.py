@@ -27,7 +27,9 @@ Jump: TypeAlias = tuple[Matrix, NDArray[np.float64]]
 """The state after the impact, as ``Jet`` has it, shapes (6n, 1 + 5n) and (3, 2n, 2n)."""
 Sizes: TypeAlias = tuple[Matrix, Matrix, Matrix]
 """What numbers are rounded against; see ``dynamics.sizes``."""
-Contact: TypeAlias = tuple[Gap, Jump, Sizes, float]
+Forces: TypeAlias = tuple[Vector, Matrix]
+"""Frequencies and rows of a ``Forcing.jet`` of order 2, shapes (h,) and (3n, 1 + 2h)."""
+Contact: TypeAlias = tuple[Forces, Gap, Jump, Sizes, float]
 """All that an impact depends on besides what was known before it; last, how far from its stamp
 expansions leave out but rounding, s."""
 State: TypeAlias = tuple[Vector, Matrix, Matrix]
@@ -38,22 +40,25 @@ Fit: TypeAlias = tuple[float, float, float, float]
 either sign, m; the gap's slope as it was expected, m/s; and the standard deviation of that."""
 
 
-def single(
-    known: State, clock: float, forces: Matrix, contact: Contact
-) -> tuple[bool, State, Fit]:
+def single(t: float, known: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
     """What an impact tells where it is stamped.
 
     Args:
+        t: its stamp, s since the epoch.
         known: just before it.
         clock: standard deviation of the stamp, s.
-        forces: f and its first two derivatives then, shape (3, n).
         contact: that hits.
 
     Returns:
         Whether it is what this is for, expected and near; else nothing here is of use. What is
         known just after it, the root of shape (2n, 2n). How it fits.
     """
-    y = np.concatenate((_ONE, known[0], forces.ravel()))
+    frequency, rows = contact[0]
+    turned = np.ones(1 + 2 * frequency.size)
+    for k in range(frequency.size):
+        angle = frequency[k] * t
+        turned[1 + 2 * k], turned[2 + 2 * k] = math.cos(angle), math.sin(angle)
+    y = np.concatenate((_ONE, known[0], rows.dot(turned)))
     usual, joint, fit = heard(y, known, clock, contact)
     return usual, struck(y, joint, contact) if usual else known, fit
 
@@ -70,7 +75,7 @@ def heard(y: Vector, known: State, clock: float, contact: Contact) -> tuple[bool
     Returns:
         As ``single``, but what is known of instant and state just before the impact.
     """
-    (x, root, apart), ((jet, H, D, rest), _, scale, near) = known, contact
+    (x, root, apart), (_, (jet, H, D, rest), _, scale, near) = known, contact
     (size, columns), now = root.shape, jet.dot(y)
     value, slope, E = now[0], now[1], now[2:]
     seen, others, unsure = H.dot(root), H.dot(apart), length(D.dot(root))
@@ -117,7 +122,7 @@ def struck(y: Vector, joint: State, contact: Contact) -> State:
         joint: instant and state just before, now that it is heard.
         contact: as of ``single``.
     """
-    (z, root, apart), (_, (jet, maps), scale, _) = joint, contact
+    (z, root, apart), (_, _, (jet, maps), scale, _) = joint, contact
     e, size = z[0], z.size - 1
     y[1 : 1 + size] = z[1:]
     now, onward = jet.dot(y).reshape(3, size), np.array([[1.0, e, e * e / 2], [0.0, 1.0, e]])

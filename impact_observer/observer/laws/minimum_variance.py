@@ -13,6 +13,7 @@ from impact_observer.errors import UsageError
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Course, Fallback, Hypothesis, Known, Touch
+from impact_observer.observer.ensemble import Differences, Ensemble
 from impact_observer.observer.filter_bank import SURE, FilterBank
 from impact_observer.observer.forecast import FINE, Forecast
 from impact_observer.observer.impact_filter import ImpactFilter
@@ -95,9 +96,7 @@ class MinimumVariance(Law):
         if not touch.hit and touch.before == touch.closed:
             return belief
         if self._sure:
-            known = self._bare(belief, touch.before)
-            known, innovations = self._bank.filter.believed(touch, known, self.clocks[0])
-            return Belief(known.ensemble, known.root, innovations=innovations)
+            return self._believed(touch, belief)
         hypotheses, fallback = self._taken(belief, touch.before)
         x = fallback.x
         x = self._geometric.impact(x, touch.active, touch.closed) if touch.hit else x
@@ -108,7 +107,7 @@ class MinimumVariance(Law):
     def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
         """The likeliest account for the estimate, all of them for the next event."""
         if self._sure:
-            return _Sure(self._bank.filter.course(t, self._bare(belief, closed)))
+            return _Sure(self._bank.filter, t, belief, closed)
         hypotheses, fallback = self._taken(belief, closed)
         motion = self._geometric.motion(t, fallback.x, closed)
 
@@ -120,11 +119,19 @@ class MinimumVariance(Law):
             return _Heard(self._bank.filter, t, hypotheses, later)
         return _Foreseen(self._bank, t, hypotheses, later)
 
-    @staticmethod
-    def _bare(belief: Belief, closed: Contacts) -> Known:
-        """What is known where there is one account, and nothing to learn."""
-        assert belief.root is not None, "a belief of another law"
-        return Known(belief.x, _NOTHING, belief.root, belief.ensemble.apart, closed)
+    def _believed(self, touch: Touch, belief: Belief) -> Belief:
+        """``belief`` after an event that is beyond doubt."""
+        (x, since, _), root, clock = belief.ensemble, belief.root, self.clocks[0]
+        assert root is not None, "a belief of another law"
+        apart, filter_ = belief.ensemble.apart, self._bank.filter
+        if (usual := filter_.usually(touch, (x, root, apart), clock)) is None:
+            known = Known(x, _NOTHING, root, apart, touch.before)
+            evidence, after = filter_.told(touch, known, clock)
+            known = after()
+            return Belief(known.ensemble, known.root, innovations=evidence.innovations)
+        (x, root, apart), (white, *_) = usual
+        ensemble = Ensemble(x, Differences(apart) if apart.size else since)
+        return Belief(ensemble, root, innovations={touch.hit[0]: abs(white)})
 
     def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; of a bare one, that it is right."""
@@ -218,18 +225,29 @@ def _mixed(hypotheses: Sequence[Hypothesis]) -> Known:
 class _Sure(Course):
     """What is believed until the next event, where none is in doubt."""
 
-    def __init__(self, linear: Linear) -> None:
-        self._linear = linear
+    def __init__(self, filter_: ImpactFilter, t: float, belief: Belief, closed: Contacts) -> None:
+        self._filter = filter_
+        self._belief = belief
+        self._phase = filter_.members.given.moving.phase(closed)
+        self._motion = self._phase.start(t, belief.x)
 
     def state(self, s: float) -> Vector:
-        return self._linear.state(s)
+        return self._motion.state(s)
 
     def root(self, s: float) -> Matrix:
-        return self._linear.root(s)
+        return self._carried(self._phase.transition(s), s)
 
     def belief(self, s: float) -> Belief:
-        known = self._linear.known(s)
-        return Belief(known.ensemble, known.root)
+        x, map_ = self._phase.flow.moved(self._motion, s)
+        before = self._belief.ensemble
+        after = before.carried(x, map_) if before.others else Ensemble(x, before.since)
+        return Belief(after, self._carried(map_, s))
+
+    def _carried(self, map_: Matrix, s: float) -> Matrix:
+        """The covariance's root after ``s`` seconds of which ``map_`` is the transition."""
+        assert self._belief.root is not None, "a belief of another law"
+        root, astray = map_.dot(self._belief.root), self._filter.astray
+        return root if astray is None else astray.gone(self._phase, root, s)
 
 
 class _Heard(Course):
