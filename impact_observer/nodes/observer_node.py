@@ -255,13 +255,18 @@ class ObserverNode(Node):
             self._rehearse()
 
     def _rehearse(self) -> None:
-        """Run the last event again, unless the share of the time for that is used up."""
+        """Run the last event again, unless the share of the time for that is used up.
+
+        What takes longer than a tick is rehearsed the more rarely: others wait for it meanwhile,
+        and warm caches gain it little.
+        """
         begun = time.monotonic_ns()
         if begun < self._next_rehearsal:
             return
         self._observer.rehearse()
         took = time.monotonic_ns() - begun
-        self._next_rehearsal = begun + math.ceil(took / self._rehearsal)
+        ticks = max(took * self._rate / NS_PER_S, 1.0)
+        self._next_rehearsal = begun + math.ceil(took * ticks / self._rehearsal)
 
     def _publish(self, stamp: int) -> None:
         estimate = self._observer.estimate(stamp)

@@ -24,7 +24,7 @@ class Differences:
 
     columns: Matrix
 
-    @property
+    @cached_property
     def count(self) -> int:
         """How many replicas they are of."""
         return int(self.columns.shape[1])

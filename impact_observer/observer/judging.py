@@ -130,6 +130,8 @@ class Rulings:
 
     def forget_before(self, stamp: int) -> None:
         """Drop what lies before ``stamp`` (ns): it will not change any more."""
+        if not self._told:  # as of laws that never think again
+            return
         for matter in [*takewhile(lambda each: each.event[0] < stamp, self._told)]:
             del self._told[matter]
 

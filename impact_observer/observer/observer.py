@@ -398,8 +398,9 @@ class Observer:
         """Keep the past bounded: what is older than the history is too late anyway."""
         if not timeline.forget_before(timeline.newest.stamp - self._history):
             return
-        self._rulings.forget_before(timeline.start.stamp)
-        self._numbers.forget_before(timeline.start.stamp)
+        start = timeline.start.stamp
+        self._rulings.forget_before(start)
+        self._numbers.forget_before(start)
 
     def _refused(
         self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark

@@ -8,7 +8,6 @@ and the replica is run again from there.
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import Contacts, Kind
@@ -186,12 +185,10 @@ class Timeline:
 
     def forget_before(self, stamp: int) -> bool:
         """Drop what lies before ``stamp`` except the state there; whether there was any."""
-        over = 0
-        for following in islice(self.entries, 1, None):  # hardly ever more than one
-            if following.key.stamp > stamp:
-                break
-            over += 1
-        del self.entries[:over]
+        entries, over = self.entries, 0
+        while over + 1 < len(entries) and entries[over + 1].key.stamp <= stamp:
+            over += 1  # hardly ever more than once
+        del entries[:over]
         return over > 0
 
 
