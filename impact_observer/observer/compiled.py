@@ -11,7 +11,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -54,8 +54,12 @@ def compiled_single() -> Single:
     told = types.Tuple((truth, state, types.UniTuple(number, 4)))
     # Of one signature, so that nothing is compiled while an event waits.
     signature = told(number, state, number, contact)
-    made: Single = numba.njit(signature, cache=True)(_from(_digest(_SOURCES)))
-    return made
+    run = _from(_digest(_SOURCES))
+    try:
+        made = numba.njit(signature, cache=True)(run)
+    except RuntimeError:  # there is nowhere to keep it
+        made = numba.njit(signature)(run)
+    return cast("Single", made)
 
 
 def _from(sources: str) -> Single:
