@@ -135,6 +135,18 @@ class ImpactFilter:
             (x, root, apart), fit = usual
             after = Known(x, known.slow, root, apart)
             return likelihood_of_one(touch.hit[0], *fit), lambda: after
+        return self.generally(touch, known, clock)
+
+    def generally(
+        self, touch: Touch, known: Known, clock: float
+    ) -> tuple[Evidence, Callable[[], Known]]:
+        """``told`` of any event.
+
+        Args:
+            touch: this and the others as of ``told``.
+            known: likewise.
+            clock: likewise.
+        """
         prior = self.prior(touch, known, clock)
         evidence = self.evidence(touch, prior)
         return evidence, lambda: self.after(touch, self.heard(touch, prior, evidence))

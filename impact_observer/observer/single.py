@@ -83,8 +83,12 @@ def heard(y: Vector, known: State, clock: float, contact: Contact) -> tuple[bool
     prior, replicas = np.zeros((1 + size, 1 + columns)), np.zeros((1 + size, apart.shape[1]))
     prior[0, 0], prior[1:, 1:], replicas[1:] = clock, root, apart
     z, learnt, fit = np.zeros(1 + size), prior, (0.0, 1.0, slope, unsure)
-    far = abs(value) / (math.hypot(length(seen), slope * clock) + rounded)
-    usual, about, own = far < FAR, x, prior
+    by_state, by_stamp = length(seen), slope * clock
+    both = math.hypot(by_state, by_stamp) + rounded
+    usual = abs(value) / both < FAR
+    # How far from its stamp it will be, nearly: most that are not near need not be looked at.
+    usual &= clock * max((by_state + rounded) / both, abs(value * by_stamp) / both**2) <= 3 * near
+    about, own = x, prior
     for turn in range(ROUNDS if usual else 0):
         mean, bent = product(own, D, E)
         first = bent.shape[1]

@@ -126,7 +126,7 @@ class MinimumVariance(Law):
         apart, filter_ = belief.ensemble.apart, self._bank.filter
         if (usual := filter_.usually(touch, (x, root, apart), clock)) is None:
             known = Known(x, _NOTHING, root, apart, touch.before)
-            evidence, after = filter_.told(touch, known, clock)
+            evidence, after = filter_.generally(touch, known, clock)
             known = after()
             return Belief(known.ensemble, known.root, innovations=evidence.innovations)
         (x, root, apart), (white, *_) = usual
