@@ -371,7 +371,7 @@ class ImpactFilter:
 
     def _is_near(self, touch: Touch, joint: Joint) -> bool:
         """Whether ``joint`` is looked at so near to its event that it need not be moved there."""
-        far = max(abs(joint.e), float(joint.root[0, 0]))
+        far = max(abs(joint.e), abs(float(joint.root[0, 0])))
         return far <= self._near and not (touch.before or touch.closed)
 
     def _at_its_instant(self, touch: Touch, joint: Joint, member: Member | None = None) -> Joint:

@@ -1,7 +1,8 @@
 """An impact of one contact while none is closed, heard when it was expected: nearly every event.
 
-``ImpactFilter`` makes the same of it in general, in every bit. Here is what such an event needs
-and nothing else, as functions of arrays, so that ``numba`` can compile them (``compiled.py``).
+``ImpactFilter`` makes the same of it in general: in every bit where one linearisation is enough,
+else but for what expansions leave out. Here is what such an event needs and nothing else, as
+functions of arrays, so that ``numba`` can compile them (``compiled.py``).
 """
 
 import math
@@ -102,7 +103,7 @@ def heard(y: Vector, known: State, clock: float, contact: Contact) -> tuple[bool
             fit = white, found[0, 0], slope, unsure
         z, learnt = gain[:, 0] * white, found[1:, 1:].copy()
         z[1:] += x
-        e, clear = z[0], learnt[0, 0]
+        e, clear = z[0], abs(learnt[0, 0])
         change = e * (D.dot(z[1:] - about)[0] + E[0] * (e / 2))
         noise, after = length(bent), length(product(learnt, D, E)[1])
         enough = SETTLED * math.hypot(math.hypot(slope * clear, noise), rounded)
