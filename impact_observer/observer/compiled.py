@@ -1,7 +1,7 @@
 """``single`` in machine code, by ``numba``: the same numbers in a quarter of the time.
 
 It takes half a minute, once: ``numba`` keeps what it made beside this file, or in the user's
-cache where it cannot.
+cache where it cannot. Where it can keep it nowhere, every start takes as long.
 """
 
 import hashlib
@@ -57,7 +57,7 @@ def compiled_single() -> Single:
     run = _from(_digest(_SOURCES))
     try:
         made = numba.njit(signature, cache=True)(run)
-    except RuntimeError:  # there is nowhere to keep it
+    except (RuntimeError, OSError):  # nothing can be kept: no folder of its own, a full disk
         made = numba.njit(signature)(run)
     return cast("Single", made)
 
@@ -70,7 +70,7 @@ def _from(sources: str) -> Single:
     """
 
     def run(t: float, known: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
-        assert sources
+        _ = sources  # no assertion: python -O would leave it out, and with it what is bound
         return single.single(t, known, clock, contact)
 
     return run
