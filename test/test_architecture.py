@@ -109,12 +109,14 @@ def test_module_imports_only_rooms_to_its_left(path: Path) -> None:
 
 @pytest.mark.parametrize("path", modules(*CORE), ids=named)
 def test_core_needs_numpy_and_scipy_only(path: Path) -> None:
-    """No ROS, no bags, no command line; YAML where model files are read, plots where drawn."""
+    """No ROS, no bags, no command line; YAML, plots and a compiler in one place each."""
     extra = set()
     if path.relative_to(PACKAGE).parts[0] in {"model", "detector"} and path.name == "reading.py":
         extra = {"yaml", "ruamel"}
     if str(path.relative_to(PACKAGE)) in FIGURES:
         extra = {"matplotlib"}
+    if path.relative_to(PACKAGE) == Path("observer", "compiled.py"):
+        extra = {"numba"}
     for name in imports(path):
         top = name.split(".")[0]
         assert top == PACKAGE.name or top in ALLOWED | extra, f"{named(path)} imports {name}"

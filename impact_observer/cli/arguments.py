@@ -78,6 +78,13 @@ def add_observer_arguments(
         help="by what share of their deviations these go astray in a minute (default 0)",
     )
     parser.add_argument(
+        "--compiled",
+        action="store_true",
+        default=None,
+        help="minimum-variance: machine code for what an event takes, by numba: half a minute"
+        " once, then a second at each start",
+    )
+    parser.add_argument(
         "--epoch",
         metavar="S",
         type=stamp,

@@ -218,6 +218,7 @@ def _compare_one(
     from impact_observer.bag.reader import BagReader
     from impact_observer.bag.recordings import model_of
     from impact_observer.cli.progress import Progress
+    from impact_observer.observer import COMPILING
 
     with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"{bag}: reading")
@@ -227,6 +228,8 @@ def _compare_one(
             progress.step(f"{bag}: {what}", done, total)
 
         alone = [replace(each, ensemble=1) for each in observers]
+        if any(each.compiles for each in alone):
+            progress.show(COMPILING)
         made = [each.observer(read.system, read.elements) for each in alone]
         return compare_bag(reader, read.system, made, choice=choice, progress=show)
 

@@ -84,11 +84,13 @@ def observe(
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
     from impact_observer.events import Ruling
-    from impact_observer.observer import Options
+    from impact_observer.observer import COMPILING, Options
 
     chosen = options or Options()
     with BagReader(bag, namespace) as reader, Progress() as progress:
         read = model_of(reader, model)
+        if chosen.compiles:
+            progress.show(COMPILING)
         system, observer = read.system, chosen.observer(read.system, read.elements)
 
         def show(done: int, total: int) -> None:

@@ -183,23 +183,28 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     from impact_observer.analysis.sweep.replicas import replicas_of
     from impact_observer.analysis.sweep.sweep import RANDOM, Rig, Sweep, sensors_of
     from impact_observer.cli.compare import laws_in
+    from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
+    from impact_observer.observer import COMPILING
 
     model = read_model(args.model)
     model.initial_state()
     troubles = {each.name: getattr(args, SENSOR + each.name) for each in SWEPT}
     epoch = EPOCH if args.epoch is None else args.epoch
-    options = observer_options(args, "")
-    return Sweep(
-        rig=Rig(replace(model, provenance={}).text(), args.duration, args.rate, epoch),
-        laws=laws_in(args.laws),
-        sensors=sensors_of({name: found for name, found in troubles.items() if found}),
-        replicas=replicas_of(model, named_once(args.off)),
-        runs=args.runs,
-        seed=args.seed,
-        options=replace(options, initial=args.initial or RANDOM, law="geometric"),
-        threshold=args.settled,
-    )
+    options, laws = observer_options(args, ""), laws_in(args.laws)
+    with Progress(sys.stderr if args.json else None) as progress:
+        if any(each.compiles for each in options.of_laws(laws)):
+            progress.show(COMPILING)
+        return Sweep(
+            rig=Rig(replace(model, provenance={}).text(), args.duration, args.rate, epoch),
+            laws=laws,
+            sensors=sensors_of({name: found for name, found in troubles.items() if found}),
+            replicas=replicas_of(model, named_once(args.off)),
+            runs=args.runs,
+            seed=args.seed,
+            options=replace(options, initial=args.initial or RANDOM, law="geometric"),
+            threshold=args.settled,
+        )
 
 
 def named_once(

@@ -4,6 +4,7 @@ import logging
 import os
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
+from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -81,10 +82,14 @@ def on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Generator[Outcome, N
     except ImportError as error:
         raise UsageError(f"--scheduler needs Dask ({error}); {_INSTALL}") from None
     from impact_observer.analysis.sweep.running import run_case
+    from impact_observer.observer import law_named
 
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # an error is told once, in one line
     with _connected(scheduler) as client:
+        laws = {case.options.law for case in cases if case.options.compiled}
+        if any(law_named(law).compiles for law in laws):
+            _check_compilers(client, scheduler)
         waiting, under_way = iter(cases), 0
         running = as_completed(loop=client.loop, with_results=True)
         while True:
@@ -149,6 +154,21 @@ def _check_workers(client: "Client", scheduler: str) -> None:
                 f"--scheduler {scheduler}: worker {worker} has impact_observer {found}; expected"
                 f" {__version__}, as here"
             )
+
+
+def _check_compilers(client: "Client", scheduler: str) -> None:
+    """Raise UsageError where a worker has no numba: each of its cases would be one that failed."""
+    for worker, found in client.run(_has_numba).items():
+        if not found:
+            raise UsageError(
+                f"--scheduler {scheduler}: worker {worker} has no numba, which --compiled needs;"
+                " pip install impact_observer[compiled] there too, or leave --compiled out"
+            )
+
+
+def _has_numba() -> bool:
+    """Whether it is installed, where this is called."""
+    return find_spec("numba") is not None
 
 
 def _version() -> str:

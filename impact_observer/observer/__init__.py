@@ -7,12 +7,13 @@ from impact_observer.observer.ensemble import Ensemble
 from impact_observer.observer.initial import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
-from impact_observer.observer.options import Options
+from impact_observer.observer.options import COMPILING, Options
 from impact_observer.observer.replay import replay, replay_together
 from impact_observer.observer.uncertainty import Uncertainty, deviation_of
 
 __all__ = [
     "AGREED",
+    "COMPILING",
     "DEFAULT_ENSEMBLE",
     "DEFAULT_HISTORY",
     "SURPRISING",

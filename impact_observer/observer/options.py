@@ -13,6 +13,9 @@ from impact_observer.observer.learning import Unknowns
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
 from impact_observer.observer.uncertainty import Uncertainty, deviation_of
 
+COMPILING = "compiling what an event takes: half a minute, once"
+"""What users are told where an observer ``compiles``."""
+
 
 @dataclass(frozen=True, slots=True)
 class Options:
@@ -34,7 +37,7 @@ class Options:
         history: how late an event may be and still be applied, s.
         estimate_parameters: of the model, to learn with the state; see ``Unknowns.named``.
         parameter_drift: of their deviations, what these go astray by in a minute.
-        compiled: whether to have machine code for what an event takes; see ``Law.compile``.
+        compiled: whether to have machine code for what an event takes, where the law ``compiles``.
     """
 
     law: str = "geometric"
@@ -53,6 +56,15 @@ class Options:
     estimate_parameters: tuple[str, ...] = ()
     parameter_drift: float = 0.0
     compiled: bool = False
+
+    @property
+    def compiles(self) -> bool:
+        """Whether something is compiled for an observer, or what was is read again.
+
+        Raises:
+            UsageError: its law is not installed.
+        """
+        return self.compiled and law_named(self.law).compiles
 
     def of_laws(self, laws: Sequence[str]) -> "list[Options]":
         """These for each law; parameters are learnt by the laws that can, if there is one.
@@ -73,7 +85,7 @@ class Options:
             elements: what it was assembled of: their parameters can be learnt one by one.
 
         Raises:
-            UsageError: something cannot be used, by its name.
+            UsageError: something cannot be used, by its name; or what compiles is not installed.
         """
         law, wanted, unknowns = law_named(self.law), self.estimate_parameters, None
         if self.parameter_drift and not wanted:

@@ -203,12 +203,12 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_help_imports_nothing_heavy() -> None:
-    """--help stays quick: no numpy, no scipy, no ROS, no plotting, no bags."""
+    """--help stays quick: no numpy, no scipy, no compiler, no ROS, no plotting, no bags."""
     code = (
         "import sys\n"
         "from impact_observer.cli.main import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "heavy = {'numpy', 'scipy', 'rclpy', 'matplotlib', 'rosbags', 'rich', 'ruamel'}\n"
+        "heavy = {'numpy', 'scipy', 'numba', 'rclpy', 'matplotlib', 'rosbags', 'rich', 'ruamel'}\n"
         "print('heavy:', sorted(heavy & set(sys.modules)))\n"
     )
     done = subprocess.run(

@@ -181,11 +181,13 @@ class Sweep:
 
     def description(self) -> dict[str, object]:
         """All that the outcomes depend on, as JSON can hold it."""
-        given_by_case = {"law", "ensemble", "epoch"}
+        left_out = {"law", "ensemble", "epoch"}  # the case gives them
+        if not self.options.compiled:  # machine code may differ in the last bit
+            left_out.add("compiled")
         options = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in asdict(self.options).items()
-            if name not in given_by_case
+            if name not in left_out
         }
         return {
             "format": FORMAT,

@@ -19,6 +19,7 @@ class Law(ABC):
         name: what users choose it by.
         hears: whether its replicas' agreement says anything: only if events correct them.
         learns: whether it learns parameters of the model that are not known.
+        compiles: whether it has something to compile.
         system: what plant and replicas share.
         uncertainty: what the user declares not to know.
     """
@@ -26,6 +27,7 @@ class Law(ABC):
     name: ClassVar[str]
     hears: ClassVar[bool] = True
     learns: ClassVar[bool] = False
+    compiles: ClassVar[bool] = False
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the law for one ``system``.

@@ -48,6 +48,7 @@ class MinimumVariance(Law):
 
     name: ClassVar[str] = "minimum-variance"
     learns: ClassVar[bool] = True
+    compiles: ClassVar[bool] = True
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the filter.
