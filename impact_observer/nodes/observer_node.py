@@ -20,14 +20,14 @@ from impact_observer.bag.interfaces import Quality
 from impact_observer.bag.messages import MessageError
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
-from impact_observer.model import read_model
+from impact_observer.model import Model, read_model
 from impact_observer.model.parameters import with_unit
 from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
 from impact_observer.nodes.serialized import Serialized, read_impact
 from impact_observer.nodes.subscribing import waiting
-from impact_observer.observer import SURPRISING, Options, initial_state
+from impact_observer.observer import COMPILING, SURPRISING, Observer, Options, initial_state
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
 
@@ -42,6 +42,8 @@ _TURN = 5_000_000
 """For so long they are, ns: services and signals wait meanwhile."""
 _PATIENCE = Duration(seconds=0.01)
 """How long a burst waits to be heard."""
+_LONG = 2.0
+"""Time to compile that is told, s: less where it is only read again."""
 _STALE = 60 * NS_PER_S
 """Silence after which the diagnostics suspect that stamps and clock disagree, ns."""
 
@@ -68,7 +70,7 @@ class ObserverNode(Node):
         system = model.system
         clock_error = values.number("clock_error")
         self._initial = initial_state(values.text("initial_state"), system)
-        self._observer = Options(
+        options = Options(
             law=values.text("law"),
             initial=values.text("initial_state"),
             deviation=values.text("initial_deviation"),
@@ -84,7 +86,9 @@ class ObserverNode(Node):
             history=history,
             estimate_parameters=values.texts("estimate_parameters"),
             parameter_drift=values.number("parameter_drift"),
-        ).observer(system, model.elements)
+            compiled=values.flag("compiled"),
+        )
+        self._observer = self._made(options, model)
         self._serialized = Serialized(system.coordinates)
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
@@ -125,6 +129,17 @@ class ObserverNode(Node):
         self._jump = self.get_clock().create_jump_callback(
             backwards, post_callback=self._on_clock_back
         )
+
+    def _made(self, options: Options, model: Model) -> Observer:
+        """The observer; what takes long is told."""
+        if not options.compiles:
+            return options.observer(model.system, model.elements)
+        self.get_logger().info(COMPILING)
+        begun = time.monotonic()
+        made = options.observer(model.system, model.elements)
+        if (took := time.monotonic() - begun) > _LONG:
+            self.get_logger().info(f"compiled in {took:.0f} s")
+        return made
 
     def _publisher(self, interface: interfaces.Interface) -> Publisher:
         topic = f"~/{interface.name.rpartition('/')[2]}"

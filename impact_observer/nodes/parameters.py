@@ -197,6 +197,12 @@ OBSERVER = (
         low=0.0,
         high=0.5,
     ),
+    Parameter(
+        "compiled",
+        False,
+        "minimum-variance: machine code for what an event takes, by numba: half a minute once,"
+        " then a second at each start",
+    ),
 )
 DETECTOR = (
     Parameter("sources", "", "a file of sensors, or a sample's name", required=True),

@@ -1,7 +1,8 @@
 """The observer node: estimates on topics, verdicts, services, diagnostics."""
 
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
 from impact_observer_msgs.srv import SetState
 from processes import Spinner, ros_arguments, running, spinning
+from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -31,7 +33,16 @@ from impact_observer.nodes import observer_node
 from impact_observer.nodes.messages import ros_messages
 from impact_observer.nodes.observer_node import ObserverNode
 from impact_observer.nodes.quality import qos_profile
-from impact_observer.observer import Observer, Options, initial_state, law_named
+from impact_observer.observer import (
+    COMPILING,
+    Observer,
+    Options,
+    impact_filter,
+    initial_state,
+    law_named,
+)
+from impact_observer.observer.compiled import compiled_single
+from impact_observer.observer.impact_filter import ImpactFilter
 from impact_observer.states import Estimate
 
 pytestmark = pytest.mark.ros
@@ -641,6 +652,58 @@ def test_a_share_for_rehearsals_of_more_than_half_is_refused(
     with (
         spinning(ros_arguments({**PARAMETERS, "rehearsal": 0.6})),
         pytest.raises(UsageError, match=wanted),
+    ):
+        ObserverNode()
+
+
+def logged(parameters: Mapping[str, object], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What a node says while it is made."""
+    found = list[str]()
+    with spinning(ros_arguments({**PARAMETERS, **parameters})) as spinner:
+        with monkeypatch.context() as patch:
+            patch.setattr(RcutilsLogger, "info", lambda _, text: found.append(text))
+            node = ObserverNode()
+        spinner.add(node)
+    return found
+
+
+def test_a_node_that_compiles_says_so_before_and_how_long_it_took(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing of the time where it was soon done; nothing at all of laws without machine code."""
+    assert ros_environment
+    asked, seconds = list[ImpactFilter](), [0.5]
+    now = time.monotonic
+
+    def compiling(filter_: ImpactFilter) -> None:
+        asked.append(filter_)
+        monkeypatch.setattr(time, "monotonic", lambda: now() + seconds[0])
+
+    monkeypatch.setattr(ImpactFilter, "compile", compiling)
+    law = {"law": "minimum-variance"}
+    assert COMPILING not in logged(law, monkeypatch)
+    assert COMPILING not in logged({"compiled": True}, monkeypatch)
+    assert not asked
+    soon = logged({**law, "compiled": True}, monkeypatch)
+    assert (len(asked), soon.count(COMPILING)) == (1, 1)
+    assert not any(text.startswith("compiled in") for text in soon)
+    monkeypatch.setattr(time, "monotonic", now)
+    seconds[0] = 30.0
+    late = logged({**law, "compiled": True}, monkeypatch)
+    assert late.index(COMPILING) + 1 == late.index("compiled in 30 s")
+
+
+def test_a_node_without_the_compiler_ends_in_one_line(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That names what to install."""
+    assert ros_environment
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.setattr(impact_filter, "compiled_single", compiled_single.__wrapped__)
+    given = {**PARAMETERS, "law": "minimum-variance", "compiled": True}
+    with (
+        spinning(ros_arguments(given)),
+        pytest.raises(UsageError, match=r"^compiled needs numba .*\[compiled\]"),
     ):
         ObserverNode()
 
