@@ -99,12 +99,13 @@ class ImpactFilter:
         self._single: Single = single
 
     def compile(self) -> None:
-        """Have machine code for what nearly every event takes; see ``compiled.py``.
+        """Have machine code for what nearly every event takes, if any is; see ``compiled.py``.
 
         Raises:
             UsageError: ``numba`` is not installed.
         """
-        self._single = compiled_single()
+        if self._near:
+            self._single = compiled_single()
 
     def begin(self, known: Known) -> Known:
         """``known``, and that its closed contacts rest."""

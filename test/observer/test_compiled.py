@@ -158,6 +158,7 @@ def assert_general(case: Case, error: float) -> None:
     assert len(rest) == 3
 
 
+@pytest.mark.slow
 @given(case=cases())
 @examples(80)
 def test_machine_code_says_what_its_source_says(machine: Single, case: Case) -> None:
@@ -174,6 +175,7 @@ def test_what_is_usual_is_what_any_event_is(case: Case) -> None:
         assert_general(case, 1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("q", "clock", "usual"), [(0.0, STAMP, True), (1.0, STAMP, False), (0.0, 1e-3, False)]
 )
@@ -186,6 +188,7 @@ def test_what_is_far_off_or_not_near_is_not_usual(
     assert [how(*case.asked())[0] for how in (single, machine)] == [usual, usual]
 
 
+@pytest.mark.slow
 def test_several_linearisations_are_those_of_any_event(
     machine: Single, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -206,6 +209,7 @@ def test_several_linearisations_are_those_of_any_event(
     assert_same(machine(*question), single(*question))
 
 
+@pytest.mark.slow
 def test_root_of_few_columns_is_one(machine: Single) -> None:
     """Eight numbers that one is behind; the compiler's own factorisation would be too small."""
     case = turning()
@@ -265,6 +269,7 @@ def moving(request: pytest.FixtureRequest) -> tuple[System, Run]:
     return model.system, run(model.system, *model.initial_state(), seconds=10.0, rate=10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("machine")
 @pytest.mark.parametrize("moving", ["two_mass", "three_mass", "pressed"], indirect=True)
 @pytest.mark.parametrize("doubt", [0.0, 0.01])
