@@ -439,7 +439,9 @@ class Observer:
         believed: Notes = {}
         revised: tuple[Verdict, ...] = ()
         if belief.hypotheses:
-            start = placed.entry.key.stamp - self._history
+            assert self._timeline is not None, "the event is in it"
+            # What is forgotten is settled, also where the event itself is late.
+            start = max(placed.entry.key.stamp - self._history, self._timeline.start.stamp)
             believed, revised = self._rulings.after(placed, start, self._names)
         if revised:
             self.remarks[Remark.SECOND_THOUGHT] += sum(verdict.revises for verdict in revised)

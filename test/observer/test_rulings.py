@@ -244,6 +244,20 @@ def test_nothing_is_said_twice() -> None:
     assert not any(each.revises for each in verdicts)
 
 
+@pytest.mark.parametrize("history", [2.0, 3.0, 6.0])
+def test_what_is_forgotten_is_not_told_anew_where_an_event_is_late(history: float) -> None:
+    """What a late event has run again reaches no further back than what is remembered."""
+    model, start, whole = truth("two_mass", 20.0)
+    given = {"uncertainty": Uncertainty(clock_error=0.0), "epoch": EPOCH, "history": history}
+    watcher = observer(model, "minimum-variance", start, **given)
+    events = [*whole.events]
+    events[8:11] = [*events[9:11], events[8]]
+    verdicts = [verdict for each in events for verdict in watcher.receive(each)]
+    assert watcher.remarks[Remark.LATE] == 1
+    first = [each.sequence for each in verdicts if each.sequence and not each.revises]
+    assert first == [each.sequence for each in events]
+
+
 def test_innovation_of_an_applied_impact_is_told() -> None:
     """In deviations, below what surprises; -1 for what was rejected or inserted."""
     _, _, verdicts = run_of(1)
