@@ -69,7 +69,7 @@ def likelihood_of_one(
         spread: standard deviation of that, m/s.
     """
     density = _density(white, deviation, slope, spread) + _from_above(slope, spread)
-    return Evidence(density, {contact: abs(white)})
+    return Evidence(density, {contact: abs(float(white))})
 
 
 def _density(white: float, deviation: float, slope: float, spread: float) -> float:

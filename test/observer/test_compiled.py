@@ -154,6 +154,7 @@ def assert_general(case: Case, error: float) -> None:
     told, later = case.filter.told(case.touch, case.known, case.clock)
     assert told.density == pytest.approx(evidence.density, rel=1e-13, abs=1e-13)
     assert list(told.innovations) == list(evidence.innovations)
+    assert all(type(each) is float for each in told.innovations.values())
     assert later().x.tolist() == x.tolist()
     assert len(rest) == 3
 
@@ -319,6 +320,7 @@ def test_one_account_tells_what_a_bank_of_one_would() -> None:
     found, wanted = (told_by(watcher, whole.events) for watcher in watchers)
     assert found.verdicts == wanted.verdicts
     assert all(each.innovation >= 0 for each in found.verdicts)
+    assert all(type(each.innovation) is float for each in found.verdicts)
     assert len({each.innovation for each in found.verdicts}) == len(whole.events)
     assert found.x.tolist() == wanted.x.tolist()
     assert found.covariances.tolist() == wanted.covariances.tolist()

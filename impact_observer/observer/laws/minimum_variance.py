@@ -132,7 +132,7 @@ class MinimumVariance(Law):
             return Belief(known.ensemble, known.root, innovations=evidence.innovations)
         (x, root, apart), (white, *_) = usual
         ensemble = Ensemble(x, Differences(apart) if apart.size else since)
-        return Belief(ensemble, root, innovations={touch.hit[0]: abs(white)})
+        return Belief(ensemble, root, innovations={touch.hit[0]: abs(float(white))})
 
     def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; of a bare one, that it is right."""
