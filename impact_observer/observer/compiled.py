@@ -31,13 +31,13 @@ def compiled_single() -> Single:
     """``single.single``, compiled.
 
     Raises:
-        UsageError: ``numba`` is not installed.
+        UsageError: ``numba`` is not installed, or cannot be loaded.
     """
     try:
         import numba  # noqa: PLC0415 (half a second that only this takes)
         from numba import types  # noqa: PLC0415
         from numba.extending import overload, register_jitable  # noqa: PLC0415
-    except ImportError as error:
+    except (ImportError, OSError) as error:  # OSError: llvmlite without its library
         raise UsageError(
             f"compiled needs numba ({error}): pip install impact_observer[compiled], or leave"
             " compiled out"

@@ -358,6 +358,18 @@ def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(impact_filter, "compiled_single", compiled_single.__wrapped__)
 
 
+def test_a_compiler_that_cannot_be_loaded_is_told_like_one_that_is_missing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As where llvmlite does not find its library."""
+    (tmp_path / "numba.py").write_text("raise OSError('no shared object file')\n")
+    for name in [each for each in sys.modules if each.partition(".")[0] == "numba"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(UsageError, match=r"^compiled needs numba \(no shared object file\)"):
+        compiled_single.__wrapped__()
+
+
 @pytest.mark.usefixtures("without_numba")
 def test_a_compiler_that_is_missing_is_named_with_its_extra() -> None:
     """By one line, of the law that needs it only."""
