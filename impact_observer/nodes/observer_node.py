@@ -26,6 +26,7 @@ from impact_observer.nodes import parameters
 from impact_observer.nodes.messages import message_class, ros_messages
 from impact_observer.nodes.quality import qos_profile
 from impact_observer.nodes.serialized import Serialized, read_impact
+from impact_observer.nodes.session import interruptible
 from impact_observer.nodes.subscribing import waiting
 from impact_observer.observer import COMPILING, SURPRISING, Observer, Options, initial_state
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
@@ -136,7 +137,8 @@ class ObserverNode(Node):
             return options.observer(model.system, model.elements)
         self.get_logger().info(COMPILING)
         begun = time.monotonic()
-        made = options.observer(model.system, model.elements)
+        with interruptible():
+            made = options.observer(model.system, model.elements)
         if (took := time.monotonic() - begun) > _LONG:
             self.get_logger().info(f"compiled in {took:.0f} s")
         return made

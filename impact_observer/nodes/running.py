@@ -74,6 +74,9 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str] | None) 
             executor.spin_once(timeout_sec=_PATIENCE)
     except ExternalShutdownException:
         return
+    except KeyboardInterrupt:
+        if node is not None:
+            raise
     finally:
         # Seen once in some fifty ends, when many nodes left at once: Fast DDS never came back.
         faulthandler.dump_traceback_later(_LAST_RESORT, exit=True)

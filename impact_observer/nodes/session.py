@@ -67,6 +67,30 @@ class Stop:
 
 
 @contextmanager
+def interruptible() -> Iterator[None]:
+    """Signals that only were noted raise ``KeyboardInterrupt`` too: for what takes long."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    noting = {each: signal.getsignal(each) for each in _SIGNALS}
+
+    def raised(number: int, frame: FrameType | None) -> None:
+        note = noting[signal.Signals(number)]
+        if callable(note):
+            note(number, frame)
+        raise KeyboardInterrupt
+
+    for each in _SIGNALS:
+        signal.signal(each, raised)
+    try:
+        yield
+    finally:
+        for each, note in noting.items():
+            if note is not None:  # as of a handler that is not Python's
+                signal.signal(each, note)
+
+
+@contextmanager
 def ros_node(
     name: str, *, use_sim_time: bool = False
 ) -> Iterator[tuple["Node", "SingleThreadedExecutor"]]:

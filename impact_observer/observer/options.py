@@ -13,7 +13,7 @@ from impact_observer.observer.learning import Unknowns
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
 from impact_observer.observer.uncertainty import Uncertainty, deviation_of
 
-COMPILING = "compiling what an event takes: half a minute, once"
+COMPILING = "machine code of what an event takes: half a minute to compile, once"
 """What users are told where an observer ``compiles``."""
 
 
