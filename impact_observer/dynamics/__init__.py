@@ -18,12 +18,21 @@ from impact_observer.dynamics.phase import Phase, Phases
 from impact_observer.dynamics.projection import KEPT, PositionProjection
 from impact_observer.dynamics.scales import sizes
 from impact_observer.dynamics.spectral import flow_of
-from impact_observer.dynamics.switched import ROUNDING, Expansion, Jet, Measured, Mirror, Rates
+from impact_observer.dynamics.switched import (
+    LEAST,
+    ROUNDING,
+    Expansion,
+    Jet,
+    Measured,
+    Mirror,
+    Rates,
+)
 from impact_observer.dynamics.watched import Watched
 
 __all__ = [
     "DEPTH",
     "KEPT",
+    "LEAST",
     "ROUNDING",
     "Clutches",
     "Correction",

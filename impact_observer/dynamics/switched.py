@@ -22,7 +22,7 @@ from impact_observer.states import Matrix, Vector
 
 ROUNDING = 4 * float(np.finfo(np.float64).eps)
 """Of what is measured, relative to the terms that it is the sum of."""
-_LEAST = 1e-150
+LEAST = 1e-150
 """Standard deviation of a measurement in which nothing is rounded."""
 _ONE = np.ones(1)
 
@@ -146,7 +146,7 @@ class Measured(NamedTuple):
         terms = np.abs(self.c).dot(np.abs(x)).tolist()
         rests = self._rest(force).tolist()
         return [
-            ROUNDING * (size + abs(rest)) + _LEAST for size, rest in zip(terms, rests, strict=True)
+            ROUNDING * (size + abs(rest)) + LEAST for size, rest in zip(terms, rests, strict=True)
         ]
 
     def _rest(self, force: Vector | None) -> Vector:

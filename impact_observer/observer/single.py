@@ -11,14 +11,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics import ROUNDING, product, sizes, triangular
+from impact_observer.dynamics import LEAST, ROUNDING, product, sizes, triangular
 from impact_observer.observer.evidence import FAR
 from impact_observer.observer.joint import SETTLED
 from impact_observer.states import Matrix, Vector
 
 ROUNDS = 6
 """How often a measurement is linearised about what it says itself, at most."""
-_LEAST = 1e-150
 _ONE = np.ones(1)
 
 Gap: TypeAlias = tuple[Matrix, Matrix, Matrix, float]
@@ -80,7 +79,7 @@ def heard(y: Vector, known: State, clock: float, contact: Contact) -> tuple[bool
     (size, columns), now = root.shape, jet.dot(y)
     value, slope, E = now[0], now[1], now[2:]
     seen, others, unsure = H.dot(root), H.dot(apart), length(D.dot(root))
-    rounded = ROUNDING * (np.abs(H).dot(sizes(x, *scale))[0] + abs(rest)) + _LEAST
+    rounded = ROUNDING * (np.abs(H).dot(sizes(x, *scale))[0] + abs(rest)) + LEAST
     prior, replicas = np.zeros((1 + size, 1 + columns)), np.zeros((1 + size, apart.shape[1]))
     prior[0, 0], prior[1:, 1:], replicas[1:] = clock, root, apart
     z, learnt, fit = np.zeros(1 + size), prior, (0.0, 1.0, slope, unsure)

@@ -28,6 +28,7 @@ CLOCK_ERRORS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 _STAMP = 1e-9 / math.sqrt(12)
 """Standard deviation of what rounding to 1 ns does to a stamp, s."""
 _NOTHING = np.zeros(0)
+"""What is slow where nothing is learnt."""
 _IMPACTS = 1024
 """Impacts that are believed unheard, one after the other."""
 _WINDOW = 64 / FINE
@@ -40,7 +41,8 @@ class MinimumVariance(Law):
     ``ImpactFilter`` says what follows from events that are what they are said to be, and
     ``FilterBank`` weighs what else they may have been. The estimate is that of the likeliest
     account. What it falls through by more than it can be wrong is an impact that nobody heard,
-    and it jumps where that is predicted.
+    and it jumps where that is predicted. Where every event is believed, the clock is declared
+    and nothing is learnt there is one account, which is the belief itself, and no bank.
 
     Attributes:
         clocks: standard deviations of a stamp that are thought possible, s.
