@@ -59,11 +59,11 @@ setup(
     entry_points={
         "console_scripts": [
             "impact-observer = impact_observer.cli.main:main",
-            "plant = impact_observer.nodes.plant:main",
-            "detector = impact_observer.nodes.detector:main",
-            "observer = impact_observer.nodes.observer:main",
-            "monitor = impact_observer.nodes.monitor:main",
-            "viewer = impact_observer.nodes.viewer:main",
+            "plant = impact_observer.ros.plant:main",
+            "detector = impact_observer.ros.detector:main",
+            "observer = impact_observer.ros.observer:main",
+            "monitor = impact_observer.ros.monitor:main",
+            "viewer = impact_observer.ros.viewer:main",
         ],
     },
 )

@@ -11,12 +11,12 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from benchmarks.fast_bags import EPOCH, RATE
 from benchmarks.harness import Benchmark, Contest, DisagreementError
-from impact_observer.bag import interfaces
-from impact_observer.bag.messages import JointState, bag_messages
-from impact_observer.bag.reader import BagReader
-from impact_observer.bag.telling import messages_of
-from impact_observer.bag.typestores import new_typestore
-from impact_observer.bag.writer import BagWriter
+from impact_observer.io import interfaces
+from impact_observer.io.estimate_messages import messages_of
+from impact_observer.io.messages import JointState, bag_messages
+from impact_observer.io.reader import BagReader
+from impact_observer.io.typestores import new_typestore
+from impact_observer.io.writer import BagWriter
 from impact_observer.states import Estimate, Estimates
 
 COUNT = 30_000

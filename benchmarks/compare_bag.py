@@ -7,8 +7,8 @@ from rosbags.rosbag2 import Reader
 
 from benchmarks.fast_bags import SECONDS, fast_model, observe, write_truth
 from benchmarks.harness import Benchmark, Contest, DisagreementError, Goal
-from impact_observer.bag.comparisons import BagComparison, compare_bag
-from impact_observer.bag.reader import BagReader
+from impact_observer.compare.bag_comparison import BagComparison, compare_bag
+from impact_observer.io.reader import BagReader
 
 
 def prepare(folder: Path, seconds: float = SECONDS) -> Contest:

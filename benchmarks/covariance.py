@@ -23,19 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.analysis import lyapunov
-from impact_observer.dynamics import (
-    ImpactLaw,
-    Measured,
-    Mirror,
-    Phases,
-    Rates,
-    correction,
-    triangular,
-)
+from impact_observer.dynamics import ImpactLaw, Phases, lyapunov
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.saltation import Measured, Mirror, StateRates
+from impact_observer.estimation.square_root import correction, triangular
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.model import Contact, Forcing, System, read_model
-from impact_observer.observer import Belief, Law, Touch, Uncertainty
-from impact_observer.observer.laws import Geometric, MinimumVariance
+from impact_observer.observer import Belief, Law
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, seconds_between
 
@@ -117,8 +113,8 @@ def followed(
     for stamp, contacts in sorted(told):
         course = law.course(seconds_between(EPOCH, now.stamp), now.belief, ())
         before = course.belief(seconds_between(now.stamp, stamp))
-        touch = Touch(seconds_between(EPOCH, stamp), (), contacts, ())
-        now = Believed(stamp, law.event(touch, before))
+        change = ContactChange(seconds_between(EPOCH, stamp), (), contacts, ())
+        now = Believed(stamp, law.event(change, before))
         yield now
 
 
@@ -129,9 +125,9 @@ def jittered(run: Run, rng: np.random.Generator) -> list[tuple[int, tuple[int, .
     return [(max(s + by, EPOCH), hit) for (s, hit), by in zip(told, wrong, strict=True)]
 
 
-def distance(system: System, apart: Array) -> float:
+def distance(system: System, differences: Array) -> float:
     """``V`` of a difference of states."""
-    return float(lyapunov.distance(system, *np.split(apart, 2)))
+    return float(lyapunov.distance(system, *np.split(differences, 2)))
 
 
 def ideal(name: str, seeds: int = 20) -> Array:
@@ -144,14 +140,14 @@ def ideal(name: str, seeds: int = 20) -> Array:
     for seed in range(seeds):
         wrong = np.random.default_rng(seed).normal(size=x.size)
         for k, each in enumerate(list(followed(law, x + wrong, told))[1:]):
-            apart = each.at(law, each.stamp + 1)[0] - truth[k]
-            ratios[seed, k] = distance(system, apart) / distance(system, wrong)
+            differences = each.at(law, each.stamp + 1)[0] - truth[k]
+            ratios[seed, k] = distance(system, differences) / distance(system, wrong)
     return ratios
 
 
 def believing(clock_error: float) -> Uncertainty:
     """What is declared of a sensor that is right but for its clock."""
-    return Uncertainty(clock_error=clock_error, missed=0.0, invented=0.0, mislabelled=0.0)
+    return Uncertainty(clock_error=clock_error, missed=0.0, spurious=0.0, mislabelled=0.0)
 
 
 def surprises(name: str, seed: int, seconds: int) -> Array | None:
@@ -192,8 +188,8 @@ def jitter(name: str, law: type[Law], clock: float, seeds: int, seconds: int = 6
         rng = np.random.default_rng(seed)
         wrong = rng.normal(size=x.size)
         last = list(followed(used, x + wrong, jittered(run, rng)))[-1]
-        apart = last.at(used, end)[0] - run.states[0]
-        ratios[seed] = distance(system, apart) / distance(system, wrong)
+        differences = last.at(used, end)[0] - run.states[0]
+        ratios[seed] = distance(system, differences) / distance(system, wrong)
     return ratios
 
 
@@ -206,7 +202,7 @@ def least(name: str, seconds: int = 60) -> float:
     system, x = model.system, np.concatenate(model.initial_state())
     phases, law = Phases(system), ImpactLaw(system)
     phase, start = phases.phase(), np.eye(2 * system.n)
-    rates, root, last = Rates(phase), start, 0.0
+    rates, root, last = StateRates(phase), start, 0.0
     for each in ran(system, x, np.array([EPOCH + seconds * NS_PER_S])).impacts:
         t, hit = -each.instant.until(EPOCH), each.contacts
         forces = system.forcing.derivatives(np.array([t]), 2)[:, 0]

@@ -11,12 +11,12 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from benchmarks.harness import DisagreementError
-from impact_observer.bag.interfaces import EVENTS, STATES
 from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Switch
-from impact_observer.nodes.executor import DirectExecutor
-from impact_observer.nodes.messages import ros_messages
-from impact_observer.nodes.quality import qos_profile
+from impact_observer.io.interfaces import EVENTS, STATES
+from impact_observer.ros.executor import DirectExecutor
+from impact_observer.ros.message_classes import ros_messages
+from impact_observer.ros.qos import qos_profile
 from impact_observer.stamps import NS_PER_S
 
 PATIENCE = 10.0

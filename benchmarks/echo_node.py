@@ -14,8 +14,8 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from impact_observer.bag.interfaces import EVENTS, STATES
-from impact_observer.nodes.quality import qos_profile
+from impact_observer.io.interfaces import EVENTS, STATES
+from impact_observer.ros.qos import qos_profile
 from impact_observer.stamps import NS_PER_S
 
 NAMES = ("x1", "x2")

@@ -5,14 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from benchmarks.harness import (
-    Benchmark,
-    Contest,
-    DisagreementError,
-    Figures,
-    Goal,
-    SkippedError,
-)
+from benchmarks.harness import Benchmark, Contest, DisagreementError, Figures, Goal, SkippedError
 from benchmarks.impacts import each_received, impacts
 from impact_observer.errors import UsageError
 from impact_observer.model import read_model
@@ -41,7 +34,7 @@ def prepare(_: Path, law: str, compiled: bool) -> Contest:
         law=law,
         clock_error=0.0,
         missed=0.0,
-        invented=0.0,
+        spurious=0.0,
         mislabelled=0.0,
         compiled=compiled,
     )

@@ -7,7 +7,7 @@ A minute of the sample models; the model that is given has restitutions off by 0
 - stamps that jitter by 1 ms, over the seeds: the mean of the squares of the normalised errors of
   all parameters together over their number (1 is honest), with the probability of a sum that far
   from it, and the median and largest relative error;
-- one impact in ten invented besides, exact and with 1 ms: the largest relative error over the
+- one impact in ten spurious besides, exact and with 1 ms: the largest relative error over the
   seeds, and in how many runs it was above 1 % or the fit said of itself that it had failed;
 - V of observers with ideal stamps and a stiffness that is 2 % off, before and after it was learnt,
   and where minimum-variance learns it on line: medians of the last half of the minute;
@@ -32,16 +32,17 @@ from rich.table import Table
 from scipy import stats
 
 from benchmarks.harness import new_file
-from impact_observer.analysis.identification.identifying import Identified, identify
-from impact_observer.analysis.identification.motion import Moment, shoot
-from impact_observer.analysis.lyapunov import distance
+from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import IdentificationError
+from impact_observer.estimation.uncertainty import Uncertainty
+from impact_observer.estimation.unknown_parameters import Unknowns
 from impact_observer.events import ImpactEvent
+from impact_observer.identify.identifying import Identified, identify
+from impact_observer.identify.motion import FlightEnd, shoot
 from impact_observer.model import System, read_model
-from impact_observer.model.parameters import family_of
-from impact_observer.observer import Observer, Uncertainty, initial_state, law_named, replay
-from impact_observer.observer.learning import Unknowns
-from impact_observer.plant import Plant, Run, Sensor, sense, simulate
+from impact_observer.model.learnable import family_of
+from impact_observer.observer import Observer, initial_state, law_named, replay
+from impact_observer.plant import Plant, Run, SensorModel, sense, simulate
 from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 from impact_observer.states import Estimate
 
@@ -65,7 +66,7 @@ def recorded(name: str) -> Run:
     return simulate(plant, grid(EPOCH, EPOCH + from_seconds(END), 20.0))
 
 
-def told(name: str, sensor: Sensor, seed: int) -> list[ImpactEvent]:
+def told(name: str, sensor: SensorModel, seed: int) -> list[ImpactEvent]:
     """What a sensor tells of it."""
     run, model = recorded(name), read_model(name).system
     sensed = sense(sensor, model, run.switchings, epoch=EPOCH, last=int(run.stamps[-1]), seed=seed)
@@ -96,7 +97,7 @@ def errors(found: Identified, model: System) -> np.ndarray:
 def exact(name: str) -> dict[str, object]:
     """The first table."""
     model = read_model(name).system
-    found = identify(family_of(wrong(model), FREE), told(name, Sensor(), 0))
+    found = identify(family_of(wrong(model), FREE), told(name, SensorModel(), 0))
     error = errors(found, model)
     return {
         "model": name,
@@ -112,7 +113,7 @@ def jittered(name: str, seeds: int) -> dict[str, object]:
     family = family_of(wrong(model), FREE)
     weights, sizes = [], []
     for seed in track(range(seeds), f"{name}: jitter", console=Console(stderr=True)):
-        events = told(name, Sensor(jitter=JITTER), seed)
+        events = told(name, SensorModel(jitter=JITTER), seed)
         found = identify(family, events, clock=JITTER, believe=True)
         error, own = errors(found, model), found.covariance[found.start.size :, found.start.size :]
         weights.append(float(error @ np.linalg.solve(own, error)))
@@ -129,14 +130,14 @@ def jittered(name: str, seeds: int) -> dict[str, object]:
     }
 
 
-def invented(name: str, jitter: float, seeds: int) -> dict[str, object]:
+def spurious(name: str, jitter: float, seeds: int) -> dict[str, object]:
     """The third table."""
     model = read_model(name).system
     family = family_of(wrong(model), FREE)
     rate = INVENTED * len(recorded(name).events) / END
     sizes, failed = [], 0
-    for seed in track(range(seeds), f"{name}: invented", console=Console(stderr=True)):
-        events = told(name, Sensor(jitter=jitter, spurious=rate), seed)
+    for seed in track(range(seeds), f"{name}: spurious", console=Console(stderr=True)):
+        events = told(name, SensorModel(jitter=jitter, spurious=rate), seed)
         try:
             found = identify(family, events)
         except IdentificationError:
@@ -160,7 +161,7 @@ def floors(name: str) -> Iterator[dict[str, object]]:
     """The last table."""
     model = read_model(name).system
     off = replace(model, K=1.02 * model.K)
-    events = told(name, Sensor(), 0)
+    events = told(name, SensorModel(), 0)
     found = identify(family_of(off, ["stiffness-scale"]), events)
     exact = Uncertainty(clock_error=0.0)
     learning = replace(exact, unknowns=Unknowns.named(off, ["stiffness-scale=0.03"]))
@@ -192,8 +193,8 @@ def _distances(
     """V at the wanted samples of a run, J, and the last estimate."""
     run, true = recorded(name), read_model(name).system
     seen = [x for x in replay(observer, events, run.stamps[wanted]) if isinstance(x, Estimate)]
-    apart = np.array([np.concatenate([x.q, x.u]) for x in seen]) - run.states[wanted]
-    return np.asarray(distance(true, apart[:, : true.n], apart[:, true.n :])), seen[-1]
+    differences = np.array([np.concatenate([x.q, x.u]) for x in seen]) - run.states[wanted]
+    return np.asarray(distance(true, differences[:, : true.n], differences[:, true.n :])), seen[-1]
 
 
 def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, object]:
@@ -204,8 +205,8 @@ def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, objec
     least = _least(name, right, jitter) if jitter else np.full(right.family.size, np.nan)
     for seed in track(range(starts), f"{name}: {free} on line", console=Console(stderr=True)):
         rng = np.random.default_rng(seed)
-        events = told(name, Sensor(jitter=jitter), seed)
-        declared = Uncertainty(clock_error=jitter, missed=0.0, invented=0.0, mislabelled=0.0)
+        events = told(name, SensorModel(jitter=jitter), seed)
+        declared = Uncertainty(clock_error=jitter, missed=0.0, spurious=0.0, mislabelled=0.0)
         start, learns = f"random:{seed}", replace(declared, unknowns=right)
         plain.append(_ended(name, _observer(true, start, declared), events)[0])
         V, last = _ended(name, _observer(true, start, learns), events)
@@ -241,7 +242,7 @@ def _least(name: str, unknowns: Unknowns, jitter: float) -> np.ndarray:
     t = np.array([seconds_between(EPOCH, each.stamp) for each in events])
     index = {contact: i for i, contact in enumerate(true.contact_names)}
     hits = [(index[each.switches[0].contact],) for each in events]
-    moments = [Moment(at, hit, hit) for at, hit in zip(t.tolist(), hits, strict=True)]
+    moments = [FlightEnd(at, hit, hit) for at, hit in zip(t.tolist(), hits, strict=True)]
     start = np.append(run.states[0], unknowns.family.given)
     shot = shoot(unknowns.family, start, moments, t, 0.0)
     known = [np.ones(2 * true.n), unknowns.deviations, np.full(t.size, jitter)]
@@ -282,8 +283,8 @@ def main(args: Sequence[str] | None = None) -> int:
             for free in LEARNT
             for jitter in (0.0, JITTER)
         ],
-        "one impact in ten is invented": [
-            invented(name, jitter, max(given.seeds // 5, 1))
+        "one impact in ten is spurious": [
+            spurious(name, jitter, max(given.seeds // 5, 1))
             for name in MODELS
             for jitter in (0.0, JITTER)
         ],

@@ -26,12 +26,13 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.harness import new_file
-from impact_observer.analysis.lyapunov import distance
-from impact_observer.analysis.pairing import Series
+from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import ImpactObserverError
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind
+from impact_observer.io.pairing import Series
 from impact_observer.model import Model, System, parse_model, read_model
-from impact_observer.observer import AGREED, Observer, Uncertainty, law_named, law_names, replay
+from impact_observer.observer import AGREED, Observer, law_named, law_names, replay
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid, seconds_between
 from impact_observer.states import Estimate, Stamps, Vector
@@ -55,7 +56,7 @@ its height, and it comes to rest.
 """
 
 IDEAL = Uncertainty(clock_error=0.0)
-"""Stamps are only rounded; that none is missed or invented, nobody has said."""
+"""Stamps are only rounded; that none is missed or spurious, nobody has said."""
 MODELS = ("two_mass", "three_mass", "far_end")
 EPOCH = 1_000_000_000
 RATE = 10.0

@@ -22,11 +22,11 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from impact_observer.bag.bulk import layout_of
-from impact_observer.bag.interfaces import PLANT_MODEL, interface
-from impact_observer.bag.reader import BagReader, RawMessage
-from impact_observer.bag.writer import BagWriter
 from impact_observer.cli.main import main as run_command
+from impact_observer.io.interfaces import PLANT_MODEL, interface
+from impact_observer.io.reader import BagReader, RawMessage
+from impact_observer.io.state_blocks import layout_of
+from impact_observer.io.writer import BagWriter
 from impact_observer.stamps import NS_PER_S
 
 SECONDS = 60

@@ -25,14 +25,14 @@ from rich.console import Console
 from rich.progress import Progress
 
 from benchmarks.topic import take_domain
-from impact_observer.bag.interfaces import EVENTS
 from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Switch
-from impact_observer.nodes.executor import DirectExecutor
-from impact_observer.nodes.messages import ros_messages
-from impact_observer.nodes.observer_node import ObserverNode
-from impact_observer.nodes.quality import qos_profile
+from impact_observer.io.interfaces import EVENTS
 from impact_observer.observer import law_names
+from impact_observer.ros.executor import DirectExecutor
+from impact_observer.ros.message_classes import ros_messages
+from impact_observer.ros.observer_node import ObserverNode
+from impact_observer.ros.qos import qos_profile
 
 EPOCH = 1_000_000_000
 RATE = 25

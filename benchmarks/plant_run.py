@@ -77,11 +77,13 @@ def _agreement(
     found, states = ours
     if len(found) != len(theirs.instants):
         raise DisagreementError(f"{len(found)} impacts, {len(theirs.instants)} by {name}")
-    apart = float(np.max(np.abs(np.subtract(found, theirs.instants))))
+    differences = float(np.max(np.abs(np.subtract(found, theirs.instants))))
     off = float(np.max(np.abs(states - theirs.states)))
-    if not (apart < within and off < STATES_AGREE):
-        raise DisagreementError(f"{name}: instants differ by {apart:.1e} s, states by {off:.1e}")
-    return f"{name} agrees to {apart:.0e} s, states to {off:.0e}"
+    if not (differences < within and off < STATES_AGREE):
+        raise DisagreementError(
+            f"{name}: instants differ by {differences:.1e} s, states by {off:.1e}"
+        )
+    return f"{name} agrees to {differences:.0e} s, states to {off:.0e}"
 
 
 def _problem(model: Model) -> dict[str, Any]:

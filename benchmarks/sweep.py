@@ -31,12 +31,12 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.harness import DisagreementError, new_file
-from impact_observer.analysis.sweep.replicas import replicas_of
-from impact_observer.analysis.sweep.running import Outcome, run_case
-from impact_observer.analysis.sweep.sweep import Case, Rig, Sweep, sensors_of
-from impact_observer.bag.sweeps import write_outcomes
-from impact_observer.cli.sweep_engines import run_cases
 from impact_observer.model import read_model
+from impact_observer.sweep.case_runs import Outcome, run_case
+from impact_observer.sweep.engines import run_cases
+from impact_observer.sweep.model_variants import replicas_of
+from impact_observer.sweep.outcomes_file import write_outcomes
+from impact_observer.sweep.plan import Case, Rig, Sweep, sensors_of
 
 LAWS = ("geometric", "unilateral", "minimum-variance")
 JITTER = (0.0, 1e-3)

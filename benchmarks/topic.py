@@ -29,7 +29,7 @@ LATE = 2_000_000
 PATIENCE = 10.0
 """How long a node may take to end, s."""
 ECHO = "echo in rclpy"
-_OURS = ("impact_observer.nodes.observer", "-p", "model:=two_mass", "-p", f"rate:={RATE}")
+_OURS = ("impact_observer.ros.observer", "-p", "model:=two_mass", "-p", f"rate:={RATE}")
 _ECHO = ("benchmarks.echo_node", "-p", f"rate:={RATE}")
 
 

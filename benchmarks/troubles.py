@@ -6,7 +6,7 @@ the end, median and worst, of
 
 - ``minimum-variance``, told the clock's error where the scenario says so and, where the sensor is
   late, that stamps may be late by 20 ms; all else as it comes, and the same in every scenario;
-- an oracle: the same filter told which events are invented, which contact was hit, and when one
+- an oracle: the same filter told which events are spurious, which contact was hit, and when one
   was missed. From that it learns nothing but to jump where the plant does (and that a contact
   then rests, where it does). It knows the delay, and the clock's error;
 - ``geometric``, which is told of no trouble.
@@ -44,14 +44,26 @@ from rich.table import Table
 from benchmarks.covariance import drawn, least
 from benchmarks.harness import new_file
 from benchmarks.laws import FAR_END
-from impact_observer.analysis.lyapunov import distance
+from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import ImpactObserverError
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.model import System, parse_model, read_model
-from impact_observer.observer import AGREED, Law, Observer, Touch, Uncertainty
-from impact_observer.observer.belief import Known
-from impact_observer.observer.impact_filter import ImpactFilter
-from impact_observer.observer.laws import Geometric, MinimumVariance
-from impact_observer.plant import Plant, Run, Sensed, Sensing, Sensor, Switching, sense, simulate
+from impact_observer.observer import AGREED, Law, Observer
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.minimum_variance import MinimumVariance
+from impact_observer.plant import (
+    Plant,
+    Run,
+    Sensed,
+    Sensing,
+    SensorModel,
+    Switching,
+    sense,
+    simulate,
+)
 from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 from impact_observer.states import Matrix, Vector
 
@@ -81,13 +93,13 @@ class Scenario:
     Attributes:
         name: of the scenario.
         sensor: but for what it invents.
-        spurious: invented impacts, over the true ones.
+        spurious: spurious impacts, over the true ones.
         declared: that the clock's error is told.
         goals: aimed at: median and worst of V over the initial V; none for harder systems.
     """
 
     name: str
-    sensor: Sensor
+    sensor: SensorModel
     spurious: float = 0.0
     declared: bool = True
     goals: tuple[float, float] | None = None
@@ -101,19 +113,19 @@ class Scenario:
 
 
 SCENARIOS = (
-    Scenario("clean", Sensor(), goals=(1e-16, 1e-14)),
-    Scenario("jitter 1 ms", Sensor(jitter=1e-3), goals=(1e-8, 1e-6)),
-    Scenario("not declared", Sensor(jitter=1e-3), declared=False, goals=(1e-6, 1e-4)),
-    Scenario("20 % spurious", Sensor(), spurious=0.2, goals=(1e-14, 1e-6)),
-    Scenario("20 % missed", Sensor(missed=0.2), goals=(1e-6, 1e-2)),
-    Scenario("20 % both", Sensor(missed=0.2), spurious=0.2, goals=(1e-3, 1e-1)),
-    Scenario("10 ms late", Sensor(delay=0.01), goals=(1e-4, 1e-2)),
+    Scenario("clean", SensorModel(), goals=(1e-16, 1e-14)),
+    Scenario("jitter 1 ms", SensorModel(jitter=1e-3), goals=(1e-8, 1e-6)),
+    Scenario("not declared", SensorModel(jitter=1e-3), declared=False, goals=(1e-6, 1e-4)),
+    Scenario("20 % spurious", SensorModel(), spurious=0.2, goals=(1e-14, 1e-6)),
+    Scenario("20 % missed", SensorModel(missed=0.2), goals=(1e-6, 1e-2)),
+    Scenario("20 % both", SensorModel(missed=0.2), spurious=0.2, goals=(1e-3, 1e-1)),
+    Scenario("10 ms late", SensorModel(delay=0.01), goals=(1e-4, 1e-2)),
 )
 HARDER = (
-    ("far_end", Scenario("20 % both", Sensor(missed=0.2), spurious=0.2)),
-    ("far_end", Scenario("impacts only", Sensor(impacts_only=True))),
-    ("random", Scenario("20 % both", Sensor(missed=0.2), spurious=0.2)),
-    ("three_mass", Scenario("10 % mislabelled", Sensor(mislabelled=0.1))),
+    ("far_end", Scenario("20 % both", SensorModel(missed=0.2), spurious=0.2)),
+    ("far_end", Scenario("impacts only", SensorModel(impacts_only=True))),
+    ("random", Scenario("20 % both", SensorModel(missed=0.2), spurious=0.2)),
+    ("three_mass", Scenario("10 % mislabelled", SensorModel(mislabelled=0.1))),
 )
 """Systems and scenarios of the last table; ``random`` is a new chain in every run."""
 
@@ -166,9 +178,12 @@ class Case:
 
     def beside(self, scenario: Scenario) -> np.ndarray:
         """Samples that lie far enough from any impact, as indices of the run's stamps."""
-        apart = from_seconds(5 * scenario.sensor.jitter + scenario.sensor.delay + _BESIDE)
+        differences = from_seconds(5 * scenario.sensor.jitter + scenario.sensor.delay + _BESIDE)
         impacts = np.array([each.instant.stamp for each in self.run.impacts], dtype=np.int64)
-        near = np.abs(self.run.stamps[:, None] - impacts).min(axis=1, initial=2 * apart) <= apart
+        near = (
+            np.abs(self.run.stamps[:, None] - impacts).min(axis=1, initial=2 * differences)
+            <= differences
+        )
         return np.flatnonzero(~near)
 
 
@@ -271,11 +286,11 @@ def flags(
             done += 1
         now = observer.estimate(stamp)
         if now.synchronized:
-            apart = np.concatenate([now.q, now.u]) - case.run.states[k]
+            differences = np.concatenate([now.q, now.u]) - case.run.states[k]
             then = observer.estimate(now.last_event)
             moving = _energy(case.system, np.concatenate([then.q, then.u]))
             flagged += 1
-            wrong += _energy(case.system, apart) > AGREED * moving
+            wrong += _energy(case.system, differences) > AGREED * moving
     return flagged, wrong
 
 
@@ -284,16 +299,16 @@ def oracle(case: Case, scenario: Scenario, seed: int, x: Vector, end: int) -> Ve
     system, index = case.system, case.system.contact_names.index
     clock = MinimumVariance(system, Uncertainty(clock_error=scenario.sensor.jitter)).clocks[0]
     filter_, since = ImpactFilter(system), 0.0
-    known = filter_.begin(Known.of(x[None], Uncertainty().root(system.n)))
+    known = filter_.begin(GaussianState.of(x[None], Uncertainty().root(system.n)))
     for stamp, switching, heard in case.felt(scenario, seed):
         if stamp > end:
             break
         t = seconds_between(EPOCH, stamp) if heard else -switching.instant.until(EPOCH)
         known = filter_.course(since, known).known(t - since)
         switches = [(index(each.contact), each.kind) for each in switching.switches]
-        touch = Touch.of(t, known.closed, switches)
-        prior = filter_.prior(touch, known, clock if heard else 0.0)
-        known = filter_.after(touch, filter_.heard(touch, prior) if heard else prior)
+        change = ContactChange.of(t, known.closed, switches)
+        prior = filter_.prior(change, known, clock if heard else 0.0)
+        known = filter_.after(change, filter_.heard(change, prior) if heard else prior)
         since = t
     return filter_.course(since, known).state(seconds_between(EPOCH, end) - since)
 

@@ -13,7 +13,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.nodes.wiring import Setting, Started, monitors, observers, plant
+from impact_observer.ros.wiring import Setting, Started, monitors, observers, plant
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -11,7 +11,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.nodes.parameters import DETECTOR, Parameter
+from impact_observer.ros.parameters import DETECTOR, Parameter
 
 PARAMETERS = (
     *DETECTOR,

@@ -13,7 +13,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.nodes.parameters import MONITOR, OBSERVER, Parameter
+from impact_observer.ros.parameters import MONITOR, OBSERVER, Parameter
 
 SIM_TIME = Parameter("use_sim_time", False, "follow /clock, of a simulation or a bag")
 PARAMETERS = (*OBSERVER, SIM_TIME)

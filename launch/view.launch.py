@@ -15,7 +15,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.nodes.parameters import VIEWER, Parameter
+from impact_observer.ros.parameters import VIEWER, Parameter
 
 RVIZ = "rviz2"
 LAYOUT = Path(__file__).resolve().parents[1] / "layouts" / "view.rviz"

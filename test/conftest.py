@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.domain import free_domain
 from impact_observer.events import ImpactEvent, Switch
-from impact_observer.shares import shared
+from impact_observer.resources import shared
 from impact_observer.states import Estimate
 
 
@@ -36,8 +36,8 @@ def ros_environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]
 def first_sample_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What ``sample_bag`` is a copy of."""
     # Not at the top: the tests of the core run without rosbags.
-    from impact_observer.bag import BagWriter, JointState
-    from impact_observer.bag.messages import bag_messages
+    from impact_observer.io import BagWriter, JointState
+    from impact_observer.io.messages import bag_messages
 
     make, names = bag_messages(), ("x1", "x2")
     provenance = "\nprovenance: {package: impact_observer, version: 1.2.3, seed: 7}\n"

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_observer.bag import BagWriter, JointState
-from impact_observer.bag.messages import EventMessage, JointStateMessage, bag_messages
 from impact_observer.events import ImpactEvent, Switch
-from impact_observer.shares import shared
+from impact_observer.io import BagWriter, JointState
+from impact_observer.io.messages import EventMessage, JointStateMessage, bag_messages
+from impact_observer.resources import shared
 
 S = 1_000_000_000
 MAKE = bag_messages()

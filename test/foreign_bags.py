@@ -14,8 +14,8 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapFileWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-from impact_observer.bag import BagReader
-from impact_observer.bag.typestores import typestore
+from impact_observer.io import BagReader
+from impact_observer.io.typestores import typestore
 
 TIMES = ("deadline", "lifespan", "liveliness_lease_duration")
 HUMBLE_QOS = "\n".join(

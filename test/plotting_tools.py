@@ -12,11 +12,11 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from impact_observer.analysis.lyapunov import distance
-from impact_observer.bag import BagReader, BagWriter, EstimateError, JointState
-from impact_observer.bag.messages import bag_messages
-from impact_observer.bag.recordings import carried_text
-from impact_observer.bag.typestores import typestore
+from impact_observer.dynamics.lyapunov import distance
+from impact_observer.io import BagReader, BagWriter, EstimateError, JointState
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.recordings import carried_text
+from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
 from impact_observer.observer import Options, replay
 from impact_observer.plant import Plant, simulate

@@ -6,9 +6,9 @@ from typing import cast
 
 import numpy as np
 
-from impact_observer.bag import BagWriter, JointState, Quality
-from impact_observer.bag.messages import bag_messages
-from impact_observer.bag.typestores import typestore
+from impact_observer.io import BagWriter, JointState, Quality
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.typestores import typestore
 from impact_observer.model import Model, read_model
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import grid

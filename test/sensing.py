@@ -8,7 +8,7 @@ from systems import EPOCH, system
 
 from impact_observer.events import Kind, Switch
 from impact_observer.model import System
-from impact_observer.plant import Sensed, Sensor, Switching, sense
+from impact_observer.plant import Sensed, SensorModel, Switching, sense
 from impact_observer.stamps import NS_PER_S, Instant
 
 THREE = system(
@@ -59,7 +59,7 @@ def impacts(count: int, every: float = 1.0, model: System = THREE) -> list[Switc
 
 
 def heard(
-    sensor: Sensor, told: Sequence[Switching], *, model: System = THREE, seconds: float = 0.0
+    sensor: SensorModel, told: Sequence[Switching], *, model: System = THREE, seconds: float = 0.0
 ) -> list[Sensed]:
     """What a sensor tells, in the order of sequence numbers, of a run of ``seconds`` at least."""
     last = max([EPOCH + round(seconds * NS_PER_S), *(each.instant.stamp for each in told)])

@@ -14,9 +14,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.model import Contact, Forcing, Model, System, read_model
-from impact_observer.observer import Observer, Uncertainty, law_named
+from impact_observer.observer import Observer, law_named
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -244,7 +245,7 @@ def run(
 
 def believing(**declared: object) -> Uncertainty:
     """What is declared of a sensor that is right but for its clock: every event is believed."""
-    right = {"clock_error": 0.0, "missed": 0.0, "invented": 0.0, "mislabelled": 0.0}
+    right = {"clock_error": 0.0, "missed": 0.0, "spurious": 0.0, "mislabelled": 0.0}
     return Uncertainty(**{**right, **declared})  # type: ignore[arg-type]
 
 

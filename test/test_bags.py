@@ -13,18 +13,18 @@ import pytest
 from rigs import accelerometer_bag, switch_bag
 from ruamel.yaml import YAML
 
-from impact_observer.analysis.comparison import Comparison
-from impact_observer.bag.comparisons import compare_bag
-from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.cli.main import main
+from impact_observer.compare.bag_comparison import compare_bag
+from impact_observer.compare.comparison import Comparison
 from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import events_in, model_of
 from impact_observer.model import read_model
 from impact_observer.observer import Options
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Plant, simulate
-from impact_observer.shares import shared
-from impact_observer.troubles import TROUBLES
+from impact_observer.resources import shared
+from impact_observer.sensor_faults import SENSOR_FAULTS
 
 BAGS = shared("bags")
 ROUNDED = 2
@@ -94,7 +94,7 @@ def test_there_is_a_bag_for_every_trouble() -> None:
     assert COMMANDS.keys() == TROUBLED.keys()
     assert {*SENSED, *RIGS} == TROUBLED.keys()
     options = {word for command in COMMANDS.values() for word in command}
-    assert {f"--{each.name.replace('_', '-')}" for each in TROUBLES} <= options
+    assert {f"--{each.name.replace('_', '-')}" for each in SENSOR_FAULTS} <= options
 
 
 def arrived(reader: BagReader) -> list[tuple[int, ImpactEvent]]:
@@ -232,9 +232,9 @@ def test_a_played_bag_makes_the_node_converge_as_it_did(
     from processes import ros_arguments, running, spinning
     from sensor_msgs.msg import JointState
 
-    from impact_observer.bag.interfaces import Quality
-    from impact_observer.bag.messages import read_estimate
-    from impact_observer.nodes.quality import qos_profile
+    from impact_observer.io.interfaces import Quality
+    from impact_observer.io.messages import read_estimate
+    from impact_observer.ros.qos import qos_profile
 
     bag, output = shared("bags/two_mass"), tmp_path / "out"
     assert main(["observe", str(bag), "--initial", "random:1", "-o", str(output)]) == 0
@@ -242,7 +242,7 @@ def test_a_played_bag_makes_the_node_converge_as_it_did(
         offline = reader.observer_states("/observer/state")
     where = {stamp: i for i, stamp in enumerate(offline.stamps.tolist())}
     parameters = {"model": "two_mass", "use_sim_time": True, "initial_state": "'random:1'"}
-    node = ("impact_observer.nodes.observer", ros_arguments(parameters), ros_environment)
+    node = ("impact_observer.ros.observer", ros_arguments(parameters), ros_environment)
     heard: list[ObserverState] = []
     with running(*node), spinning() as spinner:
         spinner.probe.create_subscription(

@@ -13,10 +13,10 @@ from systems import jammed
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
-from impact_observer.bag.comparisons import compare_bag
-from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.cli.main import main
+from impact_observer.compare.bag_comparison import compare_bag
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import events_in, model_of
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import grid
 

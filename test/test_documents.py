@@ -7,8 +7,8 @@ import pytest
 
 from impact_observer.cli.main import COMMANDS
 from impact_observer.model import parse_model
-from impact_observer.nodes.parameters import TABLES, markdown
 from impact_observer.observer import ReplicaLaw
+from impact_observer.ros.parameters import TABLES, markdown
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()

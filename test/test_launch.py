@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from impact_observer.bag.interfaces import VIEWER_MARKERS
 from impact_observer.cli.demo import LAWS
 from impact_observer.cli.main import main
-from impact_observer.nodes.parameters import TABLES
-from impact_observer.nodes.wiring import Setting, monitors, observers, plant
+from impact_observer.io.interfaces import VIEWER_MARKERS
+from impact_observer.ros.parameters import TABLES
+from impact_observer.ros.wiring import Setting, monitors, observers, plant
 
 ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted(ROOT.glob("launch/*.launch.py"))
@@ -121,7 +121,7 @@ def launcher(monkeypatch: pytest.MonkeyPatch) -> Launcher:
 def demo_nodes(duration: float) -> list[Started]:
     """What the demo command starts."""
     pytest.importorskip("rclpy")
-    demonstration = importlib.import_module("impact_observer.nodes.demonstration")
+    demonstration = importlib.import_module("impact_observer.ros.demonstration")
     setting = Setting("three_mass", LAWS, "random:7", duration, 4.0, 200.0, EPOCH)
     nodes = (*observers(setting), *monitors(setting), plant(setting, recorders=1))
     commands = [demonstration._arguments(node) for node in nodes]
@@ -138,7 +138,7 @@ def test_launch_file_compiles_and_names_only_executables_of_the_package(path: Pa
     """What setup.py installs is what the files start."""
     text = path.read_text(encoding="utf-8")
     assert "generate_launch_description" in compile(text, str(path), "exec").co_names
-    installed = re.findall(r'"(\w+) = impact_observer\.nodes', (ROOT / "setup.py").read_text())
+    installed = re.findall(r'"(\w+) = impact_observer\.ros', (ROOT / "setup.py").read_text())
     assert set(re.findall(r'executable="(\w+)"', text)) <= set(installed)
 
 
@@ -170,7 +170,7 @@ def test_node_accepts_its_parameter_file(path: Path, ros_environment: dict[str, 
     from processes import interrupt, running, spinning
 
     arguments = ["--ros-args", "--params-file", str(path), "-r", "__node:=mine"]
-    module = f"impact_observer.nodes.{path.stem}"
+    module = f"impact_observer.ros.{path.stem}"
     with spinning() as spinner, running(module, arguments, ros_environment) as process:
         spinner.until(lambda: process.poll() is not None or seen(spinner.probe, "mine"))
         code, errors = interrupt(process)
@@ -374,9 +374,9 @@ def test_demo_launch_runs_and_estimates(
     """Estimates and errors of both laws come, and all ends with the plant, in good order."""
     from processes import spinning
 
-    from impact_observer.bag import interfaces
-    from impact_observer.nodes.messages import message_class
-    from impact_observer.nodes.quality import qos_profile
+    from impact_observer.io import interfaces
+    from impact_observer.ros.message_classes import message_class
+    from impact_observer.ros.qos import qos_profile
 
     quality = qos_profile(interfaces.STATES)
     heard = {law: [0, 0] for law in LAWS}

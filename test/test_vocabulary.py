@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
-from impact_observer import errors, shares
+from impact_observer import errors, resources
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch, Verdict
 from impact_observer.stamps import (
     MAX_STAMP,
@@ -139,7 +139,7 @@ def test_model_error_is_one_line_whatever_the_file_holds() -> None:
 
 def test_shared_file_is_found_in_the_source_tree() -> None:
     """The sample models lie beside the package."""
-    assert shares.shared("config/two_mass.yaml").is_file()
+    assert resources.shared("config/two_mass.yaml").is_file()
 
 
 def test_shared_file_is_found_where_ament_installs(
@@ -150,10 +150,10 @@ def test_shared_file_is_found_where_ament_installs(
     installed.parent.mkdir(parents=True)
     installed.touch()
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"{tmp_path / 'other'}:{tmp_path}")
-    assert shares.shared("config/x.yaml") == installed
+    assert resources.shared("config/x.yaml") == installed
 
 
 def test_missing_shared_file_is_named() -> None:
     """The error says what to do."""
     with pytest.raises(errors.UsageError, match=r"config/no\.yaml: .*reinstall"):
-        shares.shared("config/no.yaml")
+        resources.shared("config/no.yaml")

@@ -14,8 +14,8 @@ from impact_observer.cli.arguments import add_model, add_namespace, not_negative
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
-    from impact_observer.analysis.scene.film import Film
-    from impact_observer.bag.reader import BagReader
+    from impact_observer.draw.scene.film import Film
+    from impact_observer.io.reader import BagReader
 
 FPS = 25.0
 """Pictures a second."""
@@ -121,12 +121,12 @@ def animate(
         UsageError, ModelError: the arguments cannot be used, or there is no encoder.
         BagError: the bag cannot be read, or there is nothing in it to show.
     """
-    from impact_observer.analysis.scene.animation import Moving
-    from impact_observer.bag.films import Stretch, read_film
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import system_of
-    from impact_observer.cli.film_files import writer_for
     from impact_observer.cli.progress import Progress
+    from impact_observer.draw.film_files import writer_for
+    from impact_observer.draw.film_from_bag import Stretch, read_film
+    from impact_observer.draw.scene.animation import MovingArtists
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import system_of
     from impact_observer.stamps import seconds_between
 
     _check(speed=speed, fps=fps, start=start, duration=duration or 0.0)
@@ -143,7 +143,7 @@ def animate(
                 " with a shorter --duration, a lower --fps or a higher --speed"
             )
         stamps = film.stamps(fps, speed).tolist()
-        moving = Moving(film, title=_title(film, speed), speed=speed)
+        moving = MovingArtists(film, title=_title(film, speed), speed=speed)
         with write(output, moving.size) as add:
             for done, stamp in enumerate(stamps, start=1):
                 add(moving.picture(stamp))

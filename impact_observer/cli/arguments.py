@@ -48,7 +48,7 @@ def add_observer_arguments(
     )
     for name, meaning in (
         ("missed", "of an impact that it is not heard (default 0.1)"),
-        ("invented", "of an event that nothing has happened (default 0.1)"),
+        ("spurious", "of an event that nothing has happened (default 0.1)"),
         ("mislabelled", "of an impact that it was another contact's (default 0.01)"),
     ):
         parser.add_argument(

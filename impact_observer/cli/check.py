@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import add_model
 
 if TYPE_CHECKING:
-    from impact_observer.bag.checks.checking import Report
-    from impact_observer.bag.checks.findings import Finding
+    from impact_observer.check.bag_check import Report
+    from impact_observer.check.findings import Finding
 
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "dim"}
 _WIDTH = max(map(len, _STYLES))
@@ -61,7 +61,7 @@ def check(bag: Path, *, model: str | None = None, json: bool = False) -> int:
         UsageError: there is no bag.
         ModelError: the model is not valid.
     """
-    from impact_observer.bag.checks.checking import check_bag
+    from impact_observer.check.bag_check import check_bag
     from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
 
@@ -92,10 +92,10 @@ def rescue(bag: Path, output: Path, *, json: bool = False) -> int:
         UsageError: there is no bag, or something is at ``output`` already.
         BagError: nothing can be read, or the new bag cannot be written.
     """
-    from impact_observer.bag import BagReader
-    from impact_observer.bag.checks.findings import times
-    from impact_observer.bag.damaged.salvage import Salvage, salvage
+    from impact_observer.check.findings import times
+    from impact_observer.check.salvage import Salvage, salvage
     from impact_observer.cli.progress import Progress
+    from impact_observer.io import BagReader
     from impact_observer.stamps import text
 
     source = Salvage(bag)
@@ -160,7 +160,7 @@ def _print_folded(findings: "Sequence[Finding]") -> None:
 
 def _verdict(report: "Report") -> str:
     """Whether the bag can be used, with how many findings of each severity."""
-    from impact_observer.bag.checks.findings import SEVERITIES, times
+    from impact_observer.check.findings import SEVERITIES, times
 
     counts = {s: sum(f.severity == s for f in report.findings) for s in SEVERITIES}
     told = ", ".join(times(count, s) for s, count in counts.items() if count)

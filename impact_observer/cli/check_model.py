@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from impact_observer.analysis.model_check import ModelCheck
+    from impact_observer.check.model_check import ModelCheck
     from impact_observer.model import Forcing, System
     from impact_observer.states import Vector
 
@@ -22,7 +22,7 @@ _SHOWN = 3
 """Findings of one kind, and coordinates of one shape, that are shown."""
 
 
-class Finding(NamedTuple):
+class ModelFinding(NamedTuple):
     """A fact with its consequence.
 
     Attributes:
@@ -58,7 +58,7 @@ def check(model: str | Path, *, json: bool = False) -> int:
     Raises:
         UsageError, ModelError: the model cannot be read, or is none.
     """
-    from impact_observer.analysis.model_check import check_model
+    from impact_observer.check.model_check import check_model
     from impact_observer.model import read_model
 
     checked = check_model(read_model(model).system)
@@ -119,7 +119,7 @@ def figures(checked: "ModelCheck") -> dict[str, object]:
     }
 
 
-def findings(checked: "ModelCheck") -> list[Finding]:
+def findings(checked: "ModelCheck") -> list[ModelFinding]:
     """Every finding in plain words, those on the impact law first."""
     return [
         *_impact_law(checked),
@@ -131,21 +131,21 @@ def findings(checked: "ModelCheck") -> list[Finding]:
     ]
 
 
-def _impact_law(checked: "ModelCheck") -> Iterator[Finding]:
+def _impact_law(checked: "ModelCheck") -> Iterator[ModelFinding]:
     system = checked.system
     if checked.nonexpansive is None:
-        yield Finding(
+        yield ModelFinding(
             "warning",
             "Whether an impact can raise V is not decided: too many sets of contacts to look at."
             " One restitution for all contacts would settle it.",
         )
     elif checked.nonexpansive and system.m:
-        yield Finding(
+        yield ModelFinding(
             "ok",
             "No impact raises V, or adds kinetic energy, whichever contacts close together.",
         )
     for each in checked.growths[:_SHOWN]:
-        yield Finding(
+        yield ModelFinding(
             "warning",
             f"{_listed(system, each.contacts)} can close together, with restitution"
             f" {_restitutions(system, each.contacts)}: an impact of these alone can raise V by a"
@@ -153,23 +153,25 @@ def _impact_law(checked: "ModelCheck") -> Iterator[Finding]:
             " contacts that close together one restitution.",
         )
     if (more := len(checked.growths) - _SHOWN) > 0:
-        yield Finding("warning", f"{_count(more, 'other set')} of contacts found can do so too.")
+        yield ModelFinding(
+            "warning", f"{_count(more, 'other set')} of contacts found can do so too."
+        )
 
 
-def _closing(checked: "ModelCheck") -> Iterator[Finding]:
+def _closing(checked: "ModelCheck") -> Iterator[ModelFinding]:
     system = checked.system
     if not checked.possible:
-        yield Finding("warning", "Every position is inside some stop: no plant can start.")
+        yield ModelFinding("warning", "Every position is inside some stop: no plant can start.")
         return
     if not checked.roomy:
-        yield Finding(
+        yield ModelFinding(
             "warning",
             "No position is clear of all stops: some contact never opens. With unequal"
             " restitution there an impact may have no solution, which ends a run with an error.",
         )
     for contacts in checked.redundant.sets[:_SHOWN]:
         unequal = len({float(system.eps[i]) for i in contacts}) > 1
-        yield Finding(
+        yield ModelFinding(
             "note",
             f"{_listed(system, contacts)} depend on each other and can close together: how they"
             " share an impulse is not unique, the motion is"
@@ -180,59 +182,59 @@ def _closing(checked: "ModelCheck") -> Iterator[Finding]:
             ),
         )
     if (more := len(checked.redundant.sets) - _SHOWN) > 0:
-        yield Finding("note", f"So do {_count(more, 'other set')} of contacts found.")
+        yield ModelFinding("note", f"So do {_count(more, 'other set')} of contacts found.")
     if not checked.redundant.decided:
-        yield Finding(
+        yield ModelFinding(
             "note",
             "Whether more contacts that close together depend on each other is not decided: too"
             " many sets to look at. The motion is unique either way.",
         )
 
 
-def _seminorm(checked: "ModelCheck") -> Iterator[Finding]:
+def _seminorm(checked: "ModelCheck") -> Iterator[ModelFinding]:
     if not len(checked.rigid):
         return
     count = len(checked.rigid)
     shapes = "; ".join(_shape(checked.system, each) for each in checked.rigid[:_SHOWN])
-    yield Finding(
+    yield ModelFinding(
         "note",
         f"K is singular, {count} rigid-body mode{'s' * (count > 1)}: {shapes}"
         f"{', ...' * (count > _SHOWN)}. V is a seminorm: it does not see such a displacement.",
     )
 
 
-def _damping(checked: "ModelCheck") -> Iterator[Finding]:
+def _damping(checked: "ModelCheck") -> Iterator[ModelFinding]:
     free = [f"{mode.frequency:.4g} rad/s" for mode in checked.modes if mode.decay == 0]
     if int(sum(checked.rates == 0)):
         free.insert(0, "rigid-body motion")
     if free:
         some = ", ".join(free[:_SHOWN]) + (f", {len(free) - _SHOWN} more" * (len(free) > _SHOWN))
-        yield Finding(
+        yield ModelFinding(
             "note",
             f"Without damping: {some}. V need not vanish: only impacts reduce it there.",
         )
         return
     slowest = -max([mode.decay for mode in checked.modes] + checked.rates.tolist())
-    yield Finding(
+    yield ModelFinding(
         "ok",
         "All motion is damped: V falls between impacts too,"
         f" in the slowest mode by a factor e in {0.5 / slowest:.3g} s.",
     )
 
 
-def _resonances(checked: "ModelCheck") -> Iterator[Finding]:
+def _resonances(checked: "ModelCheck") -> Iterator[ModelFinding]:
     for each in checked.resonances:
-        yield Finding(
+        yield ModelFinding(
             "warning",
             f"Harmonic {each.harmonic + 1} of the forcing, {each.frequency:g} rad/s, is at the"
             " frequency of an undamped mode: without impacts its amplitude grows without bound.",
         )
 
 
-def _unseen(checked: "ModelCheck") -> Iterator[Finding]:
+def _unseen(checked: "ModelCheck") -> Iterator[ModelFinding]:
     system = checked.system
     if not system.m:
-        yield Finding("warning", "There are no contacts: no event ever tells anything.")
+        yield ModelFinding("warning", "There are no contacts: no event ever tells anything.")
         return
     for each in checked.unseen[:_SHOWN]:
         if each.frequency:
@@ -242,15 +244,15 @@ def _unseen(checked: "ModelCheck") -> Iterator[Finding]:
         else:
             what = "the rigid-body mode"
         fate = "only damping takes it away" if each.decay else "it stays"
-        yield Finding(
+        yield ModelFinding(
             "warning",
             f"No contact sees {what}, {_shape(system, each.shape)}: no law ever corrects an error"
             f" of it, {fate}.",
         )
     if (more := len(checked.unseen) - _SHOWN) > 0:
-        yield Finding("warning", f"No contact sees {more} other modes either.")
+        yield ModelFinding("warning", f"No contact sees {more} other modes either.")
     if not checked.unseen:
-        yield Finding(
+        yield ModelFinding(
             "ok",
             "Every mode moves some contact. One impact tells one number a contact that closes,"
             f" of {2 * system.n}; enough of them can tell the whole state.",

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.analysis import SETTLED
 from impact_observer.cli.arguments import (
     add_model,
     add_namespace,
@@ -21,12 +20,13 @@ from impact_observer.cli.arguments import (
     observer_options,
     positive,
 )
-from impact_observer.cli.comparison_tables import figures, print_tables, write_csv
+from impact_observer.compare.comparison import SETTLED
+from impact_observer.compare.error_tables import figures, print_tables, write_csv
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
-    from impact_observer.analysis.comparison import Comparison
-    from impact_observer.bag.comparisons import BagComparison, Choice
+    from impact_observer.compare.bag_comparison import BagComparison, Choice
+    from impact_observer.compare.comparison import Comparison
     from impact_observer.observer import Options
 
 
@@ -112,7 +112,7 @@ class Output:
         Raises:
             UsageError: a name does not end as it must, or a folder does not exist.
         """
-        from impact_observer.analysis.figures import check_picture
+        from impact_observer.draw.pictures import check_picture
 
         for path, endings in (
             (self.plot, (".png", ".svg", ".pdf")),
@@ -171,7 +171,7 @@ def compare(
         BagError: a bag cannot be read, or holds nothing to compare.
         ImpactLawError, DynamicsError: an observer cannot follow the events of a bag.
     """
-    from impact_observer.bag.comparisons import Choice
+    from impact_observer.compare.bag_comparison import Choice
 
     given = output or Output()
     given.check()
@@ -197,7 +197,7 @@ def _write(
     if output.plot is not None:
         draw(labelled, results, output.plot)
     if output.report is not None:
-        from impact_observer.cli.report import write_report
+        from impact_observer.compare.report import write_report
 
         write_report(output.report, labelled, results)
     written = {"figures": output.csv, "picture": output.plot, "report": output.report}
@@ -214,10 +214,10 @@ def _compare_one(
     choice: "Choice",
 ) -> "BagComparison":
     """Compare one bag, and show on a terminal how far that is."""
-    from impact_observer.bag.comparisons import compare_bag
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import model_of
     from impact_observer.cli.progress import Progress
+    from impact_observer.compare.bag_comparison import compare_bag
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import model_of
     from impact_observer.observer import COMPILING
 
     with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
@@ -240,8 +240,8 @@ def draw(
     plot: Path,
 ) -> None:
     """Draw V over time, of each bag since its epoch."""
-    from impact_observer.analysis.figures import save
-    from impact_observer.cli.comparison_figures import distance_figure
+    from impact_observer.compare.error_pictures import distance_figure
+    from impact_observer.draw.pictures import save
 
     save(distance_figure(labelled, results), plot)
 

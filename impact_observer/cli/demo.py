@@ -87,15 +87,15 @@ def demo(
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
-    from impact_observer.nodes.session import require_ros
     from impact_observer.observer import initial_state
+    from impact_observer.ros.session import require_ros
 
     require_ros()
     read = read_model(model)
     read.initial_state()
     initial_state(initial, read.system)
-    from impact_observer.nodes import demonstration
-    from impact_observer.nodes.wiring import Setting
+    from impact_observer.ros import demonstration
+    from impact_observer.ros.wiring import Setting
 
     folder = output or Path(time.strftime("demo_%Y%m%d_%H%M%S"))
     setting = Setting(model, LAWS, initial, duration, realtime_factor, rate, epoch=time.time_ns())
@@ -113,11 +113,11 @@ def demo(
 
 def _judge(bag: Path, picture: Path) -> int:
     """Compare, draw, and say whether the geometric law has made it."""
-    from impact_observer.bag.comparisons import compare_bag
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import model_of
     from impact_observer.cli.compare import draw, labelled_by_law
-    from impact_observer.cli.comparison_tables import print_tables
+    from impact_observer.compare.bag_comparison import compare_bag
+    from impact_observer.compare.error_tables import print_tables
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import model_of
 
     with BagReader(bag) as reader:
         result = compare_bag(reader, model_of(reader).system)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import add_model, stamp
 
 if TYPE_CHECKING:
-    from impact_observer.detector import Source, Tally
+    from impact_observer.detector import SensorCounts, Source
 
 _TEXTS = {
     "contact": "name of the contact in the model",
@@ -110,9 +110,9 @@ def detect(
         UsageError, ModelError: the arguments cannot be used.
         BagError: a bag cannot be read or written, or there is no impact in it.
     """
-    from impact_observer.bag.detection import detect_bag
-    from impact_observer.bag.reader import BagReader
     from impact_observer.cli.progress import Progress
+    from impact_observer.detector.recorded import detect_bag
+    from impact_observer.io.reader import BagReader
     from impact_observer.model import read_model
 
     read = None if model is None else read_model(model)
@@ -131,7 +131,7 @@ def detect(
     return 0
 
 
-def _found(tally: "Tally") -> str:
+def _found(tally: "SensorCounts") -> str:
     """What a source has told, in words."""
     hits = f"{tally.hits} impact{'' if tally.hits == 1 else 's'}"
     return f"{hits}, {tally.lasting} of them lasting" if tally.lasting else hits

@@ -14,7 +14,7 @@ from impact_observer.cli.arguments import add_model, add_namespace, stamp
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
-    from impact_observer.bag.exporting import Sink
+    from impact_observer.compare.tables_of_bag import Sink
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
 
@@ -97,10 +97,10 @@ def export(
         UsageError, ModelError: the arguments cannot be used, or ``pyarrow`` is not here.
         BagError: the bag cannot be read or holds nothing to export, or the file cannot be written.
     """
-    from impact_observer.bag import exporting
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import system_of
     from impact_observer.cli.progress import Progress
+    from impact_observer.compare import tables_of_bag
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import system_of
 
     if topics is not None and what == EVENTS:
         raise UsageError(f"topics: {', '.join(topics)} given; {EVENTS} have their own topic")
@@ -112,15 +112,17 @@ def export(
 
         def written(sink: "Sink") -> Counter[str]:
             if what == EVENTS:
-                return exporting.export_events(reader, sink, epoch=epoch, progress=show)
+                return tables_of_bag.export_events(reader, sink, epoch=epoch, progress=show)
             if what == STATES:
-                return exporting.export_states(reader, sink, topics, epoch=epoch, progress=show)
+                return tables_of_bag.export_states(
+                    reader, sink, topics, epoch=epoch, progress=show
+                )
             system = system_of(reader, model)
-            return exporting.export_errors(
+            return tables_of_bag.export_errors(
                 reader, sink, system, topics, epoch=epoch, progress=show
             )
 
-        with exporting.finished(output, make) as sink:
+        with tables_of_bag.finished(output, make) as sink:
             rows = written(sink)
         each = ", ".join(f"{count} of {topic}" for topic, count in rows.items())
         progress.line(f"{output}: {rows.total()} rows of {what}: {each}")
@@ -133,12 +135,12 @@ def _sink(output: Path) -> "Callable[[Path], Sink]":
     Raises:
         UsageError: the name is of neither format, or ``pyarrow`` is not here.
     """
-    from impact_observer.bag.exporting import CsvSink
+    from impact_observer.compare.tables_of_bag import CsvSink
 
     if output.suffix.lower() != ".parquet":
         return CsvSink
     try:
-        from impact_observer.bag.parquet import ParquetSink
+        from impact_observer.compare.parquet import ParquetSink
     except ImportError as error:
         raise UsageError(
             f"{output}: Parquet needs pyarrow ({error}); pip install impact_observer[parquet]"

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import positive
 
 if TYPE_CHECKING:
-    from impact_observer.analysis.comparison import Comparison
     from impact_observer.cli.progress import Progress
+    from impact_observer.compare.comparison import Comparison
     from impact_observer.model import Model
     from impact_observer.observer import Observer
     from impact_observer.plant import Run
@@ -109,10 +109,11 @@ def figure(
     """
     from rich.console import Console
 
-    from impact_observer.analysis.comparison import impacts_in
-    from impact_observer.analysis.figures import check_picture, lyapunov_figure, save
-    from impact_observer.cli import comparison_tables
     from impact_observer.cli.progress import Progress
+    from impact_observer.compare import error_tables
+    from impact_observer.compare.comparison import impacts_in
+    from impact_observer.compare.error_pictures import lyapunov_figure
+    from impact_observer.draw.pictures import check_picture, save
     from impact_observer.model import read_model
     from impact_observer.observer import Options
 
@@ -136,11 +137,11 @@ def figure(
         drawn = lyapunov_figure(comparisons, impacts, title=about, epoch=EPOCH, paper=paper)
         save(drawn, output, about=about.replace("\n", "; "))
     if json:
-        found = {law: comparison_tables.figures(each) for law, each in comparisons.items()}
+        found = {law: error_tables.figures(each) for law, each in comparisons.items()}
         print(json_module.dumps(found, indent=2))
         return 0
-    Console().print(comparison_tables.table_of(comparisons))
-    comparison_tables.print_blindness(comparisons)
+    Console().print(error_tables.table_of(comparisons))
+    error_tables.print_blindness(comparisons)
     print(f"picture: {output}")
     return 0
 
@@ -161,8 +162,8 @@ def _observed(
     observers: "Sequence[Observer]", run: "Run", progress: "Progress"
 ) -> "dict[str, Comparison]":
     """Each law's estimates against the run, told while it goes on."""
-    from impact_observer.analysis.comparison import compare_law
-    from impact_observer.analysis.pairing import Series
+    from impact_observer.compare.comparison import compare_law
+    from impact_observer.io.pairing import Series
 
     comparisons = {}
     for observer in observers:

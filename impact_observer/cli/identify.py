@@ -12,10 +12,10 @@ from impact_observer.cli.arguments import add_model, add_namespace, not_negative
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from impact_observer.analysis.identification.checking import Check
-    from impact_observer.analysis.identification.identifying import Identified
+    from impact_observer.identify.fit_check import Check
+    from impact_observer.identify.identifying import Identified
     from impact_observer.model import Model
-    from impact_observer.model.reading import ModelText
+    from impact_observer.model.model_file import ModelText
 
 _WIDTH = 100
 """Columns where there is no terminal."""
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--horizon", metavar="S", type=positive, help="use the first so many seconds (default all)"
     )
     parser.add_argument(
-        "--believe", action="store_true", help="take no impact for invented or missing"
+        "--believe", action="store_true", help="take no impact for spurious or missing"
     )
     parser.add_argument(
         "--check", action="store_true", help="say whether the model fits the times; learns nothing"
@@ -101,7 +101,7 @@ def identify(
         model: a model file or a sample's name; None for the model that the bag carries.
         clock_error: standard deviation of the stamps, s; None where the fit tells.
         horizon: seconds of the recording that count; None for all.
-        believe: whether no impact is taken for invented or missing.
+        believe: whether no impact is taken for spurious or missing.
         check: whether to check the model instead.
         namespace: of the rig that is meant; empty for the only one.
         output: the model file to make; None for none.
@@ -116,12 +116,12 @@ def identify(
         BagError: the bag cannot be read, or tells no impact of the model's contacts.
         IdentificationError: too few impacts, or parameters that no impact tells.
     """
-    from impact_observer.analysis.identification import checking, identifying
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import events_in, text_of_model
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
-    from impact_observer.model.parameters import family_of
+    from impact_observer.identify import fit_check, identifying
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import events_in, text_of_model
+    from impact_observer.model.learnable import family_of
 
     _check_usage(free, output, plot, check=check, clock=clock_error)
     with BagReader(bag, namespace) as reader:
@@ -141,7 +141,7 @@ def identify(
             )
         except BagError as error:
             raise BagError(f"{bag}: {error}") from None
-    verdict = checking.checked(found)
+    verdict = fit_check.checked(found)
     good = found.converged and not found.unknown and (verdict.fits or not check)
     if json:
         print(json_module.dumps(figures(found, verdict), indent=2, allow_nan=False))
@@ -182,7 +182,7 @@ def _check_usage(
         found = "exists already" if output.exists() else "its folder does not exist"
         raise UsageError(f"{output}: {found}; expected the name of a file to make")
     if plot is not None:
-        from impact_observer.analysis.figures import check_picture
+        from impact_observer.draw.pictures import check_picture
 
         check_picture(plot)
 
@@ -190,7 +190,7 @@ def _check_usage(
 def _parsed(given: "ModelText") -> tuple["Model", dict[str, object]]:
     """The model, and what its file says."""
     from impact_observer.model import parse_model
-    from impact_observer.model.reading import load_yaml
+    from impact_observer.model.model_file import load_yaml
 
     model, document = parse_model(*given), load_yaml(given.text)
     assert isinstance(document, dict), "a model is a mapping"
@@ -207,8 +207,8 @@ def text_of(text: str, document: dict[str, object], found: "Identified", bag: st
         bag: of what, for the provenance.
     """
     from impact_observer import __version__
-    from impact_observer.analysis.identification.writing import changes
-    from impact_observer.model.reading import edited
+    from impact_observer.identify.model_edit import changes
+    from impact_observer.model.model_file import edited
 
     rows = zip(found.family.names, found.values.tolist(), found.errors.tolist(), strict=True)
     learnt = {name: {"value": value, "standard_error": error} for name, value, error in rows}
@@ -228,8 +228,8 @@ def text_of(text: str, document: dict[str, object], found: "Identified", bag: st
 
 def draw(found: "Identified", plot: Path) -> None:
     """Draw the errors of the stamps over time."""
-    from impact_observer.analysis.figures import save
-    from impact_observer.analysis.identification_figure import identification_figure
+    from impact_observer.draw.pictures import save
+    from impact_observer.identify.fit_picture import identification_figure
 
     title = f"{found.family.system.name}: how much earlier than the model's impacts the stamps are"
     save(identification_figure(found, title=title), plot)
@@ -340,7 +340,7 @@ def _of_fit(found: "Identified") -> Iterator[str]:
     if not found.converged:
         yield "No motion of the model explains them: nothing here is to be trusted."
     for hits, words in (
-        (found.recording.doubted, "taken for invented"),
+        (found.recording.doubted, "taken for spurious"),
         (found.recording.inserted, "inserted, unheard"),
     ):
         if hits:
@@ -359,7 +359,7 @@ def _times(found: "Identified", hits: "frozenset[tuple[int, int]]") -> str:
 
 def _of_parameters(found: "Identified") -> Iterator[str]:
     """What the data cannot tell, or can hardly tell apart."""
-    from impact_observer.analysis.identification.identifying import combination
+    from impact_observer.identify.identifying import combination
 
     for each in found.unknown:
         yield f"Not told by these impacts: {combination(each)}. Hold one of them fixed."

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import add_model, stamp
 
 if TYPE_CHECKING:
-    from impact_observer.bag.importing import Imported
+    from impact_observer.io.csv_import import Imported
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,8 +87,8 @@ def import_csv(
         UsageError, ModelError: the file or the arguments cannot be used.
         BagError: the bag cannot be written.
     """
-    from impact_observer.bag import importing
     from impact_observer.cli.progress import Progress
+    from impact_observer.io import csv_import
     from impact_observer.model import read_model
 
     read = None if model is None else read_model(model)
@@ -98,7 +98,7 @@ def import_csv(
             if rows % 1000 == 0:
                 progress.show(f"{csv}: {rows} rows")
 
-        imported = importing.import_csv(
+        imported = csv_import.import_csv(
             csv,
             output,
             model=read,
@@ -116,7 +116,7 @@ def import_csv(
 
 def _said(imported: "Imported") -> str:
     """What has become of a file, in words."""
-    from impact_observer.bag.checks.findings import times
+    from impact_observer.check.findings import times
     from impact_observer.stamps import text
 
     span = f"stamps {text(imported.first)} to {text(imported.last)} s"

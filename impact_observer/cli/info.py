@@ -10,8 +10,8 @@ from shlex import quote
 from typing import TYPE_CHECKING, Literal, cast
 
 if TYPE_CHECKING:
-    from impact_observer.bag import BagReader
     from impact_observer.events import ImpactEvent, Kind
+    from impact_observer.io import BagReader
 
 _WIDTH = 140
 """Columns where there is no terminal."""
@@ -136,7 +136,7 @@ def summarize(bag: Path) -> BagSummary:
 
 def _summarized(bag: Path) -> BagSummary:
     """The same, where errors do not say yet what to do."""
-    from impact_observer.bag import BagReader
+    from impact_observer.io import BagReader
     from impact_observer.stamps import seconds_between
 
     with BagReader(bag) as reader:
@@ -183,7 +183,7 @@ def _topics(reader: "BagReader") -> list[TopicSummary]:
 
 def _chunks(bag: Path) -> dict[str, object] | None:
     """What the indices of MCAP files say of their chunks, all files together."""
-    from impact_observer.bag.damaged.mcap_records import facts
+    from impact_observer.check.mcap_records import facts
 
     files = sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]
     found = []
@@ -204,8 +204,8 @@ def _chunks(bag: Path) -> dict[str, object] | None:
 
 def _impacts(reader: "BagReader") -> tuple[dict[str, int], dict[str, int], int]:
     """Impacts and closings of each contact, and the number of episodes, over all topics."""
-    from impact_observer.bag.interfaces import IMPACT_EVENT
     from impact_observer.events import Kind
+    from impact_observer.io.interfaces import IMPACT_EVENT
 
     counts: Counter[str] = Counter()
     closings: Counter[str] = Counter()
@@ -229,7 +229,7 @@ def _hits(events: "Iterable[ImpactEvent]") -> "Iterator[tuple[str, Kind]]":
 
     Events are put in order ``_WINDOW`` at a time; those of one stamp are never parted.
     """
-    from impact_observer.observer.order import hits
+    from impact_observer.observer.event_order import hits
 
     def key(event: "ImpactEvent") -> tuple[int, int, int]:
         return event.epoch, event.episode, event.stamp
@@ -273,7 +273,7 @@ def _model(reader: "BagReader") -> dict[str, object] | None:
 
 def _law(reader: "BagReader", prefix: str) -> str:
     """The law that an observer published with its first state; empty when it did not."""
-    from impact_observer.bag.messages import EstimateMessage
+    from impact_observer.io.messages import EstimateMessage
 
     if (topic := f"{prefix}/state") not in reader.topics:
         return ""
@@ -286,7 +286,7 @@ def _print(summary: BagSummary) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from impact_observer.bag.checks.findings import times
+    from impact_observer.check.findings import times
     from impact_observer.stamps import text
 
     width = None if sys.stdout.isatty() else _WIDTH

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import add_model
 
 if TYPE_CHECKING:
-    from impact_observer.bag.curves import Curve
+    from impact_observer.draw.curves import Curve
 
 _BAGS = {".mcap", ".db3"}
 
@@ -66,7 +66,7 @@ def layout(
         UsageError, ModelError: the arguments cannot be used, or the file cannot be written.
         BagError: the bag cannot be read, or has no observers.
     """
-    from impact_observer.bag.layouts import foxglove, plotjuggler
+    from impact_observer.draw.layouts import foxglove, plotjuggler
     from impact_observer.errors import UsageError
 
     if (kind := output.suffix.lower()) not in {".json", ".xml"}:
@@ -89,7 +89,7 @@ def layout(
 
 def _of_model(model: str, observers: Sequence[str]) -> "tuple[Curve, ...]":
     """The curves of a model and observers that go by these names."""
-    from impact_observer.bag.curves import Observed, curves
+    from impact_observer.draw.curves import Observed, curves
     from impact_observer.model import read_model
 
     named = dict.fromkeys(Observed.named(name) for name in observers)
@@ -100,10 +100,10 @@ def _of_bag(
     bag: Path, observers: Sequence[str] | None, model: str | None
 ) -> "tuple[tuple[Curve, ...], tuple[str, ...]]":
     """The curves that a bag has something for, and its topics."""
-    from impact_observer.bag.curves import Observed, curves, observed_in
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import system_of
+    from impact_observer.draw.curves import Observed, curves, observed_in
     from impact_observer.errors import BagError, UsageError
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import system_of
 
     with BagReader(bag) as reader:
         system, found = system_of(reader, model), observed_in(reader)

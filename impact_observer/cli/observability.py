@@ -12,7 +12,7 @@ from impact_observer.cli.arguments import add_model, add_namespace, positive
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from impact_observer.analysis.observability import Observability
+    from impact_observer.observability.rank import Observability
     from impact_observer.states import Vector
 
 _WIDTH = 100
@@ -89,14 +89,14 @@ def observe(
         BagError: the bag cannot be read, or tells no impact of the model's contacts.
         ImpactLawError: the impact law has no solution at an event.
     """
-    from impact_observer.analysis.observability import TOLERANCE, observability
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import events_in, system_of
     from impact_observer.errors import BagError
-    from impact_observer.observer import deviation_of
+    from impact_observer.estimation.uncertainty import deviation_of
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import events_in, system_of
+    from impact_observer.observability.rank import TOLERANCE, observability
 
     if plot is not None:
-        from impact_observer.analysis.figures import check_picture
+        from impact_observer.draw.pictures import check_picture
 
         check_picture(plot)
     with BagReader(bag, namespace) as reader:
@@ -124,8 +124,8 @@ def observe(
 
 def draw(told: "Observability", plot: Path) -> None:
     """Draw singular values and rank over time."""
-    from impact_observer.analysis.figures import save
-    from impact_observer.analysis.observability_figure import observability_figure
+    from impact_observer.draw.pictures import save
+    from impact_observer.observability.rank_picture import observability_figure
 
     title = f"{told.system.name}: what the impacts have told of the initial state"
     save(observability_figure(told, title=title), plot)

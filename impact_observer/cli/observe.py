@@ -79,11 +79,11 @@ def observe(
         BagError: a bag cannot be read or written, or nothing in it could be applied.
         ImpactLawError: the replica cannot follow an event.
     """
-    from impact_observer.bag.reader import BagReader
-    from impact_observer.bag.recordings import model_of, observe_bag
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
     from impact_observer.events import Ruling
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import model_of, observe_bag
     from impact_observer.observer import COMPILING, Options
 
     chosen = options or Options()
@@ -116,7 +116,7 @@ def observe(
 
 def learnt(observer: "Observer") -> "Iterator[str]":
     """What an observer has learnt besides the state, when it has heard everything."""
-    from impact_observer.model.parameters import with_unit
+    from impact_observer.model.learnable import with_unit
 
     if not observer.last_event:
         return

@@ -13,9 +13,9 @@ from impact_observer.cli.arguments import positive
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
-    from impact_observer.bag.schedule import Control, Playing
     from impact_observer.cli.keyboard import Keyboard
-    from impact_observer.nodes.player import Player
+    from impact_observer.io.play_schedule import Control, Playing
+    from impact_observer.ros.player import Player
 
 _DELAY = 5.0
 _CLOCK_RATE = 100.0
@@ -30,7 +30,7 @@ _KEYS = {
     "down": "SLOWER",
     "q": "QUIT",
 }
-"""What keys want, by the names of :class:`~impact_observer.bag.schedule.Control`."""
+"""What keys want, by the names of :class:`~impact_observer.io.play_schedule.Control`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -116,8 +116,8 @@ def remapping(text: str) -> tuple[str, str]:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from impact_observer.bag.overrides import read_overrides
-    from impact_observer.bag.schedule import Playing
+    from impact_observer.io.play_schedule import Playing
+    from impact_observer.io.qos_overrides import read_overrides
 
     how = Playing(
         topics=args.topics,
@@ -151,10 +151,10 @@ def play(bag: Path, how: "Playing", *, delay: float = _DELAY) -> int:
     """
     from impact_observer.cli.keyboard import Keyboard
     from impact_observer.cli.progress import Progress
-    from impact_observer.nodes.session import require_ros
+    from impact_observer.ros.session import require_ros
 
     require_ros()
-    from impact_observer.nodes import player
+    from impact_observer.ros import player
 
     name = bag.resolve().name
     with Progress() as progress, Keyboard() as keyboard:
@@ -180,6 +180,6 @@ def play(bag: Path, how: "Playing", *, delay: float = _DELAY) -> int:
 
 def controls_of(keyboard: "Keyboard") -> "list[Control]":
     """What the keys pressed want; other keys want nothing."""
-    from impact_observer.bag.schedule import Control
+    from impact_observer.io.play_schedule import Control
 
     return [Control[_KEYS[key]] for key in keyboard.pressed() if key in _KEYS]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from impact_observer.nodes.recorder import Recorded
+    from impact_observer.ros.recorder import RecordedTopic
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -83,10 +83,10 @@ def record(
         BagError: the bag cannot be written.
     """
     from impact_observer.cli.progress import Progress
-    from impact_observer.nodes.session import require_ros
+    from impact_observer.ros.session import require_ros
 
     require_ros()
-    from impact_observer.nodes import recorder
+    from impact_observer.ros import recorder
 
     with Progress() as progress:
 
@@ -113,7 +113,7 @@ def record(
     return 0
 
 
-def _account(recorded: "Recorded") -> Iterator[str]:
+def _account(recorded: "RecordedTopic") -> Iterator[str]:
     """What came, and what did not."""
     for topic, count in recorded.counts.items():
         yield f"{count:>9} {topic}{'' if count else ': was there, but said nothing'}"

@@ -7,17 +7,11 @@ from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import positive, seed, stamp
 from impact_observer.errors import UsageError
-from impact_observer.integrators import (
-    DEFAULT_STEP,
-    EVENT_DRIVEN,
-    INTEGRATORS,
-    MOREAU,
-    described,
-)
-from impact_observer.troubles import TROUBLES, Trouble
+from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU, described
+from impact_observer.sensor_faults import SENSOR_FAULTS, SensorFault
 
 if TYPE_CHECKING:
-    from impact_observer.plant import Sensor
+    from impact_observer.plant import SensorModel
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_sensor_arguments(parser: argparse.ArgumentParser) -> None:
     """An option for every trouble; all are off unless asked for."""
     group = parser.add_argument_group("sensor", "what is wrong with it; nothing unless told")
-    for each in TROUBLES:
+    for each in SENSOR_FAULTS:
         option = f"--{each.name.replace('_', '-')}"
         if isinstance(each.ideal, bool):
             group.add_argument(option, action="store_true", help=each.meaning)
@@ -73,7 +67,7 @@ def _add_sensor_arguments(parser: argparse.ArgumentParser) -> None:
         )
 
 
-def _allowed(trouble: Trouble) -> Callable[[str], float]:
+def _allowed(trouble: SensorFault) -> Callable[[str], float]:
     """The type of an argument that is a value of ``trouble``."""
 
     def value(text: str) -> float:
@@ -89,7 +83,7 @@ def _allowed(trouble: Trouble) -> Callable[[str], float]:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from impact_observer.plant import Sensor
+    from impact_observer.plant import SensorModel
 
     return simulate(
         args.model,
@@ -100,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
         epoch=args.epoch,
         integrator=args.integrator,
         step=args.step,
-        sensor=Sensor(**{each.name: getattr(args, each.name) for each in TROUBLES}),
+        sensor=SensorModel(**{each.name: getattr(args, each.name) for each in SENSOR_FAULTS}),
     )
 
 
@@ -114,7 +108,7 @@ def simulate(
     epoch: int = 1_000_000_000,
     integrator: str = EVENT_DRIVEN,
     step: float | None = None,
-    sensor: "Sensor | None" = None,
+    sensor: "SensorModel | None" = None,
 ) -> int:
     """Simulate a plant and write its bag.
 
@@ -139,9 +133,9 @@ def simulate(
         BagError: the bag cannot be written.
     """
     from impact_observer import plant
-    from impact_observer.bag.recordings import write_run
-    from impact_observer.bag.writer import check_free
     from impact_observer.cli.progress import Progress
+    from impact_observer.io.recordings import write_run
+    from impact_observer.io.writer import check_free
     from impact_observer.model import read_model
     from impact_observer.stamps import from_seconds, grid, seconds_between
 

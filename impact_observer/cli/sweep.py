@@ -17,7 +17,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
 
-from impact_observer.analysis import SETTLED
 from impact_observer.cli.arguments import (
     add_observer_arguments,
     count,
@@ -25,16 +24,17 @@ from impact_observer.cli.arguments import (
     positive,
     seed,
 )
-from impact_observer.cli.sweep_engines import one_thread, run_cases
-from impact_observer.cli.sweep_tables import figures, print_groups
+from impact_observer.compare.comparison import SETTLED
 from impact_observer.errors import SweepError, UsageError
-from impact_observer.troubles import TROUBLES, Trouble
+from impact_observer.sensor_faults import SENSOR_FAULTS, SensorFault
+from impact_observer.sweep.engines import one_thread, run_cases
+from impact_observer.sweep.summary_tables import figures, print_groups
 
 if TYPE_CHECKING:
-    from impact_observer.analysis.sweep.running import Outcome
-    from impact_observer.analysis.sweep.summary import Group
-    from impact_observer.analysis.sweep.sweep import Sweep
     from impact_observer.cli.progress import Progress
+    from impact_observer.sweep.case_runs import Outcome
+    from impact_observer.sweep.plan import Sweep
+    from impact_observer.sweep.summary import CaseGroup
 
 EPOCH = 1_000_000_000
 """Stamp of ``t = 0`` unless told otherwise, ns."""
@@ -42,7 +42,7 @@ PERIOD = 5.0
 """Time after which what is finished is written, s, or more where writing takes long."""
 _BURDEN = 20.0
 """Least time between two writings, over what the last one took."""
-SWEPT = tuple(each for each in TROUBLES if each.name != "transport")
+SWEPT = tuple(each for each in SENSOR_FAULTS if each.name != "transport")
 """Estimates are made afterwards, from all events: what is on its way for long does not matter."""
 SENSOR = "sensor_"
 
@@ -129,7 +129,7 @@ def _add_swept_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _values_of(trouble: Trouble) -> "Callable[[str], tuple[float | bool, ...]]":
+def _values_of(trouble: SensorFault) -> "Callable[[str], tuple[float | bool, ...]]":
     """The type of an argument that has values of ``trouble``, with commas."""
     words: dict[str, bool] = {"true": True, "yes": True, "false": False, "no": False}
 
@@ -180,12 +180,12 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     """
     from dataclasses import replace
 
-    from impact_observer.analysis.sweep.replicas import replicas_of
-    from impact_observer.analysis.sweep.sweep import RANDOM, Rig, Sweep, sensors_of
     from impact_observer.cli.compare import laws_in
     from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
     from impact_observer.observer import COMPILING
+    from impact_observer.sweep.model_variants import replicas_of
+    from impact_observer.sweep.plan import RANDOM, Rig, Sweep, sensors_of
 
     model = read_model(args.model)
     model.initial_state()
@@ -247,8 +247,8 @@ class Show:
             if self.against is not None:
                 raise UsageError(f"--against {self.against}: there is no picture; add --plot FILE")
             return
-        from impact_observer.analysis.figures import check_picture
-        from impact_observer.analysis.sweep_figure import against_of
+        from impact_observer.draw.pictures import check_picture
+        from impact_observer.sweep.summary_picture import against_of
 
         check_picture(self.plot)
         against_of(sweep, self.against)
@@ -280,10 +280,10 @@ def sweep(
         SweepError: the work could not go on, or some cases have failed; the file has the others.
         KeyboardInterrupt: as it came; the file has what was finished.
     """
-    from impact_observer.analysis.figures import check_picture
-    from impact_observer.analysis.sweep.running import plant_run
-    from impact_observer.analysis.sweep.summary import groups_of
     from impact_observer.cli.progress import Progress
+    from impact_observer.draw.pictures import check_picture
+    from impact_observer.sweep.case_runs import plant_run
+    from impact_observer.sweep.summary import groups_of
 
     shown = show or Show()
     check_picture(output, (".parquet",))
@@ -319,12 +319,12 @@ def _files() -> "ModuleType":
         UsageError: ``pyarrow`` is not here.
     """
     try:
-        from impact_observer.bag import sweeps
+        from impact_observer.sweep import outcomes_file
     except ImportError as error:
         raise UsageError(
             f"sweep needs pyarrow ({error}); pip install impact_observer[sweep]"
         ) from None
-    return sweeps
+    return outcomes_file
 
 
 def _finish(
@@ -355,11 +355,11 @@ def _finish(
             write(output, wanted, outcomes)
 
 
-def draw(wanted: "Sweep", groups: "Sequence[Group]", show: Show) -> None:
+def draw(wanted: "Sweep", groups: "Sequence[CaseGroup]", show: Show) -> None:
     """Draw the settling times."""
-    from impact_observer.analysis.figures import save
-    from impact_observer.analysis.sweep_figure import sweep_figure
+    from impact_observer.draw.pictures import save
     from impact_observer.model import parse_model
+    from impact_observer.sweep.summary_picture import sweep_figure
 
     assert show.plot is not None, "there is a picture to draw"
     name = parse_model(wanted.rig.text, "model").system.name
@@ -367,7 +367,7 @@ def draw(wanted: "Sweep", groups: "Sequence[Group]", show: Show) -> None:
     save(sweep_figure(wanted, groups, against=show.against, title=title), show.plot, about=title)
 
 
-def document(wanted: "Sweep", groups: "Sequence[Group]", impacts: int) -> dict[str, object]:
+def document(wanted: "Sweep", groups: "Sequence[CaseGroup]", impacts: int) -> dict[str, object]:
     """What ``--json`` prints."""
     return {
         "cases": wanted.size,

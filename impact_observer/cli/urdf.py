@@ -15,8 +15,8 @@ from impact_observer.cli.arguments import not_negative, seed
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
-    from impact_observer.analysis.scene.scene import Scene
-    from impact_observer.analysis.scene.shapes import Box
+    from impact_observer.draw.scene.scene import Scene
+    from impact_observer.draw.scene.shapes import Box
 
 _BODY, _STOP = (0.40, 0.61, 0.78), (0.45, 0.45, 0.45)
 _FIXED = "_fixed"
@@ -89,7 +89,7 @@ def urdf(
         UsageError, ModelError: the model is none, a number is too large, or the file cannot be
             written.
     """
-    from impact_observer.analysis.scene.scene import Scene
+    from impact_observer.draw.scene.scene import Scene
     from impact_observer.model import read_model
 
     for name, value, most in (("reach", reach, _FARTHEST), ("row", row, _MOST_ROWS)):
@@ -123,7 +123,7 @@ def described(scene: "Scene", *, prefix: str = "", frame: str = "world", row: in
     Raises:
         UsageError: a body's link would have the name of the first.
     """
-    from impact_observer.analysis.scene.shapes import ROWS, grounds
+    from impact_observer.draw.scene.shapes import ROWS, grounds
 
     unit = 2 * scene.half
     aside = -row * ROWS * unit
@@ -157,7 +157,7 @@ def _body(scene: "Scene", slot: int) -> "Iterator[Box]":
     """A body about its middle, with the rods of its bumpers."""
     import numpy as np
 
-    from impact_observer.analysis.scene.shapes import ROD_HEIGHT, Box, pads
+    from impact_observer.draw.scene.shapes import ROD_HEIGHT, Box, pads
 
     yield Box(-scene.half, 0.0, 2 * scene.half, 1.0)
     home, thin = float(scene.homes[slot]), 0.06
@@ -170,7 +170,7 @@ def _body(scene: "Scene", slot: int) -> "Iterator[Box]":
 
 def _stops(scene: "Scene", prefix: str, taken: set[str]) -> "Iterator[tuple[str, float, Box]]":
     """Name of the link, face and shape of each wall, seen from its face."""
-    from impact_observer.analysis.scene.shapes import STOP_HEIGHT, Box
+    from impact_observer.draw.scene.shapes import STOP_HEIGHT, Box
 
     for wall in scene.walls:
         name = f"{prefix}{scene.system.contact_names[wall.contact]}"

@@ -15,9 +15,9 @@ from impact_observer.cli.arguments import add_model, positive
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from impact_observer.cli.watch_screen import Look
-    from impact_observer.nodes.glance import Glance, ObserverGlance
-    from impact_observer.nodes.listening import Listening
+    from impact_observer.cli.watch_screen import ScreenStyle
+    from impact_observer.ros.snapshot import Glance, ObserverGlance
+    from impact_observer.ros.topic_listener import Listening
 
 _RATE = 4.0
 _LINES = 1.0
@@ -95,10 +95,10 @@ def watch(
     from rich.console import Console
 
     from impact_observer.model import read_model
-    from impact_observer.nodes.session import require_ros
+    from impact_observer.ros.session import require_ros
 
     require_ros()
-    from impact_observer.nodes.listening import Listening
+    from impact_observer.ros.topic_listener import Listening
 
     system = None if model is None else read_model(model).system
     listening = Listening(observers, system, seconds=window)
@@ -118,7 +118,7 @@ def _live(listening: "Listening", console: "Console", rate: float, duration: flo
 
     from impact_observer.cli.keyboard import Keyboard
     from impact_observer.cli.watch_screen import line, screen
-    from impact_observer.nodes import watching
+    from impact_observer.ros import watch_session
 
     frozen: list[Glance] = []
     last: list[Glance] = []
@@ -141,16 +141,16 @@ def _live(listening: "Listening", console: "Console", rate: float, duration: flo
                     show(last[0])
             return True
 
-        watching.watch(listening, show, rate=rate, keep_on=keep_on, duration=duration)
+        watch_session.watch(listening, show, rate=rate, keep_on=keep_on, duration=duration)
     console.print(line(last[0]), soft_wrap=True)
 
 
 def _lines(listening: "Listening", rate: float, duration: float | None, *, json: bool) -> None:
     """A line a picture."""
-    from impact_observer.nodes import watching
+    from impact_observer.ros import watch_session
 
     write = _written(json=json)
-    watching.watch(
+    watch_session.watch(
         listening,
         lambda glance: print(write(glance), flush=True),
         rate=rate,
@@ -162,7 +162,7 @@ def _lines(listening: "Listening", rate: float, duration: float | None, *, json:
 def _once(listening: "Listening", console: "Console", patience: float, *, json: bool) -> int:
     """One picture, as soon as every observer that is there has told what it knows."""
     from impact_observer.cli.watch_screen import screen
-    from impact_observer.nodes import watching
+    from impact_observer.ros import watch_session
 
     seen: list[Glance] = []
 
@@ -176,7 +176,7 @@ def _once(listening: "Listening", console: "Console", patience: float, *, json: 
     def show(glance: "Glance") -> None:
         seen[:] = [glance]
 
-    watching.watch(listening, show, rate=_RATE, keep_on=keep_on, duration=patience)
+    watch_session.watch(listening, show, rate=_RATE, keep_on=keep_on, duration=patience)
     if json:
         print(_written(json=True)(seen[0]))
     else:
@@ -186,14 +186,14 @@ def _once(listening: "Listening", console: "Console", patience: float, *, json: 
 
 def _look(
     console: "Console", *, keys: bool = False, frozen: bool = False, endless: bool = False
-) -> "Look":
+) -> "ScreenStyle":
     """The room that there is now, and the characters that can be printed."""
     from impact_observer.cli.blocks import BLOCKS, PLAIN
-    from impact_observer.cli.watch_screen import Look
+    from impact_observer.cli.watch_screen import ScreenStyle
 
     levels = PLAIN if console.options.ascii_only else BLOCKS
     height = None if endless else console.size.height
-    return Look(console.size.width, height, keys=keys, frozen=frozen, levels=levels)
+    return ScreenStyle(console.size.width, height, keys=keys, frozen=frozen, levels=levels)
 
 
 def _written(*, json: bool) -> "Callable[[Glance], str]":

@@ -13,8 +13,8 @@ from rich.text import Text
 
 from impact_observer.cli.blocks import BLOCKS, bars, decades, known
 from impact_observer.events import Verdict
-from impact_observer.model.parameters import with_unit
-from impact_observer.nodes.glance import Course, Flow, Glance, Line, ObserverGlance
+from impact_observer.model.learnable import with_unit
+from impact_observer.ros.snapshot import EstimateHistory, Glance, Line, ObserverGlance, TopicRate
 from impact_observer.stamps import seconds_between
 
 _NARROWEST = 58
@@ -35,7 +35,7 @@ _CHART_STYLE = "cyan"
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class ScreenStyle:
     """How it is shown.
 
     Attributes:
@@ -53,7 +53,7 @@ class Look:
     levels: str = BLOCKS
 
 
-def screen(glance: Glance, look: Look) -> RenderableType:
+def screen(glance: Glance, look: ScreenStyle) -> RenderableType:
     """The whole picture.
 
     Args:
@@ -102,7 +102,7 @@ def line(glance: Glance) -> str:
     return "; ".join(parts if glance.observers else [*parts, "no observer"])
 
 
-def _head(glance: Glance, look: Look) -> list[RenderableType]:
+def _head(glance: Glance, look: ScreenStyle) -> list[RenderableType]:
     """What is known of the plant, and how its topics come."""
     if glance.is_empty:
         words = "nothing heard yet: no plant, no observer; is one running on this ROS domain?"
@@ -122,7 +122,7 @@ def _head(glance: Glance, look: Look) -> list[RenderableType]:
     return [*texts, *(_cut(each, "dim") for each in flows)]
 
 
-def _foot(glance: Glance, look: Look) -> list[RenderableType]:
+def _foot(glance: Glance, look: ScreenStyle) -> list[RenderableType]:
     """Keys, and what could not be understood."""
     words = ["FROZEN: space goes on" if look.frozen else "space freezes", "q ends"]
     foot: list[RenderableType] = []
@@ -241,7 +241,7 @@ def _short(value: float | None, sign: str = "") -> str:
     return "" if value is None else f"{value:{sign}.1e}"
 
 
-def _chart(course: Course, width: int, rows: int, levels: str) -> list[RenderableType]:
+def _chart(course: EstimateHistory, width: int, rows: int, levels: str) -> list[RenderableType]:
     """A course with its decades at the left; nothing where there is no room."""
     values = known(course.values)
     if not rows or not values:
@@ -261,12 +261,16 @@ def _chart(course: Course, width: int, rows: int, levels: str) -> list[Renderabl
 def _belief(seen: ObserverGlance, width: int, levels: str) -> list[str]:
     """What the observer says of its own error, in rows."""
     rows = []
-    apart = seen.convergence
-    if apart.now is not None:
+    differences = seen.convergence
+    if differences.now is not None:
         agreed = "synchronized" if seen.synchronized else "not synchronized"
-        words = f"replicas  {apart.now:.2e} J apart, {agreed}" if apart.now >= 0 else "one replica"
-        values = known(apart.values)
-        room = min(width - len(words) - 2, 24) if values and apart.now >= 0 else 0
+        words = (
+            f"replicas  {differences.now:.2e} J apart, {agreed}"
+            if differences.now >= 0
+            else "one replica"
+        )
+        values = known(differences.values)
+        room = min(width - len(words) - 2, 24) if values and differences.now >= 0 else 0
         rows.append(f"{words}  {bars(values, room, levels=levels)[0]}" if room > 7 else words)
     if seen.bound is not None:
         words = f"V <= {seen.bound:.3g} J, certified" if seen.bound >= 0 else "none certified"
@@ -327,7 +331,7 @@ def _own_flows(seen: ObserverGlance) -> list[str]:
     ]
 
 
-def _flow(flow: Flow, name: str = "") -> str:
+def _flow(flow: TopicRate, name: str = "") -> str:
     """How the messages of a topic come."""
     words = [name or flow.topic]
     if flow.silent > _SILENCE and flow.rate is not None:

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from impact_observer.detector.sensors import Found, Moment, Sample, due
+from impact_observer.detector.sensors import DetectedInstant, Found, Sample, due
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 from impact_observer.stamps import from_seconds, seconds_between
@@ -24,7 +24,7 @@ class _Hill:
         right: the sample after the top; None as long as there is none.
     """
 
-    onset: Moment
+    onset: DetectedInstant
     top: Point
     last: int
     left: Point | None
@@ -145,7 +145,7 @@ class PeakSensor:
         rest = self._rest(sample)
         self._mean = tuple(m + weight * r for m, r in zip(self._mean, rest, strict=True))
 
-    def _deadline(self) -> Moment | None:
+    def _deadline(self) -> DetectedInstant | None:
         """When a peak is over though the signal stays high."""
         if self._hill is None or self._dead_time == 0:
             return None

@@ -9,7 +9,7 @@ PATIENCE = 20_000_000
 """How long a message may be on its way, ns: silence is believed only when it is older."""
 
 
-class Moment(NamedTuple):
+class DetectedInstant(NamedTuple):
     """An instant, by both clocks.
 
     Attributes:
@@ -20,13 +20,13 @@ class Moment(NamedTuple):
     arrival: int
     stamp: int
 
-    def after(self, seconds: float) -> "Moment":
+    def after(self, seconds: float) -> "DetectedInstant":
         """So many seconds later."""
         length = from_seconds(seconds)
-        return Moment(self.arrival + length, self.stamp + length)
+        return DetectedInstant(self.arrival + length, self.stamp + length)
 
 
-def due(deadline: Moment | None) -> int | None:
+def due(deadline: DetectedInstant | None) -> int | None:
     """Arrival (ns) from which on silence says that a deadline is over; None without a deadline."""
     return None if deadline is None else deadline.arrival + PATIENCE
 
@@ -40,7 +40,7 @@ class Sample(NamedTuple):
             counts.
     """
 
-    moment: Moment
+    moment: DetectedInstant
     values: tuple[float, ...] = ()
 
 

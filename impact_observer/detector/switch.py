@@ -1,6 +1,6 @@
 """A contact switch: edges, freed of chatter, and contacts that last told from hits."""
 
-from impact_observer.detector.sensors import Found, Moment, Sample, due
+from impact_observer.detector.sensors import DetectedInstant, Found, Sample, due
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 
@@ -29,7 +29,7 @@ class SwitchSensor:
         self._raw = False
         self._closed = False
         self._lasts = False
-        self._changed = self._edge = Moment(0, 0)
+        self._changed = self._edge = DetectedInstant(0, 0)
         self._resting = False
 
     @property
@@ -62,11 +62,11 @@ class SwitchSensor:
             found += self._pass(at)
         return found
 
-    def _is_dead(self, moment: Moment) -> bool:
+    def _is_dead(self, moment: DetectedInstant) -> bool:
         """Whether the last edge is too fresh for another one."""
         return self._resting and moment.stamp < self._edge.after(self._dead_time).stamp
 
-    def _deadline(self) -> Moment | None:
+    def _deadline(self) -> DetectedInstant | None:
         """When the passing of time decides something."""
         if self._raw != self._closed:
             return self._edge.after(self._dead_time)

@@ -1,65 +1,35 @@
-"""Exact motion in every phase, the law at an impact, and where the next phase begins."""
+"""Exact motion between events, the law at an impact, and where a phase of motion ends.
 
-from impact_observer.dynamics.clutch import Clutches
-from impact_observer.dynamics.estimation import (
-    Correction,
-    correction,
-    lengths,
-    product,
-    triangular,
-)
-from impact_observer.dynamics.flow import Flow, Motion
-from impact_observer.dynamics.impact_law import ImpactLaw
-from impact_observer.dynamics.lasting import Resting, resting
-from impact_observer.dynamics.location import DEPTH, Crossing, Search
-from impact_observer.dynamics.noise import diffusion
-from impact_observer.dynamics.parametric import Map, Sensitivity, led
-from impact_observer.dynamics.phase import Phase, Phases
-from impact_observer.dynamics.projection import KEPT, PositionProjection
-from impact_observer.dynamics.scales import sizes
-from impact_observer.dynamics.spectral import flow_of
-from impact_observer.dynamics.switched import (
-    LEAST,
-    ROUNDING,
-    Expansion,
-    Jet,
-    Measured,
-    Mirror,
-    Rates,
-)
-from impact_observer.dynamics.watched import Watched
+``flow`` moves a state through one linear phase, ``contact`` closes and opens contacts, ``guards``
+finds the instant at which a phase ends.
+"""
+
+from impact_observer.dynamics.contact.clutch import Clutches
+from impact_observer.dynamics.contact.impact_law import ImpactLaw
+from impact_observer.dynamics.contact.persistent_contact import Resting, resting
+from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
+from impact_observer.dynamics.flow.flow import Flow, Motion
+from impact_observer.dynamics.flow.phase import Phase, Phases
+from impact_observer.dynamics.flow.scales import sizes
+from impact_observer.dynamics.flow.spectral import flow_of
+from impact_observer.dynamics.guards.location import DEPTH, Crossing, Search
+from impact_observer.dynamics.guards.watched import Watched
 
 __all__ = [
     "DEPTH",
     "KEPT",
-    "LEAST",
-    "ROUNDING",
     "Clutches",
-    "Correction",
     "Crossing",
-    "Expansion",
     "Flow",
     "ImpactLaw",
-    "Jet",
-    "Map",
-    "Measured",
-    "Mirror",
     "Motion",
     "Phase",
     "Phases",
     "PositionProjection",
-    "Rates",
     "Resting",
     "Search",
-    "Sensitivity",
     "Watched",
-    "correction",
-    "diffusion",
     "flow_of",
-    "led",
-    "lengths",
-    "product",
     "resting",
     "sizes",
-    "triangular",
 ]

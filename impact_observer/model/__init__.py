@@ -1,7 +1,7 @@
 """The model: a validated impacting system, and the file it is read from."""
 
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.reading import Model, parse_model, read_model
+from impact_observer.model.model_file import Model, parse_model, read_model
 from impact_observer.model.system import Contact, System
 
 __all__ = ["Contact", "Forcing", "Model", "System", "parse_model", "read_model"]

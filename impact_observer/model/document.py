@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import io, sparse
 
 from impact_observer.errors import ModelError
-from impact_observer.model.checks import LARGEST
+from impact_observer.model.validation import LARGEST
 from impact_observer.states import Matrix, Vector
 
 Value: TypeAlias = object

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from impact_observer.errors import ModelError
-from impact_observer.model import tables
+from impact_observer.model import sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.system import Contact
@@ -154,9 +154,9 @@ def _forcing(line: _Line, document: Section, folder: Path | None) -> Forcing:
         return _sum(line, document.items("forces"))
     if "forces" in document:
         raise ModelError("forcing", "stands beside forces; write one of them")
-    section = Section("forcing", document.value("forcing"), tables.KEYS)
+    section = Section("forcing", document.value("forcing"), sampled_files.KEYS)
     section.value("sampled")
-    return tables.sampled_forcing(section, line.names, folder) or Forcing.none(line.n)
+    return sampled_files.sampled_forcing(section, line.names, folder) or Forcing.none(line.n)
 
 
 def _sum(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:

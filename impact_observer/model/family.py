@@ -51,7 +51,7 @@ class Numbers:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Parameter:
+class ModelParameter:
     """A number of a model that is to be learnt; the model is linear in it.
 
     Attributes:
@@ -90,7 +90,7 @@ class Family:
     """
 
     system: System
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[ModelParameter, ...]
     numbers: Numbers = field(init=False)
 
     def __post_init__(self) -> None:
@@ -114,7 +114,7 @@ class Family:
 
     @property
     def sizes(self) -> Vector:
-        """See ``Parameter``, shape (p,)."""
+        """See ``ModelParameter``, shape (p,)."""
         return frozen([each.size for each in self.parameters])
 
     @property

@@ -14,8 +14,8 @@ from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.bands import band_of
-from impact_observer.model.checks import LARGEST, finite
 from impact_observer.model.forcing import Forcing
+from impact_observer.model.validation import LARGEST, finite
 from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST_STATE = 1e9

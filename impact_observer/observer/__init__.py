@@ -1,15 +1,16 @@
 """The observer: a replica of the plant, switched by nothing but impact events."""
 
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
 from impact_observer.events import Contacts
 from impact_observer.observer.agreement import AGREED, SURPRISING
-from impact_observer.observer.belief import Belief, Course, Touch
-from impact_observer.observer.ensemble import Ensemble
-from impact_observer.observer.initial import initial_state
+from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.initial_state import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
 from impact_observer.observer.options import COMPILING, Options
 from impact_observer.observer.replay import replay, replay_together
-from impact_observer.observer.uncertainty import Uncertainty, deviation_of
 
 __all__ = [
     "AGREED",
@@ -18,14 +19,14 @@ __all__ = [
     "DEFAULT_HISTORY",
     "SURPRISING",
     "Belief",
+    "ContactChange",
     "Contacts",
-    "Course",
     "Ensemble",
     "Law",
     "Observer",
     "Options",
+    "Prediction",
     "ReplicaLaw",
-    "Touch",
     "Uncertainty",
     "deviation_of",
     "initial_state",

@@ -13,9 +13,10 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics import PositionProjection
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Touch
-from impact_observer.observer.ensemble import Ensemble
+from impact_observer.observer.belief import Belief
 from impact_observer.states import Matrix, Vector
 
 HELD = 3
@@ -69,7 +70,7 @@ class Agreeing:
         return Agreement(*self._measured(belief.ensemble))
 
     def after(
-        self, previous: Agreement, touch: Touch, before: Belief, belief: Belief
+        self, previous: Agreement, change: ContactChange, before: Belief, belief: Belief
     ) -> Agreement:
         """The agreement after an event, between the beliefs ``before`` and after it."""
         convergence, energy = self._measured(belief.ensemble)
@@ -78,9 +79,9 @@ class Agreeing:
         enough = self.threshold * energy
         if not (0 <= _MARGIN * convergence <= enough and self._explained(belief)):
             return Agreement(convergence, energy, largest)
-        hit = bool(touch.hit) and belief.applied
+        hit = bool(change.hit) and belief.applied
         # With a covariance the innovation says it, and knows how far a stamp may be off.
-        certain = self._certain(before.x, touch) if hit and belief.root is None else 0.0
+        certain = self._certain(before.x, change) if hit and belief.root is None else 0.0
         agrees = max(certain, self._expected(belief)) <= enough
         return Agreement(convergence, energy, largest, previous.held + hit if agrees else 0)
 
@@ -121,6 +122,6 @@ class Agreeing:
         """``V`` to be expected of a covariance, J."""
         return max(float(np.sum(root * (self._metric @ root))), 0.0) / 2
 
-    def _certain(self, x: Vector, touch: Touch) -> float:
+    def _certain(self, x: Vector, change: ContactChange) -> float:
         """What V was at least before an impact, J: the plant's gaps were zero there."""
-        return self._projection.strain(x[: self._n], touch.active)
+        return self._projection.strain(x[: self._n], change.active)

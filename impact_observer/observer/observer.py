@@ -9,16 +9,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.errors import DynamicsError, ImpactLawError, ImpactObserverError, UsageError
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.uncertainty import covariance_root, spread
 from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer.agreement import AGREED, HELD, Agreeing
-from impact_observer.observer.belief import Course, Touch
-from impact_observer.observer.judging import Notes, Rulings, because, judged
-from impact_observer.observer.laws import Law
-from impact_observer.observer.numbering import Numbering
-from impact_observer.observer.order import Key, Reading, Spoken
+from impact_observer.observer.belief import Prediction
+from impact_observer.observer.event_order import Key, Reading, Spoken
+from impact_observer.observer.laws.law import Law
+from impact_observer.observer.sequence_numbers import Numbering
 from impact_observer.observer.timeline import Entry, Placed, Timeline, beginning
-from impact_observer.observer.uncertainty import covariance_root, spread
+from impact_observer.observer.verdicts import Notes, Rulings, because, judged
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
@@ -267,7 +268,7 @@ class Observer:
             covariance=NO_COVARIANCE if root is None else frozen(root @ root.T),
             closed=tuple([self._names[i] for i in closed]),
             convergence=agreement.convergence,
-            synchronized=self.law.hears
+            synchronized=self.law.uses_events
             and agreement.held >= HELD
             and (root is None or self._agreeing.allows(agreement, root)),
             bound=-1.0 if bound is None else bound,
@@ -454,7 +455,7 @@ class Observer:
         s = seconds_between(previous.since, event.stamp)
         before = self._course(previous).belief(s) if s > 0 else previous.belief
         t = seconds_between(self._epoch or event.stamp, event.stamp)
-        touch = Touch.of(
+        change = ContactChange.of(
             t,
             previous.closed,
             reading.switches,
@@ -462,10 +463,10 @@ class Observer:
             sequence=event.sequence,
         )
         try:
-            belief = self.law.event(touch, before)
+            belief = self.law.event(change, before)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
-        agreement = self._agreeing.after(previous.agreement, touch, before, belief)
+        agreement = self._agreeing.after(previous.agreement, change, before, belief)
         if not isfinite(agreement.energy):
             raise DynamicsError(
                 f"at {text(event.stamp)} s: the estimate is not finite any more; is what was"
@@ -476,12 +477,12 @@ class Observer:
             event.stamp,
             belief,
             agreement,
-            touch.closed,
+            change.closed,
             reading.spoken,
             reading.overruled,
         )
 
-    def _course(self, entry: Entry) -> Course:
+    def _course(self, entry: Entry) -> Prediction:
         """How the belief of ``entry`` goes on: one exact motion from just after it."""
         if entry.course is None:
             t = seconds_between(self._epoch or entry.since, entry.since)

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from impact_observer.errors import UsageError
+from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
+from impact_observer.estimation.unknown_parameters import Unknowns
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.observer.agreement import AGREED
-from impact_observer.observer.initial import initial_state
+from impact_observer.observer.initial_state import initial_state
 from impact_observer.observer.laws import law_named
-from impact_observer.observer.learning import Unknowns
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
-from impact_observer.observer.uncertainty import Uncertainty, deviation_of
 
 COMPILING = "machine code of what an event takes: half a minute to compile, once"
 """What users are told where an observer ``compiles``."""
@@ -29,7 +29,7 @@ class Options:
         clock_offset_error: standard deviation of what all stamps are late by, s; 0 for none.
         model_error: of the accelerations, as white noise, m/s^1.5.
         missed: probability of an impact that it is not heard.
-        invented: probability of an event that nothing has happened.
+        spurious: probability of an event that nothing has happened.
         mislabelled: probability of an impact that it was one of another contact.
         ensemble: replicas that are run together.
         agreed: V distance at which they count as synchronized, relative to the motion's energy.
@@ -47,7 +47,7 @@ class Options:
     clock_offset_error: float = 0.0
     model_error: float = 0.0
     missed: float = 0.1
-    invented: float = 0.1
+    spurious: float = 0.1
     mislabelled: float = 0.01
     ensemble: int = DEFAULT_ENSEMBLE
     agreed: float = AGREED
@@ -106,7 +106,7 @@ class Options:
             self.clock_offset_error,
             self.model_error,
             self.missed,
-            self.invented,
+            self.spurious,
             self.mislabelled,
             unknowns,
         )

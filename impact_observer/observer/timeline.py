@@ -12,8 +12,8 @@ from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import Contacts, Kind
 from impact_observer.observer.agreement import Agreement
-from impact_observer.observer.belief import Belief, Course
-from impact_observer.observer.order import Key, Overruled, Reading, Spoken, beside, read
+from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.event_order import Key, Overruled, Reading, Spoken, beside, read
 
 _BEGINNING = -1
 """Sequence of the entry before any event, so that it comes first at its stamp."""
@@ -45,7 +45,7 @@ class Entry:
     closed: Contacts = ()
     spoken: Spoken = field(default_factory=dict)
     overruled: tuple[Overruled, ...] = ()
-    course: Course | None = field(default=None, repr=False)
+    course: Prediction | None = field(default=None, repr=False)
 
     @property
     def event(self) -> tuple[int, int]:

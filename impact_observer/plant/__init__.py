@@ -1,8 +1,8 @@
 """The plant: the impacting system itself, integrated from event to event or step by step."""
 
+from impact_observer.plant.event_driven import Plant
 from impact_observer.plant.master import Master, make_plant
-from impact_observer.plant.plant import Plant
-from impact_observer.plant.sensor import IDEAL, Sensed, Sensing, Sensor, sense
+from impact_observer.plant.sensor import IDEAL, Sensed, Sensing, SensorModel, sense
 from impact_observer.plant.simulation import Run, simulate
 from impact_observer.plant.switching import Switching, event_of
 from impact_observer.plant.time_stepping import TimeSteppingPlant
@@ -14,7 +14,7 @@ __all__ = [
     "Run",
     "Sensed",
     "Sensing",
-    "Sensor",
+    "SensorModel",
     "Switching",
     "TimeSteppingPlant",
     "event_of",

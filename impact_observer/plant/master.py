@@ -5,7 +5,7 @@ from typing import Protocol
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU
 from impact_observer.model import System
-from impact_observer.plant.plant import Plant
+from impact_observer.plant.event_driven import Plant
 from impact_observer.plant.switching import Switching
 from impact_observer.plant.time_stepping import TimeSteppingPlant
 from impact_observer.states import Stamps, Vector

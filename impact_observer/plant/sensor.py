@@ -1,4 +1,4 @@
-"""Impacts as a real sensor tells them: late, jittered, missed, invented, of the wrong contact.
+"""Impacts as a real sensor tells them: late, jittered, missed, spurious, of the wrong contact.
 
 One order of things, from the stop to the listener:
 
@@ -39,15 +39,15 @@ from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
 from impact_observer.plant.switching import Switching
+from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between
-from impact_observer.troubles import TROUBLES
 
 _STREAMS = 7
 """Random streams of a sensor; another trouble that draws takes one more, at the end."""
 
 
 @dataclass(frozen=True, slots=True)
-class Sensor:
+class SensorModel:
     """What is wrong with a sensor of impacts; nothing, unless told. The module says how it acts.
 
     Attributes:
@@ -82,9 +82,9 @@ class Sensor:
         """Check every value.
 
         Raises:
-            UsageError: one is not a number, or out of its range in ``TROUBLES``.
+            UsageError: one is not a number, or out of its range in ``SENSOR_FAULTS``.
         """
-        for trouble in TROUBLES:
+        for trouble in SENSOR_FAULTS:
             trouble.check(getattr(self, trouble.name))
 
     @property
@@ -107,7 +107,7 @@ class Sensor:
                 )
 
 
-IDEAL = Sensor()
+IDEAL = SensorModel()
 """A sensor with which nothing is wrong."""
 
 
@@ -131,7 +131,7 @@ class Sensing:
 
     def __init__(
         self,
-        sensor: Sensor,
+        sensor: SensorModel,
         system: System,
         *,
         epoch: int,
@@ -169,19 +169,19 @@ class Sensing:
         root = np.random.SeedSequence(seed, spawn_key=(episode,))
         draws = [np.random.Generator(np.random.PCG64(child)) for child in root.spawn(_STREAMS)]
         self._missing, self._naming, self._inventing = draws[:3]
-        self._true, self._invented = _Marks(*draws[3:5]), _Marks(*draws[5:])
+        self._true, self._spurious = _Marks(*draws[3:5]), _Marks(*draws[5:])
         self._sequence = 0
         self._felt: dict[int, int] = {}
         self._names: dict[int, str] = {}
         self._under_way: list[tuple[int, int, ImpactEvent]] = []
         self._waited = 0.0
-        self._next_invented = self._invention()
+        self._next_spurious = self._invention()
 
     @property
     def next_stamp(self) -> int | None:
         """Before which nothing arrives but what is felt until then, ns; None for never."""
         arrival = self._under_way[0][0] if self._under_way else math.inf
-        soonest = min(arrival, self._next_invented)
+        soonest = min(arrival, self._next_spurious)
         return None if math.isinf(soonest) else int(soonest)
 
     def feel(self, switching: Switching) -> None:
@@ -241,16 +241,16 @@ class Sensing:
 
     def _invent(self, until: int) -> None:
         """Feel what never was, up to the stamp ``until``."""
-        while self._next_invented <= until:
-            stamp, marks = int(self._next_invented), self._invented.drawn()
+        while self._next_spurious <= until:
+            stamp, marks = int(self._next_spurious), self._spurious.drawn()
             i = int(self._inventing.random() * self._system.m)
             if not self._is_dead(i, stamp):
                 self._felt[i] = stamp
                 self._send(stamp, (Switch(self._system.contact_names[i]),), marks)
-            self._next_invented = self._invention()
+            self._next_spurious = self._invention()
 
     def _invention(self) -> float:
-        """The stamp of the next invented impact; infinite where there is none."""
+        """The stamp of the next spurious impact; infinite where there is none."""
         if not self._sensor.spurious:
             return math.inf
         self._waited += self._inventing.standard_exponential() / self._sensor.spurious
@@ -287,7 +287,7 @@ class _Marks:
 
 
 def sense(
-    sensor: Sensor,
+    sensor: SensorModel,
     system: System,
     switchings: Iterable[Switching],
     *,
@@ -303,7 +303,7 @@ def sense(
         system: what moved.
         switchings: all that its contacts did, in their order.
         epoch: stamp of ``t = 0``, ns.
-        last: stamp of the run's end, ns: nothing is invented after it, messages may arrive later.
+        last: stamp of the run's end, ns: nothing is spurious after it, messages may arrive later.
         seed: of everything random, not negative.
         episode: of the plant; each has its own draws.
 

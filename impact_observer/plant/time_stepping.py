@@ -1,8 +1,8 @@
 """The plant by time stepping: a second integrator, which knows nothing of the first.
 
-Moreau's scheme (``dynamics/moreau.py``) does not look for impacts; what switches is read from its
-steps. A contact touches in a step where it is hit or held. At the end of each step, with a look at
-the next one, which is never taken back:
+Moreau's scheme (``dynamics/contact/moreau.py``) does not look for impacts; what switches is read
+from its steps. A contact touches in a step where it is hit or held. At the end of each step, with
+a look at the next one, which is never taken back:
 
 - it touches in this step and not in the next: ``IMPACT``;
 - it touches in this step and in the next: ``CLOSE``. With restitution that is a bounce whose
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from impact_observer.dynamics.moreau import MoreauScheme, Step
+from impact_observer.dynamics.contact.moreau import MoreauScheme, TimeStep
 from impact_observer.errors import UsageError
 from impact_observer.model import System
 from impact_observer.plant.switching import Switching, switches
@@ -40,8 +40,8 @@ class _Place:
     """
 
     k: int
-    done: Step
-    coming: Step
+    done: TimeStep
+    coming: TimeStep
 
     def next(self, scheme: MoreauScheme) -> "_Place":
         """One step further."""
@@ -90,7 +90,7 @@ class TimeSteppingPlant:
         self.step = _nanoseconds(step)
         self.closed = ()
         self._scheme = MoreauScheme(system, self.step / NS_PER_S)
-        nothing = Step(q, u, u, np.zeros(system.m), ())
+        nothing = TimeStep(q, u, u, np.zeros(system.m), ())
         self._begin(_Place(0, nothing, self._scheme.step(0, q, u)))
 
     def next_switching(self, limit: int) -> Switching | None:

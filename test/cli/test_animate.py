@@ -14,8 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from impact_observer.cli import animate, film_files
+from impact_observer.cli import animate
 from impact_observer.cli.main import main
+from impact_observer.draw import film_files
 
 QUICK = ("--fps", "20", "--duration", "0.4")
 """Nine pictures."""

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from faulty_bags import GOOD, STOP, S, write
 
-from impact_observer.bag import BagReader
 from impact_observer.cli import check
 from impact_observer.cli.main import main
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.shares import shared
+from impact_observer.io import BagReader
+from impact_observer.resources import shared
 
 LATER = [ImpactEvent(event.stamp, STOP, event.sequence + 1, 1, S) for event in GOOD]
 NOT_FIRST = "the first sequence number is 2: what was before is not here"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from systems import system
 
-from impact_observer.analysis.model_check import check_model as check
+from impact_observer.check.model_check import check_model as check
 from impact_observer.cli import check_model
 from impact_observer.errors import ModelError, UsageError
 
@@ -188,8 +188,8 @@ def test_what_is_not_decided_is_a_warning(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Never a silent pass."""
-    from impact_observer.analysis import model_check
-    from impact_observer.analysis.closing import Answer
+    from impact_observer.check import model_check
+    from impact_observer.check.closing_sets import Answer
 
     monkeypatch.setattr(model_check, "expansive", lambda _: Answer((), False))
     monkeypatch.setattr(model_check, "redundant", lambda _: Answer((), False))

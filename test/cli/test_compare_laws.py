@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from impact_observer.bag.comparisons import compare_bag
-from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import model_of
 from impact_observer.cli.main import main
+from impact_observer.compare.bag_comparison import compare_bag
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import model_of
 from impact_observer.observer import Options, law_names
-from impact_observer.shares import shared
+from impact_observer.resources import shared
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,13 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from impact_observer.bag.comparisons import BagComparison, compare_bag
-from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import model_of
-from impact_observer.bag.writer import BagWriter, copy_topics
 from impact_observer.cli.compare import labelled_by_law
-from impact_observer.cli.comparison_figures import distance_figure, error_figures
 from impact_observer.cli.main import main
+from impact_observer.compare.bag_comparison import BagComparison, compare_bag
+from impact_observer.compare.error_pictures import distance_figure, error_figures
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import model_of
+from impact_observer.io.writer import BagWriter, copy_topics
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ from typing import cast
 import numpy as np
 import pytest
 
-from impact_observer.bag import BagReader, BagWriter, JointState, Quality
-from impact_observer.bag.messages import bag_messages
-from impact_observer.bag.recordings import events_in, model_of
-from impact_observer.bag.typestores import typestore
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.io import BagReader, BagWriter, JointState, Quality
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.recordings import events_in, model_of
+from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import grid
@@ -151,8 +151,8 @@ def test_what_is_found_can_be_observed_without_naming_a_model(
     with BagReader(output) as reader:
         states = reader.observer_states("/observer/state")
         truth = reader.joint_states("/plant/joint_states")
-    apart = np.abs(states.q - truth.q).max(axis=1)
-    assert apart[-1] < 0.2 * apart[0]
+    differences = np.abs(states.q - truth.q).max(axis=1)
+    assert differences[-1] < 0.2 * differences[0]
 
 
 def test_a_file_declares_several_sensors_and_what_lacks_is_one_line(

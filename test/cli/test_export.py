@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from impact_observer.bag import BagReader, BagWriter, exporting
-from impact_observer.bag.comparisons import compare_bag
-from impact_observer.bag.messages import bag_messages
-from impact_observer.bag.recordings import model_of
 from impact_observer.cli.main import main
+from impact_observer.compare import tables_of_bag
+from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.io import BagReader, BagWriter
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.recordings import model_of
 
 TRUTH, ESTIMATE = "/plant/joint_states", "/observer/state"
 EPOCH = 1_000_000_000
@@ -150,7 +151,7 @@ def test_long_bags_are_written_in_row_groups(
 ) -> None:
     """So that memory stays constant."""
     pq = pytest.importorskip("pyarrow.parquet")
-    from impact_observer.bag import parquet
+    from impact_observer.compare import parquet
 
     monkeypatch.setattr(parquet, "_GROUP", 3000)
     exported(observed, tmp_path / "states.parquet")
@@ -168,7 +169,7 @@ def test_without_pyarrow_the_extra_is_named(
 ) -> None:
     """In one line; CSV needs nothing."""
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.delitem(sys.modules, "impact_observer.bag.parquet", raising=False)
+    monkeypatch.delitem(sys.modules, "impact_observer.compare.parquet", raising=False)
     assert main(["export", str(observed), "-o", str(tmp_path / "states.parquet")]) == 2
     error = capsys.readouterr().err
     assert len(error.splitlines()) == 1
@@ -228,9 +229,9 @@ def test_an_interruption_leaves_what_was_there(tmp_path: Path) -> None:
     path.write_text("kept")
 
     def interrupted() -> None:
-        with exporting.finished(path, exporting.CsvSink) as sink:
+        with tables_of_bag.finished(path, tables_of_bag.CsvSink) as sink:
             stamps = np.array([1], dtype=np.int64)
-            sink.write(exporting.Block(0, stamps, {"topic": "/x"}))
+            sink.write(tables_of_bag.Block(0, stamps, {"topic": "/x"}))
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from impact_observer.analysis import figures
 from impact_observer.cli.main import main
+from impact_observer.draw import pictures
 from impact_observer.observer import law_names
-from impact_observer.shares import shared
+from impact_observer.resources import shared
 
 QUICK = ("--duration", "6", "--rate", "20")
 
@@ -24,7 +24,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
         assert about
         found.append(figure)
 
-    monkeypatch.setattr(figures, "save", keep)
+    monkeypatch.setattr(pictures, "save", keep)
     return found
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from impact_observer.cli.main import main
 from impact_observer.model import read_model
-from impact_observer.shares import shared
+from impact_observer.resources import shared
 
 BAG, ROUGH = "two_mass", "jitter"
 

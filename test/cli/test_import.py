@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
-from impact_observer.bag import BagReader
-from impact_observer.bag.importing import Row, Table
-from impact_observer.bag.recordings import model_of
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.io import BagReader
+from impact_observer.io.csv_import import CsvRow, Table
+from impact_observer.io.recordings import model_of
 
 STOP = (Switch("stop"),)
 EPOCH = 1_000_000_000
@@ -100,7 +100,7 @@ def test_times_are_exact_to_the_nanosecond(
     decimals = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
     text = format(Decimal(stamp).scaleb(-decimals), "f")
     path = written(tmp_path_factory.mktemp("csv"), f"time,contact\n{text},stop\n")
-    assert list(Table(path, unit=unit).rows()) == [Row(2, stamp, Switch("stop"))]
+    assert list(Table(path, unit=unit).rows()) == [CsvRow(2, stamp, Switch("stop"))]
 
 
 def test_rows_of_equal_time_are_one_event(tmp_path: Path) -> None:

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from foreign_bags import humble_sqlite, mcap_folder
 
-from impact_observer.bag import BagWriter
-from impact_observer.bag.messages import bag_messages
 from impact_observer.cli import info
 from impact_observer.cli.main import main
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.observer.order import hits
+from impact_observer.io import BagWriter
+from impact_observer.io.messages import bag_messages
+from impact_observer.observer.event_order import hits
 
 
 def parsed(*words: str) -> argparse.Namespace:

@@ -11,8 +11,8 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from impact_observer.bag.reader import BagReader
 from impact_observer.cli.main import main
+from impact_observer.io.reader import BagReader
 
 pytestmark = pytest.mark.slow
 

@@ -7,8 +7,8 @@ from xml.etree import ElementTree as ET
 import pytest
 from plotting_tools import everything
 
-from impact_observer.bag import BagReader, BagWriter, copy_topics
 from impact_observer.cli.main import main
+from impact_observer.io import BagReader, BagWriter, copy_topics
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import pytest
 from systems import jammed
 
 from impact_observer import __version__
-from impact_observer.bag import BagReader
-from impact_observer.bag.recordings import model_of
 from impact_observer.cli.main import COMMANDS, main
+from impact_observer.io import BagReader
+from impact_observer.io.recordings import model_of
 
 ROOT = Path(__file__).parents[2]
 

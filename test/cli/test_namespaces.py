@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from impact_observer.bag.reader import BagReader
-from impact_observer.bag.writer import BagWriter
 from impact_observer.cli.main import main
+from impact_observer.io.reader import BagReader
+from impact_observer.io.writer import BagWriter
 
 pytestmark = pytest.mark.slow
 CHECK = ("--check", "--clock-error", "1e-3")

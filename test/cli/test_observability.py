@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from systems import system
 
-from impact_observer.analysis.observability import observability
-from impact_observer.bag import BagWriter
-from impact_observer.bag.messages import bag_messages
 from impact_observer.cli import observability as command
 from impact_observer.cli.main import main
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.shares import shared
+from impact_observer.io import BagWriter
+from impact_observer.io.messages import bag_messages
+from impact_observer.observability.rank import observability
+from impact_observer.resources import shared
 
 TWO_MASS = shared("bags/two_mass")
 APART = """
@@ -55,7 +55,7 @@ def told(stamp: int, *switches: Switch, episode: int = 0) -> ImpactEvent:
 
 
 @pytest.fixture
-def apart(tmp_path: Path) -> str:
+def differences(tmp_path: Path) -> str:
     """A model with a mass that no contact sees."""
     (tmp_path / "apart.yaml").write_text(APART)
     return str(tmp_path / "apart.yaml")
@@ -74,7 +74,7 @@ def test_two_mass_is_told_whole_by_four_impacts(capsys: pytest.CaptureFixture[st
 
 
 def test_what_was_never_told_is_named(
-    tmp_path: Path, apart: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, differences: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In plain words; contacts the model does not have and other episodes are counted."""
     bag = bag_of(
@@ -85,7 +85,7 @@ def test_what_was_never_told_is_named(
         impact(11, "stop", episode=1),
         impact(11, "stop", episode=1),
     )
-    output = said(capsys, bag, "--model", apart)
+    output = said(capsys, bag, "--model", differences)
     assert (
         "The rank is 2 of 4: 2 combinations of the initial state have never been told." in output
     )
@@ -99,9 +99,11 @@ def test_what_was_never_told_is_named(
     )
 
 
-def test_json_has_all_figures(apart: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_all_figures(differences: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Per impact too; what has no meaning is null."""
-    found = json.loads(said(capsys, TWO_MASS, "--json", "--model", apart, "--deviation", "0.5"))
+    found = json.loads(
+        said(capsys, TWO_MASS, "--json", "--model", differences, "--deviation", "0.5")
+    )
     assert found["rank"] == 2
     assert found["condition"] is found["impacts_to_full_rank"] is found["seconds_to_full_rank"]
     assert found["condition"] is None

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from systems import jammed
 
-from impact_observer.bag.messages import ErrorMessage, EstimateMessage, read_estimate
-from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.cli.main import main
+from impact_observer.io.messages import ErrorMessage, EstimateMessage, read_estimate
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import events_in, model_of
 from impact_observer.model import read_model
 from impact_observer.observer import Observer, initial_state, law_named
 from impact_observer.observer.laws import BUILT_IN
@@ -22,7 +22,7 @@ EPOCH = 1_000_000_000
 CERTIFIED = ("geometric", "unilateral")
 FREE = (
     *("--estimate-parameters", "restitution=0.02,stiffness-scale=0.01"),
-    *("--clock-error", "0", "--missed", "0", "--invented", "0", "--mislabelled", "0"),
+    *("--clock-error", "0", "--missed", "0", "--spurious", "0", "--mislabelled", "0"),
 )
 """Two parameters to be learnt from events that are all believed."""
 

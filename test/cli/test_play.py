@@ -62,7 +62,7 @@ def test_a_bag_cannot_begin_paused_where_no_key_is_read(
 @pytest.mark.parametrize(("key", "wanted"), play._KEYS.items())
 def test_every_key_wants_something_that_there_is(key: str, wanted: str) -> None:
     """And only these keys."""
-    from impact_observer.bag.schedule import Control
+    from impact_observer.io.play_schedule import Control
 
     class Typing:
         def pressed(self) -> list[str]:

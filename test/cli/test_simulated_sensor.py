@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from impact_observer.bag.interfaces import IMPACTS
-from impact_observer.bag.reader import BagReader
-from impact_observer.bag.recordings import events_in, model_of
 from impact_observer.cli.main import main
-from impact_observer.plant import Plant, Sensor, sense, simulate
+from impact_observer.io.interfaces import IMPACTS
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import events_in, model_of
+from impact_observer.plant import Plant, SensorModel, sense, simulate
+from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import grid
-from impact_observer.troubles import TROUBLES
 
 EPOCH = 1_000_000_000
 LAST = 11 * EPOCH
@@ -55,7 +55,7 @@ def test_bag_holds_what_the_sensor_tells_when_it_arrives(
         truth = reader.joint_states("/plant/joint_states")
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, LAST, 100.0))
-    sensor = Sensor(**TROUBLED)
+    sensor = SensorModel(**TROUBLED)
     told = sense(sensor, model.system, run.switchings, epoch=EPOCH, last=LAST, seed=5)
     assert events == [each.event for each in told]
     assert arrivals == [each.arrival for each in told]
@@ -83,7 +83,7 @@ def test_help_lists_every_trouble_in_a_group(capsys: pytest.CaptureFixture[str])
     with pytest.raises(SystemExit):
         main(["simulate", "--help"])
     group = " ".join(capsys.readouterr().out.partition("\nsensor:\n")[2].split())
-    for each in TROUBLES:
+    for each in SENSOR_FAULTS:
         assert f"--{each.name.replace('_', '-')} " in group
         assert each.meaning in group
 

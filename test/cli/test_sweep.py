@@ -12,14 +12,13 @@ pytest.importorskip("pyarrow")
 
 import pyarrow.parquet as pq
 
-from impact_observer.analysis.sweep import running
-from impact_observer.analysis.sweep.running import Outcome
-from impact_observer.analysis.sweep.sweep import Case
 from impact_observer.cli import sweep as command
-from impact_observer.cli import sweep_engines
 from impact_observer.cli.main import main
 from impact_observer.errors import DynamicsError
-from impact_observer.observer.impact_filter import ImpactFilter
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.sweep import case_runs, engines
+from impact_observer.sweep.case_runs import Outcome
+from impact_observer.sweep.plan import Case
 
 SMALL = (
     *(
@@ -93,7 +92,7 @@ def test_a_cluster_without_workers_is_one_line(
 ) -> None:
     """And exit code 2; nothing is written."""
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(sweep_engines, "_PATIENCE", 0.5)
+    monkeypatch.setattr(engines, "_PATIENCE", 0.5)
     with distributed.LocalCluster(n_workers=0, dashboard_address=None, silence_logs=50) as cluster:
         address = cluster.scheduler_address
         words = ["sweep", *SMALL, "--scheduler", address, "-o", str(tmp_path / "sweep.parquet")]
@@ -110,7 +109,7 @@ def test_a_worker_without_the_compiler_is_one_line(
     """Before any case has failed for it, and only where a law has something to compile."""
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(ImpactFilter, "compile", lambda _: None)  # here there is one
-    monkeypatch.setattr(sweep_engines, "find_spec", lambda _: None)
+    monkeypatch.setattr(engines, "find_spec", lambda _: None)
     path = tmp_path / "sweep.parquet"
     with distributed.LocalCluster(
         n_workers=1, processes=False, dashboard_address=None, silence_logs=50
@@ -143,7 +142,7 @@ class Engine:
             if len(self.numbers) == self.stop_after:
                 raise KeyboardInterrupt
             self.numbers.append(case.number)
-            yield running.run_case(case)
+            yield case_runs.run_case(case)
 
 
 def test_what_is_finished_is_kept_and_not_done_again(
@@ -215,14 +214,14 @@ def test_a_case_that_fails_is_a_row_and_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The others are there, in the file and in the figures; going on does not change it."""
-    whole, path = running._outcome, tmp_path / "sweep.parquet"
+    whole, path = case_runs._outcome, tmp_path / "sweep.parquet"
 
     def broken(case: Case) -> Outcome:
         if case.number == 3:
             raise DynamicsError("no solution")
         return whole(case)
 
-    monkeypatch.setattr(running, "_outcome", broken)
+    monkeypatch.setattr(case_runs, "_outcome", broken)
     words = ["sweep", "two_mass", "--runs", "5", "--duration", "1", "--jobs", "1", "--json"]
     for _ in range(2):
         assert main([*words, "-o", str(path)]) == 1
@@ -290,11 +289,11 @@ def test_a_package_that_is_not_here_is_named_with_its_extra(
     problem: str,
 ) -> None:
     """One line that says what to install."""
-    import impact_observer.bag
+    import impact_observer.sweep
 
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.delitem(sys.modules, "impact_observer.bag.sweeps", raising=False)
-    monkeypatch.delattr(impact_observer.bag, "sweeps", raising=False)
+    monkeypatch.delitem(sys.modules, "impact_observer.sweep.outcomes_file", raising=False)
+    monkeypatch.delattr(impact_observer.sweep, "outcomes_file", raising=False)
     path = tmp_path / "sweep.parquet"
     words = ["--scheduler", "tcp://127.0.0.1:1"] if package == "distributed" else []
     assert main(["sweep", *SMALL, *words, "-o", str(path)]) == 2

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from systems import chain, system
 
-from impact_observer.analysis.scene.scene import Scene
 from impact_observer.cli.main import main
 from impact_observer.cli.urdf import described
+from impact_observer.draw.scene.scene import Scene
 from impact_observer.model import read_model
 
 

@@ -10,9 +10,9 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from impact_observer.cli.blocks import PLAIN
-from impact_observer.cli.watch_screen import Look, line, screen
+from impact_observer.cli.watch_screen import ScreenStyle, line, screen
 from impact_observer.events import Ruling, Verdict
-from impact_observer.nodes.glance import Course, Flow, Glance, Line, ObserverGlance
+from impact_observer.ros.snapshot import EstimateHistory, Glance, Line, ObserverGlance, TopicRate
 from impact_observer.stamps import NS_PER_S
 
 EPOCH = 1_700_000_000 * NS_PER_S
@@ -23,9 +23,9 @@ def at(seconds: float) -> int:
     return EPOCH + round(seconds * NS_PER_S)
 
 
-def course(*values: float) -> Course:
+def course(*values: float) -> EstimateHistory:
     """The last half of a minute."""
-    return Course(values[-1], (*[None] * len(values), *values), 60.0)
+    return EstimateHistory(values[-1], (*[None] * len(values), *values), 60.0)
 
 
 GEOMETRIC = ObserverGlance(
@@ -52,9 +52,9 @@ GEOMETRIC = ObserverGlance(
     counts=(("applied", 7), ("rejected", 1)),
     health=(1, "1 events were not applied"),
     flows=(
-        Flow("/observer_geometric/state", 900, 100.0, 0.0012, 0.01),
-        Flow("/observer_geometric/verdicts", 8, None, None, 0.3),
-        Flow("/monitor_geometric/error", 900, 99.6, None, 7.4),
+        TopicRate("/observer_geometric/state", 900, 100.0, 0.0012, 0.01),
+        TopicRate("/observer_geometric/verdicts", 8, None, None, 0.3),
+        TopicRate("/monitor_geometric/error", 900, 99.6, None, 7.4),
     ),
 )
 FILTER = ObserverGlance(
@@ -69,7 +69,7 @@ FILTER = ObserverGlance(
     ),
     distance=course(1e-3, 1e-12, 1e-19),
     source="here",
-    convergence=Course(-1.0),
+    convergence=EstimateHistory(-1.0),
     synchronized=True,
     learnt=(("clock_error", 2.9e-4, 1e-5),),
     verdicts=((Verdict(at(12.0), Ruling.APPLIED, 3, "stop", innovation=1.4), 0.0),),
@@ -89,14 +89,14 @@ def both() -> Glance:
         last_impact=(at(12.0), "stop"),
         observers=(GEOMETRIC, FILTER),
         flows=(
-            Flow("/clock", 1200, 100.0, None, 0.01),
-            Flow("/plant/joint_states", 1200, 99.9, 0.0005, 0.01),
-            Flow("/plant/model", 1, None, None, 12.0),
+            TopicRate("/clock", 1200, 100.0, None, 0.01),
+            TopicRate("/plant/joint_states", 1200, 99.9, 0.0005, 0.01),
+            TopicRate("/plant/model", 1, None, None, 12.0),
         ),
     )
 
 
-def printed(glance: Glance, look: Look) -> str:
+def printed(glance: Glance, look: ScreenStyle) -> str:
     """What a terminal of that size gets, without the blanks at line ends."""
     console = Console(
         file=io.StringIO(), record=True, width=look.width, height=look.height, color_system=None
@@ -209,7 +209,7 @@ this ROS domain?
 )
 def test_the_screen_to_the_letter(width: int, height: int, wanted: str) -> None:
     """One under another where it is narrow, side by side where it is wide; it always fits."""
-    found = printed(both(), Look(width, height, keys=True))
+    found = printed(both(), ScreenStyle(width, height, keys=True))
     assert found == wanted.rstrip("\n")
     assert len(found.splitlines()) <= height
     assert max(map(cell_len, found.splitlines())) <= width
@@ -217,8 +217,8 @@ def test_the_screen_to_the_letter(width: int, height: int, wanted: str) -> None:
 
 def test_nobody_is_said_in_words() -> None:
     """Never an empty frame; with a plant its figures stay."""
-    assert printed(Glance(0), Look(60, 30)) == NOBODY.rstrip("\n")
-    found = printed(replace(both(), observers=()), Look(60, 30))
+    assert printed(Glance(0), ScreenStyle(60, 30)) == NOBODY.rstrip("\n")
+    found = printed(replace(both(), observers=()), ScreenStyle(60, 30))
     assert "8 impacts, last 0.3 s ago (stop)" in found
     assert "waiting for observers" in found
 
@@ -230,9 +230,13 @@ def test_nobody_is_said_in_words() -> None:
         (ObserverGlance("/observer"), {}, "waiting for impacts ..."),
         (ObserverGlance("/observer"), {}, "no diagnostics yet"),
         (ObserverGlance("/observer"), {}, "not known: no estimate yet"),
-        (replace(FILTER, distance=Course()), {"truth": False}, "not known: no truth"),
-        (replace(FILTER, distance=Course()), {"truth": False}, "no truth"),
-        (replace(FILTER, distance=Course()), {}, "no monitor, and no model of the plant's; give"),
+        (replace(FILTER, distance=EstimateHistory()), {"truth": False}, "not known: no truth"),
+        (replace(FILTER, distance=EstimateHistory()), {"truth": False}, "no truth"),
+        (
+            replace(FILTER, distance=EstimateHistory()),
+            {},
+            "no monitor, and no model of the plant's; give",
+        ),
         (replace(FILTER, bound=-1.0), {}, "bound  none certified"),
         (FILTER, {"last_impact": None}, "waiting for impacts ..."),
         (FILTER, {"trouble": "/impacts: no CDR header"}, "not understood: /impacts: no CDR"),
@@ -247,15 +251,15 @@ def test_what_is_not_there_is_said(
 ) -> None:
     """In words that tell what is missing, or what to do."""
     shown = replace(both(), observers=(observer,), **glance)  # type: ignore[arg-type]
-    assert words in printed(shown, Look(100, 40))
+    assert words in printed(shown, ScreenStyle(100, 40))
 
 
 def test_a_frozen_screen_says_so() -> None:
     """And how to go on; where no keys are heard none are named."""
     assert "FROZEN: space goes on   q ends" in printed(
-        both(), Look(100, 40, keys=True, frozen=True)
+        both(), ScreenStyle(100, 40, keys=True, frozen=True)
     )
-    assert "space" not in printed(both(), Look(100, 40))
+    assert "space" not in printed(both(), ScreenStyle(100, 40))
 
 
 @pytest.mark.parametrize("coordinates", [1, 7, 100])
@@ -264,7 +268,7 @@ def test_it_fits_whatever_the_system(coordinates: int, width: int, height: int) 
     """Lines that have no room are counted; V and the health are always there."""
     lines = tuple(Line(f"q{i}", "m", 0.5, 0.25, 0.1) for i in range(coordinates))
     shown = replace(both(), observers=(replace(GEOMETRIC, lines=lines),))
-    found = printed(shown, Look(width, height, keys=True)).splitlines()
+    found = printed(shown, ScreenStyle(width, height, keys=True)).splitlines()
     assert len(found) <= height
     assert max(map(cell_len, found)) <= width
     there = sum("+0.500000" in row for row in found)
@@ -280,7 +284,7 @@ def test_observers_without_room_are_named(several: int, width: int, height: int)
     """The last row tells that the picture is frozen, and the one above who else there is."""
     observers = tuple(replace(GEOMETRIC, name=f"/rig{i}/observer") for i in range(several))
     shown = replace(both(), observers=observers)
-    found = printed(shown, Look(width, height, keys=True, frozen=True)).splitlines()
+    found = printed(shown, ScreenStyle(width, height, keys=True, frozen=True)).splitlines()
     assert len(found) <= height
     assert max(map(cell_len, found)) <= width
     assert "FROZEN" in found[-1]
@@ -294,7 +298,7 @@ def test_times_of_events_are_since_their_own_epoch() -> None:
     """Two plants that began at different times have one each."""
     later = replace(GEOMETRIC, name="/rig/observer", epoch=at(1.0))
     found = printed(
-        replace(both(), epoch=0, observers=(replace(later, epoch=EPOCH), later)), Look(80)
+        replace(both(), epoch=0, observers=(replace(later, epoch=EPOCH), later)), ScreenStyle(80)
     )
     assert "    12.000000 s  stop" in found
     assert "    11.000000 s  stop" in found
@@ -302,7 +306,7 @@ def test_times_of_events_are_since_their_own_epoch() -> None:
 
 def test_as_high_as_it_takes_everything_is_shown() -> None:
     """Where there is no terminal to fit into."""
-    found = printed(both(), Look(80))
+    found = printed(both(), ScreenStyle(80))
     for words in ("nothing has happened", "closed  stop", "silent 7 s", "/plant/model 1x"):
         assert words in found
     assert "..." not in found
@@ -310,7 +314,7 @@ def test_as_high_as_it_takes_everything_is_shown() -> None:
 
 def test_charts_are_ascii_where_nothing_else_can_be_printed() -> None:
     """Of as many levels."""
-    found = printed(both(), Look(100, 60, levels=PLAIN))
+    found = printed(both(), ScreenStyle(100, 60, levels=PLAIN))
     assert "@" in found
     assert not set("▁▂▃▄▅▆▇█") & set(found)
 
@@ -325,5 +329,7 @@ def test_one_line_tells_the_same() -> None:
     )
     assert line(Glance(0)) == "nothing heard yet: neither a plant nor an observer"
     assert line(replace(both(), observers=())).endswith("(stop); no observer")
-    unknown = replace(both(), truth=False, observers=(replace(FILTER, distance=Course()),))
+    unknown = replace(
+        both(), truth=False, observers=(replace(FILTER, distance=EstimateHistory()),)
+    )
     assert "V not known: no truth" in line(unknown)

@@ -148,7 +148,7 @@ CHANGES = st.lists(st.integers(1, 80 * MS), min_size=1, max_size=30).map(
 @examples(60)
 @given(CHANGES)
 def test_without_dead_time_each_closure_is_told_once_and_by_its_length(signal: Changes) -> None:
-    """No event is lost and none invented, whatever the lengths."""
+    """No event is lost and none spurious, whatever the lengths."""
     end = signal[-1][0] + 1000 * MS
     wanted: list[tuple[int, Kind]] = []
     for (stamp, value), (until, _) in pairwise([*signal, (end, 0.0)]):

@@ -8,7 +8,7 @@ from systems import Harmonic, examples, forcing, forcings, matrices, numbers, ve
 
 from impact_observer.errors import DynamicsError, ModelError
 from impact_observer.model import Forcing
-from impact_observer.model.samples import Samples
+from impact_observer.model.force_samples import Samples
 
 TIME = np.array([-1.0, 0.0, 0.5, 2.0])
 FORCE = np.array([[1.0, 0.0], [2.0, -3.0], [0.0, 1.0], [4.0, 4.0]])

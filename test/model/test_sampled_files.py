@@ -10,7 +10,7 @@ from systems import examples, system
 
 from impact_observer.errors import ModelError
 from impact_observer.model import Forcing, Model, System, parse_model, read_model
-from impact_observer.model.samples import Samples
+from impact_observer.model.force_samples import Samples
 
 MATRICES = """\
 name: shaken

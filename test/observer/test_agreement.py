@@ -11,18 +11,12 @@ from numpy.typing import ArrayLike
 from systems import EPOCH, Array, chain, event, examples, run, sample, systems, vectors
 from systems import observer as observer_of
 
-from impact_observer.analysis import lyapunov
+from impact_observer.dynamics import lyapunov
 from impact_observer.errors import DynamicsError, ImpactLawError
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
-from impact_observer.observer import (
-    DEFAULT_ENSEMBLE,
-    SURPRISING,
-    Observer,
-    ReplicaLaw,
-    Uncertainty,
-    law_named,
-)
+from impact_observer.observer import DEFAULT_ENSEMBLE, SURPRISING, Observer, ReplicaLaw, law_named
 from impact_observer.observer.agreement import HELD
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Run

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 from systems import EPOCH, Harmonic, chain, estimates, forcing, observer, run, sample, system
 
-from impact_observer.analysis import lyapunov
+from impact_observer.dynamics import lyapunov
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
@@ -86,8 +86,8 @@ def test_distance_to_the_plant_never_rises_in_contact_either(law: str) -> None:
         watcher = observer(PRESSED, law, x, epoch=EPOCH, history=100.0)
         for each in truth.events:
             watcher.receive(each)
-        apart = estimates(watcher, truth.stamps) - truth.states
-        V = lyapunov.distance(PRESSED, apart[:, :2], apart[:, 2:])
+        differences = estimates(watcher, truth.stamps) - truth.states
+        V = lyapunov.distance(PRESSED, differences[:, :2], differences[:, 2:])
         assert np.max(np.diff(V)) <= 1e-6 * V[0]
         assert V[-1] < 1e-3 * V[0]
 

@@ -12,15 +12,19 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from systems import EPOCH, examples, sample, switchings, systems, vectors
 
-from impact_observer.analysis import lyapunov
-from impact_observer.dynamics import Motion
+from impact_observer.dynamics import Motion, lyapunov
 from impact_observer.errors import ImpactLawError, UsageError
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.model import System
 from impact_observer.observer import ReplicaLaw, law_named, law_names
 from impact_observer.observer import laws as laws_module
-from impact_observer.observer.belief import Belief, Touch
-from impact_observer.observer.ensemble import Ensemble
-from impact_observer.observer.laws import BUILT_IN, Geometric, Kinematic, OpenLoop, Unilateral
+from impact_observer.observer.belief import Belief
+from impact_observer.observer.laws import BUILT_IN
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.kinematic import Kinematic
+from impact_observer.observer.laws.open_loop import OpenLoop
+from impact_observer.observer.laws.unilateral import Unilateral
 from impact_observer.plant import Plant, Switching
 from impact_observer.stamps import NS_PER_S
 
@@ -73,9 +77,9 @@ def test_two_replicas_never_part_under_any_switching(
             last = before
         t += wait
         stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
-        touch, closed = Touch(t, closed, hit, stays), stays
+        change, closed = ContactChange(t, closed, hit, stays), stays
         try:
-            states = list(replica.event(touch, Belief(Ensemble.of(np.array(states)))).replicas)
+            states = list(replica.event(change, Belief(Ensemble.of(np.array(states)))).replicas)
         except ImpactLawError:
             assume(False)
         last = distance(model, *states)

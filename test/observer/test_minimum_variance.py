@@ -21,13 +21,13 @@ from systems import (
     system,
 )
 
-from impact_observer.analysis import lyapunov
-from impact_observer.dynamics import ImpactLaw, Phases
+from impact_observer.dynamics import ImpactLaw, Phases, lyapunov
+from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import Forcing, System
-from impact_observer.model.samples import Samples
-from impact_observer.observer import Belief, Observer, Touch, law_named
-from impact_observer.observer.laws import MinimumVariance
+from impact_observer.model.force_samples import Samples
+from impact_observer.observer import Belief, Observer, law_named
+from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.plant import Plant, Run, Switching, simulate
 from impact_observer.stamps import NS_PER_S, seconds_between
 
@@ -191,7 +191,7 @@ def followed(model: System, law: MinimumVariance, x: Array, switchings: list[Swi
     for each in switchings:
         now = -each.instant.until(EPOCH)
         belief = law.course(t, belief, ()).belief(now - t)
-        belief, t = law.event(Touch(now, (), each.contacts, ()), belief), now
+        belief, t = law.event(ContactChange(now, (), each.contacts, ()), belief), now
     return belief
 
 
@@ -236,7 +236,7 @@ def test_other_replicas_are_corrected_as_the_estimate_s_own_error() -> None:
         now = -each.instant.until(EPOCH)
         belief = law.course(t, belief, ()).belief(now - t)
         np.testing.assert_allclose(belief.replicas[1], each.before, atol=1e-8)
-        belief, t = law.event(Touch(now, (), each.contacts, ()), belief), now
+        belief, t = law.event(ContactChange(now, (), each.contacts, ()), belief), now
         np.testing.assert_allclose(belief.replicas[1], each.after, atol=1e-8)
     np.testing.assert_allclose(belief.x, belief.replicas[1], atol=1e-7)
 
@@ -299,8 +299,8 @@ def test_ball_is_followed_through_accumulation_to_rest() -> None:
     watcher = watching(model, np.array([1.7, 0.4]), ensemble=3)
     for each in whole.events:
         watcher.receive(each)
-    apart = np.abs(estimates(watcher, whole.stamps) - whole.states).max(axis=1)
-    assert np.max(apart[50:200]) < 1e-7
+    differences = np.abs(estimates(watcher, whole.stamps) - whole.states).max(axis=1)
+    assert np.max(differences[50:200]) < 1e-7
     end = watcher.estimate(int(whole.stamps[-1]))
     assert end.closed == ("floor",)
     assert not np.any([end.q, end.u])
@@ -327,7 +327,7 @@ def test_release_tells_that_the_load_was_zero() -> None:
     x = np.array([[0.0, 0.0, 0.0, 0.0]])
     belief = law.begin(x, law.uncertainty.root(2), (0,))
     before = law.course(0.0, belief, (0,)).belief(0.4)
-    told = law.event(Touch(0.4, (0,), (), ()), before)
+    told = law.event(ContactChange(0.4, (0,), (), ()), before)
     assert list(told.innovations) == [0]
     assert told.root is not None
     assert before.root is not None
@@ -347,7 +347,7 @@ def test_release_where_the_force_jumps_tells_nothing() -> None:
         x = np.zeros((1, 2 * model.n))
         start = law.begin(x, law.uncertainty.root(model.n), closed)
         before = law.course(0.0, start, closed).belief(0.5)
-        told = law.event(Touch(0.5, closed, (), ()), before)
+        told = law.event(ContactChange(0.5, closed, (), ()), before)
         assert not told.innovations
         assert told.root is not None
         assert before.root is not None
@@ -427,7 +427,7 @@ def test_grazing_impact_divides_by_nothing(speed: float) -> None:
     model = sample("two_mass").system
     law = MinimumVariance(model, believing(clock_error=JITTER))
     x = np.array([[0.1, 0.5, 0.0, -speed]])
-    belief = law.event(Touch(1.0, (), (0,), ()), law.begin(x, 0.1 * np.eye(4), ()))
+    belief = law.event(ContactChange(1.0, (), (0,), ()), law.begin(x, 0.1 * np.eye(4), ()))
     assert belief.root is not None
     assert np.all(np.isfinite(belief.root))
     assert np.all(np.isfinite(belief.x))
@@ -446,7 +446,7 @@ def test_contacts_that_hit_together_share_one_instant() -> None:
     )
     law = MinimumVariance(beads, believing(clock_error=JITTER))
     start = law.begin(np.array([[0.2, -0.1, -1.0, -2.0]]), law.uncertainty.root(2), ())
-    belief = law.event(Touch(0.5, (), (0, 1), ()), start)
+    belief = law.event(ContactChange(0.5, (), (0, 1), ()), start)
     assert sorted(belief.innovations) == [0, 1]
     assert belief.root is not None
     assert np.max(np.linalg.norm(beads.W.T @ belief.root[:2], axis=1)) < 0.01

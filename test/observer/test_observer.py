@@ -7,26 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from systems import (
-    EPOCH,
-    chain,
-    estimates,
-    event,
-    examples,
-    observer,
-    run,
-    sample,
-    system,
-)
+from systems import EPOCH, chain, estimates, event, examples, observer, run, sample, system
 
-from impact_observer.analysis import lyapunov
-from impact_observer.dynamics import flow_of
+from impact_observer.dynamics import flow_of, lyapunov
 from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
+from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Contacts, ImpactEvent, Ruling
 from impact_observer.model import System
 from impact_observer.observer import Observer
-from impact_observer.observer.belief import Belief, Course, Touch
-from impact_observer.observer.laws import BUILT_IN, Geometric, Kinematic
+from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.laws import BUILT_IN
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -186,14 +178,14 @@ def test_rehearsal_asks_the_law_the_same_again(law: str, monkeypatch: pytest.Mon
     """The last event from the same state, and the motion after it; nothing before the first."""
     watcher = observer(TWO_MASS, law, random_start(2, 5), epoch=EPOCH, ensemble=3)
     heard, courses = watcher.law.event, watcher.law.course
-    events: list[tuple[Touch, bytes]] = []
+    events: list[tuple[ContactChange, bytes]] = []
     begun: list[tuple[float, bytes]] = []
 
-    def event_of(touch: Touch, belief: Belief) -> Belief:
-        events.append((touch, belief.replicas.tobytes()))
-        return heard(touch, belief)
+    def event_of(change: ContactChange, belief: Belief) -> Belief:
+        events.append((change, belief.replicas.tobytes()))
+        return heard(change, belief)
 
-    def course_of(t: float, belief: Belief, closed: Contacts) -> Course:
+    def course_of(t: float, belief: Belief, closed: Contacts) -> Prediction:
         begun.append((t, belief.replicas.tobytes()))
         return courses(t, belief, closed)
 
@@ -206,7 +198,7 @@ def test_rehearsal_asks_the_law_the_same_again(law: str, monkeypatch: pytest.Mon
     watcher.estimate(EPOCH + 2 * NS_PER_S)
     for _ in range(2):
         watcher.rehearse()
-    assert [touch.t for touch, _ in events] == [1.0, 2.0, 2.0, 2.0]
+    assert [change.t for change, _ in events] == [1.0, 2.0, 2.0, 2.0]
     assert events[1] == events[2] == events[3]
     assert [t for t, _ in begun] == [0.0, 1.0, 2.0, 2.0, 2.0]
     assert begun[2] == begun[3] == begun[4]
@@ -216,7 +208,7 @@ def test_estimate_that_cannot_be_made_is_told_to_who_asks_not_to_a_rehearsal() -
     """A motion that ends in an error some time after the event."""
 
     class Ending(Geometric):
-        def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
+        def course(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
             if t >= 1.0:
                 raise DynamicsError("the loads of closed contacts cannot be found")
             return super().course(t, belief, closed)
@@ -415,16 +407,16 @@ def test_simultaneous_impacts_are_one_event_or_two() -> None:
     """One event is one law for both contacts; two of equal stamp follow each other."""
     model = chain(2, contacts=[([1, 0], 0.1, 0.5), ([-1, 1], 0.1, 0.5)])
     x = [0.0, 0.0, -2.0, -3.0]
-    together, apart = (observer(model, "kinematic", x, epoch=EPOCH) for _ in range(2))
+    together, differences = (observer(model, "kinematic", x, epoch=EPOCH) for _ in range(2))
     together.receive(event(1.0, "c1", "c2", sequence=1))
-    apart.receive(event(1.0, "c1", sequence=1))
-    apart.receive(event(1.0, "c2", sequence=2))
+    differences.receive(event(1.0, "c1", sequence=1))
+    differences.receive(event(1.0, "c2", sequence=2))
     law, before = Kinematic(model), flow_of(model).start(0.0, np.array(x)).state(1.0)
     assert state(together, 1.0) == pytest.approx(
         law.impact(before, (0, 1), ()).tolist(), abs=1e-14
     )
     successive = law.impact(law.impact(before, (0,), ()), (1,), ())
-    assert state(apart, 1.0) == pytest.approx(successive.tolist(), abs=1e-14)
+    assert state(differences, 1.0) == pytest.approx(successive.tolist(), abs=1e-14)
 
 
 def test_estimate_tells_what_it_knows() -> None:

@@ -14,7 +14,8 @@ from systems import EPOCH, believing, forcing, run, system
 
 from impact_observer.model import System
 from impact_observer.observer import Law, Observer, ReplicaLaw
-from impact_observer.observer.laws import Geometric, MinimumVariance
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.plant import Run
 
 Array = NDArray[np.float64]

@@ -8,25 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import (
-    EPOCH,
-    Harmonic,
-    chain,
-    estimates,
-    event,
-    forcing,
-    observer,
-    run,
-    sample,
-)
+from systems import EPOCH, Harmonic, chain, estimates, event, forcing, observer, run, sample
 
-from impact_observer.analysis import lyapunov
+from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
-from impact_observer.observer import AGREED, Observer, Uncertainty
-from impact_observer.observer.laws import MinimumVariance
-from impact_observer.plant import Run, Sensed, Sensor, sense
+from impact_observer.observer import AGREED, Observer
+from impact_observer.observer.laws.minimum_variance import MinimumVariance
+from impact_observer.plant import Run, Sensed, SensorModel, sense
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -55,7 +46,7 @@ def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
     return model, np.concatenate(start), run(model, *start, seconds=seconds, rate=20.0)
 
 
-def heard(name: str, seconds: float, sensor: Sensor, seed: int = 0) -> tuple[Sensed, ...]:
+def heard(name: str, seconds: float, sensor: SensorModel, seed: int = 0) -> tuple[Sensed, ...]:
     """What a sensor tells of it."""
     model, _, whole = truth(name, seconds)
     last = int(whole.stamps[-1])
@@ -82,7 +73,9 @@ def beside(whole: Run, seconds: float) -> list[int]:
     return [int(k) for k in np.flatnonzero(near > seconds * NS_PER_S)]
 
 
-def left(name: str, seconds: float, sensor: Sensor, declared: dict[str, Any], seed: int) -> float:
+def left(
+    name: str, seconds: float, sensor: SensorModel, declared: dict[str, Any], seed: int
+) -> float:
     """V at the end over V at first."""
     model, start, whole = truth(name, seconds)
     x = start + np.random.default_rng(seed).normal(size=start.size)
@@ -98,19 +91,19 @@ def left(name: str, seconds: float, sensor: Sensor, declared: dict[str, Any], se
 @pytest.mark.parametrize(
     ("name", "sensor", "declared", "bound"),
     [
-        ("two_mass", Sensor(missed=0.2), EXACT, 1e-14),
-        ("two_mass", Sensor(spurious=0.15), EXACT, 1e-14),
-        ("two_mass", Sensor(missed=0.2, spurious=0.15), EXACT, 1e-14),
-        ("two_mass", Sensor(delay=0.01), LATE, 1e-10),
-        ("two_mass", Sensor(jitter=1e-3), UNDECLARED, 1e-5),
-        ("two_mass", Sensor(quantisation=1e-3), UNDECLARED, 1e-6),
-        ("two_mass", Sensor(dead_time=0.6), EXACT, 1e-14),
-        ("three_mass", Sensor(mislabelled=0.1), EXACT, 1e-14),
+        ("two_mass", SensorModel(missed=0.2), EXACT, 1e-14),
+        ("two_mass", SensorModel(spurious=0.15), EXACT, 1e-14),
+        ("two_mass", SensorModel(missed=0.2, spurious=0.15), EXACT, 1e-14),
+        ("two_mass", SensorModel(delay=0.01), LATE, 1e-10),
+        ("two_mass", SensorModel(jitter=1e-3), UNDECLARED, 1e-5),
+        ("two_mass", SensorModel(quantisation=1e-3), UNDECLARED, 1e-6),
+        ("two_mass", SensorModel(dead_time=0.6), EXACT, 1e-14),
+        ("three_mass", SensorModel(mislabelled=0.1), EXACT, 1e-14),
     ],
-    ids=["missed", "invented", "both", "late", "jitter", "ticks", "dead time", "mislabelled"],
+    ids=["missed", "spurious", "both", "late", "jitter", "ticks", "dead time", "mislabelled"],
 )
 def test_troubled_sensor_costs_little(
-    name: str, sensor: Sensor, declared: dict[str, Any], bound: float
+    name: str, sensor: SensorModel, declared: dict[str, Any], bound: float
 ) -> None:
     """After 24 s, from a start that is wrong by about 1 in every number."""
     assert left(name, 24.0, sensor, declared, seed=1) < bound
@@ -133,10 +126,10 @@ def test_lasting_contact_that_nobody_tells_is_found() -> None:
     kinds = {switch.kind for each in whole.events for switch in each.switches}
     assert kinds == set(Kind)
     watcher = watching(model, np.random.default_rng(0).normal(size=4), EXACT)
-    for each in heard("pressed", 7.0, Sensor(impacts_only=True)):
+    for each in heard("pressed", 7.0, SensorModel(impacts_only=True)):
         watcher.receive(each.event)
-    apart = estimates(watcher, whole.stamps[30:]) - whole.states[30:]
-    assert np.max(np.abs(apart)) < 1e-8
+    differences = estimates(watcher, whole.stamps[30:]) - whole.states[30:]
+    assert np.max(np.abs(differences)) < 1e-8
     resting = [closed_at(whole, stamp) for stamp in whole.stamps[30:].tolist()]
     assert set(resting) >= {(), ("c1",), ("c1", "c2")}
     told = [watcher.estimate(stamp).closed for stamp in whole.stamps[30:].tolist()]
@@ -144,13 +137,13 @@ def test_lasting_contact_that_nobody_tells_is_found() -> None:
 
 
 WORST = {
-    "missed": (Sensor(missed=0.2), EXACT, 1e-2),
-    "invented": (Sensor(spurious=0.15), EXACT, 1e-6),
-    "both": (Sensor(missed=0.2, spurious=0.15), EXACT, 1e-1),
-    "late": (Sensor(delay=0.01), LATE, 1e-2),
-    "jitter": (Sensor(jitter=1e-3), UNDECLARED, 1e-4),
-    "ticks": (Sensor(quantisation=1e-3), UNDECLARED, 1e-4),
-    "dead time": (Sensor(dead_time=0.6), EXACT, 1e-2),
+    "missed": (SensorModel(missed=0.2), EXACT, 1e-2),
+    "spurious": (SensorModel(spurious=0.15), EXACT, 1e-6),
+    "both": (SensorModel(missed=0.2, spurious=0.15), EXACT, 1e-1),
+    "late": (SensorModel(delay=0.01), LATE, 1e-2),
+    "jitter": (SensorModel(jitter=1e-3), UNDECLARED, 1e-4),
+    "ticks": (SensorModel(quantisation=1e-3), UNDECLARED, 1e-4),
+    "dead time": (SensorModel(dead_time=0.6), EXACT, 1e-2),
 }
 
 
@@ -163,36 +156,36 @@ def test_troubled_sensor_costs_little_in_any_run(name: str, trouble: str) -> Non
     assert max(left(name, 60.0, sensor, declared, seed) for seed in range(3)) < bound
 
 
-def locked(count: int, *invented: float) -> Observer:
+def locked(count: int, *spurious: float) -> Observer:
     """Of two_mass, after ``count`` impacts, and events at which nothing has happened."""
     model, start, whole = truth("two_mass", 30.0)
     watcher = watching(model, start + np.random.default_rng(0).normal(size=4), EXACT)
     for each in whole.events[:count]:
         watcher.receive(each)
-    for seconds in invented:
+    for seconds in spurious:
         (verdict,) = watcher.receive(event(seconds, "stop", sequence=count + 1))
         assert verdict.ruling is Ruling.REJECTED
     return watcher
 
 
 @pytest.mark.parametrize(
-    "invented",
+    "spurious",
     [(), pytest.param((17.829,), marks=pytest.mark.slow)],
-    ids=["silence", "after an invented one"],
+    ids=["silence", "after an spurious one"],
 )
-def test_missed_impact_is_foreseen_before_anything_is_heard(invented: tuple[float, ...]) -> None:
+def test_missed_impact_is_foreseen_before_anything_is_heard(spurious: tuple[float, ...]) -> None:
     """The impacts of 18.2 and 20.1 s: on the right side 1 ms after, right to rounding for long."""
     model, _, whole = truth("two_mass", 30.0)
-    watcher, missed = locked(13, *invented), [each.stamp for each in whole.events[13:15]]
+    watcher, missed = locked(13, *spurious), [each.stamp for each in whole.events[13:15]]
     plant = run(model, *sample("two_mass").initial_state(), seconds=20.5, rate=1000.0)
     for stamp in (*missed, missed[0] + NS_PER_S // 2):
         k = int(np.searchsorted(plant.stamps, stamp + NS_PER_S // 1000))
         told = watcher.estimate(int(plant.stamps[k]))
-        apart = np.concatenate([told.q, told.u]) - plant.states[k]
-        assert np.max(np.abs(apart)) < 1e-8
+        differences = np.concatenate([told.q, told.u]) - plant.states[k]
+        assert np.max(np.abs(differences)) < 1e-8
         deviations = np.sqrt(np.diag(told.covariance))
-        assert np.all(np.abs(apart) <= 5 * deviations + 1e-13)
-        if not invented:
+        assert np.all(np.abs(differences) <= 5 * deviations + 1e-13)
+        if not spurious:
             assert np.max(deviations) < 1e-7
 
 
@@ -261,7 +254,7 @@ def test_state_that_is_set_wrong_and_sure_is_forgotten(seed: int) -> None:
     assert explained(recovered(watcher, whole, whole.events[10:]))
 
 
-def learning(sensor: Sensor, declared: dict[str, Any], seed: int = 0) -> tuple[Observer, int]:
+def learning(sensor: SensorModel, declared: dict[str, Any], seed: int = 0) -> tuple[Observer, int]:
     """An observer of two_mass after 24 s, and the last stamp."""
     model, start, whole = truth("two_mass", 24.0)
     watcher = watching(model, start + np.random.default_rng(seed).normal(size=4), declared)
@@ -274,7 +267,7 @@ def learning(sensor: Sensor, declared: dict[str, Any], seed: int = 0) -> tuple[O
 @pytest.mark.parametrize("error", [1e-6, 3e-3])
 def test_error_of_the_clock_is_learnt(error: float) -> None:
     """Within a factor of 3.5 of what it is."""
-    watcher, end = learning(Sensor(jitter=error), UNDECLARED, seed=1)
+    watcher, end = learning(SensorModel(jitter=error), UNDECLARED, seed=1)
     ((name, found, deviation),) = watcher.estimate(end).learnt
     assert name == "clock_error"
     assert 1 / 3.5 < found / error < 3.5
@@ -290,7 +283,7 @@ def test_error_of_the_clock_is_learnt_in_any_run(name: str) -> None:
         for seed in range(2):
             x = start + np.random.default_rng(seed).normal(size=start.size)
             watcher = watching(model, x, UNDECLARED)
-            for each in heard(name, 60.0, Sensor(jitter=error), seed):
+            for each in heard(name, 60.0, SensorModel(jitter=error), seed):
                 watcher.receive(each.event)
             ((_, found, _),) = watcher.estimate(int(whole.stamps[-1])).learnt
             assert 1 / 3.5 < found / error < 3.5
@@ -309,9 +302,9 @@ def test_error_of_the_clock_is_learnt_in_any_run(name: str) -> None:
 def test_offset_of_the_clock_is_learnt(delay: float, jitter: float, seed: int) -> None:
     """Within four of the deviations that are told, which are small; and it survives a message."""
     pytest.importorskip("rosbags")
-    from impact_observer.bag.messages import bag_messages, read_estimate
+    from impact_observer.io.messages import bag_messages, read_estimate
 
-    sensor = Sensor(clock_offset=delay, jitter=jitter)
+    sensor = SensorModel(clock_offset=delay, jitter=jitter)
     watcher, end = learning(sensor, {"clock_error": jitter, "clock_offset_error": 0.03}, seed)
     told = watcher.estimate(end)
     name, value, deviation = told.learnt[-1]
@@ -332,7 +325,7 @@ def test_offset_is_refused_where_no_force_depends_on_time() -> None:
     assert str(refused.value).startswith("clock_offset_error: ")
 
 
-def never_wrong(name: str, sensor: Sensor, declared: dict[str, Any], seed: int) -> int:
+def never_wrong(name: str, sensor: SensorModel, declared: dict[str, Any], seed: int) -> int:
     """How often ``synchronized`` came, live; asserts that V was below what that means."""
     model, start, whole = truth(name, 24.0)
     x = start + np.random.default_rng(seed).normal(size=start.size)
@@ -346,8 +339,8 @@ def never_wrong(name: str, sensor: Sensor, declared: dict[str, Any], seed: int) 
         now = watcher.estimate(stamp)
         if now.synchronized:
             then = watcher.estimate(now.last_event)
-            apart = np.concatenate([now.q, now.u]) - whole.states[k]
-            assert squared(model, apart) <= AGREED * squared(
+            differences = np.concatenate([now.q, now.u]) - whole.states[k]
+            assert squared(model, differences) <= AGREED * squared(
                 model, np.concatenate([then.q, then.u])
             )
             came += 1
@@ -358,13 +351,15 @@ def never_wrong(name: str, sensor: Sensor, declared: dict[str, Any], seed: int) 
 @pytest.mark.parametrize(
     ("sensor", "declared"),
     [
-        (Sensor(missed=0.2, spurious=0.15), EXACT),
-        (Sensor(jitter=1e-3), UNDECLARED),
-        (Sensor(delay=0.01), LATE),
+        (SensorModel(missed=0.2, spurious=0.15), EXACT),
+        (SensorModel(jitter=1e-3), UNDECLARED),
+        (SensorModel(delay=0.01), LATE),
     ],
     ids=["both", "jitter", "late"],
 )
-def test_synchronized_is_true_when_it_is_said(sensor: Sensor, declared: dict[str, Any]) -> None:
+def test_synchronized_is_true_when_it_is_said(
+    sensor: SensorModel, declared: dict[str, Any]
+) -> None:
     """While events come that are wrong, late or missed."""
     assert never_wrong("two_mass", sensor, declared, seed=1) > 0
 

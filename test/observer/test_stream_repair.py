@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from systems import EPOCH, Harmonic, chain, event, examples, forcing, observer, system
 
-from impact_observer.analysis.comparison import impacts_in
+from impact_observer.compare.comparison import impacts_in
 from impact_observer.errors import ImpactLawError
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
-from impact_observer.observer import Observer, Uncertainty
+from impact_observer.observer import Observer
 from impact_observer.observer import observer as observer_module
+from impact_observer.observer.event_order import hits
 from impact_observer.observer.laws import BUILT_IN
-from impact_observer.observer.numbering import Numbering
-from impact_observer.observer.order import hits
+from impact_observer.observer.sequence_numbers import Numbering
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]

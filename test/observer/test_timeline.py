@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Kind
-from impact_observer.observer import Belief, Ensemble
+from impact_observer.observer import Belief
 from impact_observer.observer.agreement import Agreement
-from impact_observer.observer.order import Key, Reading
+from impact_observer.observer.event_order import Key, Reading
 from impact_observer.observer.timeline import Entry, Timeline, beginning
 
 NONE = Agreement(-1.0, 0.0)

@@ -21,12 +21,14 @@ from systems import (
     vectors,
 )
 
-from impact_observer.analysis import lyapunov
+from impact_observer.dynamics import lyapunov
 from impact_observer.errors import ImpactLawError
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Touch
-from impact_observer.observer.ensemble import Ensemble
-from impact_observer.observer.laws import Geometric, Unilateral
+from impact_observer.observer.belief import Belief
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.unilateral import Unilateral
 from impact_observer.stamps import NS_PER_S, grid
 
 Array = NDArray[np.float64]
@@ -69,7 +71,7 @@ def test_no_gap_is_ever_negative_under_any_switching(data: st.DataObject) -> Non
         stays = tuple(i for i in active if i in stay)
         assume(law._joint.is_possible(active))
         try:
-            x = law.event(Touch(t, closed, hit, stays), Belief(Ensemble.of(x[None]))).x
+            x = law.event(ContactChange(t, closed, hit, stays), Belief(Ensemble.of(x[None]))).x
         except ImpactLawError:
             assume(False)
         closed = stays
@@ -97,7 +99,7 @@ def test_impact_leaves_no_contact_separating_before_newtons_law(data: st.DataObj
 def test_contact_that_separates_stops_and_one_that_closes_is_thrown_back() -> None:
     """By hand for two_mass: gamma = -u2, restitution 0.7."""
     law = Unilateral(sample("two_mass").system)
-    hit = Touch(0.0, (), (0,), ())
+    hit = ContactChange(0.0, (), (0,), ())
     opening = law.event(hit, Belief(Ensemble.of(np.array([[0.1, 0.2, 1.0, -2.0]])))).x
     np.testing.assert_allclose(opening, [0.25, 0.5, 1.0, 0.0], atol=1e-15)
     closing = law.event(hit, Belief(Ensemble.of(np.array([[0.1, 0.2, 1.0, 2.0]])))).x
@@ -109,7 +111,7 @@ def test_of_contacts_that_hit_together_one_may_separate() -> None:
     corner = [([1, 0], 0.0, 0.5), ([1, 3], 0.0, 0.5)]
     model = system(np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=corner)
     x = np.array([0.0, 0.0, -1.0, 0.5])  # c1 closes, c2 was hit just before
-    both = Touch(1.0, (), (0, 1), ())
+    both = ContactChange(1.0, (), (0, 1), ())
     expected = Geometric(model).event(both, Belief(Ensemble.of(x[None]))).x
     found = Unilateral(model).event(both, Belief(Ensemble.of(x[None]))).x
     np.testing.assert_array_equal(found, expected)
@@ -126,10 +128,10 @@ def test_replica_that_no_stop_is_in_the_way_of_is_the_geometric_one() -> None:
         one = geometric.motion(t, x, closed).state(0.05)
         other = unilateral.motion(t, x, closed).state(0.05)
         np.testing.assert_allclose(other, one, rtol=0, atol=1e-15)
-        touch = Touch(t, closed, hit, stays)
+        change = ContactChange(t, closed, hit, stays)
         belief = Belief(Ensemble.of(one[None]))
-        x = geometric.event(touch, belief).x
-        np.testing.assert_array_equal(unilateral.event(touch, belief).x, x)
+        x = geometric.event(change, belief).x
+        np.testing.assert_array_equal(unilateral.event(change, belief).x, x)
         t, closed = t + 0.05, stays
 
 

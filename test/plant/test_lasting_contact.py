@@ -26,9 +26,9 @@ from impact_observer.dynamics import DEPTH, ImpactLaw
 from impact_observer.errors import ImpactLawError
 from impact_observer.events import Kind, Switch
 from impact_observer.model import Forcing, System
-from impact_observer.model.samples import Samples
+from impact_observer.model.force_samples import Samples
 from impact_observer.plant import Plant, Run, Switching, simulate
-from impact_observer.plant.rest import LOW, SHORT
+from impact_observer.plant.zeno import LOW, SHORT
 from impact_observer.stamps import NS_PER_S, from_seconds, grid
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ class Ball:
     "eps", [0.0, 0.2, 0.5, *(pytest.param(each, marks=pytest.mark.slow) for each in (0.9, 0.99))]
 )
 def test_ball_comes_to_rest_within_its_bound(eps: float, floor: float) -> None:
-    """Few impacts, the instant and the errors are as ``plant/rest.py`` says; then exact rest."""
+    """Few impacts, the instant and the errors are as ``plant/zeno.py`` says; then exact rest."""
     ball = Ball(eps)
     model = free(1, contacts=[([1], -floor, eps)], force=forcing(1, -GRAVITY))
     plant = started(model, [floor + 1.0], [0.0])
@@ -274,10 +274,10 @@ def test_graze_deeper_than_rounding_is_one_impact(depth: float) -> None:
     """It is at the closed form, and the contact, which is drawn away, does not close."""
     found = grazing(depth)
     assert [kinds(one) for one in found.switchings] == [[Kind.IMPACT]]
-    touch = found.switchings[0]
+    change = found.switchings[0]
     error = 1e-15 / np.sqrt(depth)  # the gap is known to 1e-15 or so
-    assert seconds(touch) == pytest.approx(2 - np.arccos(1 - depth), abs=3 * error + 1e-14)
-    assert touch.before[1] == pytest.approx(np.sqrt(1 - (1 - depth) ** 2), abs=3 * error + 1e-14)
+    assert seconds(change) == pytest.approx(2 - np.arccos(1 - depth), abs=3 * error + 1e-14)
+    assert change.before[1] == pytest.approx(np.sqrt(1 - (1 - depth) ** 2), abs=3 * error + 1e-14)
 
 
 @pytest.mark.parametrize("depth", [DEPTH / 2, 0.0, -1e-12, -1e-6])

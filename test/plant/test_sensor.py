@@ -16,15 +16,15 @@ from impact_observer.events import Kind, Switch
 from impact_observer.plant import (
     IDEAL,
     Sensed,
-    Sensor,
+    SensorModel,
     Switching,
     event_of,
     make_plant,
     sense,
     simulate,
 )
+from impact_observer.sensor_faults import SENSOR_FAULTS, SensorFault
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, Instant, grid
-from impact_observer.troubles import TROUBLES, Trouble
 
 MANY = 2_000
 """Impacts of a statistic; what is a fraction p of them deviates by less than 4 sigma."""
@@ -34,8 +34,8 @@ ONE = system(1, 0, 1, contacts=[([1], 1.0, 0.5)])
 FLAGS = {"impacts_only"}
 
 
-def errors(sensor: Sensor, told: Sequence[Switching]) -> np.ndarray:
-    """By how much the stamps of impacts are late, s, where none is lost or invented."""
+def errors(sensor: SensorModel, told: Sequence[Switching]) -> np.ndarray:
+    """By how much the stamps of impacts are late, s, where none is lost or spurious."""
     found = heard(sensor, told)
     return np.array(
         [
@@ -67,34 +67,36 @@ def test_ideal_sensor_tells_what_the_run_has(name: str) -> None:
 
 def test_the_table_of_troubles_is_the_sensor() -> None:
     """Same names in the same order, ideal by default, and every end of a range allowed."""
-    assert [each.name for each in TROUBLES] == [f.name for f in dataclasses.fields(Sensor)]
-    for each in TROUBLES:
+    assert [each.name for each in SENSOR_FAULTS] == [
+        f.name for f in dataclasses.fields(SensorModel)
+    ]
+    for each in SENSOR_FAULTS:
         assert getattr(IDEAL, each.name) == each.ideal
         assert type(getattr(IDEAL, each.name)) is type(each.ideal)
         ends = [False, True] if each.name in FLAGS else [each.low, each.high]
         for end in ends:
             value: dict[str, Any] = {each.name: end}
-            assert getattr(Sensor(**value), each.name) == end
+            assert getattr(SensorModel(**value), each.name) == end
     assert IDEAL.troubles == {}
-    assert Sensor(**FULL).troubles == FULL
+    assert SensorModel(**FULL).troubles == FULL
 
 
-@pytest.mark.parametrize("trouble", [pytest.param(each, id=each.name) for each in TROUBLES])
-def test_value_out_of_range_is_named(trouble: Trouble) -> None:
+@pytest.mark.parametrize("trouble", [pytest.param(each, id=each.name) for each in SENSOR_FAULTS])
+def test_value_out_of_range_is_named(trouble: SensorFault) -> None:
     """One line: the trouble, what was found, what is expected."""
     wrong: list[Any] = [math.nan, math.inf, trouble.low - 1]
     wrong += [0.5] if trouble.name in FLAGS else [True, trouble.high * 1.01]
     for value in wrong:
         with pytest.raises(UsageError, match=f"sensor {trouble.name}: .* found; expected ") as e:
-            Sensor(**{trouble.name: value})
+            SensorModel(**{trouble.name: value})
         assert "\n" not in str(e.value)
 
 
 @pytest.mark.parametrize(
-    ("sensor", "contacts"), [(Sensor(mislabelled=0.1), 1), (Sensor(spurious=0.1), 0)]
+    ("sensor", "contacts"), [(SensorModel(mislabelled=0.1), 1), (SensorModel(spurious=0.1), 0)]
 )
-def test_sensor_that_needs_more_contacts_is_refused(sensor: Sensor, contacts: int) -> None:
-    """No other contact can be named where there is one, none invented where there is none."""
+def test_sensor_that_needs_more_contacts_is_refused(sensor: SensorModel, contacts: int) -> None:
+    """No other contact can be named where there is one, none spurious where there is none."""
     model = system(1, 0, 1, contacts=[([1], 1.0, 0.5)] * contacts)
     with pytest.raises(UsageError, match=f"or more: test has {contacts}"):
         sense(sensor, model, [], epoch=EPOCH, last=EPOCH)
@@ -103,7 +105,7 @@ def test_sensor_that_needs_more_contacts_is_refused(sensor: Sensor, contacts: in
 def test_delay_makes_stamp_and_arrival_late() -> None:
     """By the same, and nothing else changes."""
     told = impacts(5)
-    found = heard(Sensor(delay=0.02), told)
+    found = heard(SensorModel(delay=0.02), told)
     assert [each.event.switches for each in found] == [each.switches for each in told]
     late = [each.event.stamp - true.instant.stamp for each, true in zip(found, told, strict=True)]
     assert late == [20_000_000] * 5
@@ -113,17 +115,17 @@ def test_delay_makes_stamp_and_arrival_late() -> None:
 def test_jitter_is_normal_and_leaves_the_arrival() -> None:
     """Of the standard deviation that was asked for, without bias."""
     told = impacts(MANY)
-    found = errors(Sensor(jitter=0.003), told)
+    found = errors(SensorModel(jitter=0.003), told)
     assert stats.kstest(found / 0.003, "norm").pvalue > LEAST
     assert all(
         each.arrival == true.instant.stamp
-        for each, true in zip(heard(Sensor(jitter=0.003), told), told, strict=True)
+        for each, true in zip(heard(SensorModel(jitter=0.003), told), told, strict=True)
     )
 
 
 def test_jitter_puts_stamps_in_another_order_than_sequence_numbers() -> None:
     """Sequence numbers count the instants."""
-    found = heard(Sensor(jitter=0.01), impacts(200, every=0.001))
+    found = heard(SensorModel(jitter=0.01), impacts(200, every=0.001))
     assert [each.event.sequence for each in found] == list(range(1, 201))
     assert np.any(np.diff([each.event.stamp for each in found]) < 0)
 
@@ -131,28 +133,28 @@ def test_jitter_puts_stamps_in_another_order_than_sequence_numbers() -> None:
 def test_quantised_stamps_are_the_nearest_multiples() -> None:
     """Of the whole nanoseconds asked for; errors are uniform within half of it."""
     told = [switching(math.sqrt(k), [(0, Kind.IMPACT)]) for k in range(1, 2001)]
-    found = heard(Sensor(quantisation=0.001), told)
+    found = heard(SensorModel(quantisation=0.001), told)
     assert all(each.event.stamp % 1_000_000 == 0 for each in found)
-    late = errors(Sensor(quantisation=0.001), told)
+    late = errors(SensorModel(quantisation=0.001), told)
     assert np.abs(late).max() <= 0.5e-3
     assert stats.kstest(late / 0.001 + 0.5, "uniform").pvalue > LEAST
 
 
 def test_clock_is_ahead_and_too_fast() -> None:
     """By an offset at the epoch, and by the drift for every second since."""
-    late = errors(Sensor(clock_offset=-0.5, clock_drift=1e-3), impacts(1000))
+    late = errors(SensorModel(clock_offset=-0.5, clock_drift=1e-3), impacts(1000))
     np.testing.assert_allclose(late, -0.5 + 1e-3 * np.arange(1, 1001), rtol=0, atol=1e-9)
 
 
 def test_the_epoch_of_an_event_is_the_plants() -> None:
     """The clock is wrong about impacts; when the forcing began is told right."""
-    found = heard(Sensor(clock_offset=-0.5), impacts(3))
+    found = heard(SensorModel(clock_offset=-0.5), impacts(3))
     assert {each.event.epoch for each in found} == {EPOCH}
 
 
 def test_clock_that_would_show_less_than_zero_is_refused() -> None:
     """At the epoch already; the line names a later epoch as the remedy."""
-    sensor = Sensor(clock_offset=-EPOCH / NS_PER_S)
+    sensor = SensorModel(clock_offset=-EPOCH / NS_PER_S)
     with pytest.raises(UsageError, match=r"clock_offset: .* stamps start above zero"):
         sense(sensor, THREE, impacts(1), epoch=EPOCH, last=EPOCH + NS_PER_S)
 
@@ -163,7 +165,7 @@ def test_stamps_stay_where_messages_can_carry_them(offset: float, quantisation: 
     """Above zero, below the last stamp there is, and multiples even there."""
     start = EPOCH if offset < 0 else MAX_STAMP - 10 * NS_PER_S
     told = dataclasses.replace(impacts(1)[0], instant=Instant(start + NS_PER_S))
-    sensor = Sensor(clock_offset=offset, quantisation=quantisation)
+    sensor = SensorModel(clock_offset=offset, quantisation=quantisation)
     (found,) = sense(sensor, THREE, [told], epoch=start, last=told.instant.stamp)
     tick = max(round(quantisation * NS_PER_S), 1)
     assert tick <= found.event.stamp <= MAX_STAMP
@@ -174,25 +176,25 @@ def test_stamps_stay_where_messages_can_carry_them(offset: float, quantisation: 
 def test_missed_impacts_are_so_many() -> None:
     """They are not counted either; the rest is what it was."""
     told = impacts(MANY)
-    found = heard(Sensor(missed=0.2), told)
+    found = heard(SensorModel(missed=0.2), told)
     assert_fraction(len(found), MANY, 0.8)
     assert [each.event.sequence for each in found] == list(range(1, len(found) + 1))
     assert {each.arrival for each in found} < {true.instant.stamp for true in told}
-    assert heard(Sensor(missed=1.0), told) == []
+    assert heard(SensorModel(missed=1.0), told) == []
 
 
 def test_every_contact_of_an_instant_is_missed_by_itself() -> None:
     """Of two that hit at once one may be told; of none there is no event."""
     pair = [(0, Kind.IMPACT), (2, Kind.IMPACT)]
     told = [switching(k + 1, pair) for k in range(MANY)]
-    sizes = [len(each.event.switches) for each in heard(Sensor(missed=0.3), told)]
+    sizes = [len(each.event.switches) for each in heard(SensorModel(missed=0.3), told)]
     assert_fraction(sizes.count(2), MANY, 0.49)
     assert_fraction(sizes.count(1), MANY, 0.42)
 
 
 def test_spurious_impacts_are_a_poisson_process() -> None:
     """Gaps are exponential, and every contact is named as often, as IMPACT."""
-    found = heard(Sensor(spurious=5.0), [], seconds=1000.0)
+    found = heard(SensorModel(spurious=5.0), [], seconds=1000.0)
     stamps = np.array([EPOCH, *(each.event.stamp for each in found)])
     assert abs(len(found) - 5000) < 4 * math.sqrt(5000)
     assert stats.kstest(np.diff(stamps) / NS_PER_S * 5, "expon").pvalue > LEAST
@@ -205,7 +207,7 @@ def test_spurious_impacts_are_a_poisson_process() -> None:
 
 def test_dead_time_thins_impacts_as_renewal_theory_says() -> None:
     """Of a Poisson process of rate r, r / (1 + r dead) is felt by a detector that it blinds."""
-    found = heard(Sensor(spurious=5.0, dead_time=0.3), [], model=ONE, seconds=2000.0)
+    found = heard(SensorModel(spurious=5.0, dead_time=0.3), [], model=ONE, seconds=2000.0)
     stamps = np.array([each.event.stamp for each in found])
     gaps = np.diff(stamps) / NS_PER_S
     assert gaps.min() >= 0.3
@@ -218,7 +220,7 @@ def test_dead_time_thins_impacts_as_renewal_theory_says() -> None:
 def test_dead_time_is_of_one_contact_and_ends_in_time() -> None:
     """An impact as late as the dead time is felt; one that is not felt prolongs nothing."""
     at = [(1.0, 0), (1.05, 1), (1.09, 0), (1.1, 0), (1.19, 0), (1.2, 0)]
-    found = heard(Sensor(dead_time=0.1), [switching(s, [(i, Kind.IMPACT)]) for s, i in at])
+    found = heard(SensorModel(dead_time=0.1), [switching(s, [(i, Kind.IMPACT)]) for s, i in at])
     stamps = [(each.event.stamp - EPOCH) / NS_PER_S for each in found]
     assert stamps == [1.0, 1.05, 1.1, 1.2]
 
@@ -226,7 +228,7 @@ def test_dead_time_is_of_one_contact_and_ends_in_time() -> None:
 def test_mislabelled_impacts_name_any_other_contact() -> None:
     """So many, the others alike; all else is told right."""
     told = impacts(MANY)
-    found = heard(Sensor(mislabelled=0.3), told)
+    found = heard(SensorModel(mislabelled=0.3), told)
     pairs = [
         (each.event.switches[0].contact, true.switches[0].contact)
         for each, true in zip(found, told, strict=True)
@@ -236,7 +238,7 @@ def test_mislabelled_impacts_name_any_other_contact() -> None:
     assert len(wrong) == 6
     assert stats.chisquare([pairs.count(pair) for pair in wrong]).pvalue > LEAST
     assert [each.event.stamp for each in found] == [true.instant.stamp for true in told]
-    always = heard(Sensor(mislabelled=1.0), told[:100])
+    always = heard(SensorModel(mislabelled=1.0), told[:100])
     assert all(
         each.event.switches != true.switches for each, true in zip(always, told[:100], strict=True)
     )
@@ -249,7 +251,7 @@ def test_contacts_that_get_one_name_are_told_once() -> None:
     )
     pair = [(0, Kind.IMPACT), (1, Kind.IMPACT)]
     told = [switching(k + 1, pair, model=model) for k in range(200)]
-    found = heard(Sensor(mislabelled=0.5), told, model=model)
+    found = heard(SensorModel(mislabelled=0.5), told, model=model)
     assert {len(each.event.switches) for each in found} == {1, 2}
     assert all(len(set(each.event.switches)) == len(each.event.switches) for each in found)
 
@@ -258,7 +260,7 @@ def test_threshold_keeps_what_hits_faster() -> None:
     """Exactly: an approach as fast as the threshold is felt."""
     speeds = np.linspace(0, 2, 201)
     told = [switching(k + 1, [(0, Kind.IMPACT)], v) for k, v in enumerate(speeds)]
-    found = heard(Sensor(threshold=0.5), told)
+    found = heard(SensorModel(threshold=0.5), told)
     felt = [k for k, v in enumerate(speeds) if v >= 0.5]
     assert [(each.event.stamp - EPOCH) // NS_PER_S - 1 for each in found] == felt
 
@@ -267,13 +269,13 @@ def test_threshold_of_zero_feels_a_contact_that_does_not_approach() -> None:
     """One that another impact throws off is told, as ever; with any threshold it is not."""
     told = [switching(1.0, [(0, Kind.IMPACT)], speed=-0.25)]
     assert len(heard(IDEAL, told)) == 1
-    assert heard(Sensor(threshold=1e-9), told) == []
+    assert heard(SensorModel(threshold=1e-9), told) == []
 
 
 def test_transport_is_exponential_and_leaves_the_stamp() -> None:
     """Messages overtake each other; sequence numbers tell."""
     told = impacts(MANY)
-    sensor = Sensor(transport=0.6)
+    sensor = SensorModel(transport=0.6)
     found = heard(sensor, told)
     way = np.array([each.arrival - each.event.stamp for each in found]) / NS_PER_S
     assert stats.kstest(way / 0.6, "expon").pvalue > LEAST
@@ -300,7 +302,7 @@ def kinds(found: Sequence[Sensed]) -> list[list[tuple[str, Kind]]]:
 
 def test_sensor_of_impacts_only_never_tells_lasting_contact() -> None:
     """CLOSE is told as IMPACT, OPEN not at all; an event of OPEN alone is none."""
-    assert kinds(heard(Sensor(impacts_only=True), LASTING)) == [
+    assert kinds(heard(SensorModel(impacts_only=True), LASTING)) == [
         [("c1", Kind.IMPACT)],
         [("c1", Kind.IMPACT), ("c2", Kind.IMPACT)],
         [("c3", Kind.IMPACT)],
@@ -308,15 +310,15 @@ def test_sensor_of_impacts_only_never_tells_lasting_contact() -> None:
     ]
 
 
-@pytest.mark.parametrize("sensor", [Sensor(missed=1.0), Sensor(threshold=2.0)])
-def test_contact_whose_closing_was_not_felt_does_not_open(sensor: Sensor) -> None:
+@pytest.mark.parametrize("sensor", [SensorModel(missed=1.0), SensorModel(threshold=2.0)])
+def test_contact_whose_closing_was_not_felt_does_not_open(sensor: SensorModel) -> None:
     """Nothing is told of it at all."""
     assert heard(sensor, LASTING) == []
 
 
 def test_closing_in_the_dead_time_is_lost_and_opening_in_it_is_not() -> None:
     """A CLOSE is an impact, an OPEN is none."""
-    found = heard(Sensor(dead_time=0.95), [switching(1.5, [(0, Kind.IMPACT)]), *LASTING[1:]])
+    found = heard(SensorModel(dead_time=0.95), [switching(1.5, [(0, Kind.IMPACT)]), *LASTING[1:]])
     assert kinds(found) == [
         [("c1", Kind.IMPACT)],
         [("c2", Kind.IMPACT)],
@@ -324,7 +326,7 @@ def test_closing_in_the_dead_time_is_lost_and_opening_in_it_is_not() -> None:
         [("c1", Kind.CLOSE)],
         [("c1", Kind.OPEN)],
     ]
-    found = heard(Sensor(dead_time=0.5), LASTING[1:3])
+    found = heard(SensorModel(dead_time=0.5), LASTING[1:3])
     assert kinds(found)[1] == [("c1", Kind.OPEN), ("c3", Kind.IMPACT)]
 
 
@@ -333,7 +335,7 @@ def test_contact_opens_by_the_name_it_closed_by() -> None:
     told = [
         switching(k + 1, [(k // 2 % 3, Kind.OPEN if k % 2 else Kind.CLOSE)]) for k in range(600)
     ]
-    found = kinds(heard(Sensor(mislabelled=0.5), told))
+    found = kinds(heard(SensorModel(mislabelled=0.5), told))
     names = [
         (closed[0], opened[0]) for closed, opened in zip(found[::2], found[1::2], strict=True)
     ]
@@ -348,13 +350,13 @@ def test_accumulating_impacts_are_lost_to_a_dead_time_and_a_threshold() -> None:
     found = run(ball, [0.0], [4.0], seconds=3.0)
     assert found.events[-1].switches == (Switch("c1", Kind.CLOSE),)
 
-    def felt(sensor: Sensor) -> list[float]:
+    def felt(sensor: SensorModel) -> list[float]:
         return [
             (e.event.stamp - EPOCH) / NS_PER_S for e in heard(sensor, found.switchings, model=ball)
         ]
 
-    assert felt(Sensor(threshold=0.75)) == [1.0, 1.5, 1.75]
-    assert felt(Sensor(dead_time=0.2)) == [1.0, 1.5, 1.75, pytest.approx(1.96875)]
+    assert felt(SensorModel(threshold=0.75)) == [1.0, 1.5, 1.75]
+    assert felt(SensorModel(dead_time=0.2)) == [1.0, 1.5, 1.75, pytest.approx(1.96875)]
 
 
 def test_ideal_event_is_that_of_event_of() -> None:
@@ -368,5 +370,5 @@ def test_what_only_shifts_loads_is_not_told() -> None:
     """A switching without switches is no event and draws nothing."""
     told = impacts(6)
     silent = dataclasses.replace(told[2], instant=told[1].instant.after(0.5), switches=())
-    jittered = Sensor(jitter=0.01)
+    jittered = SensorModel(jitter=0.01)
     assert heard(jittered, [*told[:2], silent, *told[2:]]) == heard(jittered, told)

@@ -12,7 +12,7 @@ from sensing import FULL, THREE, impacts, switching
 from systems import EPOCH, examples
 
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.plant import IDEAL, Sensed, Sensing, Sensor, Switching, sense
+from impact_observer.plant import IDEAL, Sensed, Sensing, SensorModel, Switching, sense
 from impact_observer.stamps import NS_PER_S
 
 
@@ -39,7 +39,7 @@ def values(name: str) -> st.SearchStrategy[float | bool]:
     return st.sampled_from([getattr(IDEAL, name), FULL[name]])
 
 
-sensors = st.builds(Sensor, **{name: values(name) for name in FULL})
+sensors = st.builds(SensorModel, **{name: values(name) for name in FULL})
 
 
 def last_of(told: Sequence[Switching]) -> int:
@@ -50,7 +50,7 @@ def last_of(told: Sequence[Switching]) -> int:
 @given(runs(), sensors, st.integers(0, 5), st.lists(st.integers(1, 400), max_size=30))
 @examples(40)
 def test_streaming_gives_the_events_of_the_whole_run(
-    told: list[Switching], sensor: Sensor, seed: int, waits: list[int]
+    told: list[Switching], sensor: SensorModel, seed: int, waits: list[int]
 ) -> None:
     """Whenever it is asked; nothing arrives before it is due, nothing is due unseen."""
     last = last_of(told)
@@ -72,7 +72,7 @@ def test_streaming_gives_the_events_of_the_whole_run(
 @given(runs(), sensors, st.integers(0, 5))
 @examples(40)
 def test_events_are_what_every_sensor_tells(
-    told: list[Switching], sensor: Sensor, seed: int
+    told: list[Switching], sensor: SensorModel, seed: int
 ) -> None:
     """Numbered without gaps, arriving in order, stamped above zero; no OPEN without CLOSE."""
     found = sense(sensor, THREE, told, epoch=EPOCH, last=last_of(told), seed=seed, episode=2)
@@ -166,7 +166,7 @@ CHANGES: dict[str, Callable[[list[Sensed], list[Sensed]], bool]] = {
 @given(runs(), sensors, st.integers(0, 5))
 @examples(12)
 def test_a_trouble_changes_no_draw_of_another(
-    name: str, told: list[Switching], sensor: Sensor, seed: int
+    name: str, told: list[Switching], sensor: SensorModel, seed: int
 ) -> None:
     """Switched on, it does its own harm and no other; only a dead time ties them together."""
     off: dict[str, Any] = {"dead_time": 0.0, name: getattr(IDEAL, name)}
@@ -190,7 +190,13 @@ def test_every_episode_has_its_own_draws() -> None:
 
     def stamps(seed: int, episode: int) -> list[int]:
         found = sense(
-            Sensor(jitter=0.01), THREE, told, epoch=EPOCH, last=last, seed=seed, episode=episode
+            SensorModel(jitter=0.01),
+            THREE,
+            told,
+            epoch=EPOCH,
+            last=last,
+            seed=seed,
+            episode=episode,
         )
         return [each.event.stamp for each in found]
 

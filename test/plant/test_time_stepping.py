@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from systems import EPOCH, Harmonic, chain, examples, forcing, sample, system, systems, vectors
 
-from impact_observer.dynamics.moreau import MoreauScheme
+from impact_observer.dynamics.contact.moreau import MoreauScheme
 from impact_observer.errors import DynamicsError, UsageError
 from impact_observer.events import Kind
 from impact_observer.model import Forcing, System
-from impact_observer.model.samples import Samples
+from impact_observer.model.force_samples import Samples
 from impact_observer.plant import Plant, Switching, simulate
 from impact_observer.plant.time_stepping import TimeSteppingPlant
 from impact_observer.stamps import NS_PER_S, Instant, grid
@@ -166,7 +166,7 @@ def trusted(runs: list[list[Switching]], model: System, until: float) -> int:
     slow, that nearly closes another contact too, or that is close to its neighbours in time. The
     last of each run has not shown its neighbour.
     """
-    apart = np.diff(times(runs[0]), prepend=-1.0, append=until)
+    differences = np.diff(times(runs[0]), prepend=-1.0, append=until)
     for count, several in enumerate(zip(*(run[:9] for run in runs), strict=False)):
         one = several[0]
         gap, gamma = model.gap(one.before[: model.n]), model.contact_speed(one.before[model.n :])
@@ -175,7 +175,7 @@ def trusted(runs: list[list[Switching]], model: System, until: float) -> int:
         slow = any(gamma[i] > -0.1 for i, kind in told.items() if kind is not Kind.OPEN)
         delicate = slow or any(gap[i] < 0.03 for i in others)
         alike = all(kinds([each]) == kinds([one]) for each in several)
-        if not alike or delicate or min(apart[count : count + 2]) < 0.03:
+        if not alike or delicate or min(differences[count : count + 2]) < 0.03:
             return count
     return min(len(run[:9]) for run in runs)
 

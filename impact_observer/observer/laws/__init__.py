@@ -12,7 +12,7 @@ from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.observer.laws.open_loop import OpenLoop
-from impact_observer.observer.laws.replica import ReplicaLaw
+from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.observer.laws.unilateral import Unilateral
 
 __all__ = [

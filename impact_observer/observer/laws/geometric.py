@@ -7,15 +7,15 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.dynamics import ImpactLaw, Motion, Phase
+from impact_observer.estimation.ensemble import Differences, Ensemble
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.ensemble import Differences, Ensemble
-from impact_observer.observer.laws.replica import ReplicaLaw
-from impact_observer.observer.uncertainty import Uncertainty
+from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Matrix, Vector
 
 
-class _Jump:
+class _SingleJump:
     """The jump at a single contact, as few products as it takes: it is on every event's path.
 
     Attributes:
@@ -66,10 +66,10 @@ class Geometric(ReplicaLaw):
         self._projection = self._clutches.phases.projection
         self._jump = cache(self._jump_of)
 
-    def _jump_of(self, contact: int) -> _Jump:
+    def _jump_of(self, contact: int) -> _SingleJump:
         """The jump at one contact."""
         z = self._projection.jump((contact,))[:, 0]
-        return _Jump(self.system, contact, z, self._newton.kick(contact))
+        return _SingleJump(self.system, contact, z, self._newton.kick(contact))
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``q+`` by projection, ``u+`` by Newton's law."""
@@ -98,10 +98,10 @@ class Geometric(ReplicaLaw):
         gamma = float(jump.gamma.dot(before.x))
         if gamma <= 0 and before.most(jump.gamma) <= -gamma:
             return before.carried(x, jump.map).without_faded()
-        apart, speeds = before.seen(jump.map), before.seen(jump.gamma)
+        differences, speeds = before.seen(jump.map), before.seen(jump.gamma)
         kept = np.maximum(speeds + gamma, 0.0) - max(gamma, 0.0)
-        apart[self.system.n :] += jump.kick[:, None] * kept
-        return Ensemble(x, Differences(apart))
+        differences[self.system.n :] += jump.kick[:, None] * kept
+        return Ensemble(x, Differences(differences))
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed."""

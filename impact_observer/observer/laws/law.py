@@ -3,10 +3,11 @@
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Course, Touch
-from impact_observer.observer.uncertainty import Uncertainty
+from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.states import Matrix
 
 
@@ -17,7 +18,7 @@ class Law(ABC):
 
     Attributes:
         name: what users choose it by.
-        hears: whether its replicas' agreement says anything: only if events correct them.
+        uses_events: whether its replicas' agreement says anything: only if events correct them.
         learns: whether it learns parameters of the model that are not known.
         compiles: whether it has something to compile.
         system: what plant and replicas share.
@@ -25,7 +26,7 @@ class Law(ABC):
     """
 
     name: ClassVar[str]
-    hears: ClassVar[bool] = True
+    uses_events: ClassVar[bool] = True
     learns: ClassVar[bool] = False
     compiles: ClassVar[bool] = False
 
@@ -60,11 +61,11 @@ class Law(ABC):
         """
 
     @abstractmethod
-    def event(self, touch: Touch, belief: Belief) -> Belief:
+    def event(self, change: ContactChange, belief: Belief) -> Belief:
         """What is believed just after an event.
 
         Args:
-            touch: what the plant's contacts do.
+            change: what the plant's contacts do.
             belief: just before it.
 
         Raises:
@@ -73,7 +74,7 @@ class Law(ABC):
         """
 
     @abstractmethod
-    def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
+    def course(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """How ``belief`` goes on until the next event.
 
         Args:

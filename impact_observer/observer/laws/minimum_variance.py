@@ -8,19 +8,22 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics import lengths, triangular
 from impact_observer.errors import UsageError
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Differences, Ensemble
+from impact_observer.estimation.filter_bank import SURE, FilterBank
+from impact_observer.estimation.forecast import FINE, Forecast
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.linear import Linear
+from impact_observer.estimation.square_root import lengths, triangular
+from impact_observer.estimation.uncertainty import Uncertainty, spread
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Course, Fallback, Hypothesis, Known, Touch
-from impact_observer.observer.ensemble import Differences, Ensemble
-from impact_observer.observer.filter_bank import SURE, FilterBank
-from impact_observer.observer.forecast import FINE, Forecast
-from impact_observer.observer.impact_filter import ImpactFilter
+from impact_observer.observer.belief import Belief, Fallback, Prediction
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.linear import Linear
-from impact_observer.observer.uncertainty import Uncertainty, spread
 from impact_observer.states import Matrix, Vector
 
 CLOCK_ERRORS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
@@ -94,20 +97,20 @@ class MinimumVariance(Law):
         x = self._geometric.impact(x, closed, closed) if closed else x
         return self._belief(self._even(known), Fallback(x, np.linalg.norm(root, axis=1)))
 
-    def event(self, touch: Touch, belief: Belief) -> Belief:
+    def event(self, change: ContactChange, belief: Belief) -> Belief:
         """What each hypothesis makes of the event, and which is the likeliest then."""
-        if not touch.hit and touch.before == touch.closed:
+        if not change.hit and change.before == change.closed:
             return belief
         if self._sure:
-            return self._believed(touch, belief)
-        hypotheses, fallback = self._taken(belief, touch.before)
+            return self._believed(change, belief)
+        hypotheses, fallback = self._taken(belief, change.before)
         x = fallback.x
-        x = self._geometric.impact(x, touch.active, touch.closed) if touch.hit else x
+        x = self._geometric.impact(x, change.active, change.closed) if change.hit else x
         fallback = Fallback(x, np.maximum(fallback.reach, np.abs(x)))
-        anew = partial(self._anew, fallback, touch.closed, 1 + belief.ensemble.others)
-        return self._belief(self._bank.heard(touch, hypotheses, anew) or anew(), fallback, touch)
+        anew = partial(self._anew, fallback, change.closed, 1 + belief.ensemble.others)
+        return self._belief(self._bank.heard(change, hypotheses, anew) or anew(), fallback, change)
 
-    def course(self, t: float, belief: Belief, closed: Contacts) -> Course:
+    def course(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """The likeliest account for the estimate, all of them for the next event."""
         if self._sure:
             return _Sure(self._bank.filter, t, belief, closed)
@@ -122,19 +125,19 @@ class MinimumVariance(Law):
             return _Heard(self._bank.filter, t, hypotheses, later)
         return _Foreseen(self._bank, t, hypotheses, later)
 
-    def _believed(self, touch: Touch, belief: Belief) -> Belief:
+    def _believed(self, change: ContactChange, belief: Belief) -> Belief:
         """``belief`` after an event that is beyond doubt."""
         (x, since, _), root, clock = belief.ensemble, belief.root, self.clocks[0]
         assert root is not None, "a belief of another law"
-        apart, filter_ = belief.ensemble.apart, self._bank.filter
-        if (usual := filter_.usually(touch, (x, root, apart), clock)) is None:
-            known = Known(x, _NOTHING, root, apart, touch.before)
-            evidence, after = filter_.generally(touch, known, clock)
+        differences, filter_ = belief.ensemble.differences, self._bank.filter
+        if (usual := filter_.usually(change, (x, root, differences), clock)) is None:
+            known = GaussianState(x, _NOTHING, root, differences, change.before)
+            evidence, after = filter_.generally(change, known, clock)
             known = after()
             return Belief(known.ensemble, known.root, innovations=evidence.innovations)
-        (x, root, apart), (white, *_) = usual
-        ensemble = Ensemble(x, Differences(apart) if apart.size else since)
-        return Belief(ensemble, root, innovations={touch.hit[0]: abs(float(white))})
+        (x, root, differences), (white, *_) = usual
+        ensemble = Ensemble(x, Differences(differences) if differences.size else since)
+        return Belief(ensemble, root, innovations={change.hit[0]: abs(float(white))})
 
     def _taken(self, belief: Belief, closed: Contacts) -> tuple[tuple[Hypothesis, ...], Fallback]:
         """Hypotheses and fallback of a belief; of a bare one, that it is right."""
@@ -144,26 +147,26 @@ class MinimumVariance(Law):
         known = self._known(belief.replicas, belief.root, closed)
         return self._even(known), Fallback(belief.x, np.linalg.norm(belief.root, axis=1))
 
-    def _even(self, known: Known) -> tuple[Hypothesis, ...]:
+    def _even(self, known: GaussianState) -> tuple[Hypothesis, ...]:
         """One hypothesis for each accuracy of the clock, all as likely."""
         weight = -math.log(len(self.clocks))
         return tuple(Hypothesis(known, clock, weight) for clock in self.clocks)
 
-    def _known(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Known:
+    def _known(self, replicas: Matrix, root: Matrix, closed: Contacts) -> GaussianState:
         """``replicas`` and ``root`` with what else is not known, as it was declared."""
         declared, late = self.uncertainty.unknowns, self.uncertainty.clock_offset_error
         deviations = [*([] if declared is None else declared.deviations)]
         unsure = np.diag([*deviations, *([late] if late else [])])
         whole = linalg.block_diag(root, unsure) if len(unsure) else root
-        known = Known.of(replicas, whole, closed)
+        known = GaussianState.of(replicas, whole, closed)
         if declared is None:
             return known
         p, given = declared.family.size, np.append(replicas[0], declared.family.given)
         others = spread(given, whole[: given.size, : root.shape[1] + p], len(replicas))
-        slow, apart = known.slow.copy(), known.apart.copy()
+        slow, differences = known.slow.copy(), known.differences.copy()
         slow[:p] = declared.family.given
-        apart[given.size - p : given.size] = (others[1:] - given)[:, given.size - p :].T
-        return known._replace(slow=slow, apart=apart, parameters=p)
+        differences[given.size - p : given.size] = (others[1:] - given)[:, given.size - p :].T
+        return known._replace(slow=slow, differences=differences, parameters=p)
 
     def _anew(self, fallback: Fallback, closed: Contacts, count: int) -> tuple[Hypothesis, ...]:
         """If nothing is believed any more: a motion as large as there was, any clock."""
@@ -173,12 +176,15 @@ class MinimumVariance(Law):
         return self._even(self._bank.filter.begin(known))
 
     def _belief(
-        self, hypotheses: tuple[Hypothesis, ...], fallback: Fallback, touch: Touch | None = None
+        self,
+        hypotheses: tuple[Hypothesis, ...],
+        fallback: Fallback,
+        change: ContactChange | None = None,
     ) -> Belief:
         """A belief whose estimate is that of the likeliest of ``hypotheses``."""
         best, size = hypotheses[0], fallback.x.size
         root = _mixed(hypotheses).root
-        notes = best.noted((touch.stamp, touch.sequence)) if touch else []
+        notes = best.noted((change.stamp, change.sequence)) if change else []
         return Belief(
             best.known.ensemble,
             root[:size],
@@ -212,7 +218,7 @@ class MinimumVariance(Law):
         return tuple(found)
 
 
-def _mixed(hypotheses: Sequence[Hypothesis]) -> Known:
+def _mixed(hypotheses: Sequence[Hypothesis]) -> GaussianState:
     """What is known by the likeliest hypothesis, as surely as all of them together allow."""
     best = hypotheses[0].known
     if len(hypotheses) == 1:
@@ -220,12 +226,12 @@ def _mixed(hypotheses: Sequence[Hypothesis]) -> Known:
     weights = np.exp([h.weight for h in hypotheses])
     columns = []
     for weight, h in zip(np.sqrt(weights / np.sum(weights)), hypotheses, strict=True):
-        apart = np.append(h.known.x - best.x, h.known.slow - best.slow)
-        columns += [weight * h.known.root, weight * apart[:, None]]
+        differences = np.append(h.known.x - best.x, h.known.slow - best.slow)
+        columns += [weight * h.known.root, weight * differences[:, None]]
     return best._replace(root=triangular(np.hstack(columns)))
 
 
-class _Sure(Course):
+class _Sure(Prediction):
     """What is believed until the next event, where none is in doubt."""
 
     def __init__(self, filter_: ImpactFilter, t: float, belief: Belief, closed: Contacts) -> None:
@@ -253,7 +259,7 @@ class _Sure(Course):
         return root if astray is None else astray.gone(self._phase, root, s)
 
 
-class _Heard(Course):
+class _Heard(Prediction):
     """What is believed until the next event, where every one is heard."""
 
     def __init__(
@@ -299,7 +305,7 @@ class _Part(NamedTuple):
     linear: Linear
 
 
-class _Foreseen(Course):
+class _Foreseen(Prediction):
     """What is believed until the next event, where some are not heard.
 
     The estimate is a function of time alone: an impact that was not heard counts from when on it
@@ -339,7 +345,7 @@ class _Foreseen(Course):
     def belief(self, s: float) -> Belief:
         return self._later(s)
 
-    def _begun(self, since: float, start: float, known: Known, root: Matrix) -> _Part:
+    def _begun(self, since: float, start: float, known: GaussianState, root: Matrix) -> _Part:
         """A stretch from ``start`` on."""
         t = self._t + start
         mixed = self._bank.filter.course(t, known._replace(root=root))
@@ -366,9 +372,11 @@ class _Foreseen(Course):
         t = self._t + start + at
         known, kind = self._bank.switched(t, forecast.course.known(at), dip)
         # The other accounts jump with it: how far they are apart is thrown back likewise.
-        apart, size = mixed.whole(at).copy(), known.x.size
+        differences, size = mixed.whole(at).copy(), known.x.size
         if kind is not Kind.OPEN:
-            apart[:size] = self._bank.filter.mirrored(dip.contact, known) @ apart[:size]
-        root_now = triangular(np.hstack([known.root, apart]))
+            differences[:size] = (
+                self._bank.filter.mirrored(dip.contact, known) @ differences[:size]
+            )
+        root_now = triangular(np.hstack([known.root, differences]))
         self._parts.append(self._begun(since, start + at, known, root_now))
         self._looked, self._window = since, self._first

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 from impact_observer.dynamics import Motion, Phase
 from impact_observer.events import Contacts
-from impact_observer.observer.laws.replica import ReplicaLaw
+from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Vector
 
 
@@ -12,7 +12,7 @@ class OpenLoop(ReplicaLaw):
     """The replica moves without contact and hears nothing of the plant."""
 
     name: ClassVar[str] = "open-loop"
-    hears: ClassVar[bool] = False
+    uses_events: ClassVar[bool] = False
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """The state as it was."""

@@ -5,15 +5,16 @@ from typing import ClassVar
 import numpy as np
 
 from impact_observer.dynamics import Motion, Phase
-from impact_observer.dynamics.complementarity import complementary
-from impact_observer.dynamics.holds import Holds
+from impact_observer.dynamics.contact.complementarity import complementary
+from impact_observer.dynamics.contact.sweeping import Holds
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Touch
-from impact_observer.observer.ensemble import Ensemble
+from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
-from impact_observer.observer.laws.replica import ReplicaLaw
-from impact_observer.observer.uncertainty import Uncertainty
+from impact_observer.observer.laws.replica_law import ReplicaLaw
 from impact_observer.states import Matrix, Vector
 
 
@@ -66,14 +67,14 @@ class Unilateral(Geometric):
         del closed
         return None
 
-    def event(self, touch: Touch, belief: Belief) -> Belief:
+    def event(self, change: ContactChange, belief: Belief) -> Belief:
         """Every replica after its own impact, or where opening contacts let it go."""
-        if touch.hit:
-            alone = touch.hit if len(touch.hit) == 1 else ()
-            return super().event(touch, self._told(belief, (*touch.before, *alone)))
-        if self._joint.is_possible(touch.before):
-            return super().event(touch, belief)
-        replicas = [self._on(x, touch.closed) for x in belief.replicas]
+        if change.hit:
+            alone = change.hit if len(change.hit) == 1 else ()
+            return super().event(change, self._told(belief, (*change.before, *alone)))
+        if self._joint.is_possible(change.before):
+            return super().event(change, belief)
+        replicas = [self._on(x, change.closed) for x in belief.replicas]
         return belief._replace(ensemble=Ensemble.of(np.array(replicas)))
 
     def taken(self, before: Vector, after: Vector, active: Contacts) -> float | None:

@@ -1,0 +1,211 @@
+"""The messages of an MCAP file from its beginning on, without index or footer.
+
+Records are parsed by the package ``mcap``; finding the way past what is broken is ours.
+"""
+
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from typing import BinaryIO, NamedTuple
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+
+from impact_observer.io.mcap_layout import CHUNK, FRAME, MAGIC, MESSAGE, summary_of, uncompressed
+
+_KNOWN = range(1, 0x10)
+"""Record types of this version of the format."""
+
+
+class Channel(NamedTuple):
+    """Where messages of one topic come from.
+
+    Attributes:
+        topic: the absolute name.
+        type: the message type.
+        definition: the text of the message type.
+        metadata: what else the channel says.
+    """
+
+    topic: str
+    type: str
+    definition: str
+    metadata: dict[str, str]
+
+
+class Message(NamedTuple):
+    """A message.
+
+    Attributes:
+        channel: where it comes from.
+        log_time: when it was recorded, ns.
+        data: the serialized message.
+    """
+
+    channel: Channel
+    log_time: int
+    data: bytes
+
+
+class Facts(NamedTuple):
+    """What the index of an MCAP file says of its chunks.
+
+    Attributes:
+        chunks: how many there are.
+        compression: their kinds of compression, such as ``zstd``; ``none`` for none.
+        compressed: bytes in the file.
+        uncompressed: bytes of records.
+    """
+
+    chunks: int
+    compression: str
+    compressed: int
+    uncompressed: int
+
+
+def facts(file: BinaryIO) -> Facts | None:
+    """What the index of an MCAP file says of its chunks; None without one."""
+    summary = summary_of(file)
+    if summary is None or not summary.chunk_indexes:
+        return None
+    kinds = sorted({each.compression or "none" for each in summary.chunk_indexes})
+    return Facts(
+        len(summary.chunk_indexes),
+        " and ".join(kinds),
+        sum(each.compressed_size for each in summary.chunk_indexes),
+        sum(each.uncompressed_size for each in summary.chunk_indexes),
+    )
+
+
+class McapFile:
+    """An MCAP file that may be damaged, to be read once.
+
+    Attributes:
+        at: where reading is, bytes.
+        losses: what could not be read, a line each.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        """Read ``file``, from its beginning."""
+        self._file = file
+        self._size = file.seek(0, 2)
+        self._schemas: dict[int, tuple[str, str]] = {}
+        self._channels: dict[int, Channel] = {}
+        self._chunks: list[int] = []
+        self.at = 0
+        self.losses: list[str] = []
+
+    def messages(self) -> Iterator[Message]:
+        """The messages, chunk after chunk, those of a chunk in the order of their log times."""
+        self._file.seek(0)
+        if self._file.read(len(MAGIC)) != MAGIC:
+            self.losses.append("does not begin as an MCAP file")
+            return
+        self._consult_index()
+        self.at = len(MAGIC)
+        self._file.seek(self.at)
+        while (frame := self._frame()) is not None:
+            opcode, length = frame
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                return
+            begin = self.at + FRAME.size
+            wanted = opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
+            body = self._file.read(min(length, self._size)) if wanted else b""
+            if opcode == Opcode.CHUNK:
+                yield from self._chunk(body, length)
+            elif wanted and len(body) == length:
+                yield from self._records(FRAME.pack(opcode, length) + body)
+            self.at = begin + length
+            self._file.seek(self.at)
+            if self.at > self._size:
+                self.losses.append(f"was cut short at byte {self._size}")
+                return
+
+    def _frame(self) -> tuple[int, int] | None:
+        """Type and length of the next record; None at the end of what can be read."""
+        while True:
+            head = self._file.read(FRAME.size)
+            if len(head) < FRAME.size:
+                self.losses.append(f"was cut short at byte {self._size}")
+                return None
+            opcode, length = FRAME.unpack(head)
+            if opcode in _KNOWN and self.at + FRAME.size + length <= self._size:
+                return opcode, length
+            later = min((each for each in self._chunks if each > self.at), default=None)
+            if later is None and opcode == Opcode.CHUNK:
+                return opcode, length
+            if later is None:
+                self.losses.append(f"is cut short or damaged at byte {self.at}")
+                return None
+            self.losses.append(f"is damaged from byte {self.at} to {later}")
+            self.at = later
+            self._file.seek(later)
+
+    def _consult_index(self) -> None:
+        """Note what the index at the end of the file tells, if it is there."""
+        if (summary := summary_of(self._file)) is None:
+            return
+        self._chunks = [each.chunk_start_offset for each in summary.chunk_indexes]
+        for schema in summary.schemas.values():
+            self._schemas[schema.id] = (schema.name, schema.data.decode(errors="replace"))
+        for channel in summary.channels.values():
+            if channel.schema_id in self._schemas:
+                self._know(channel)
+
+    def _chunk(self, body: bytes, length: int) -> Iterator[Message]:
+        """The messages of a chunk, of one that was cut short as many as are whole."""
+        whole, data = len(body) == length, b""
+        try:
+            *_, size, checksum = CHUNK.unpack_from(body)
+            stream = ReadDataStream(BytesIO(body[CHUNK.size :]))
+            compression, stored = stream.read_prefixed_string(), stream.read8()
+            data = uncompressed(body[CHUNK.size + stream.count :][:stored], compression)
+        except Exception as error:  # noqa: BLE001 (whatever a decompressor says of broken data)
+            self.losses.append(f"the chunk at byte {self.at} cannot be decompressed ({error})")
+            return
+        if whole and (len(data) != size or (checksum and zlib.crc32(data) != checksum)):
+            self.losses.append(f"the chunk at byte {self.at} does not match its checksum")
+            return
+        yield from sorted(self._records(data), key=lambda each: each.log_time)
+
+    def _records(self, data: bytes) -> Iterator[Message]:
+        """The messages among records, which may end early."""
+        place = 0
+        while place + FRAME.size <= len(data):
+            opcode, length = FRAME.unpack_from(data, place)
+            body = data[place + FRAME.size : place + FRAME.size + length]
+            try:
+                if opcode not in _KNOWN:
+                    raise ValueError
+                if len(body) < length:
+                    return
+                if opcode == Opcode.MESSAGE:
+                    yield self._message(body)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._declaration(opcode, body)
+            except Exception:  # noqa: BLE001 (whatever mcap trips over)
+                self.losses.append(f"the chunk at byte {self.at} is damaged at its byte {place}")
+                return
+            place += FRAME.size + length
+
+    def _declaration(self, opcode: int, body: bytes) -> None:
+        """Note a message type or a channel."""
+        stream = ReadDataStream(BytesIO(body))
+        if opcode == Opcode.SCHEMA:
+            schema = records.Schema.read(stream)
+            self._schemas[schema.id] = (schema.name, schema.data.decode())
+        else:
+            self._know(records.Channel.read(stream))
+
+    def _know(self, channel: records.Channel) -> None:
+        """Note a channel whose message type is known."""
+        name, definition = self._schemas[channel.schema_id]
+        self._channels[channel.id] = Channel(channel.topic, name, definition, channel.metadata)
+
+    def _message(self, body: bytes) -> Message:
+        """The message in a record."""
+        if len(body) < MESSAGE.size:
+            raise ValueError
+        number, _, log_time, _ = MESSAGE.unpack_from(body)
+        return Message(self._channels[number], log_time, body[MESSAGE.size :])

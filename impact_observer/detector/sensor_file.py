@@ -1,0 +1,91 @@
+"""The file that says which sensors a rig has."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+
+from impact_observer.detector.source import Source
+from impact_observer.errors import ModelError, UsageError
+from impact_observer.model.document import Section, Value
+from impact_observer.model.model_file import load_yaml
+from impact_observer.resources import read_declared
+
+_KEYS = tuple(each.name for each in fields(Source) if each.name != "origin")
+_TEXTS = ("contact", "topic", "kind", "field", "direction", "stamp")
+
+
+def read_sources(path: str | Path) -> tuple[Source, ...]:
+    """The sensors that a file declares, or a sample by its name, such as ``switch``.
+
+    Raises:
+        UsageError: one line that names the file, the key and what is wanted.
+    """
+    found, text = read_declared(path, "config/detector", "a file of sensors, or a sample")
+    return parse_sources(text, str(found))
+
+
+def parse_sources(text: str, name: str) -> tuple[Source, ...]:
+    """The sensors that the text of a file declares.
+
+    Args:
+        text: the YAML.
+        name: what to call it in errors.
+
+    Raises:
+        UsageError: one line that names the file, the key and what is wanted.
+    """
+    try:
+        document = Section("", _load(text), ("sources",))
+        found = [_source(key, value, name) for key, value in document.items("sources")]
+        if not found:
+            raise ModelError("sources", "is missing or empty; expected a list of sensors")
+    except ModelError as error:
+        raise UsageError(f"{name}: {error}") from None
+    check_contacts(found)
+    return tuple(found)
+
+
+def check_contacts(sources: Sequence[Source]) -> None:
+    """Raise where two sensors tell of one contact: each hit would be two events.
+
+    Raises:
+        UsageError: naming the contact.
+    """
+    first: dict[str, Source] = {}
+    for source in sources:
+        other = first.setdefault(source.contact, source)
+        if other is not source:
+            both = f"{other.topic} and {source.topic}"
+            raise source.wrong(
+                "contact", f"{source.contact!r} has two sensors, {both}; expected one a contact"
+            )
+
+
+def _source(key: str, value: Value, name: str) -> Source:
+    """The sensor in one member of the list."""
+    section = Section(key, value, _KEYS)
+    given: dict[str, object] = {}
+    for each in _KEYS:
+        if each in section or each in {"contact", "topic"}:
+            given[each] = _value(section, each)
+    return Source(**given, origin=f"{name}: {key}.")  # type: ignore[arg-type]
+
+
+def _value(section: Section, key: str) -> object:
+    """A value of the type that its key has."""
+    if key in _TEXTS:
+        return section.text(key)
+    if key == "inverted":
+        value = section.value(key)
+        if not isinstance(value, bool):
+            raise ModelError(section.key(key), f"{value!r} found; expected true or false")
+        return value
+    return section.number(key)
+
+
+def _load(text: str) -> Value:
+    """The mapping that a file of sensors is."""
+    document = load_yaml(text)
+    if not isinstance(document, Mapping):
+        raise ModelError("", "is no list of sensors: expected a YAML mapping with sources")
+    return document

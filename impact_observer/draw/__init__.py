@@ -1,0 +1,1 @@
+"""Pictures, films and layouts: what is drawn, and where."""

@@ -1,0 +1,125 @@
+"""Pictures: readable in grey and for colour-blind people, units on every axis."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from io import StringIO
+from itertools import count
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from impact_observer.errors import UsageError
+from impact_observer.states import Vector
+
+mpl.use("Agg", force=False)
+
+Style: TypeAlias = dict[str, Any]
+"""What matplotlib calls the properties of a line."""
+
+# The paper's own two as in its Figure 2: grey and black. Blue and vermilion are those of Okabe and
+# Ito, for eyes that see no red or no green; in grey the dashes and the marks tell them apart.
+STYLES: Mapping[str, Style] = {
+    "open-loop": {"color": "0.45", "linewidth": 1.1, "linestyle": ":"},
+    "kinematic": {"color": "0.58", "linewidth": 2.0, "linestyle": "-"},
+    "geometric": {"color": "black", "linewidth": 1.3, "linestyle": "-"},
+    "unilateral": {"color": "#0072B2", "linewidth": 1.3, "linestyle": "--", "marker": "o"},
+    "minimum-variance": {"color": "#D55E00", "linewidth": 1.1, "linestyle": "-", "marker": "D"},
+}
+"""How the built-in laws are drawn."""
+_OTHER_DASHES = ("-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
+_OTHER_MARKERS = "sv*Xph"
+_ROW_MARKERS = "|^x<>d+v"
+MOST_ROWS = len(_ROW_MARKERS)
+"""Most rows of marks that are told apart."""
+_ROW = 0.05
+"""Height of a row of impacts, of that of the axes."""
+
+
+def styles(laws: Sequence[str]) -> list[Style]:
+    """A style for each curve; where a law comes again, marks tell its curves apart.
+
+    Args:
+        laws: name of each curve's law.
+    """
+    found: list[Style] = []
+    seen: Counter[str] = Counter()
+    others, markers = count(), count()
+    for law in laws:
+        style = STYLES.get(law)
+        if style is None:
+            style = {"color": "0.2", "linewidth": 1.1}
+            style["linestyle"] = _OTHER_DASHES[next(others) % len(_OTHER_DASHES)]
+        if seen[law] or law not in STYLES:
+            style = {**style, "marker": _OTHER_MARKERS[next(markers) % len(_OTHER_MARKERS)]}
+        seen[law] += 1
+        found.append({"markersize": 4.5, "markerfacecolor": "white", **style})
+    return found
+
+
+def mark_rows(axes: Axes, rows: Mapping[str, Vector]) -> None:
+    """Rows of marks along the upper edge of logarithmic axes, above all curves.
+
+    Args:
+        axes: with everything else in it.
+        rows: where the marks stand, s, by label; at most ``MOST_ROWS``.
+    """
+    below, above = axes.get_ylim()
+    room = _ROW * (len(rows) + 0.1)
+    if rows:
+        axes.set_ylim(below, above * (above / below) ** (room / (1 - room)))
+    for row, (label, at) in enumerate(rows.items()):
+        axes.plot(
+            at,
+            np.full(at.size, 1 - _ROW * (row + 0.6)),
+            linestyle="none",
+            marker=_ROW_MARKERS[row],
+            markersize=5,
+            markerfacecolor="white",
+            color="0.25",
+            label=label,
+            transform=axes.get_xaxis_transform(),
+        )
+
+
+def save(figure: Figure, path: Path, *, about: str = "") -> None:
+    """Write ``figure`` to ``path``; the ending says how: PNG, SVG or PDF.
+
+    Args:
+        figure: what to write.
+        path: where; a picture that is there is replaced.
+        about: what it shows, kept in the file beside the picture itself.
+
+    Raises:
+        UsageError: another ending, or a folder that does not exist.
+    """
+    check_picture(path)
+    try:
+        figure.savefig(path, dpi=150, metadata={"Title": about} if about else None)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def svg(figure: Figure) -> str:
+    """``figure`` as SVG, to be put into a page."""
+    file = StringIO()
+    # Names that do not depend on chance: the same figure makes the same text.
+    with mpl.rc_context({"svg.hashsalt": "impact_observer"}):
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    text = file.getvalue()
+    return text[text.index("<svg") :]
+
+
+def check_picture(path: Path, endings: Sequence[str] = (".png", ".svg", ".pdf")) -> None:
+    """Raise unless a picture can be written to ``path``.
+
+    Raises:
+        UsageError: its ending is none of ``endings``, or its folder does not exist.
+    """
+    if path.suffix.lower() not in endings:
+        raise UsageError(f"{path}: expected a name that ends in {', '.join(endings)}")
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"{path}: no folder {path.parent}; make it first")

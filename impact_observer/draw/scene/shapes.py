@@ -1,0 +1,166 @@
+"""Shapes of a scene on a plane: metres along the line, heights of a body across it."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.draw.scene.scene import Frame, Scene, SceneJoint
+from impact_observer.states import Matrix
+
+SPRING_HEIGHT, ROD_HEIGHT, STOP_HEIGHT = 0.72, 0.24, 0.46
+"""Middle of springs between faces and of a bumper's rod, top of a stop, in heights of a body."""
+ROWS = 2.2
+"""From one row of bodies to the next where they stand side by side, in heights of a body."""
+_PAD, _PIN, _WIDE = 0.14, 0.11, 0.1
+"""Half the heights of a bumper's pad, of a bar's pin, and of a spring's teeth."""
+_LANE, _FIRST_LANE = 0.3, 1.26
+_BAR, _FIRST_BAR = 0.34, -0.36
+_TEETH = 11
+_ENDS = 0.1
+"""Part of a spring at each end that is straight."""
+_CUP = 0.55
+"""Where a damper's cup begins and its piston is in the middle, over the length."""
+
+
+class Box(NamedTuple):
+    """An upright rectangle.
+
+    Attributes:
+        left: m.
+        bottom: heights of a body.
+        width: m.
+        height: heights of a body.
+    """
+
+    left: float
+    bottom: float
+    width: float
+    height: float
+
+
+def lane_height(lane: int) -> float:
+    """Where couplings of a lane are drawn, in heights of a body."""
+    return _FIRST_LANE + _LANE * (lane - 1) if lane else SPRING_HEIGHT
+
+
+def bar_height(lane: int) -> float:
+    """Where the middle of a bar is drawn, in heights of a body."""
+    return _FIRST_BAR - _BAR * lane
+
+
+def plates(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
+    """What each contact is hit on, with its index: a wall, a bumper's pad, the plate of a bar."""
+    thickness = scene.thickness
+    for each in scene.walls:
+        left = each.face - (thickness if each.side < 0 else 0.0)
+        yield each.contact, Box(left, 0.0, thickness, STOP_HEIGHT)
+    yield from pads(scene, frame)
+    for bar in scene.bars:
+        bottom = bar_height(bar.lane) - _PIN
+        yield bar.contact, Box(bar.plate - thickness, bottom, thickness, 2 * _PIN)
+
+
+def pads(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
+    """The ends of bumpers, with the index of the contact."""
+    width = scene.thickness / 2
+    for each, (_, end) in zip(scene.bumpers, frame.bumpers.tolist(), strict=True):
+        yield each.contact, Box(end - width, ROD_HEIGHT - _PAD, width, 2 * _PAD)
+
+
+def pins(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
+    """The pins of bars, with the index of the contact: the left face is where the gap ends."""
+    for bar, pin in zip(scene.bars, frame.pins.tolist(), strict=True):
+        yield bar.contact, Box(pin, bar_height(bar.lane) - _PIN, scene.thickness, 2 * _PIN)
+
+
+def grounds(scene: Scene) -> Iterator[Box]:
+    """What springs to the ground end in."""
+    for each in scene.couplings:
+        if each.left is None or each.right is None:
+            left = each.ground - (scene.thickness if each.left is None else 0.0)
+            if each.lane:
+                yield Box(left, lane_height(each.lane) - _PIN, scene.thickness, 2 * _PIN)
+            else:
+                yield Box(left, 0.0, scene.thickness, 1.0)
+
+
+def rails(scene: Scene) -> Matrix:
+    """What pins of bars go along, as pairs of points, shape (strokes, 2, 2)."""
+    ends = [
+        [
+            [bar.plate, bar_height(bar.lane) - _PIN],
+            [bar.plate + bar.span, bar_height(bar.lane) - _PIN],
+        ]
+        for bar in scene.bars
+    ]
+    return np.reshape(ends, (-1, 2, 2))
+
+
+def rods(frame: Frame) -> Matrix:
+    """The rods of bumpers as pairs of points, shape (strokes, 2, 2)."""
+    ends = [[[x, ROD_HEIGHT], [end, ROD_HEIGHT]] for x, end in frame.bumpers.tolist()]
+    return np.reshape(ends, (-1, 2, 2))
+
+
+def couplings(scene: Scene, frame: Frame) -> Matrix:
+    """All couplings as pairs of points, with posts to those above the bodies.
+
+    Returns:
+        Shape (strokes, 2, 2).
+    """
+    found: list[Matrix] = [np.empty((0, 2, 2))]
+    for each, (left, right) in zip(scene.couplings, frame.couplings.tolist(), strict=True):
+        height = lane_height(each.lane)
+        found.append(strokes(each.joint, left, right, height, _WIDE))
+        for slot, x in ((each.left, left), (each.right, right)):
+            if each.lane and slot is not None:
+                found.append(np.array([[[x, 1.0], [x, height]]]))
+    return np.concatenate(found)
+
+
+def strokes(joint: SceneJoint, start: float, end: float, height: float, width: float) -> Matrix:
+    """A coupling as pairs of points (along, across), shape (strokes, 2, 2).
+
+    Args:
+        joint: what is drawn: a zigzag, a dashpot, or a line.
+        start: left end, m.
+        end: right end, m.
+        height: of its middle, across the line.
+        width: across, of its teeth or its cup, from the middle to each side.
+    """
+    if joint is SceneJoint.SPRING:
+        shape = _path(_zigzag())
+    elif joint is SceneJoint.DAMPER:
+        shape = _dashpot()
+    else:
+        shape = _path(np.array([[0.0, 0.0], [1.0, 0.0]]))
+    return np.asarray(shape * [end - start, width] + [start, height])
+
+
+def _zigzag() -> NDArray[np.float64]:
+    """Corners of a spring of length and width 1, shape (corners, 2)."""
+    along = np.linspace(_ENDS, 1 - _ENDS, 2 * _TEETH + 1)[1::2]
+    across = np.where(np.arange(_TEETH) % 2, -1.0, 1.0)
+    teeth = np.column_stack([along, across])
+    return np.vstack([[0.0, 0.0], [_ENDS, 0.0], teeth, [1 - _ENDS, 0.0], [1.0, 0.0]])
+
+
+def _dashpot() -> NDArray[np.float64]:
+    """A cup on the right end's rod, and in it a piston on the left one's."""
+    piston = (_CUP + 1 - _ENDS) / 2
+    cup = [[_CUP, 1.0], [1 - _ENDS, 1.0], [1 - _ENDS, -1.0], [_CUP, -1.0]]
+    return np.vstack(
+        [
+            _path(np.array([[0.0, 0.0], [piston, 0.0]])),
+            _path(np.array([[piston, 0.7], [piston, -0.7]])),
+            _path(np.array(cup)),
+            _path(np.array([[1 - _ENDS, 0.0], [1.0, 0.0]])),
+        ]
+    )
+
+
+def _path(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The strokes from corner to corner, shape (corners - 1, 2, 2)."""
+    return np.stack([corners[:-1], corners[1:]], axis=1)

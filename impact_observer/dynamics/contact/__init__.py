@@ -1,0 +1,1 @@
+"""What closed contacts do: impact law, position projection, clutches, persistent contact."""

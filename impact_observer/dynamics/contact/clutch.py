@@ -1,0 +1,194 @@
+"""Contacts that stay closed in a replica: sprag clutches, ``0 <= gamma _|_ lambda >= 0``.
+
+A contact with ``chi = 1`` slips with ``gamma > 0`` and no load, or is held with ``gamma = 0`` and
+a load ``lambda >= 0``. A slipping one is held from the root of ``gamma`` on, a held one slips from
+the root of ``lambda`` on; in between the motion is one linear phase (``phase.py``). With the
+geometric law the gaps stay closed in both.
+"""
+
+from abc import abstractmethod
+from bisect import bisect_right
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.dynamics.contact.persistent_contact import Resting, resting
+from impact_observer.dynamics.contact.projection import KEPT
+from impact_observer.dynamics.flow.flow import Motion
+from impact_observer.dynamics.flow.phase import Phase, Phases
+from impact_observer.dynamics.guards.location import Crossing, Search
+from impact_observer.dynamics.guards.watched import Watched
+from impact_observer.model import System
+from impact_observer.states import Vector
+
+_INSTANT = 1e-12
+"""Length of a phase that counts as none, relative to the model's time scale."""
+_PATIENCE = 30
+"""Doublings of the length of a phase, after that, until they change places no more."""
+_MOST = 8
+"""Phases of no length, one after the other, that are believed."""
+
+
+class Clutches:
+    """The clutches of one system."""
+
+    def __init__(self, system: System) -> None:
+        """Prepare the phases."""
+        self.system = system
+        self.phases = Phases(system)
+        self.window = self.phases.scales.window
+        self.instant = _INSTANT * self.phases.scales.timescale
+        self.search = lru_cache(KEPT)(self._search)
+
+    def motion(self, t: float, x: Vector, closed: tuple[int, ...], *, fix: bool) -> Motion:
+        """The motion through ``x`` at ``t`` while the contacts ``closed`` have ``chi = 1``.
+
+        Args:
+            t: s since the epoch.
+            x: state (q, u), shape (2n,), with ``gamma >= 0`` on ``closed``.
+            closed: indices of contacts.
+            fix: whether their gaps stay closed too: the geometric law.
+        """
+        if not closed:
+            return self.phases.phase().start(t, x)
+        return _ClutchMotion(self, t, x, closed, fixed=closed if fix else ())
+
+    def _search(self, phase: Phase, slipping: tuple[int, ...]) -> Search:
+        """The search for the end of ``phase``: loads first, then speeds of ``slipping``."""
+        speeds = Watched.speeds(self.system, list(slipping))
+        return Search(phase, Watched.loads(phase).and_also(speeds), self.window)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """One phase of a motion: what is held and what slips from ``start`` on, s.
+
+    Attributes:
+        start: s since the start of the motion.
+        phase: the phase.
+        motion: in it, of (p, u).
+        slipping: contacts with ``chi = 1`` that slip, as indices.
+        stopped: open contacts whose gaps are held at zero, as indices; see ``holds.py``.
+    """
+
+    start: float
+    phase: Phase
+    motion: Motion
+    slipping: tuple[int, ...]
+    stopped: tuple[int, ...] = ()
+
+    @property
+    def kind(self) -> tuple[tuple[int, ...], ...]:
+        """What its contacts do: two parts of one kind move by the same equations."""
+        return self.phase.held, self.slipping, self.stopped
+
+
+class Piecewise(Motion):
+    """Phase after phase, found as far as somebody asks; who asks when decides nothing."""
+
+    def __init__(self, clutches: Clutches, t: float, x: Vector, closed: tuple[int, ...]) -> None:
+        """Begin with ``x`` at ``t``, the contacts ``closed`` having ``chi = 1`` from then on."""
+        self.t = t
+        self._clutches = clutches
+        self._closed = closed
+        self._searched = 0.0
+        self._hasty = 0
+        system = clutches.system
+        u = x[system.n :]
+        slow = system.contact_speed(u) <= clutches.phases.still(u)
+        self._parts = [self._first(x, tuple(i for i in closed if slow[i]))]
+
+    @abstractmethod
+    def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
+        """The first phase, ``slow`` contacts having ``gamma = 0``."""
+
+    @abstractmethod
+    def _next(self, part: Part, crossing: Crossing) -> Part:
+        """The phase after ``part`` ended by ``crossing``."""
+
+    @abstractmethod
+    def _search(self, part: Part) -> Search:
+        """The search for the end of ``part``."""
+
+    def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """States (q, u) at ``s`` seconds, shape (samples, 2n)."""
+        self._extend(float(np.max(s, initial=0.0)))
+        starts = [part.start for part in self._parts]
+        which = np.array([bisect_right(starts, at) - 1 for at in s.tolist()], dtype=int)
+        found = np.empty((s.size, 2 * self._clutches.system.n))
+        for k in np.unique(which):
+            part, mine = self._parts[k], which == k
+            found[mine] = part.phase.states(part.motion, s[mine] - part.start)
+        return found
+
+    def _extend(self, until: float) -> None:
+        """Find all phases that begin before ``until``, s, in whole windows from each start."""
+        window = self._clutches.window
+        while self._parts[-1].start + self._searched <= until:
+            part, least = self._parts[-1], self._least()
+            begin, self._searched = max(self._searched, least), self._searched + window
+            crossing = self._search(part).first(part.motion, self._searched, begin)
+            if crossing is not None:
+                crossing = crossing._replace(s=max(crossing.s, least))
+                hasty = crossing.s <= max(self._clutches.instant, least)
+                self._hasty = self._hasty + 1 if hasty else 0
+                self._parts.append(self._next(part, crossing))
+                self._searched = 0.0
+
+    def _least(self) -> float:
+        """Least length of the present phase, s.
+
+        Loads and speeds that vanish together may change places at one instant without end, their
+        signs being rounding: then time goes on by as little as rounding cannot tell, and, where
+        that does not end it, by more and more.
+        """
+        if self._hasty <= _MOST:
+            return 0.0
+        return self._clutches.instant * 2.0 ** min(self._hasty - _MOST, _PATIENCE)
+
+
+class _ClutchMotion(Piecewise):
+    def __init__(
+        self,
+        clutches: Clutches,
+        t: float,
+        x: Vector,
+        closed: tuple[int, ...],
+        *,
+        fixed: tuple[int, ...],
+    ) -> None:
+        self._fixed = fixed
+        super().__init__(clutches, t, x, closed)
+
+    def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
+        return self._part(0.0, x, slow)
+
+    def _search(self, part: Part) -> Search:
+        return self._clutches.search(part.phase, part.slipping)
+
+    def _next(self, part: Part, crossing: Crossing) -> Part:
+        start = part.start + crossing.s
+        x = part.phase.states(part.motion, np.array([crossing.s]))[0]
+        held = part.phase.held
+        released = {held[i] for i in crossing.which if i < len(held)}
+        caught = {part.slipping[i - len(held)] for i in crossing.which if i >= len(held)}
+        slow = [i for i in self._closed if i not in part.slipping or i in caught]
+        found = self._part(start, x, tuple(slow))
+        if found.kind != part.kind:
+            return found
+        # What falls too slowly to be told from what rests may not go below zero either.
+        still = tuple(i for i in slow if i not in released)
+        return self._begun(start, x, Resting(still, self._clutches.phases.independent(still)))
+
+    def _part(self, start: float, x: Vector, slow: tuple[int, ...]) -> Part:
+        """The phase from ``start`` on, ``slow`` contacts having ``gamma = 0``."""
+        phases = self._clutches.phases
+        return self._begun(start, x, resting(phases, self._fixed, self.t + start, x, slow))
+
+    def _begun(self, start: float, x: Vector, still: Resting) -> Part:
+        """The phase from ``start`` on in which contacts are ``still``."""
+        phase = self._clutches.phases.phase(still.held, self._fixed)
+        slipping = tuple(i for i in self._closed if i not in still.closed)
+        return Part(start, phase, phase.start(self.t + start, x), slipping)

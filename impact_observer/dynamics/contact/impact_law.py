@@ -1,0 +1,195 @@
+"""Newton's impact law on any set of contacts at once.
+
+``0 <= gamma+ + eps gamma-  _|_  Lambda >= 0`` with ``u+ = u- + M^-1 W Lambda``: a linear
+complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 W = B^T B``,
+``B = L^-1 W``, ``M = L L^T``.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.dynamics.contact.complementarity import complementary
+from impact_observer.dynamics.contact.projection import KEPT
+from impact_observer.errors import ImpactLawError
+from impact_observer.events import Contacts
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+_ROUNDING = 1e-12
+"""Contact speed that counts as zero, relative to that of all kinetic energy in it."""
+_NOISE = 1e-14
+"""Contact speed that several contacts may have by rounding, relative to the same."""
+_EIGENVALUE = 1e-12
+"""Negative eigenvalue of ``G - E G E`` that is rounding, ``G`` having a unit diagonal."""
+_REPEATS = 64
+"""How often contacts that stay closed may throw each other back before none is thrown back."""
+
+
+class ImpactLaw:
+    """Newton's impact law of one system."""
+
+    def __init__(self, system: System, restitution: Vector | None = None) -> None:
+        """Factorise the mass matrix and prepare ``M^-1 W``, ``G`` and ``B``.
+
+        Args:
+            system: gives M, W and eps.
+            restitution: to use instead of the system's, shape (m,).
+        """
+        factor = linalg.cholesky(system.M, lower=True)
+        self._system = system
+        self._eps = system.eps if restitution is None else restitution
+        self._B = linalg.solve_triangular(factor, system.W, lower=True)
+        self._Minv_W = linalg.solve_triangular(factor.T, self._B, lower=False)
+        # The law of a single contact is on the path of every event: u+ = u- - kick gamma.
+        self._rows: list[Vector] = list(np.ascontiguousarray(system.W.T))
+        kicks = self._Minv_W * ((1.0 + self._eps) / np.sum(self._B**2, axis=0))
+        self._kicks: list[Vector] = list(np.ascontiguousarray(kicks.T))
+        self._nonexpansive = lru_cache(KEPT)(self._is_nonexpansive)
+
+    @cached_property
+    def plastic(self) -> "ImpactLaw":
+        """The same law without restitution."""
+        return ImpactLaw(self._system, np.zeros(self._system.m))
+
+    def velocity_after(self, u: Vector, active: Sequence[int]) -> Vector:
+        """Velocities ``u+`` after an impact on the ``active`` contacts.
+
+        Args:
+            u: velocities ``u-``, shape (n,), m/s.
+            active: indices of all contacts that are closed at this instant.
+
+        Returns:
+            Shape (n,), m/s; equal to ``u`` when all active contacts separate anyway.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        if len(active) == 1:
+            i = active[0]
+            gamma = self._rows[i].dot(u)
+            return u - self._kicks[i] * gamma if gamma < 0 else u
+        return np.asarray(u + self._Minv_W[:, list(active)] @ self.impulses(u, active))
+
+    def velocity_held(self, u: Vector, active: Sequence[int], closed: Sequence[int]) -> Vector:
+        """The same where the contacts ``closed`` stay closed: none of them may close further.
+
+        Newton's law allows ``gamma+ < 0`` where ``gamma- > 0`` (a replica's contact that was
+        separating): such a contact hits again, at once. A law that throws contacts back for ever
+        is ended by one without restitution. Every repetition is the impact law, and leaves
+        velocities alone that need none, so what is proved of one impact holds of all of them.
+
+        Args:
+            u: velocities ``u-``, shape (n,), m/s.
+            active: indices of all contacts that are closed at this instant.
+            closed: indices of those that stay closed, a part of ``active``.
+
+        Returns:
+            Shape (n,), m/s, with ``gamma+ >= 0`` on ``closed`` but for rounding.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        after = self.velocity_after(u, active)
+        if not closed:
+            return after
+        contacts, speed = list(closed), np.sqrt(u @ self._system.M @ u)
+        W, length = self._system.W[:, contacts], np.linalg.norm(self._B[:, contacts], axis=0)
+        for _ in range(_REPEATS):
+            if np.all(W.T @ after >= -_ROUNDING * speed * length):
+                return after
+            after = self.velocity_after(after, closed)
+        return self.plastic.velocity_after(after, closed)
+
+    def velocities_held(self, U: Matrix, active: Sequence[int], closed: Sequence[int]) -> Matrix:
+        """``velocity_held`` of many replicas at once: ``U`` and result of shape (replicas, n).
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts for one of them.
+        """
+        if len(active) == 1 and not closed:
+            i = active[0]
+            gamma = np.minimum(U @ self._rows[i], 0.0)
+            return np.asarray(U - gamma[:, None] * self._kicks[i])
+        return np.array([self.velocity_held(u, active, closed) for u in U]).reshape(U.shape)
+
+    def pressed(self, active: Sequence[int], hit: Sequence[int], gamma: Vector) -> Contacts:
+        """The contacts that take an impulse in an impact of the plant, as sorted indices.
+
+        The plant closed the contacts ``hit``, whatever an estimate says of their speeds, and
+        those of ``active`` that were closed before had none.
+
+        Args:
+            active: indices of all contacts that are closed at this instant.
+            hit: indices of those that close at it.
+            gamma: estimated contact speeds of those hit, shape (len(hit),), m/s; of a wrong sign
+                they count as if they had the other.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        if len(active) == 1:
+            return tuple(hit)
+        towards = -np.abs(gamma) if np.any(gamma) else -np.ones(len(hit))
+        closing = dict(zip(hit, towards, strict=True))
+        speeds = np.array([closing.get(i, 0.0) for i in active])
+        impulses = self._impulses(list(active), speeds)
+        return tuple(i for i, impulse in zip(active, impulses, strict=True) if impulse > 0)
+
+    def kick(self, contact: int) -> Vector:
+        """Velocity that an impact of one contact takes away per speed of approach, shape (n,)."""
+        return self._kicks[contact]
+
+    def jump(self, pressed: Sequence[int], restitution: Vector | None = None) -> Matrix:
+        """``J`` of ``u+ = J u-``, shape (n, n), where exactly the contacts ``pressed`` take part.
+
+        Of contacts that depend on each other the least impulses are taken.
+
+        Args:
+            pressed: indices of contacts.
+            restitution: to use instead of the law's, of any size, shape (m,).
+        """
+        P = list(pressed)
+        B, W = self._B[:, P], self._system.W[:, P]
+        rebound = 1.0 + (self._eps if restitution is None else restitution)[P]
+        share = linalg.lstsq(B.T @ B, np.diag(rebound) @ W.T)[0] if P else W.T
+        return np.asarray(np.eye(len(W)) - self._Minv_W[:, P] @ share)
+
+    def is_nonexpansive(self, active: Contacts) -> bool:
+        """Whether ``G - E G E >= 0`` on ``active``: then neither they nor some of them raise V."""
+        return self._nonexpansive(active)
+
+    def _is_nonexpansive(self, active: Contacts) -> bool:
+        A = list(active)
+        B, eps = self._B[:, A] / np.linalg.norm(self._B[:, A], axis=0), self._eps[A]
+        if np.all(eps == eps[:1]):
+            return True
+        G = B.T @ B
+        return bool(linalg.eigvalsh(G - np.outer(eps, eps) * G)[0] >= -_EIGENVALUE)
+
+    def impulses(self, u: Vector, active: Sequence[int]) -> Vector:
+        """Impulses ``Lambda >= 0`` on the ``active`` contacts, shape (len(active),), Ns.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        active = list(active)
+        gamma = self._system.W[:, active].T @ u
+        # What rounding leaves of dependent contacts need not be consistent.
+        noise = (
+            _NOISE * np.sqrt(u @ self._system.M @ u) * np.linalg.norm(self._B[:, active], axis=0)
+        )
+        gamma[np.abs(gamma) <= noise] = 0.0
+        return self._impulses(active, gamma)
+
+    def _impulses(self, active: list[int], gamma: Vector) -> Vector:
+        """The impulses for contact speeds ``gamma``, shape (len(active),)."""
+        impulses = complementary(self._B[:, active], (1.0 + self._eps[active]) * gamma)
+        if impulses is None:
+            names = [self._system.contact_names[i] for i in active]
+            raise ImpactLawError.of(
+                names, "Newton's impact law has no solution", gamma, self._eps[active]
+            )
+        return impulses

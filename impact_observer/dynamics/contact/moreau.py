@@ -1,0 +1,209 @@
+"""Moreau's time-stepping scheme with theta = 1/2: impacts without looking for their instants.
+
+Over a step of length ``h``, with ``u_theta = (u + u+) / 2`` and ``q_theta = q + h u_theta / 2``
+(Jean, The non-smooth contact dynamics method, 1999; Moreau, Unilateral contact and dry friction in
+finite freedom dynamics, 1988; Acary and Brogliato, Numerical Methods for Nonsmooth Dynamical
+Systems, 2008, chapter 10)::
+
+    M (u+ - u) + h C u_theta + h K q_theta - h f_theta = W P,    q+ = q + h u_theta
+    0 <= gamma+ + eps gamma  _|_  P >= 0    on contacts with    g + h gamma / 2 <= 0
+
+It shares neither flow nor search nor impact law with the event-driven plant, and so checks them.
+It costs nothing where impacts accumulate, is of first order where there are contacts and of
+second order elsewhere, and lets a body into its stop by up to ``h`` times its speed.
+
+Every step satisfies, up to rounding, the balance of energy ``T = u^T M u / 2 + q^T K q / 2``::
+
+    T+ - T = -h u_theta^T C u_theta + h u_theta^T f_theta + gamma_theta^T P
+
+The last term is negative at an impact, ``-(1 - eps) |gamma| P / 2``. It is positive, of order
+``h^2``, where a load brings a contact back within the step in which it opens.
+
+The impulses solve a linear complementarity problem in ``A = W^T Mhat^-1 W``, with
+``Mhat = M + h C / 2 + h^2 K / 4``, which is not symmetric when ``C`` has a gyroscopic part. It
+says that ``u+`` solves a variational inequality on ``{gamma+ >= -eps gamma}``. With the symmetric
+part ``S = L L^T`` of ``Mhat`` and ``L^-1 Mhat L^-T = I + R`` its operator is strongly monotone, so
+the projection method with steps of ``1 / (1 + |R|^2)`` converges from anywhere, by a factor of
+``|R| / sqrt(1 + |R|^2)`` (Facchinei and Pang, Finite-Dimensional Variational Inequalities and
+Complementarity Problems, 2003, section 12.1). Without a gyroscopic part ``R`` is zero, and the
+first projection is the solution. Each is a least distance problem (Lawson and Hanson, Solving
+Least Squares Problems, 1974, chapter 23), indifferent to contacts that depend on each other.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize
+
+from impact_observer.errors import ImpactLawError
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+Indices = NDArray[np.intp]
+
+_RESIDUAL = 1e-9
+"""Violation of the complementarity that is rounding, relative to the most violated contact."""
+_ROUNDING = 1e-9
+"""Speed that counts as zero, relative to what it is the sum of."""
+_DRIFT = 1e-6
+"""Gap that counts as closed, relative to the motion of a step: rounding moves bodies at rest."""
+_INSIDE = 1e-12
+"""The same, relative to what the gap is the sum of."""
+_PROJECTIONS = 2000
+"""Most projections in a step; only steps far too long for the gyroscopic part need so many."""
+_INFEASIBLE = 1e-14
+"""Squared sine of the angle below which the least distance problem has no solution."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimeStep:
+    """What a step did.
+
+    Attributes:
+        q: coordinates at its end, shape (n,).
+        u: velocities at its end, shape (n,).
+        free: the velocities that it would have ended with without impulses, shape (n,).
+        impulses: ``P`` of all contacts, shape (m,), Ns.
+        touched: contacts that closed, or were closed, as indices: active ones that were hit or
+            whose speed is as low as the law allows. Their impulse may be zero, where others
+            carry it.
+    """
+
+    q: Vector
+    u: Vector
+    free: Vector
+    impulses: Vector
+    touched: tuple[int, ...]
+
+
+class MoreauScheme:
+    """The scheme for one system and one length of step.
+
+    Attributes:
+        system: what moves.
+        h: length of the steps, s.
+    """
+
+    def __init__(self, system: System, h: float) -> None:
+        """Factorise the iteration matrix.
+
+        Args:
+            system: what moves.
+            h: length of the steps, s, positive.
+        """
+        self.system = system
+        self.h = h
+        iteration = system.M + h / 2 * system.C + h**2 / 4 * system.K
+        n, K = system.n, system.K
+        loads = np.hstack([h / 2 * np.eye(n), h * K, h * (system.C + h / 2 * K), system.W])
+        response = linalg.solve(iteration, loads)
+        self._inverse, self._stiffness, self._damping, self._response = np.split(
+            response, [n, 2 * n, 3 * n], axis=1
+        )
+        self._A = system.W.T @ self._response
+        self._reach, self._distance = abs(system.W).T, abs(system.q_r)
+        self._forces: dict[float, Vector] = {}
+        self._last = system.forcing.end
+        lower = linalg.cholesky((iteration + iteration.T) / 2, lower=True)
+        turning = h / 4 * (system.C - system.C.T)
+        seen = linalg.solve_triangular(lower, np.hstack([turning, system.W]), lower=True)
+        self._R = linalg.solve_triangular(lower, seen[:, :n].T, lower=True).T
+        self._B = seen[:, n:]
+        self._relaxation = 1.0 / (1.0 + float(np.linalg.norm(self._R, 2)) ** 2)
+
+    def step(self, k: int, q: Vector, u: Vector) -> TimeStep:
+        """Step number ``k``, from ``k h`` to ``(k + 1) h`` seconds since the epoch.
+
+        Args:
+            k: counts from 0.
+            q: coordinates at its start, shape (n,), m.
+            u: velocities at its start, shape (n,), m/s.
+
+        Raises:
+            ImpactLawError: the law has no solution on the active contacts.
+            DynamicsError: the forcing ends before the step begins.
+        """
+        system, h = self.system, self.h
+        start = k * h
+        # A step that begins before a recorded force ends is done whole, with its last value.
+        force = self._force(start) + self._force(min((k + 1) * h, max(start, self._last)))
+        free = u - self._stiffness @ q - self._damping @ u + self._inverse @ force
+        gamma = u @ system.W
+        predicted = q @ system.W + system.q_r + h / 2 * gamma
+        motion = self._reach @ (abs(u) + abs(free))
+        size = self._distance + self._reach @ abs(q)
+        active = np.flatnonzero(predicted <= _DRIFT * h * motion + _INSIDE * size)
+        impulses, after = np.zeros(system.m), free
+        if not active.size:
+            return TimeStep(q + h / 2 * (u + free), free, free, impulses, ())
+        rounding = _ROUNDING * motion
+        lacking = -(system.W.T @ free + system.eps * gamma)
+        lacking[np.abs(lacking) <= rounding] = 0.0  # a body beside its stop is not pressed
+        if np.any(lacking[active] > 0):
+            impulses[active] = self._impulses(k, gamma, active, lacking[active])
+            after = free + self._response @ impulses
+        spare = system.W.T @ after + system.eps * gamma
+        closed = (gamma < -rounding) | (spare <= 2 * rounding)
+        touched = tuple(active[closed[active]].tolist())
+        return TimeStep(q + h / 2 * (u + after), after, free, impulses, touched)
+
+    def _force(self, t: float) -> Vector:
+        """``f(t)``; the end of a step is most often the start of the next."""
+        if t not in self._forces:
+            if len(self._forces) > 2:
+                self._forces.clear()
+            self._forces[t] = self.system.forcing(t)
+        return self._forces[t]
+
+    def _impulses(self, k: int, gamma: Vector, active: Indices, lacking: Vector) -> Vector:
+        """``P`` of the active contacts: ``0 <= A P - lacking _|_ P >= 0``."""
+        A = self._A[np.ix_(active, active)]
+        if active.size == 1:
+            return np.asarray(np.maximum(lacking / A[0], 0.0))
+        length = np.sqrt(np.diag(A))
+        scale = float(np.max(lacking / length))
+        A, d = A / np.outer(length, length), lacking / (length * scale)
+        for found in self._candidates(A, self._B[:, active] / length, d):
+            # Both are nonnegative, and one of the two is zero.
+            if np.all(np.abs(np.minimum(found, A @ found - d)) <= _RESIDUAL):
+                return np.asarray(np.maximum(found, 0.0) * (scale / length))
+        raise ImpactLawError.of(
+            [self.system.contact_names[i] for i in active],
+            f"the step at t = {k * self.h:.9f} s finds no impulses",
+            gamma[active],
+            self.system.eps[active],
+            remedy=", or take a shorter step",
+        )
+
+    def _candidates(self, A: Matrix, B: Matrix, d: Vector) -> Iterator[Vector]:
+        """Impulses after each projection; first from the equations of those that press."""
+        jump = np.zeros(len(B))
+        for _ in range(_PROJECTIONS):
+            start = jump - self._relaxation * (jump + self._R @ jump)
+            multipliers = _least_distance(B, d - B.T @ start)
+            if multipliers is None:
+                return
+            pressed = multipliers > 0
+            found = np.zeros(d.size)
+            found[pressed] = linalg.lstsq(A[np.ix_(pressed, pressed)], d[pressed])[0]
+            yield found
+            yield multipliers / self._relaxation
+            if self._relaxation == 1.0:
+                return
+            jump = start + B @ multipliers
+
+
+def _least_distance(B: Matrix, e: Vector) -> Vector | None:
+    """``y >= 0`` with ``B y`` the shortest vector of ``B^T v >= e``; None where there is none."""
+    scale = float(np.max(e))
+    if scale <= 0:
+        return np.zeros(e.size)
+    target = np.append(np.zeros(len(B)), 1.0)
+    try:
+        y = optimize.nnls(np.vstack([B, e / scale]), target)[0]
+    except RuntimeError:  # the method cycles
+        return None
+    left = 1.0 - float(e @ y) / scale
+    return np.asarray(y * (scale / left)) if left > _INFEASIBLE else None

@@ -1,0 +1,113 @@
+"""Which of the contacts that rest on their stops stay closed, and which take the loads.
+
+``0 <= dgamma/dt _|_ lambda >= 0`` on contacts with ``g = 0, gamma = 0``: by Gauss's principle of
+least constraint, the acceleration nearest to the free one, in the metric of ``M``, that closes no
+gap. It is nonnegative least squares. Where both are zero the next derivatives decide, and so on: a
+contact whose load has just come down to zero opens if the load would go on falling. One that never
+decides rests on its stop without any load, and is closed.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import optimize
+
+from impact_observer.dynamics.flow.phase import RANK, Phases
+from impact_observer.errors import DynamicsError
+from impact_observer.states import Matrix, Vector
+
+_ORDERS = 6
+"""Derivatives that are looked at before a contact counts as undecided for ever."""
+_ZERO = 1e-11
+"""Acceleration that counts as none, relative to the largest term of its sum."""
+
+
+class Resting(NamedTuple):
+    """What becomes of contacts that rest on their stops.
+
+    Attributes:
+        closed: indices of those that stay closed.
+        held: indices of those that take the loads, independent of each other.
+    """
+
+    closed: tuple[int, ...]
+    held: tuple[int, ...]
+
+
+def resting(
+    phases: Phases, fixed: tuple[int, ...], t: float, x: Vector, contacts: tuple[int, ...]
+) -> Resting:
+    """Decide which of ``contacts`` stay closed.
+
+    Args:
+        phases: of the system.
+        fixed: contacts whose gaps stay closed whether they are held or not; see ``phase.py``.
+        t: s since the epoch.
+        x: state (p, u), shape (2n,), with ``gamma = 0`` on ``contacts``.
+        contacts: indices.
+
+    Raises:
+        DynamicsError: the loads cannot be found.
+    """
+    if not contacts:
+        return Resting((), ())
+    unloaded, at = phases.unloaded(fixed), np.array([t])
+    equations = unloaded.equations
+    n = equations.n
+    f = equations.forcing.derivatives(at, _ORDERS - 1)[:, 0]
+    motion = [x[:n], x[n:]]
+    pressing: list[int] = []
+    undecided = list(contacts)
+    for k in range(_ORDERS):
+        terms = phases.white(
+            np.stack([f[k], -unloaded.damped(motion[-1]), -unloaded.sprung(motion[-2])], axis=1)
+        )
+        basis = _basis(phases.B[:, pressing])
+        directions = _without(basis, phases.B[:, undecided])
+        free = _without(basis, terms.sum(axis=1))
+        # Nothing can be told better than the terms it is the sum of, the force's own included.
+        size = max(float(np.linalg.norm(terms, axis=0).max()), float(unloaded.load(k, at)[0]))
+        length = phases.length[undecided]
+        pushed, acceleration = _least(phases, undecided, directions / length, free)
+        separating = directions.T @ acceleration / length
+        motion.append(phases.unwhite(acceleration))
+        pressing += [i for i, load in zip(undecided, pushed, strict=True) if load > _ZERO * size]
+        undecided = [
+            i
+            for i, load, away in zip(undecided, pushed, separating, strict=True)
+            if max(load, away) <= _ZERO * size
+        ]
+        if not undecided:
+            break
+    closed = tuple(sorted([*pressing, *undecided]))
+    return Resting(closed, phases.independent((*pressing, *undecided)))
+
+
+def _least(
+    phases: Phases, contacts: list[int], directions: Matrix, free: Vector
+) -> tuple[Vector, Vector]:
+    """Loads on unit ``directions``, and the acceleration with them, both of length as energy."""
+    seen = np.linalg.norm(directions, axis=0) > RANK
+    pushed = np.zeros(len(contacts))
+    size = float(np.linalg.norm(free))
+    if size > 0 and seen.any():
+        try:
+            pushed[seen] = size * optimize.nnls(directions[:, seen], -free / size)[0]
+        except RuntimeError:
+            names = ", ".join(repr(phases.system.contact_names[i]) for i in contacts)
+            raise DynamicsError(
+                f"contacts {names}: the loads that hold them cannot be found;"
+                " are their directions almost the same?"
+            ) from None
+    return pushed, free + directions @ pushed
+
+
+def _basis(directions: Matrix) -> Matrix:
+    """An orthonormal basis of independent ``directions``."""
+    return np.asarray(np.linalg.qr(directions)[0])
+
+
+def _without(basis: Matrix, vectors: Matrix) -> Matrix:
+    """What ``basis`` leaves of ``vectors``, twice for the sake of rounding."""
+    once = vectors - basis @ (basis.T @ vectors)
+    return np.asarray(once - basis @ (basis.T @ once))

@@ -1,0 +1,158 @@
+"""The position jump of switched geometric constraints, for any ``K >= 0``.
+
+``q+ = q- - Z g_A``: column ``i`` of ``Z`` minimises ``z^T K z`` subject to ``W_A^T z = e_i``, ties
+broken by the least ``z^T M z``. For ``K > 0`` this is ``Z = K^-1 W_A L^-1``, the K-orthogonal
+projection onto ``{g_A = 0}`` of Baumann and Leine (equation 5); for singular ``K`` it is our
+extension to rigid-body modes.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector, frozen
+
+KEPT = 128
+"""Sets of contacts whose preparation is kept: n contacts have 2^n sets."""
+_RIGID = 1e-12
+"""``omega^2`` that counts as zero, relative to the stiffest mode's."""
+_RANK = 1e-10
+"""Singular value that counts as zero, relative to the most that contacts could see of modes."""
+
+
+_SPRUNG = 1e-8
+"""What rigid motion leaves of a gap, relative to the gap, that counts as nothing."""
+_WAY = 30.0
+"""How much cheaper a rigid motion is than the softest elastic one, in the root of energy."""
+
+
+class _Parts(NamedTuple):
+    """How a gap of one is closed by elastic and by rigid modes.
+
+    Attributes:
+        elastic: amplitudes, shape (elastic modes, |A|).
+        rigid: amplitudes, shape (rigid modes, |A|).
+        inverse: those of rigid motion alone, shape (rigid modes, |A|).
+        beyond: what rigid motion cannot close, shape (|A|, |A|).
+    """
+
+    elastic: Matrix
+    rigid: Matrix
+    inverse: Matrix
+    beyond: Matrix
+
+
+class _PositionJump(NamedTuple):
+    """The position jump on a set of contacts.
+
+    Attributes:
+        W: their directions, a row each, shape (|A|, n).
+        q_r: their gaps in the rest position, shape (|A|,), m.
+        Z: shape (n, |A|).
+        strain: ``Z^T K Z``, shape (|A|, |A|), N/m.
+    """
+
+    W: Matrix
+    q_r: Vector
+    Z: Matrix
+    strain: Matrix
+
+
+class PositionProjection:
+    """The position jumps of one system, one matrix ``Z`` a set of contacts."""
+
+    def __init__(self, system: System, modes: tuple[Vector, Matrix] | None = None) -> None:
+        """Prepare the modes of ``K`` with respect to ``M``.
+
+        Args:
+            system: whose contacts jump.
+            modes: ``omega^2``, shape (n,), ascending, and shapes, (n, n), where they are known.
+        """
+        self._system = system
+        stiffness, shapes = modes or linalg.eigh(system.K, system.M)
+        elastic = stiffness > _RIGID * max(float(stiffness[-1]), 0.0)
+        self._rigid = shapes[:, ~elastic]
+        self._elastic = shapes[:, elastic] / np.sqrt(stiffness[elastic])
+        self._softest = float(np.min(stiffness[elastic], initial=np.inf))
+        self._M = linalg.cho_factor(system.M)
+        self._kept = lru_cache(KEPT)(self._solve)
+        self._reacting = lru_cache(KEPT)(self._react)
+        self._alone = lru_cache(KEPT)(self._of_one)
+
+    def jump(self, active: tuple[int, ...]) -> Matrix:
+        """``Z``, the position jump per unit of gap, shape (n, len(active))."""
+        return self._kept(active).Z
+
+    def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
+        """``q+``, shape (n,): the closest position with ``g = 0`` on the active contacts."""
+        W, q_r, Z, _ = self._kept(active)
+        return np.asarray(q - Z.dot(W.dot(q) + q_r))
+
+    def positions_after(self, Q: Matrix, active: tuple[int, ...]) -> Matrix:
+        """The same of many positions ``Q``, shape (positions, n) like what is returned."""
+        W, q_r, Z, _ = self._kept(active)
+        return np.asarray(Q - (Q @ W.T + q_r) @ Z.T)
+
+    def strain(self, q: Vector, active: tuple[int, ...]) -> float:
+        """Elastic energy of the jump from ``q``, shape (n,), J: ``1/2 g_A^T L^-1 g_A``."""
+        if len(active) == 1:  # as at nearly every event
+            w, rest, stiffness = self._alone(active[0])
+            one = float(w.dot(q)) + rest
+            return stiffness * one * one / 2
+        W, q_r, _, strain = self._kept(active)
+        gap = W.dot(q) + q_r
+        return float(gap.dot(strain.dot(gap))) / 2
+
+    def reactions(self, active: tuple[int, ...]) -> Matrix:
+        """``R`` of ``sigma = -R g_A``, what the stops do in the jump, shape (|A|, |A|).
+
+        ``K dq = W_A sigma``, so ``R = L^-1`` for ``K > 0``. A contact that rigid motions close
+        without any spring has none; its row tells what the tie-break in ``M`` wants, ``M dq = W_A
+        sigma``: signs are those of ``K + delta M`` as ``delta`` vanishes.
+        """
+        return self._reacting(active)
+
+    def directions(self) -> Matrix:
+        """``D`` of ``D^T D = W^T K^-1 W``, shape (n, m), rigid motions being cheap, not free."""
+        rigid = _WAY / np.sqrt(self._softest) if np.isfinite(self._softest) else 1.0
+        W = self._system.W
+        return np.vstack([self._elastic.T @ W, rigid * (self._rigid.T @ W)])
+
+    def _solve(self, active: tuple[int, ...]) -> _PositionJump:
+        system, A, parts = self._system, list(active), self._split(active)
+        Z = frozen(self._elastic @ parts.elastic + self._rigid @ parts.rigid)
+        return _PositionJump(
+            frozen(system.W[:, A].T), system.q_r[A], Z, frozen(Z.T @ system.K @ Z)
+        )
+
+    def _of_one(self, contact: int) -> tuple[Vector, float, float]:
+        """Direction, gap in the rest position and ``z^T K z`` of a single contact."""
+        W, q_r, _, strain = self._kept((contact,))
+        return W[0], float(q_r[0]), float(strain[0, 0])
+
+    def _react(self, active: tuple[int, ...]) -> Matrix:
+        parts = self._split(active)
+        elastic, rigid = parts.elastic.T @ parts.elastic, parts.inverse.T @ parts.rigid
+        sprung = np.linalg.norm(parts.beyond, axis=1) > _SPRUNG
+        return frozen(np.where(sprung[:, None], elastic, rigid))
+
+    def _split(self, active: tuple[int, ...]) -> _Parts:
+        """Elastic deflection only as far as rigid motion cannot close the gaps."""
+        W = self._system.W[:, list(active)]
+        rigid, elastic = W.T @ self._rigid, W.T @ self._elastic
+        # The shapes are M-orthonormal: no mode is seen by more than sqrt(w^T M^-1 w). Contacts
+        # between bodies do not see rigid motion; what rounding leaves of it is no rank.
+        least = _RANK * np.sqrt(np.trace(W.T @ linalg.cho_solve(self._M, W)))
+        rigid_inverse = _inverse(rigid, least)
+        beyond = np.eye(W.shape[1]) - rigid @ rigid_inverse
+        elastic_part = _inverse(beyond @ elastic, least / np.sqrt(self._softest)) @ beyond
+        rigid_part = rigid_inverse @ (np.eye(W.shape[1]) - elastic @ elastic_part)
+        return _Parts(elastic_part, rigid_part, rigid_inverse, beyond)
+
+
+def _inverse(seen: Matrix, least: float) -> Matrix:
+    """Pseudo-inverse of what contacts see of modes; singular values below ``least`` are none."""
+    return np.asarray(linalg.pinv(seen, atol=least, rtol=0.0) if seen.size else seen.T)

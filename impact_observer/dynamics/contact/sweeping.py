@@ -1,0 +1,389 @@
+"""Gaps that are never negative: what a plant does, and a replica that is told so.
+
+A replica moves with the gaps of contacts with ``chi = 1`` closed, ``g_A = 0`` (equation 4 of
+Baumann and Leine). Where the gap of another contact would turn negative, the contact stops it::
+
+    dq/dt = u + K^-1 W sigma,    sigma_A of any sign,    0 <= dg_i/dt  _|_  sigma_i >= 0
+
+on those others with ``g_i = 0``: Moreau's sweeping process, ``dq/dt`` being the velocity nearest
+to ``u``, in the metric of ``K``, that closes no gap further. ``u`` hears nothing of it. While the
+same contacts stop their gaps, these are fixed just like those of ``A``, and the motion is one
+linear phase (``phase.py``) until a ``sigma_i`` comes down to zero, or another gap does.
+
+For singular ``K`` rigid motions come first, as in ``projection.py``.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.dynamics.contact.clutch import Clutches, Part, Piecewise
+from impact_observer.dynamics.contact.complementarity import complementary
+from impact_observer.dynamics.contact.persistent_contact import Resting, resting
+from impact_observer.dynamics.contact.projection import KEPT
+from impact_observer.dynamics.flow.flow import Motion
+from impact_observer.dynamics.flow.phase import Phase, Phases
+from impact_observer.dynamics.guards.location import Crossing, Search
+from impact_observer.dynamics.guards.watched import Watched
+from impact_observer.states import Matrix, Vector, frozen
+
+_ORDERS = 6
+"""Derivatives that are looked at before a gap counts as neither stopped nor opening."""
+_ZERO = 1e-11
+"""Rate of a gap that counts as none, relative to the largest term of its sum."""
+_NEGATIVE = 1e-13
+"""Gap below zero that is rounding, relative to what it is the sum of."""
+_TOUCH = 1e-12
+"""Gap that counts as zero, relative to the same."""
+_IMPOSSIBLE = 1e-7
+"""Gap off its place that no projection can have left, relative to the same."""
+_LEAST = 1e-6
+"""What a gap or reaction is rounded against at least, relative to all it could see of a motion."""
+_TINY = np.finfo(np.float64).tiny
+
+
+class _Support(NamedTuple):
+    """Which contacts stop their gaps, as indices.
+
+    Attributes:
+        pressed: those that take a reaction.
+        undecided: those whose reaction and rate are both zero.
+        stopping: those that must be stopped, whether anything presses them or not.
+    """
+
+    pressed: tuple[int, ...]
+    undecided: tuple[int, ...]
+    stopping: tuple[int, ...]
+
+
+class _Free(NamedTuple):
+    """Contacts that are independent of the active ones, and what those leave of them.
+
+    Attributes:
+        contacts: indices.
+        directions: a column each, in the metric of the position jump, shape (n, contacts).
+    """
+
+    contacts: tuple[int, ...]
+    directions: Matrix
+
+
+class JointProjection:
+    """The nearest position, in the metric of ``K``, with ``g_A = 0`` and no gap negative.
+
+    A quadratic programme: ``complementarity.py`` tells which gaps it leaves at zero, and
+    ``projection.py`` puts them there.
+    """
+
+    def __init__(self, phases: Phases) -> None:
+        """Prepare the contacts' directions in the metric of ``K``."""
+        self._system = phases.system
+        self._phases = phases
+        self._projection = phases.projection
+        self._directions = phases.projection.directions()
+        self._free = lru_cache(KEPT)(self._left)
+        self._possible = lru_cache(KEPT)(self._has_position)
+
+    def rounding(self, q: Vector) -> Vector:
+        """What gaps are rounded against, m, shape (m,), of positions as far as ``q``."""
+        return np.asarray(np.abs(self._system.q_r) + np.abs(q) @ np.abs(self._system.W))
+
+    def is_possible(self, active: tuple[int, ...]) -> bool:
+        """Whether some position has ``g = 0`` on ``active`` and no gap negative."""
+        return self._possible(active)
+
+    def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
+        """``q+``, shape (n,).
+
+        Where there is no such position ``chi`` is not that of any plant: what it says of
+        ``active`` counts, and of the others nothing is asked.
+
+        Args:
+            q: shape (n,).
+            active: indices of the contacts with ``chi = 1``.
+        """
+        after = self._projection.position_after(q, active)
+        # One coordinate is rounded against the others that move with it.
+        reach = np.full(q.size, np.max(np.abs(q) + np.abs(after)))
+        gap, least = self._system.gap(after), _NEGATIVE * self.rounding(reach)
+        others = tuple(i for i in range(self._system.m) if i not in active)
+        if np.all(gap[list(others)] >= -least[list(others)]) or not self.is_possible(active):
+            return after
+        gaps = self._system.gap(q)
+        support = self.support(gaps, least, active, others)
+        if support is None:  # contacts that are almost the same: by exchanges alone
+            support = self._checked(gaps, least, active, (), self._free(active, others).contacts)
+        return self._projection.position_after(q, (*active, *support.stopping))
+
+    def _has_position(self, active: tuple[int, ...]) -> bool:
+        """By the projection of the rest position, or by what keeps it from being one."""
+        q_r, A = self._system.q_r, list(active)
+        others = tuple(i for i in range(self._system.m) if i not in active)
+        least = np.full(q_r.size, _IMPOSSIBLE * float(np.max(np.abs(q_r), initial=0.0)))
+        left = q_r - self._system.W.T @ (self._projection.jump(active) @ q_r[A])
+        if np.any(np.abs(left[A]) > least[A]):
+            return False
+        return bool(self.support(q_r, least, active, others) is not None)
+
+    def support(
+        self,
+        values: Vector,
+        rounding: Vector,
+        active: tuple[int, ...],
+        others: tuple[int, ...],
+    ) -> _Support | None:
+        """Which of ``others`` must be stopped lest their values turn negative.
+
+        Args:
+            values: gaps, or their rates or higher derivatives, without any stop, shape (m,).
+            rounding: of each that counts as none, shape (m,).
+            active: indices of contacts whose values become zero whatever they are.
+            others: indices of those whose values become zero or positive.
+
+        Returns:
+            None where they cannot.
+        """
+        free = self._free(active, others)
+        A = list(active)
+        W = self._system.W
+        left = values - W.T @ (self._projection.jump(active) @ values[A]) if A else values
+        contacts = list(free.contacts)
+        fixed = [i for i in others if i not in free.contacts]
+        if np.any(left[fixed] < -1e3 * rounding[fixed]):
+            return None
+        pressed: tuple[int, ...] = ()
+        if np.any(left[contacts] < -rounding[contacts]):
+            reactions = complementary(free.directions, left[contacts])
+            if reactions is None:
+                return None
+            pressed = tuple(i for i, r in zip(contacts, reactions, strict=True) if r > 0)
+        return self._checked(values, rounding, active, pressed, free.contacts)
+
+    def _left(self, active: tuple[int, ...], others: tuple[int, ...]) -> _Free:
+        """Those of ``others`` that ``active`` ones do not determine."""
+        D = self._directions
+        basis = linalg.qr(D[:, list(self._phases.independent(active))], mode="economic")[0]
+        contacts = [i for i in others if self._is_free(active, i)]
+        directions = D[:, contacts] - basis @ (basis.T @ D[:, contacts])
+        directions -= basis @ (basis.T @ directions)
+        return _Free(tuple(contacts), frozen(directions))
+
+    def _is_free(self, active: tuple[int, ...], i: int) -> bool:
+        return len(self._phases.independent((*active, i))) > len(self._phases.independent(active))
+
+    def _checked(
+        self,
+        values: Vector,
+        rounding: Vector,
+        active: tuple[int, ...],
+        pressed: tuple[int, ...],
+        free: tuple[int, ...],
+    ) -> _Support:
+        """The support from the exact projection, contacts exchanged where that wants it.
+
+        It is wanted where ``K`` is singular and a rigid motion is almost balanced.
+        """
+        projection, W = self._projection, self._system.W
+        a, first = len(active), pressed
+        for _ in range(2 * len(free) + 1):
+            fixed = [*active, *pressed]
+            R = projection.reactions(tuple(fixed))
+            reactions = -(R @ values[fixed])[a:]
+            noise = (np.abs(R) @ rounding[fixed])[a:]
+            left = values - W.T @ (projection.jump(tuple(fixed)) @ values[fixed])
+            low = [i for i in free if i not in pressed and self._is_free((*active, *pressed), i)]
+            pulled, missed = reactions + noise, (left + rounding)[low]
+            if np.any(pulled < 0):
+                pressed = tuple(np.delete(pressed, np.argmin(pulled / (noise + _TINY))).tolist())
+            elif np.any(missed < 0):
+                worst = low[int(np.argmin(missed / (rounding[low] + _TINY)))]
+                pressed = tuple(sorted((*pressed, worst)))
+            else:
+                idle = [i for i, r, e in zip(pressed, reactions, noise, strict=True) if r <= e]
+                still = [i for i in free if i not in pressed and abs(left[i]) <= rounding[i]]
+                busy = tuple(i for i in pressed if i not in idle)
+                return _Support(busy, tuple(sorted(idle + still)), pressed)
+        return _Support(first, (), first)
+
+
+class Holds:
+    """Motions of one system whose gaps stay nonnegative."""
+
+    def __init__(self, clutches: Clutches) -> None:
+        """Take the clutches that contacts with ``chi = 1`` are."""
+        self.clutches = clutches
+        self.joint = JointProjection(clutches.phases)
+        self.search = lru_cache(KEPT)(self._search)
+        self.opened = lru_cache(KEPT)(self._open)
+
+    def motion(self, t: float, x: Vector, closed: tuple[int, ...]) -> Motion:
+        """The motion through ``x`` at ``t`` while the contacts ``closed`` have ``chi = 1``.
+
+        Where no position has ``g = 0`` on ``closed`` and no gap negative, ``chi`` is not that of
+        any plant, and nothing is asked of the other gaps.
+
+        Args:
+            t: s since the epoch.
+            x: state (q, u), shape (2n,), with ``g = 0`` and ``gamma >= 0`` on ``closed``, and no
+                gap negative.
+            closed: indices of contacts.
+        """
+        return _HoldMotion(self, t, x, closed)
+
+    def stopped(
+        self,
+        t: float,
+        x: Vector,
+        phase: Phase,
+        *,
+        closed: tuple[int, ...],
+        touching: tuple[int, ...],
+    ) -> tuple[int, ...]:
+        """Those of the contacts ``touching``, with ``g = 0``, that stop their gaps now.
+
+        Where reaction and rate are both zero the next derivatives decide, and so on.
+
+        Args:
+            t: s since the epoch.
+            x: state (q, u), shape (2n,).
+            phase: one whose contacts take the loads, its gaps ``closed`` ones fixed.
+            closed: indices of the contacts with ``chi = 1``.
+            touching: indices of others.
+        """
+        phases, n = self.clutches.phases, len(x) // 2
+        system, at = phases.system, np.array([t])
+        f = system.forcing.derivatives(at, _ORDERS - 1)[:, 0]
+        q, u = x[:n], x[n:]
+        size = float(np.sqrt(u @ system.M @ u))
+        pressed: tuple[int, ...] = ()
+        undecided = touching
+        for k in range(_ORDERS):
+            values = system.W.T @ u
+            fixed = (*closed, *pressed)
+            support = self.joint.support(values, _ZERO * phases.length * size, fixed, undecided)
+            if support is None:
+                break
+            pressed, undecided = (*pressed, *support.pressed), support.undecided
+            if not undecided:
+                break
+            fixed = (*closed, *pressed)
+            terms = np.stack([f[k], -(system.C @ u), -(system.K @ q)], axis=1)
+            size = float(np.max(np.linalg.norm(phases.white(terms), axis=0)))
+            size = max(size, float(phases.unloaded().load(k, at)[0]))
+            q = u - phases.projection.jump(fixed) @ values[list(fixed)]
+            u = phase.inverse @ terms.sum(axis=1)
+        return tuple(sorted(pressed))
+
+    def independent(self, fixed: tuple[int, ...], some: tuple[int, ...]) -> tuple[int, ...]:
+        """Those of ``some`` that neither ``fixed`` contacts nor others before them determine."""
+        known = len(self.clutches.phases.independent(fixed))
+        found: tuple[int, ...] = ()
+        for i in some:
+            if len(self.clutches.phases.independent((*fixed, *found, i))) > known + len(found):
+                found = (*found, i)
+        return found
+
+    def _open(
+        self, closed: tuple[int, ...], stopped: tuple[int, ...], kept: tuple[int, ...]
+    ) -> tuple[int, ...]:
+        """Those of the contacts ``kept`` whose gaps can change while others are fixed."""
+        fixed = (*closed, *stopped)
+        return tuple(i for i in kept if i not in stopped and self.independent(fixed, (i,)))
+
+    def _search(
+        self, part: tuple[Phase, tuple[int, ...], tuple[int, ...]], opened: tuple[int, ...]
+    ) -> Search:
+        """The search for the end of a phase: loads, speeds of slipping contacts, reactions, gaps.
+
+        Args:
+            part: phase, contacts that slip and contacts that are stopped, as indices.
+            opened: contacts whose gaps may close.
+        """
+        phase, slipping, stopped = part
+        system, clutches = self.clutches.system, self.clutches
+        watched = Watched.loads(phase).and_also(Watched.speeds(system, list(slipping)))
+        if stopped:
+            R = clutches.phases.projection.reactions(phase.fixed)
+            pushing = -R @ system.W[:, list(phase.fixed)].T
+            watched = watched.and_also(Watched.of_velocity(pushing[-len(stopped) :]))
+        watched = watched.and_also(Watched.gaps(system, list(opened), phase))
+        return Search(phase, watched, clutches.window, least=_LEAST)
+
+
+class _HoldMotion(Piecewise):
+    def __init__(self, holds: Holds, t: float, x: Vector, closed: tuple[int, ...]) -> None:
+        self._holds = holds
+        system = holds.clutches.system
+        possible = holds.joint.is_possible(closed)
+        self._kept = tuple(i for i in range(system.m) if possible and i not in closed)
+        super().__init__(holds.clutches, t, x, closed)
+
+    def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
+        return self._part(0.0, x, slow, self._touching(x))
+
+    def _search(self, part: Part) -> Search:
+        return self._holds.search((part.phase, part.slipping, part.stopped), self._open(part))
+
+    def _open(self, part: Part) -> tuple[int, ...]:
+        return self._holds.opened(self._closed, part.stopped, self._kept)
+
+    def _touching(self, x: Vector) -> tuple[int, ...]:
+        """Open contacts without any gap."""
+        q, u = np.split(x, 2)
+        reach = np.abs(q) + np.abs(u) * self._clutches.phases.scales.timescale
+        gap, most = self._clutches.system.gap(q), _TOUCH * self._holds.joint.rounding(reach)
+        return tuple(i for i in self._kept if gap[i] <= most[i])
+
+    def _next(self, part: Part, crossing: Crossing) -> Part:
+        start = part.start + crossing.s
+        x = part.phase.states(part.motion, np.array([crossing.s]))[0]
+        watched = [
+            *((0, i) for i in part.phase.held),
+            *((1, i) for i in part.slipping),
+            *((2, i) for i in part.stopped),
+            *((3, i) for i in self._open(part)),
+        ]
+        crossed: list[set[int]] = [set(), set(), set(), set()]
+        for which in crossing.which:
+            kind, i = watched[which]
+            crossed[kind].add(i)
+        released, caught, let_go, struck = crossed
+        slow = tuple(i for i in self._closed if i not in part.slipping or i in caught)
+        touching = tuple(sorted({*self._touching(x), *part.stopped, *struck}))
+        found = self._part(start, x, slow, touching)
+        if found.kind != part.kind:
+            return found
+        # What falls too slowly to be told from what rests may not go below zero either.
+        still = tuple(i for i in slow if i not in released)
+        resting_ = Resting(still, self._clutches.phases.independent(still))
+        stopped = tuple(sorted({*part.stopped, *struck} - let_go))
+        return self._begun(start, x, resting_, self._holds.independent(self._closed, stopped))
+
+    def _part(
+        self, start: float, x: Vector, slow: tuple[int, ...], touching: tuple[int, ...]
+    ) -> Part:
+        """The phase from ``start`` on.
+
+        Args:
+            start: s since the start of the motion.
+            x: state (q, u) then, shape (2n,).
+            slow: closed contacts with ``gamma = 0``, as indices.
+            touching: open ones with ``g = 0``.
+        """
+        phases, t, closed = self._clutches.phases, self.t + start, self._closed
+        still = resting(phases, closed, t, x, slow)
+        stopped: tuple[int, ...] = ()
+        if touching:
+            phase = phases.phase(still.held, closed)
+            stopped = self._holds.stopped(t, x, phase, closed=closed, touching=touching)
+        if stopped:
+            still = resting(phases, (*closed, *stopped), t, x, slow)
+        return self._begun(start, x, still, stopped)
+
+    def _begun(self, start: float, x: Vector, still: Resting, stopped: tuple[int, ...]) -> Part:
+        """The phase from ``start`` on in which closed contacts are ``still``, others stopped."""
+        phase = self._clutches.phases.phase(still.held, (*self._closed, *stopped))
+        slipping = tuple(i for i in self._closed if i not in still.closed)
+        return Part(start, phase, phase.start(self.t + start, x), slipping, stopped)

@@ -1,0 +1,400 @@
+"""A linear phase: the motion while the same contacts are held.
+
+Contacts ``held`` have ``gamma = 0`` by a load ``lambda``. The geometric law keeps the gaps of all
+contacts with ``chi = 1`` closed, whether they are held or slip: these are ``fixed``, and move by
+equation (4) of Baumann and Leine, ``dq/dt = Q u`` with ``Q = I - Z W_A^T`` (``projection.py``).
+The substitution ::
+
+    dp/dt = u,    q = Q p - Z q_r,A
+
+makes that a mechanical system again, ``M du/dt = -C u - Q^T K Q p + f + K Z q_r,A + W_H lambda``:
+its stiffness is what the fixed contacts leave of ``K``. So every phase is an ordinary linear
+system in ``p`` whose velocities stay in the null space of ``W_H^T``; there it is reduced to the
+coordinates that are free, and has an exact flow. Where nothing is fixed, ``p = q``.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
+from impact_observer.dynamics.flow.few import Factor, Product, product_with
+from impact_observer.dynamics.flow.flow import Equations, Flow, Functions, Motion
+from impact_observer.dynamics.flow.reduced_coordinates import Free
+from impact_observer.dynamics.flow.scales import Scales
+from impact_observer.dynamics.flow.spectral import flow_of
+from impact_observer.dynamics.flow.waves import Aging, View, Waves
+from impact_observer.model import Forcing, System
+from impact_observer.states import Matrix, Vector, frozen
+
+RANK = 1e-8
+"""What others leave of a contact's direction, relative to its length, that counts as nothing."""
+_ROUNDING = 1e-12
+"""Contact speed that counts as zero, relative to that of all kinetic energy in it."""
+_CANCELLED = 1e-14
+"""Stiffness that counts as zero in a reduced system, relative to the whole one's, times n."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """Equations of motion in fewer coordinates; see ``flow.Equations``."""
+
+    M: Matrix
+    C: Matrix
+    K: Matrix
+    forcing: Forcing
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.M)
+
+
+class Unloaded(NamedTuple):
+    """How a system moves in the coordinates ``p`` where no contact takes a load.
+
+    Attributes:
+        equations: of ``p``.
+        damped: ``C u`` as a function of ``u``.
+        sprung: ``K p`` as a function of ``p``.
+        Q: ``dq/dt = Q u``, shape (n, n).
+        rest: ``q = Q p + rest``, shape (n,), m.
+        load: bound of ``sqrt(f^(k)^T M^-1 f^(k))``; see ``Forcing.bound``.
+        scales: of the equations.
+    """
+
+    equations: Equations
+    damped: Product
+    sprung: Product
+    Q: Matrix
+    rest: Vector
+    load: Callable[[int, Vector], Vector]
+    scales: Scales
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Phase:
+    """One linear phase of a system, in the coordinates ``p``.
+
+    Attributes:
+        held: contacts with ``gamma = 0``, independent of each other, as indices.
+        fixed: contacts whose gaps stay closed though they may slip, as indices.
+        equations: of ``p``, without the loads of the held contacts.
+        inverse: what is left of ``M^-1`` when the held contacts take their loads, shape (n, n).
+        loads: ``lambda = -loads (f - C u - K p)``, shape (len(held), n).
+        flow: of (p, u).
+        Q: ``dq/dt = Q u``, shape (n, n).
+        rest: ``q = Q p + rest``, shape (n,), m.
+        scales: of the equations.
+    """
+
+    held: tuple[int, ...]
+    fixed: tuple[int, ...]
+    equations: Equations
+    inverse: Matrix
+    loads: Matrix
+    flow: Flow
+    Q: Matrix
+    rest: Vector
+    scales: Scales
+
+    def start(self, t: float, x: Vector) -> Motion:
+        """The motion of (p, u) through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
+        return self.flow.start(t, x)
+
+    def states(self, motion: Motion, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """States (q, u) ``s`` seconds after the start of ``motion``, shape (samples, 2n)."""
+        x = motion.states(s)
+        if not self.fixed:
+            return x
+        n = self.equations.n
+        return np.hstack([x[:, :n] @ self.Q.T + self.rest, x[:, n:]])
+
+    def transition(self, s: float) -> Matrix:
+        """How the difference of two states (q, u) goes on in ``s`` seconds, shape (2n, 2n)."""
+        found = self.flow.transition(s)
+        if not self.fixed:
+            return found
+        n = self.equations.n
+        return np.vstack([self.Q @ found[:n], found[n:]])
+
+    def moved(self, t: float, x: Vector, s: float) -> tuple[Vector, Matrix]:
+        """State (q, u) and ``transition`` ``s`` seconds after or, where negative, before ``x``.
+
+        Args:
+            t: s since the epoch, of ``x``.
+            x: state (q, u), shape (2n,), with nothing fixed.
+            s: seconds; how far back the forcing is known is for the caller to see to.
+        """
+        if s >= 0:
+            return self.flow.moved(self.flow.start(t, x), s)
+        # Had it been at x then, it would now be where it is not: the difference goes back.
+        now, back = self.flow.start(t + s, x).state(-s), self.flow.transition(s)
+        return x + back.dot(x - now), back
+
+
+class Phases:
+    """All phases of one system, each prepared when it is needed.
+
+    Attributes:
+        system: the system.
+        projection: its position jumps.
+        B: ``L^-1 W``, ``M = L L^T``: ``B^T B = G``, shape (n, m).
+        length: of the columns of ``B``, shape (m,).
+        inertia: ``M u`` as a function of ``u``.
+        scales: of the system where nothing is held or fixed.
+    """
+
+    def __init__(self, system: System) -> None:
+        """Factorise the mass matrix."""
+        self.system = system
+        self._factor = Factor(system.M)
+        self.inertia = product_with(system.M)
+        self.B = frozen(self.white(system.W))
+        self.length = frozen(np.linalg.norm(self.B, axis=0))
+        self._inverse = self._left(np.eye(system.n))
+        self._prepared = lru_cache(KEPT)(self._prepare)
+        self._laws = lru_cache(KEPT)(self._unloaded)
+        self.scales = self.unloaded().scales
+        self.projection = PositionProjection(system, (self.scales.squares, self.scales.shapes))
+
+    def phase(self, held: tuple[int, ...] = (), fixed: tuple[int, ...] = ()) -> Phase:
+        """The phase in which ``held`` contacts, independent of each other, take loads.
+
+        Where the held contacts determine the gaps of all ``fixed`` ones these do not slip, and it
+        is the same phase without them.
+        """
+        return self._prepared(held, fixed)
+
+    def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
+        """Those of ``contacts`` whose direction is not that of others before them."""
+        chosen: list[int] = []
+        basis = np.empty((self.system.n, min(len(contacts), self.system.n)), order="F")
+        for i in contacts:
+            if len(chosen) == self.system.n:
+                break
+            direction, known = self.B[:, i], basis[:, : len(chosen)]
+            left = direction - known @ (known.T @ direction)
+            left -= known @ (known.T @ left)
+            length = np.linalg.norm(left)
+            if length > RANK * np.linalg.norm(direction):
+                basis[:, len(chosen)] = left / length
+                chosen.append(i)
+        return tuple(chosen)
+
+    def white(self, loads: Matrix) -> Matrix:
+        """``L^-1 loads``, ``M = L L^T``: accelerations whose length is their energy's root."""
+        return self._factor.solved(loads) if loads.size else loads
+
+    def unwhite(self, accelerations: Matrix) -> Matrix:
+        """``L^-T accelerations``: back to coordinates."""
+        if not accelerations.size:
+            return accelerations
+        return self._factor.solved_transposed(accelerations)
+
+    def stopped(
+        self, x: Vector, contacts: tuple[int, ...], projection: PositionProjection | None = None
+    ) -> Vector:
+        """The state (q, u) nearest to ``x`` with ``g = 0`` and ``gamma = 0`` on ``contacts``.
+
+        Nearest in elastic and in kinetic energy.
+
+        Args:
+            x: state (q, u), shape (2n,).
+            contacts: indices.
+            projection: of a system that differs by its gaps only; None for this one.
+        """
+        n = self.system.n
+        basis = linalg.qr(self.B[:, list(self.independent(contacts))], mode="economic")[0]
+        velocity = self._factor.transposed(x[n:])
+        velocity -= basis @ (basis.T @ velocity)
+        position = (projection or self.projection).position_after(x[:n], contacts)
+        return np.concatenate([position, self.unwhite(velocity)])
+
+    def still(self, u: Vector) -> Vector:
+        """Contact speeds that count as zero at velocities ``u``, shape (m,), m/s.
+
+        Impulses spread what is rounded over all bodies.
+        """
+        return np.asarray(_ROUNDING * self.length * np.sqrt(u.dot(self.inertia(u))))
+
+    def unloaded(self, fixed: tuple[int, ...] = ()) -> "Unloaded":
+        """The law of motion while the gaps of ``fixed`` stay closed and nothing is held."""
+        return self._laws(fixed)
+
+    def _unloaded(self, fixed: tuple[int, ...]) -> "Unloaded":
+        system = self.system
+        equations: Equations = system
+        Q, rest = np.eye(system.n), np.zeros(system.n)
+        if fixed:
+            Z, contacts = self.projection.jump(fixed), list(fixed)
+            W, q_r = system.W[:, contacts], system.q_r[contacts]
+            Q, rest = Q - Z @ W.T, -Z @ q_r
+            forcing = system.forcing.plus(system.K @ Z @ q_r)
+            whole = float(np.linalg.norm(self.scales.squares))
+            stiffness = self._cleaned(_symmetric(Q.T @ system.K @ Q), np.diag(system.M), whole)
+            equations = Reduced(system.M, system.C, stiffness, forcing)
+        load = equations.forcing.bound(self._inverse)
+        pulls = product_with(equations.C), product_with(equations.K)
+        return Unloaded(equations, *pulls, frozen(Q), frozen(rest), load, Scales.of(equations))
+
+    def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
+        if fixed and len(self.independent((*held, *fixed))) == len(held):
+            return self.phase(held)
+        p = len(held)
+        free = self.unloaded(fixed)
+        orthogonal, triangular = np.linalg.qr(self.B[:, list(held)], mode="complete")
+        pressing = self.unwhite(orthogonal[:, :p])
+        return Phase(
+            held=held,
+            fixed=fixed,
+            equations=free.equations,
+            inverse=self._left(orthogonal[:, p:]) if p else self._inverse,
+            loads=frozen(
+                # scipy before 1.14 knows no empty systems
+                linalg.solve_triangular(triangular[:p], pressing.T) if p else pressing.T
+            ),
+            flow=self._held_flow(held, fixed)
+            if held
+            else flow_of(free.equations, free.scales.shapes),
+            Q=free.Q,
+            rest=free.rest,
+            scales=free.scales,
+        )
+
+    def _held_flow(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Flow:
+        """Flow of the coordinates that the held contacts leave free."""
+        equations, *_, scales = self.unloaded(fixed)
+        W = self.system.W[:, list(held)]
+        free = Free.of(W, equations.M)
+        inverse, inner = np.zeros((free.free.size, self.system.n)), None
+        if free.free.size:
+            M = _symmetric(free.restricted(equations.M))
+            inverse = linalg.cho_solve(linalg.cho_factor(M), free.seen(equations.M))
+            C, K = free.restricted(equations.C), _symmetric(free.restricted(equations.K))
+            C = self._cleaned(C, np.diag(M), self._damping)
+            K = self._cleaned(K, np.diag(M), float(np.linalg.norm(scales.squares)))
+            inner = flow_of(Reduced(M, C, K, equations.forcing.mapped(free.shapes.T)))
+        # Deflections that hold their contact away from its place without a load on the rest.
+        static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]
+        return _HeldFlow(inner, free, inverse, (static, W.T))
+
+    def _left(self, orthogonal: Matrix) -> Matrix:
+        """What is left of ``M^-1`` where only motions along ``orthogonal`` are free."""
+        shapes = self.unwhite(orthogonal)
+        return frozen(shapes @ shapes.T)
+
+    @cached_property
+    def _damping(self) -> float:
+        """Size of ``L^-1 C L^-T``, 1/s."""
+        return float(np.linalg.norm(self.white(self.white(self.system.C).T)))
+
+    def _cleaned(self, restricted: Matrix, mass: Vector, whole: float) -> Matrix:
+        """A restricted matrix with zeros where everything cancels.
+
+        Args:
+            restricted: shape (r, r).
+            mass: what each coordinate moves, shape (r,), kg.
+            whole: size of what was restricted, over mass.
+        """
+        size = np.sqrt(mass)
+        nothing = _CANCELLED * self.system.n * whole * np.outer(size, size)
+        return np.where(np.abs(restricted) <= nothing, 0.0, restricted)
+
+
+def _symmetric(matrix: Matrix) -> Matrix:
+    return np.asarray((matrix + matrix.T) / 2)
+
+
+class _HeldFlow(Flow):
+    """A flow in fewer coordinates, seen in all of them."""
+
+    def __init__(
+        self, inner: Flow | None, free: Free, inverse: Matrix, static: tuple[Matrix, Matrix]
+    ) -> None:
+        """Take the flow in the free coordinates; None where nothing is free.
+
+        Args:
+            inner: flow of the free coordinates.
+            free: which are free.
+            inverse: free coordinates of the nearest motion, shape (r, n).
+            static: the part of a position that does not move, as a product of shapes
+                (n, held) and (held, n).
+        """
+        self._inner = inner
+        self._free = free
+        self._shapes = free.shapes
+        self._inverse = inverse
+        self._static = static
+
+    def start(self, t: float, x: Vector) -> Motion:
+        """The motion through ``x`` at ``t``, its velocity freed from what is held."""
+        n = len(self._shapes)
+        static, seen = self._static
+        rest = static @ (seen @ x[:n])
+        if self._inner is None:
+            return _HeldMotion(t, None, self._free, rest)
+        free = np.concatenate([self._inverse @ (x[:n] - rest), self._inverse @ x[n:]])
+        return _HeldMotion(t, self._inner.start(t, free), self._free, rest)
+
+    def view(self, functions: Functions) -> View | None:
+        """Of the free coordinates, and of constants that each motion has of its own."""
+        if self._inner is None:
+            return None
+        n = len(self._shapes)
+        position, velocity = functions.rows[:, :n], functions.rows[:, n:]
+        free = np.hstack([position @ self._shapes, velocity @ self._shapes])
+        inner = self._inner.view(functions._replace(rows=free))
+        return None if inner is None else _HeldView(inner, position)
+
+    def transition(self, s: float) -> Matrix:
+        """That of the free coordinates; velocities that are held are gone at once."""
+        n, r = self._shapes.shape
+        found = np.zeros((2 * n, 2 * n))
+        static = self._static[0] @ self._static[1]
+        found[:n, :n] = static
+        if self._inner is None:
+            return found
+        free = np.zeros((2 * r, 2 * n))
+        free[:r, :n] = self._inverse @ (np.eye(n) - static)
+        free[r:, n:] = self._inverse
+        moved = self._inner.transition(s) @ free
+        found[:n] += self._shapes @ moved[:r]
+        found[n:] = self._shapes @ moved[r:]
+        return found
+
+
+class _HeldMotion(Motion):
+    def __init__(self, t: float, inner: Motion | None, free: Free, rest: Vector) -> None:
+        self.t = t
+        self.inner = inner
+        self.rest = rest
+        self._free = free
+
+    def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        n = self.rest.size
+        found = np.zeros((s.size, 2 * n))
+        found[:, :n] = self.rest
+        if self.inner is not None:
+            y = self.inner.states(s).reshape(2 * s.size, self._free.free.size)
+            found += self._free.all(y).reshape(s.size, 2 * n)
+        return found
+
+
+class _HeldView(View):
+    """Functions of a motion in fewer coordinates, which see what does not move as well."""
+
+    def __init__(self, inner: View, position: Matrix) -> None:
+        self._inner = inner
+        self._position = position
+
+    def of(self, motion: Motion) -> Waves | Aging | None:
+        if not isinstance(motion, _HeldMotion) or motion.inner is None:
+            return None
+        waves = self._inner.of(motion.inner)
+        return None if waves is None else waves.shifted(self._position @ motion.rest)

@@ -1,0 +1,103 @@
+"""What the motions of a system are measured against: its modes and its fastest rate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.dynamics.flow.flow import Equations
+from impact_observer.states import Matrix, Vector
+
+_PERIODS = 2.0
+"""Length of the stretch that a search looks at together, in periods of the fastest rate."""
+_STILL = 16.0
+"""The same where nothing oscillates, s."""
+
+
+def sizes(x: Vector, modes: Matrix, in_time: Matrix, spread: Matrix) -> Vector:
+    """What (q, u) is rounded against: each number as large as all modes may make it.
+
+    Args:
+        x: state (q, u), shape (2n,).
+        modes: as of ``Scales``.
+        in_time: what an amplitude and its speed come to within the time scale, shape (2, 2).
+        spread: as of ``Scales``.
+
+    Returns:
+        Shape (2n,), not negative.
+    """
+    amplitudes = np.abs(x.reshape(2, -1).dot(modes))
+    found: Vector = in_time.dot(amplitudes).dot(spread).ravel()
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scales:
+    """Scales of ``M du/dt = -C u - K q + f(t)``.
+
+    Attributes:
+        squares: ``omega^2`` of the undamped modes, ascending, shape (n,), 1/s2.
+        shapes: of these modes, M-orthonormal, a column each, shape (n, n).
+        modes: ``M shapes``: amplitudes of the modes are ``q @ modes``.
+        spread: sizes of ``shapes``, a row each: how large an amplitude may make each coordinate.
+        fastest: the fastest mode or harmonic, rad/s; 0 where nothing oscillates.
+        timescale: the inverse of the fastest rate, at most 1 s.
+    """
+
+    squares: Vector
+    shapes: Matrix
+    modes: Matrix
+    spread: Matrix
+    fastest: float
+    timescale: float
+    _in_time: Matrix
+
+    @classmethod
+    def of(cls, equations: Equations) -> "Scales":
+        """Those of ``equations``."""
+        squares, shapes = linalg.eigh(equations.K, equations.M)
+        spread = np.ascontiguousarray(np.abs(shapes).T)
+        fastest = float(max(np.sqrt(max(squares[-1], 0.0)), *equations.forcing.frequency, 0.0))
+        timescale = 1.0 / max(fastest, 1.0)
+        in_time = np.array([[1.0, timescale], [0.0, 1.0]])
+        return cls(squares, shapes, equations.M @ shapes, spread, fastest, timescale, in_time)
+
+    @property
+    def window(self) -> float:
+        """The stretch that a search looks at together, s.
+
+        Held contacts only make modes slower, so one does for all phases of a system.
+        """
+        return _PERIODS * 2 * np.pi / self.fastest if self.fastest > 0 else _STILL
+
+    def seen(self, rows: Matrix) -> Matrix:
+        """What functions ``rows q`` see of each mode, signs apart, shape (rows, n)."""
+        return np.abs(rows @ self.shapes)
+
+    def sizes(self, x: Vector) -> Vector:
+        """``sizes`` of a state (q, u), shape (2n,)."""
+        return sizes(x, *self.of_sizes)
+
+    @property
+    def of_sizes(self) -> tuple[Matrix, Matrix, Matrix]:
+        """What ``sizes`` needs besides a state."""
+        return self.modes, self._in_time, self.spread
+
+    def reach(self, q: Matrix, u: Matrix) -> Matrix:
+        """How far each mode may be from rest within the time scale, signs apart.
+
+        Args:
+            q: positions, shape (..., n).
+            u: velocities, shape (..., n).
+        """
+        return np.asarray(np.abs(q @ self.modes) + np.abs(u @ self.modes) * self.timescale)
+
+    def amplitudes(self, q: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
+        """How far each mode is from rest, and how fast, signs apart; shape (samples, n) each.
+
+        Args:
+            q: positions, shape (samples, n).
+            u: velocities, shape (samples, n).
+        """
+        found = np.abs(np.vstack([q, u]) @ self.modes)  # which is read once
+        return found[: len(q)], found[len(q) :]

@@ -1,0 +1,1 @@
+"""Event location: the first root of a gap, a load or a contact speed, none of them missed."""

@@ -1,0 +1,112 @@
+"""What the contacts do at one instant: closed before, impacting, closed afterwards."""
+
+from collections.abc import Collection
+from typing import NamedTuple
+
+from impact_observer.dynamics import ImpactLaw
+from impact_observer.events import Contacts, Kind
+from impact_observer.model import Forcing
+from impact_observer.states import Vector
+
+
+class ContactChange(NamedTuple):
+    """What the plant's contacts do at one instant, as far as a law is told.
+
+    Attributes:
+        t: the instant, s since the epoch.
+        before: contacts with ``chi = 1`` until now.
+        hit: contacts that impact now; none where contacts only open.
+        closed: contacts with ``chi = 1`` from now on.
+        stamp: of the event, ns; 0 where nobody asks.
+        sequence: of the event.
+    """
+
+    t: float
+    before: Contacts
+    hit: Contacts
+    closed: Contacts
+    stamp: int = 0
+    sequence: int = 0
+
+    @classmethod
+    def of(
+        cls,
+        t: float,
+        before: Contacts,
+        switches: Collection[tuple[int, Kind]],
+        *,
+        stamp: int = 0,
+        sequence: int = 0,
+    ) -> "ContactChange":
+        """What an event at ``t`` means while the contacts ``before`` are closed.
+
+        Args:
+            t: s since the epoch.
+            before: contacts with ``chi = 1`` until now.
+            switches: contacts and how they switch. An impact that is one instant says too that its
+                contact is not closed afterwards: an ``OPEN`` was lost.
+            stamp: of the event, ns; 0 where nobody asks.
+            sequence: of the event.
+        """
+        if not before and len(switches) == 1:
+            ((contact, kind),) = switches
+            if kind is Kind.IMPACT:  # as nearly always
+                return cls(t, before, (contact,), before, stamp, sequence)
+        hit = {contact for contact, kind in switches if kind is not Kind.OPEN}
+        stay = {contact for contact, kind in switches if kind is Kind.CLOSE}
+        opened = {contact for contact, kind in switches if kind is Kind.OPEN}
+        closed = ({*before} - (hit - stay) | stay) - opened
+        return cls(t, before, tuple(sorted(hit)), tuple(sorted(closed)), stamp, sequence)
+
+    def after(self, before: Contacts) -> "ContactChange":
+        """The same event where other contacts were closed before it."""
+        if before == self.before:
+            return self
+        stay = set(self.closed) & set(self.hit) | set(before) - set(self.hit)
+        opened = set(self.before) - set(self.closed)
+        return self._replace(before=before, closed=tuple(sorted(stay - opened)))
+
+    @property
+    def opened(self) -> Contacts:
+        """Contacts that were closed and are no more."""
+        return tuple(i for i in self.before if i not in self.closed)
+
+    @property
+    def contacts(self) -> Contacts:
+        """All of which the event speaks: those that hit, and those that open."""
+        opened = self.opened
+        return tuple(sorted({*self.hit, *opened})) if opened else self.hit
+
+    @property
+    def active(self) -> Contacts:
+        """Contacts with ``chi = 1`` at this instant: closed ones take part in every impact."""
+        return tuple(sorted({*self.before, *self.hit})) if self.before else self.hit
+
+    def telling(self, held: Contacts, forcing: Forcing) -> Contacts:
+        """The contacts that say something: those that hit, or one alone that opens by itself.
+
+        Its load has come down to zero, unless the force jumps.
+
+        Args:
+            held: contacts that took the loads until now.
+            forcing: of the system.
+        """
+        if self.hit:
+            return self.hit
+        opened = self.opened
+        jumps = forcing.sampled is not None and forcing.sampled.hold == "previous"
+        return opened if len(opened) == 1 and opened[0] in held and not jumps else ()
+
+    def pressed(self, newton: ImpactLaw, gamma: Vector) -> Contacts:
+        """The contacts that take an impulse; those that stay closed have no speed afterwards.
+
+        Args:
+            newton: the impact law.
+            gamma: speeds of those hit, shape (len(hit),), m/s; see ``ImpactLaw.pressed``.
+
+        Raises:
+            ImpactLawError: the law has no solution on these contacts.
+        """
+        taking = newton.pressed(self.active, self.hit, gamma)
+        stay = set(self.before) & set(self.closed)
+        return tuple(sorted({*taking, *stay})) if stay else taking

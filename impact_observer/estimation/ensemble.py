@@ -1,0 +1,117 @@
+"""Replicas that are run together: the estimate, and others as differences from it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.states import Matrix, Vector
+
+_SAME = 1e-200
+"""Squared size of a map that leaves nothing of any difference."""
+_FEW = 4096
+"""Numbers of all pairs' products that are worth while to have."""
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """By how much replicas differed from the estimate at some time.
+
+    Attributes:
+        columns: one replica a column, shape (2n, N - 1).
+    """
+
+    columns: Matrix
+
+    @cached_property
+    def count(self) -> int:
+        """How many replicas they are of."""
+        return int(self.columns.shape[1])
+
+    @cached_property
+    def are_few(self) -> bool:
+        """Whether ``products`` are worth while to have."""
+        size, others = self.columns.shape
+        return bool(size * size * others * (others + 1) <= 2 * _FEW)
+
+    @cached_property
+    def products(self) -> Matrix:
+        """``vec(d d^T)`` of every two replicas, the estimate among them, shape (pairs, 4n^2).
+
+        Squared distances in a metric are their products with ``vec`` of that.
+        """
+        replicas = np.concatenate([np.zeros((1, len(self.columns))), self.columns.T])
+        one, two = np.triu_indices(len(replicas), 1)
+        d = replicas[one] - replicas[two]
+        return np.asarray(np.einsum("pi,pj->pij", d, d).reshape(len(d), -1))
+
+
+class Ensemble(NamedTuple):
+    """The estimate and, for each other replica, by how much it differs.
+
+    What acts on all of them alike is a map of differences, however many there are: it is only
+    noted, and made of them when somebody asks for numbers.
+
+    Attributes:
+        x: the estimate (q, u), shape (2n,).
+        since: differences at some earlier time.
+        due: what has become of them since, shape (2n, 2n); None for nothing.
+    """
+
+    x: Vector
+    since: Differences
+    due: Matrix | None = None
+
+    @classmethod
+    def of(cls, replicas: Matrix) -> "Ensemble":
+        """``replicas`` (q, u), shape (N, 2n), the estimate first."""
+        x, others = replicas[0], replicas[1:].T
+        columns = np.subtract(others, x[:, None], order="C") if others.size else others
+        return cls(x, Differences(columns))
+
+    @property
+    def others(self) -> int:
+        """How many replicas there are besides the estimate."""
+        return self.since.count
+
+    @property
+    def differences(self) -> Matrix:
+        """Differences from the estimate, one a column, shape (2n, N - 1)."""
+        return self.since.columns if self.due is None else self.due.dot(self.since.columns)
+
+    @property
+    def replicas(self) -> Matrix:
+        """States (q, u), shape (N, 2n), the estimate first."""
+        return np.concatenate([self.x[None], self.differences.T + self.x])
+
+    def seen(self, functions: Matrix) -> Matrix:
+        """What linear ``functions``, shape (k, 2n) or (2n,), see of the differences."""
+        due = functions if self.due is None else functions.dot(self.due)
+        return np.asarray(due.dot(self.since.columns))
+
+    def most(self, function: Vector) -> float:
+        """The largest value of a linear ``function``, shape (2n,), of the differences."""
+        due = function if self.due is None else function.dot(self.due)
+        return float(np.maximum.reduce(due.dot(self.since.columns)))
+
+    def farthest(self, metric: Matrix) -> float:
+        """The largest ``d^T metric d`` between two replicas, at least two; (2n, 2n) is given."""
+        if self.due is not None and self.since.are_few:
+            seen = self.due.T.dot(metric.dot(self.due))
+            return max(float(np.maximum.reduce(self.since.products.dot(seen.ravel()))), 0.0)
+        differences = self.differences
+        products = differences.T.dot(metric.dot(differences))
+        squares = products.diagonal()
+        among = squares[:, None] + squares - 2 * products
+        return max(float(among.max()), float(squares.max()))  # and from the estimate itself
+
+    def carried(self, x: Vector, map_: Matrix) -> "Ensemble":
+        """The estimate is ``x`` now; ``map_``, shape (2n, 2n), has acted on all differences."""
+        return Ensemble(x, self.since, map_ if self.due is None else map_.dot(self.due))
+
+    def without_faded(self) -> "Ensemble":
+        """The same without differences that have faded: tiny numbers are slow to reckon with."""
+        if self.due is None or (left := self.due.ravel()).dot(left) >= _SAME:
+            return self
+        return Ensemble(self.x, Differences(np.zeros_like(self.since.columns)))

@@ -1,0 +1,212 @@
+"""Two phases and the jump between them as functions of a state and of when the jump is.
+
+A plant jumps ``e`` seconds before an instant at which its state would be ``y`` without the jump.
+What is measured at the jump, and what has become of the state at that instant, are functions of
+``(e, y)``. Here are their expansions about ``e = 0``: linear in ``y``, of second order in ``e``.
+
+For ``x+ = J x-`` the first order in ``e`` is ``f+ - J f-``, the rates ``f = dx/dt`` before and
+after. With ``e = g / gamma`` from the gap this is the saltation matrix (Kong, Payne, Zhu and
+Johnson, Saltation matrices, 2023), but regular where ``gamma`` is zero.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from impact_observer.dynamics.flow.phase import Phase
+from impact_observer.events import Contacts
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+ROUNDING = 4 * float(np.finfo(np.float64).eps)
+"""Of what is measured, relative to the terms that it is the sum of."""
+LEAST = 1e-150
+"""Standard deviation of a measurement in which nothing is rounded."""
+_ONE = np.ones(1)
+
+
+class StateRates:
+    """``dx/dt = A x + B f(t)`` of one phase with nothing fixed.
+
+    Attributes:
+        A: shape (2n, 2n).
+        B: shape (2n, n).
+        decay: of the fastest fading motion, 1/s.
+    """
+
+    def __init__(self, phase: Phase) -> None:
+        """Write the phase as a system of first order."""
+        n, equations = phase.equations.n, phase.equations
+        inverse = phase.inverse
+        self.A = np.zeros((2 * n, 2 * n))
+        self.A[:n, n:] = np.eye(n)
+        self.A[n:, :n] = -inverse @ equations.K
+        self.A[n:, n:] = -inverse @ equations.C
+        self.B = np.vstack([np.zeros((n, n)), inverse])
+        self.decay = max(0.0, -float(np.min(linalg.eigvals(self.A).real)))
+
+    def along(self, x: Vector, forces: Matrix) -> tuple[Vector, Vector]:
+        """``dx/dt`` and its derivative by time, (2n,) each; ``forces`` are f, df/dt, ..."""
+        first: Vector = self.A.dot(x) + self.B.dot(forces[0])
+        second: Vector = self.A.dot(first) + self.B.dot(forces[1])
+        return first, second
+
+
+class Expansion(NamedTuple):
+    """``value + slope e + linear dy + e D dy + 1/2 E e^2`` of a function of ``(e, y + dy)``.
+
+    Attributes:
+        value: shape (k,).
+        H: slope, then linear: shape (k, 1 + 2n).
+        D: shape (k, 2n).
+        E: shape (k,).
+    """
+
+    value: Vector
+    H: Matrix
+    D: Matrix
+    E: Vector
+
+
+class Jet(NamedTuple):
+    """Expansions of the same functions at any ``y``: only what is affine in it is left to find.
+
+    Attributes:
+        now: value, slope and E as rows, each shape (k,), of (1, y, f, df/dt, d2f/dt2),
+            shape (3 k, 1 + 2n + 3n).
+        maps: what each of the three changes by with ``y``, shape (3, k, 2n).
+    """
+
+    now: Matrix
+    maps: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, *rows: list[Matrix | Vector]) -> "Jet":
+        """From the parts of ``now``, a row for each of value, slope and E."""
+        now = np.concatenate([np.column_stack(row) for row in rows])
+        return cls(now, np.array([row[1] for row in rows]))
+
+    def expanded(self, y: Vector, forces: Matrix, e: float = 0.0) -> Expansion:
+        """About ``(e, y)``, itself found to second order in ``e``.
+
+        Args:
+            y: shape (2n,).
+            forces: f and its first two derivatives at the instant of ``y``, shape (3, n).
+            e: how much earlier the jump is, s.
+        """
+        now = self.now.dot(np.concatenate([_ONE, y, forces.ravel()])).reshape(3, -1)
+        (_, k, d), maps, E = self.maps.shape, self.maps, now[2]
+        if e:
+            onward = np.array([[1.0, e, e * e / 2], [0.0, 1.0, e]])
+            now, maps = onward.dot(now), onward.dot(maps.reshape(3, -1)).reshape(2, k, d)
+        H = np.empty((k, 1 + d))
+        H[:, 0], H[:, 1:] = now[1], maps[0]
+        return Expansion(now[0], H, maps[1], E)
+
+
+class Measured(NamedTuple):
+    """Functions ``c x + rest - load f(t)`` that are zero when something switches.
+
+    Attributes:
+        c: shape (k, 2n).
+        rest: shape (k,).
+        load: shape (k, n); None for nothing.
+    """
+
+    c: Matrix
+    rest: Vector
+    load: Matrix | None = None
+
+    @classmethod
+    def gaps(cls, system: System, contacts: Contacts) -> "Measured":
+        """The gaps of ``contacts``."""
+        W = system.W[:, list(contacts)].T
+        return cls(np.hstack([W, np.zeros_like(W)]), system.q_r[list(contacts)])
+
+    @classmethod
+    def speeds(cls, system: System, contacts: Contacts) -> "Measured":
+        """The contact speeds of ``contacts``."""
+        W = system.W[:, list(contacts)].T
+        return cls(np.hstack([np.zeros_like(W), W]), np.zeros(len(contacts)))
+
+    @classmethod
+    def loads(cls, phase: Phase, contacts: Contacts) -> "Measured":
+        """Loads of held ``contacts``."""
+        L, equations = phase.loads[[phase.held.index(i) for i in contacts]], phase.equations
+        return cls(np.hstack([L @ equations.K, L @ equations.C]), np.zeros(len(contacts)), L)
+
+    def value(self, x: Vector, force: Vector | None = None) -> Vector:
+        """At a state, shape (2n,), and the force then, shape (n,), if any: shape (k,)."""
+        return np.asarray(self.c.dot(x) + self._rest(force))
+
+    def rounding(self, x: Vector, force: Vector | None = None) -> list[float]:
+        """Standard deviation of what is rounded in each of them, positive."""
+        terms = np.abs(self.c).dot(np.abs(x)).tolist()
+        rests = self._rest(force).tolist()
+        return [
+            ROUNDING * (size + abs(rest)) + LEAST for size, rest in zip(terms, rests, strict=True)
+        ]
+
+    def _rest(self, force: Vector | None) -> Vector:
+        if self.load is None:
+            return self.rest
+        assert force is not None, "what is loaded depends on the force"
+        return np.asarray(self.rest - self.load.dot(force))
+
+    def along(self, rates: StateRates) -> Jet:
+        """Their expansions while a phase lasts."""
+        nothing = np.zeros((len(self.c), rates.B.shape[1]))
+        load = nothing if self.load is None else self.load
+        still, first = np.zeros_like(self.rest), self.c @ rates.A
+        return Jet.of(
+            [self.rest, self.c, -load, nothing, nothing],
+            [still, -first, -self.c @ rates.B, load, nothing],
+            [still, first @ rates.A, first @ rates.B, self.c @ rates.B, -load],
+        )
+
+
+class Mirror(NamedTuple):
+    """``x+ = J x- + offset``: velocities jump, and so does what a gap is not closed by.
+
+    A gap that is left is thrown back like its speed, so that ``gamma e = g`` stays true: where
+    the jump is a little early or late, positions do not notice.
+
+    Attributes:
+        J: shape (2n, 2n).
+        offset: shape (2n,).
+    """
+
+    J: Matrix
+    offset: Vector
+
+    @classmethod
+    def of(
+        cls, system: System, J: Matrix, pressed: Contacts, gaps: Vector | None = None
+    ) -> "Mirror":
+        """The mirror of ``u+ = J u-`` in which ``pressed`` take part.
+
+        Args:
+            system: what is hit.
+            J: shape (n, n).
+            pressed: indices of contacts.
+            gaps: in the rest position, to use instead of the system's, shape (m,), m.
+        """
+        n, P = system.n, list(pressed)
+        q_r, offset = (system.q_r if gaps is None else gaps)[P], np.zeros(2 * n)
+        if P:
+            offset[:n] = (J - np.eye(n)) @ linalg.lstsq(system.W[:, P].T, q_r)[0]
+        return cls(linalg.block_diag(J, J), offset)
+
+    def between(self, before: StateRates, after: StateRates) -> Jet:
+        """The expansions of the state after the jump, at the instant of the one before."""
+        J, (d, n) = self.J, before.B.shape
+        D, kicked = after.A @ J - J @ before.A, after.B - J @ before.B
+        pulled, nothing = after.A @ self.offset, np.zeros((d, n))
+        curved, jerked = after.A @ D - D @ before.A, after.A @ kicked - D @ before.B
+        return Jet.of(
+            [self.offset, J, nothing, nothing, nothing],
+            [pulled, D, kicked, nothing, nothing],
+            [after.A @ pulled, curved, jerked, -kicked, nothing],
+        )

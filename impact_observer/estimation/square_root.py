@@ -1,0 +1,120 @@
+"""Linear estimation by square roots of covariances, ``P = S S^T``.
+
+The roots are carried, never ``P``: stamps of 1 ns let variances fall to 1e-18 of what they were,
+and the difference of two such matrices would be rounding. Every step is one orthogonal
+triangulation (Kailath, Sayed and Hassibi, Linear Estimation, 2000, chapter 12).
+
+A quantity that is the product of two unknown ones is linear about the best estimate of both, and
+what is left of it is noise whose mean and variance follow from theirs: about the estimate before
+a measurement, and once more about that after it (Garcia-Fernandez, Svensson, Morelande and
+Särkkä, Posterior linearization filter, 2015).
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from operator import mul
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.dynamics.contact.projection import KEPT
+from impact_observer.states import Matrix, Vector, frozen
+
+_SQRT2 = math.sqrt(2.0)
+
+
+class Correction(NamedTuple):
+    """What a measurement does to a state of ``d`` numbers.
+
+    Attributes:
+        gain: what the state moves by per ``whitened`` innovation, shape (d, k).
+        innovation: a square root of the innovation's covariance, lower triangular, shape (k, k).
+        root: a square root of the covariance after it, lower triangular, shape (d, d).
+    """
+
+    gain: Matrix
+    innovation: Matrix
+    root: Matrix
+
+    @property
+    def deviations(self) -> list[float]:
+        """Standard deviations of the innovations."""
+        return lengths(self.innovation)
+
+    def whitened(self, seen: Iterable[Any]) -> list[Any]:
+        """``innovation^-1 seen``: innovations, or rows of several ones, in standard deviations."""
+        found: list[Any] = []
+        for row, value in zip(self.innovation.tolist(), seen, strict=True):
+            known = sum(map(mul, row, found))  # row by row: there are hardly ever many
+            found.append((value - known) / row[len(found)])
+        return found
+
+    def change(self, seen: Matrix) -> Matrix:
+        """What the state moves by, shape (d, ...), of innovations, shape (k, ...)."""
+        return np.asarray(self.gain.dot(np.reshape(self.whitened(seen), seen.shape)))
+
+
+def lengths(rows: Matrix) -> list[float]:
+    """Euclidean lengths of ``rows``: deviations, of rows of a covariance's root."""
+    return [math.hypot(*row) for row in rows.tolist()]
+
+
+def triangular(root: Matrix) -> Matrix:
+    """A lower triangular square root, shape (d, d), of the same covariance; (d, any) is given."""
+    d, columns = root.shape
+    if columns < d:
+        root = np.concatenate([root, np.zeros((d, d - columns))], axis=1)
+    # LAPACK's routine itself: of small matrices checks cost more than it.
+    turned = linalg.lapack.dgeqrf(root.T)[0] if d else root.T
+    found: Matrix = (turned[:d] * _upper(d)).T
+    return found
+
+
+@lru_cache(KEPT)
+def _upper(d: int) -> Matrix:
+    """Ones where an upper triangular matrix has its entries, shape (d, d)."""
+    return np.asarray(frozen(np.tri(d)).T)  # column after column, as LAPACK's matrices are
+
+
+def correction(
+    root: Matrix, H: Matrix, noise: Matrix, rounded: Sequence[float] = ()
+) -> Correction:
+    """What measuring ``H z + noise`` tells of ``z``: the Kalman filter's array form.
+
+    Args:
+        root: a square root of the covariance of ``z``, shape (d, any).
+        H: rows measured, shape (k, d).
+        noise: a root of the measurement's own covariance, with ``rounded`` positive definite,
+            shape (k, any).
+        rounded: standard deviations of noise that each measurement has of its own, k or none.
+    """
+    (k, d), first = H.shape, noise.shape[1]
+    last = first + len(rounded)
+    joint = np.zeros((k + d, last + root.shape[1]))
+    joint[:k, :first], joint[:k, last:], joint[k:, last:] = noise, H.dot(root), root
+    for i, each in enumerate(rounded):
+        joint[i, first + i] = each
+    found = triangular(joint)
+    return Correction(found[k:, :k], found[:k, :k], found[k:, k:])
+
+
+def product(root: Matrix, D: Matrix, E: Vector) -> tuple[Vector, Matrix]:
+    """Mean and a root of the covariance of ``e D x + 1/2 E e^2``, ``(e, x)`` normal about zero.
+
+    Args:
+        root: of the covariance of ``(e, x)``, its first row zero but for the first entry,
+            shape (1 + d, 1 + c).
+        D: shape (k, d).
+        E: shape (k,).
+
+    Returns:
+        Shapes (k,) and (k, 1 + c).
+    """
+    deviation = float(root[0, 0])
+    noise: Matrix = D.dot(root[1:])
+    noise *= deviation
+    mean: Vector = noise[:, 0] + E * (deviation * deviation / 2)
+    noise[:, 0] = mean * _SQRT2
+    return mean, noise

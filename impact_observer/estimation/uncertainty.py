@@ -1,0 +1,160 @@
+"""What the user of an observer declares not to know."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import linalg
+
+from impact_observer.errors import UsageError
+from impact_observer.estimation.unknown_parameters import Unknowns
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector, frozen
+
+DEFAULT_DEVIATION = 1.0
+"""Standard deviation of every initial coordinate (m or rad) and velocity (m/s or rad/s)."""
+LARGEST = {
+    "deviation": 1e9,
+    "clock_error": 0.1,
+    "clock_offset_error": 0.1,
+    "model_error": 1e6,
+    "missed": 0.9,
+    "spurious": 0.9,
+    "mislabelled": 0.9,
+}
+"""Most that may be declared, SI units: beyond it stamps tell nothing, or numbers overflow."""
+_SEED = 2014
+"""Of the replicas' initial states: the same for everybody, and nobody's initial state."""
+_SYMMETRY = 1e-9
+"""Asymmetry or negative eigenvalue of a covariance that is rounding, relative to its largest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """What an observer is told wrongly, and how far.
+
+    Deviations are standard deviations. ``missed``, ``spurious`` and ``mislabelled`` are
+    probabilities; where all are 0 every event is believed.
+
+    Attributes:
+        deviation: of the initial state (q, u), shape (2n,), or one number for all, SI units.
+        clock_error: of the events' stamps, s, besides their rounding to 1 ns; None where it is
+            not known: the events tell.
+        clock_offset_error: of what all stamps are late by, s; 0 where that is nothing, or known.
+        model_error: of the accelerations, as white noise: it makes velocities go astray by
+            ``model_error sqrt(t)`` in ``t`` seconds, m/s^1.5.
+        missed: of an impact, that it is not heard.
+        spurious: of an event, that nothing has happened.
+        mislabelled: of an impact, that it was one of another contact.
+        unknowns: parameters of the model that are not known; None where all are.
+    """
+
+    deviation: Vector | float = DEFAULT_DEVIATION
+    clock_error: float | None = None
+    clock_offset_error: float = 0.0
+    model_error: float = 0.0
+    missed: float = 0.1
+    spurious: float = 0.1
+    mislabelled: float = 0.01
+    unknowns: Unknowns | None = None
+
+    def __post_init__(self) -> None:
+        """Check that every number is from 0 to the most that may be declared.
+
+        Raises:
+            UsageError: naming what was found.
+        """
+        object.__setattr__(self, "deviation", frozen(self.deviation))
+        for name, most in LARGEST.items():
+            if getattr(self, name) is None:
+                continue
+            values = np.asarray(getattr(self, name))
+            if not np.all((values >= 0) & (values <= most)):
+                found = ",".join(f"{value:g}" for value in np.ravel(values))
+                raise UsageError(f"{name}: {found} found; expected 0 to {most:g}")
+
+    @property
+    def trusting(self) -> bool:
+        """Whether every event is believed."""
+        return not (self.missed or self.spurious or self.mislabelled)
+
+    def root(self, n: int) -> Matrix:
+        """A square root of the initial covariance, shape (2n, 2n).
+
+        Raises:
+            UsageError: ``deviation`` is of another size.
+        """
+        deviation = np.asarray(self.deviation)
+        if deviation.shape not in ((), (2 * n,)):
+            raise UsageError(
+                f"deviation: {deviation.size} numbers, expected 1 or {2 * n}: q1,..,qn,u1,..,un"
+            )
+        return np.diag(np.broadcast_to(deviation, 2 * n).astype(float))
+
+
+def deviation_of(text: str, system: System) -> Vector:
+    """Read one number, or ``q1,..,qn,u1,..,un``: standard deviations of an initial state.
+
+    Raises:
+        UsageError: naming what was found and what is expected.
+    """
+    size = 2 * system.n
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        values = np.empty(0)
+    most = LARGEST["deviation"]
+    if values.size not in (1, size) or not np.all((values >= 0) & (values <= most)):
+        raise UsageError(
+            f"deviation {text!r}: expected one number from 0 to {most:g}, or {size} of them:"
+            " q1,..,qn,u1,..,un"
+        )
+    return np.asarray(np.broadcast_to(values, size), dtype=float)
+
+
+def covariance_root(covariance: ArrayLike, n: int) -> Matrix:
+    """A square root of a covariance, shape (2n, 2n), row by row or as a matrix.
+
+    Raises:
+        UsageError: it is none: of the wrong size, not finite, not symmetric, not semidefinite.
+    """
+    values = np.asarray(covariance, dtype=float)
+    most = LARGEST["deviation"] ** 2
+    if values.size != 4 * n * n or not np.all(np.abs(values) <= most):
+        raise UsageError(
+            f"covariance: {values.size} numbers; expected {4 * n * n} of at most {most:g},"
+            f" {2 * n} x {2 * n}"
+        )
+    P = values.reshape(2 * n, 2 * n)
+    size = float(np.max(np.abs(P)))
+    if float(np.max(np.abs(P - P.T))) > _SYMMETRY * size:
+        raise UsageError("covariance: not symmetric; expected a symmetric matrix")
+    variances, axes = linalg.eigh((P + P.T) / 2)
+    if variances[0] < -_SYMMETRY * size:
+        raise UsageError(f"covariance: has the eigenvalue {variances[0]:g}; expected none below 0")
+    return np.asarray(axes * np.sqrt(np.maximum(variances, 0.0)))
+
+
+def spread(x: Vector, root: Matrix, count: int) -> Matrix:
+    """``count`` initial states: ``x`` itself, and others about it in every direction alike.
+
+    A normal draw of so few leaves directions in which all happen to lie close together, and a slow
+    system shows only one of its directions in the end. So the draw is centred and whitened: the
+    mean of the others is ``x`` and, from ``2n + 2`` replicas on, their covariance as declared.
+
+    Args:
+        x: state (q, u), shape (2n,).
+        root: a square root of the covariance, shape (2n, 2n).
+        count: of replicas, at least one.
+
+    Returns:
+        Shape (count, 2n).
+    """
+    found, others = np.tile(x, (count, 1)), count - 1
+    drawn = np.random.default_rng(_SEED).normal(size=(others, x.size))
+    if others > 1:
+        left, _, right = np.linalg.svd(drawn - drawn.mean(axis=0), full_matrices=False)
+        rank = min(others - 1, x.size)
+        drawn = left[:, :rank] @ right[:rank] * np.sqrt(others * x.size / rank)
+    found[1:] += drawn @ root.T
+    return found

@@ -1,0 +1,114 @@
+"""Which parameters of the model an observer learns with the state, as users name them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_observer.errors import UsageError
+from impact_observer.model import System
+from impact_observer.model.elements import Element
+from impact_observer.model.family import Family
+from impact_observer.model.learnable import OFFSET, family_of
+from impact_observer.states import Vector, frozen
+
+DEVIATIONS = (1e-12, 1.0)
+"""Least and largest standard deviation of a parameter, relative to its size."""
+GAPS = 100.0
+"""The largest of a gap, which may be small beside the motion."""
+MOST_DRIFT = 1e3
+"""Most of its deviation that a parameter may go astray by in a minute."""
+RESTITUTION = 0.1
+"""Standard deviation of a restitution where none is declared."""
+SHARE = 0.05
+"""The same of any other parameter, relative to its size."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unknowns:
+    """Parameters of the model that are not known, and are learnt with the state.
+
+    Attributes:
+        family: the system; those parameters first that the motion between impacts depends on.
+        deviations: standard deviations of what the model says, shape (p,), in their units.
+        drift: of these, what parameters go astray by in a minute, at random: 0 for constants.
+    """
+
+    family: Family
+    deviations: Vector
+    drift: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check that the numbers can be used.
+
+        Raises:
+            UsageError: naming what was found.
+        """
+        object.__setattr__(self, "deviations", frozen(self.deviations))
+        if not 0 <= self.drift <= MOST_DRIFT:
+            raise UsageError(
+                f"parameter_drift: {self.drift:g} found; expected 0 to {MOST_DRIFT:g}"
+            )
+        if self.deviations.shape != (self.family.size,):
+            found, size = self.deviations.size, self.family.size
+            raise UsageError(f"deviations: {found} found; expected {size}, one a parameter")
+        for each, deviation in zip(self.family.parameters, self.deviations.tolist(), strict=True):
+            least, most = (each.size * share for share in DEVIATIONS)
+            most *= GAPS if np.any(each.effect.gap) else 1.0
+            if not least <= deviation <= most:
+                raise UsageError(
+                    f"deviation of {each.name}: {deviation:g} found; expected {least:g} to"
+                    f" {most:g}"
+                )
+
+    @classmethod
+    def named(
+        cls,
+        system: System,
+        wanted: Sequence[str],
+        elements: Sequence[Element] = (),
+        drift: float = 0.0,
+    ) -> "Unknowns":
+        """Those that users name.
+
+        Args:
+            system: as the model says.
+            wanted: names as of ``identify --free``, such as ``restitution`` or ``gap.stop``, each
+                perhaps with a standard deviation, as in ``restitution=0.05``.
+            elements: what the system was assembled of.
+            drift: see ``Unknowns``.
+
+        Raises:
+            UsageError: a name that there is not or that comes twice, or a deviation that is none.
+        """
+        declared: dict[str, float] = {}
+        names = []
+        for text in wanted:
+            name, sign, number = (part.strip() for part in text.partition("="))
+            if name == OFFSET:
+                raise UsageError(
+                    f"estimate_parameters {name!r}: a clock's offset is no parameter of the model;"
+                    " declare clock_offset_error instead"
+                )
+            names.append(name)
+            if sign:
+                declared[name] = _number(text, number)
+        found = family_of(system, names, elements, clock=False).parameters
+        parameters = tuple(sorted(found, key=lambda each: not each.moves))
+        deviations = []
+        for each in parameters:
+            usual = RESTITUTION if np.any(each.effect.eps) else SHARE * each.size
+            kind = each.name.partition(".")[0]
+            deviations.append(declared.get(each.name, declared.get(kind, usual)))
+        return cls(Family(system, parameters), np.array(deviations), drift)
+
+
+def _number(text: str, number: str) -> float:
+    """What stands after ``=``."""
+    try:
+        return float(number)
+    except ValueError:
+        raise UsageError(
+            f"estimate_parameters {text!r}: {number or 'nothing'} found after =; expected a"
+            " standard deviation, as in restitution=0.05"
+        ) from None

@@ -1,0 +1,79 @@
+"""Whether a model explains recorded impact times as well as their clock allows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from impact_observer.identify.identifying import Identified
+from impact_observer.states import Vector
+
+REFUTED = 1e-3
+"""Probability of what was found, if the model were right, below which it is not."""
+_LAGS = 10
+_LEAST = 3
+"""Fewest impacts in which a lag counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What the shifts of stamps say of the model.
+
+    Attributes:
+        rms: of the shifts, s.
+        size: probability of shifts that large under the declared clock error; None without one.
+        white: probability of shifts so like their neighbours if they were independent (Ljung and
+            Box, On a measure of lack of fit in time series models, 1978).
+        lags: how many neighbours were looked at.
+        by_contact: by name: impacts, mean and rms of their shifts, s.
+        worst: the contact of the largest rms.
+    """
+
+    rms: float
+    size: float | None
+    white: float
+    lags: int
+    by_contact: dict[str, tuple[int, float, float]]
+    worst: str
+
+    @property
+    def fits(self) -> bool:
+        """Whether neither refutes the model."""
+        return self.white >= REFUTED and (self.size is None or self.size >= REFUTED)
+
+
+def checked(found: Identified) -> Check:
+    """Check the model that ``found`` ended with.
+
+    Under the right model the shifts are the errors of a clock: independent, and as large as it is
+    wrong.
+    """
+    shifts = found.shifts
+    names = sorted({name for each in found.contacts for name in each})
+    by_contact = {}
+    for name in names:
+        own = shifts[[name in each for each in found.contacts]]
+        by_contact[name] = (own.size, float(np.mean(own)), float(np.sqrt(np.mean(own**2))))
+    size = None
+    if found.declared:
+        weight = float(np.sum((shifts / found.clock) ** 2))
+        size = float(stats.chi2.sf(weight, max(found.freedom, 1)))
+    lags = max(1, min(_LAGS, shifts.size // _LEAST))
+    return Check(
+        rms=found.rms,
+        size=size,
+        white=_whiteness(shifts, lags),
+        lags=lags,
+        by_contact=by_contact,
+        worst=max(names, key=lambda name: by_contact[name][2]),
+    )
+
+
+def _whiteness(shifts: Vector, lags: int) -> float:
+    """Ljung and Box's probability of the autocorrelations of ``shifts``."""
+    K, power = shifts.size, float(np.sum(shifts**2))
+    if power == 0.0 or lags >= K:
+        return 1.0
+    lag = np.arange(1, lags + 1)
+    rho = np.array([float(shifts[k:] @ shifts[:-k]) for k in lag]) / power
+    return float(stats.chi2.sf(K * (K + 2) * np.sum(rho**2 / (K - lag)), lags))

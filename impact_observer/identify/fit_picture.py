@@ -1,0 +1,39 @@
+"""A picture of how well a model explains the stamps of impacts."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from impact_observer.identify.identifying import Identified
+
+_MARKERS = "o^sDvx+*"
+
+
+def identification_figure(found: Identified, *, title: str) -> Figure:
+    """Errors of the stamps over time, a mark a contact, and twice the clock's error about zero.
+
+    Args:
+        found: what there is to draw.
+        title: of the picture.
+    """
+    figure = Figure(figsize=(8.0, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    names = sorted({name for each in found.contacts for name in each})
+    for k, name in enumerate(names):
+        own = np.array([name in each for each in found.contacts])
+        axes.plot(
+            found.stamps[own],
+            found.shifts[own],
+            linestyle="",
+            marker=_MARKERS[k % len(_MARKERS)],
+            color=str(0.6 * k / max(len(names) - 1, 1)),
+            label=name,
+        )
+    axes.axhspan(-2 * found.clock, 2 * found.clock, color="0.9", label="2 deviations", zorder=0)
+    axes.set_xlabel("time since the epoch [s]")
+    axes.set_ylabel("model's impact minus stamp [s]")
+    axes.set_title(title, fontsize="medium", loc="left")
+    axes.grid(visible=True, which="major", color="0.85")
+    axes.legend(
+        fontsize="small", ncols=4, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0)
+    )
+    return figure

@@ -1,0 +1,248 @@
+"""A motion switched at given instants, with exact derivatives.
+
+Harmonics and constants are states too: ``z = (q, u, c_1, s_1, .., 1)`` with ``c = a cos(omega t +
+phi)`` obeys ``dz/dt = F z`` with a constant matrix between two instants. Its derivative with a
+parameter that ``F`` depends on is the block of an exponential (Van Loan, Computing integrals
+involving the matrix exponential, 1978)::
+
+    exp(s [[F, F'], [0, F]]) = [[E, L], [0, E]],    dz(s) = E dz(0) + L z(0)
+
+and with an instant it is ``F z``. Contacts that stay closed are held: ``M^-1`` becomes
+``R = S (S^T M S)^-1 S^T``, ``S`` spanning what they leave free, with ``dR = -R dM R``. At an
+impact ``u+ = J u-``, ``J = I - X (1 + E) W^T``, ``X = M^-1 W G^-1`` with ``dX = -R dM X``.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.events import Contacts
+from impact_observer.model.family import Family, Numbers
+from impact_observer.states import Matrix, Vector
+
+
+class FlightEnd(NamedTuple):
+    """What the contacts do at one instant.
+
+    Attributes:
+        t: as recorded, s since the epoch.
+        hit: contacts that impact or close; none where they only open.
+        pressed: those of the closed ones that take an impulse.
+        held: those that stay closed from now on, independent of each other.
+        heard: whether a stamp tells of it; else it was inserted.
+    """
+
+    t: float
+    hit: Contacts
+    pressed: Contacts
+    held: Contacts = ()
+    heard: bool = True
+
+
+class Shot(NamedTuple):
+    """The gaps of contacts that hit, and how they change.
+
+    Attributes:
+        gaps: just before each hit, shape (hits,), m.
+        speeds: contact speeds then, shape (hits,), m/s.
+        by_start: their derivatives with initial state and parameters, shape (hits, 2n + p).
+        by_instant: with the instants, shape (hits, moments).
+        moment: index of each hit's moment, shape (hits,).
+        contact: index of its contact, shape (hits,).
+        states: (q, u) just after each moment, shape (moments, 2n).
+    """
+
+    gaps: Vector
+    speeds: Vector
+    by_start: Matrix
+    by_instant: Matrix
+    moment: np.ndarray
+    contact: np.ndarray
+    states: Matrix
+
+
+def shoot(
+    family: Family, start: Vector, moments: Sequence[FlightEnd], t: Vector, t0: float
+) -> Shot:
+    """Switch the motion at the instants ``t`` and look at the gaps.
+
+    Args:
+        family: of the system.
+        start: initial state (q, u) and parameters, shape (2n + p,).
+        moments: what switches.
+        t: when, ascending, s since the epoch, shape (moments,).
+        t0: where the initial state holds, s since the epoch.
+    """
+    n = family.system.n
+    now = _Now(family, family.at(start[2 * n :]))
+    z, Z = now.start(start[: 2 * n], t0, len(moments))
+    lengths = np.diff(t, prepend=t0)
+    steps = now.steps(moments, lengths)
+    W, d = family.system.W, start.size
+    states = np.zeros((len(moments), 2 * n))
+    rows: list[tuple[float, float, Vector, int, int]] = []
+    for k, moment in enumerate(moments):
+        before = moments[k - 1].held if k else ()
+        E, L = steps[k]
+        Z = E @ Z
+        Z[: 2 * n, 2 * n : d] += (L @ z).T
+        z = E @ z
+        rate = now.generator(before) @ z
+        Z[:, d + k] += rate
+        if k:
+            Z[:, d + k - 1] -= rate
+        for i in moment.hit:
+            row = W[:, i] @ Z[:n]
+            row[2 * n : d] += now.gap_change[:, i]
+            gap = float(W[:, i] @ z[:n] + now.numbers.gap[i])
+            rows.append((gap, float(W[:, i] @ z[n : 2 * n]), row, k, i))
+        z, Z = now.jumped(z, Z, moment)
+        states[k] = z[: 2 * n]
+    table = np.array([row for _, _, row, _, _ in rows]).reshape(len(rows), d + len(moments))
+    return Shot(
+        np.array([row[0] for row in rows]),
+        np.array([row[1] for row in rows]),
+        table[:, :d],
+        table[:, d:],
+        np.array([row[3] for row in rows], dtype=int),
+        np.array([row[4] for row in rows], dtype=int),
+        states,
+    )
+
+
+class _Now:
+    """The equations of motion where the parameters have certain values."""
+
+    def __init__(self, family: Family, numbers: Numbers) -> None:
+        self.numbers = numbers
+        self._changes = [each.effect for each in family.parameters]
+        self._system = family.system
+        self._inverse = linalg.inv(numbers.M)
+        self._kept: dict[Contacts, Matrix] = {}
+        self._presses: dict[Contacts, Matrix] = {}
+        self._generators: dict[Contacts, Matrix] = {}
+        h = family.system.forcing.frequency.size
+        self._size = 2 * family.system.n + 2 * h + 1
+        self.gap_change = np.reshape([each.gap for each in self._changes], (-1, family.system.m))
+
+    def start(self, x: Vector, t: float, moments: int) -> tuple[Vector, Matrix]:
+        """``z`` at ``t``, and its derivative with initial state, parameters and instants."""
+        n, forcing = self._system.n, self._system.forcing
+        p = len(self._changes)
+        angle = forcing.frequency * t + self.numbers.phase
+        wave = np.exp(1j * angle)
+        z = np.concatenate([x, np.zeros(self._size - 2 * n)])
+        z[2 * n : -1] = _pairs(self.numbers.amplitude * wave)
+        z[-1] = 1.0
+        Z = np.zeros((self._size, 2 * n + p + moments))
+        Z[: 2 * n, : 2 * n] = np.eye(2 * n)
+        for j, change in enumerate(self._changes):
+            turn = change.amplitude + 1j * self.numbers.amplitude * change.phase
+            Z[2 * n : -1, 2 * n + j] = _pairs(turn * wave)
+        return z, Z
+
+    def kept(self, held: Contacts) -> Matrix:
+        """``R``: what is left of ``M^-1`` when ``held`` contacts take their loads."""
+        if held not in self._kept:
+            W = self._system.W[:, list(held)]
+            free = linalg.null_space(W.T) if held else np.eye(self._system.n)
+            inner = free.T @ self.numbers.M @ free
+            # scipy before 1.14 knows no empty systems
+            loose = linalg.solve(inner, free.T) if free.size else free.T
+            self._kept[held] = free @ loose
+        return self._kept[held]
+
+    def _pressing(self, pressed: Contacts) -> Matrix:
+        """``X = M^-1 W G^-1`` of contacts."""
+        if pressed not in self._presses:
+            W = self._system.W[:, list(pressed)]
+            self._presses[pressed] = self._inverse @ W @ linalg.pinvh(W.T @ self._inverse @ W)
+        return self._presses[pressed]
+
+    def generator(self, held: Contacts) -> Matrix:
+        """``F`` while ``held`` contacts take loads."""
+        if held not in self._generators:
+            n, omega = self._system.n, self._system.forcing.frequency
+            F = np.zeros((self._size, self._size))
+            F[:n, n : 2 * n] = np.eye(n)
+            F[n : 2 * n] = self.kept(held) @ self._forces(self.numbers, force=True)
+            for k, rate in enumerate(omega.tolist()):
+                c = 2 * n + 2 * k
+                F[c, c + 1], F[c + 1, c] = -rate, rate
+            self._generators[held] = F
+        return self._generators[held]
+
+    def _forces(self, numbers: Numbers, *, force: bool) -> Matrix:
+        """``-K q - C u + f`` as a matrix on ``z``; without ``f`` for a change."""
+        n, forcing = self._system.n, self._system.forcing
+        found = np.zeros((n, self._size))
+        found[:, :n], found[:, n : 2 * n] = -numbers.K, -numbers.C
+        if force:
+            found[:, 2 * n : -1 : 2], found[:, 2 * n + 1 : -1 : 2] = (
+                forcing.cosine.T,
+                forcing.sine.T,
+            )
+            found[:, -1] = forcing.constant
+        return found
+
+    def _turning(self, change: Numbers, held: Contacts) -> Matrix:
+        """The derivative of ``F`` with a parameter."""
+        n, R = self._system.n, self.kept(held)
+        found = np.zeros((self._size, self._size))
+        pulled = self._forces(change, force=False) - change.M @ self.generator(held)[n : 2 * n]
+        found[n : 2 * n] = R @ pulled
+        return found
+
+    def steps(self, moments: Sequence[FlightEnd], s: Vector) -> list[tuple[Matrix, Matrix]]:
+        """For each moment how ``z`` comes to it, and the derivative of that times ``z``."""
+        N, n, p = self._size, self._system.n, len(self._changes)
+        E = np.zeros((len(moments), N, N))
+        L = np.zeros((len(moments), p, 2 * n, N))
+        before = [(), *(each.held for each in moments[:-1])]
+        for held in set(before):
+            which = np.array([k for k, each in enumerate(before) if each == held])
+            F = self.generator(held)
+            balanced, (scale, _) = linalg.matrix_balance(F, permute=False, separate=True)
+            lengths = s[which][:, None, None]
+            E[which] = linalg.expm(balanced * lengths) * scale[:, None] / scale
+            for j, change in enumerate(self._changes):
+                turning = self._turning(change, held)
+                if np.any(turning):
+                    both = np.zeros((2 * N, 2 * N))
+                    both[:N, :N] = both[N:, N:] = balanced
+                    both[:N, N:] = turning * scale / scale[:, None]
+                    found = linalg.expm(both * lengths)[:, : 2 * n, N:]
+                    L[which, j] = found * scale[: 2 * n, None] / scale
+        return list(zip(E, L, strict=True))
+
+    def jumped(self, z: Vector, Z: Matrix, moment: FlightEnd) -> tuple[Vector, Matrix]:
+        """``z`` and its derivatives just after a moment."""
+        n, d = self._system.n, 2 * self._system.n
+        u, U = z[n:d].copy(), Z[n:d].copy()
+        if moment.pressed:
+            P = list(moment.pressed)
+            W, R = self._system.W[:, P], self.kept(moment.pressed)
+            X = self._pressing(moment.pressed)
+            speeds, rebound = W.T @ u, 1.0 + self.numbers.eps[P]
+            U -= X @ (rebound[:, None] * (W.T @ U))
+            for j, change in enumerate(self._changes):
+                U[:, d + j] += R @ (change.M @ (X @ (rebound * speeds)))
+                U[:, d + j] -= X @ (change.eps[P] * speeds)
+            u -= X @ (rebound * speeds)
+        if moment.held:
+            R, M = self.kept(moment.held), self.numbers.M
+            still = R @ (M @ u)
+            U = R @ (M @ U)
+            for j, change in enumerate(self._changes):
+                U[:, d + j] += R @ (change.M @ (u - still))
+            u = still
+        z, Z = z.copy(), Z.copy()
+        z[n:d], Z[n:d] = u, U
+        return z, Z
+
+
+def _pairs(wave: np.ndarray) -> Vector:
+    """Real and imaginary parts by turns."""
+    return np.asarray(np.stack([wave.real, wave.imag], axis=-1).reshape(-1))

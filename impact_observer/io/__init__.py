@@ -1,0 +1,26 @@
+"""Bags: topics, messages, reader and writer, without ROS.
+
+Bags are read and written by ``rosbags``; nothing in this room imports ``rclpy``. The same tables
+and conversions serve the nodes, which bring their own message classes.
+"""
+
+from impact_observer.io.columns import JointStates, ObserverStates
+from impact_observer.io.interfaces import Interface, Quality
+from impact_observer.io.messages import EstimateError, JointState, MessageError, Messages
+from impact_observer.io.reader import BagReader, TopicInfo
+from impact_observer.io.writer import BagWriter, copy_topics
+
+__all__ = [
+    "BagReader",
+    "BagWriter",
+    "EstimateError",
+    "Interface",
+    "JointState",
+    "JointStates",
+    "MessageError",
+    "Messages",
+    "ObserverStates",
+    "Quality",
+    "TopicInfo",
+    "copy_topics",
+]

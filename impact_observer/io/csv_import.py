@@ -1,0 +1,351 @@
+"""Impact times from a text file: rows of a CSV file become events of a bag.
+
+Times are read as decimals, never as floats: a stamp is what the file says, to the nanosecond.
+"""
+
+import csv
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from decimal import Context, Decimal
+from itertools import chain, groupby
+from pathlib import Path
+from typing import NamedTuple, NoReturn, Protocol
+
+from impact_observer import __version__
+from impact_observer.errors import UsageError
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.io import interfaces
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.recordings import all_or_nothing
+from impact_observer.model import Model
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
+
+UNITS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1000, "ns": 1}
+"""Nanoseconds of each unit of time."""
+_SINCE_1970 = 100_000_000 * NS_PER_S
+"""Times from here on count from 1970, earlier ones from the beginning of the experiment."""
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,2})?")
+_TIME = re.compile(r"time(?:[ _]?[\[(]?(s|ms|us|ns)[\])]?)?", re.IGNORECASE)
+_CONTACT, _KIND = "contact", "kind"
+_KINDS = {name: kind for kind in Kind for name in (kind.name.lower(), str(kind.value))}
+_EXACT = Context(prec=80)
+_FORM = "time[, contact[, kind]]"
+
+
+class _Reader(Protocol):
+    """What ``csv.reader`` makes."""
+
+    @property
+    def line_num(self) -> int:
+        """Lines read."""
+
+    def __next__(self) -> list[str]:
+        """The next row."""
+
+
+class CsvRow(NamedTuple):
+    """A row of the file.
+
+    Attributes:
+        line: where it ends in the file, from 1.
+        time: ns after the file's zero.
+        switch: what switched.
+    """
+
+    line: int
+    time: int
+    switch: Switch
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """What a file has become.
+
+    Attributes:
+        events: written.
+        switches: rows read.
+        start: stamp of the file's time zero, ns.
+        epoch: stamp of ``t = 0`` that the events carry, ns; 0 for unknown.
+        first: stamp of the first event, ns.
+        last: stamp of the last event, ns.
+        ignored: columns of the header that were not read.
+    """
+
+    events: int
+    switches: int
+    start: int
+    epoch: int
+    first: int
+    last: int
+    ignored: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """Where what stands in a row.
+
+    Attributes:
+        separator: between the columns.
+        unit: ns of a unit of time.
+        time: the column of the time, from 0.
+        contact: that of the contact; None without one.
+        kind: that of the kind; None without one.
+        width: columns of every row; 0 where there is no header to say.
+        ignored: columns that are not read.
+    """
+
+    separator: str
+    unit: int
+    time: int = 0
+    contact: int | None = 1
+    kind: int | None = 2
+    width: int = 0
+    ignored: tuple[str, ...] = ()
+
+
+class Table:
+    """A file of impact times, read row by row."""
+
+    def __init__(
+        self, path: Path, *, unit: str | None = None, contacts: Sequence[str] | None = None
+    ) -> None:
+        """Read ``path``.
+
+        Args:
+            path: a CSV file; columns are separated by commas, semicolons or tabs.
+            unit: of time, one of ``UNITS``; None for that in the header, else seconds.
+            contacts: those of the model; None where no model is known.
+        """
+        self._path = path
+        self._unit = unit
+        self._contacts = contacts
+        self._line = 0
+        self.ignored: tuple[str, ...] = ()
+
+    def rows(self) -> Iterator[CsvRow]:
+        """The rows, one by one.
+
+        Raises:
+            UsageError: one line that names the file, the line, what was found and what is wanted.
+        """
+        try:
+            with self._path.open(encoding="utf-8-sig", newline="") as file:
+                yield from self._rows(file)
+        except UnicodeDecodeError:
+            raise UsageError(f"{self._path}: is no text in UTF-8; save it as CSV UTF-8") from None
+        except OSError as error:
+            raise UsageError(f"{self._path}: cannot be read: {error.strerror}") from None
+
+    def _rows(self, lines: Iterable[str]) -> Iterator[CsvRow]:
+        """The rows below the header, if there is one."""
+        uncommented = ("\n" if line.lstrip().startswith("#") else line for line in lines)
+        first = ""
+        for first in uncommented:
+            self._line += 1
+            if first.strip():
+                break
+        else:
+            raise UsageError(f"{self._path}: holds no impact; expected rows {_FORM}")
+        before = self._line - 1
+        separator = next((each for each in ("\t", ";") if each in first), ",")
+        reader = csv.reader(chain([first], uncommented), delimiter=separator, strict=True)
+        layout = None
+        while (cells := self._cells(reader)) is not None:
+            self._line = before + reader.line_num
+            if not any(cells):
+                continue
+            if layout is None:
+                layout = self._layout(cells, separator)
+                self.ignored = layout.ignored
+                if layout.width:
+                    continue
+            yield self._row(cells, layout)
+
+    def _cells(self, reader: "_Reader") -> list[str] | None:
+        """The next row; None at the end."""
+        before = self._line - reader.line_num
+        try:
+            row = next(reader, None)
+        except csv.Error as error:
+            self._line = before + reader.line_num
+            self._wrong(f"cannot be read as CSV: {error}")
+        return None if row is None else [cell.strip() for cell in row]
+
+    def _layout(self, cells: list[str], separator: str) -> _Layout:
+        """What the first row says of the columns."""
+        times = [k for k, cell in enumerate(cells) if _TIME.fullmatch(cell)]
+        if not times:
+            if not _NUMBER.fullmatch(_decimal(cells[0], separator)):
+                self._wrong(f"{cells[0]!r} found; expected a header with a column time, or a time")
+            return _Layout(separator, UNITS[self._unit or "s"])
+        names = [cell.lower() for cell in cells]
+        for name in (_CONTACT, _KIND):
+            if names.count(name) > 1:
+                self._wrong(f"two columns {name} found; expected one")
+        if len(times) > 1:
+            self._wrong(f"two columns of time, {', '.join(cells[k] for k in times)}; expected one")
+        found = _TIME.fullmatch(cells[times[0]])
+        said = found.group(1) if found else None
+        if said and self._unit and said.lower() != self._unit:
+            self._wrong(f"the header says {said}, --time-unit {self._unit}; leave one out")
+        read = {times[0], *(names.index(n) for n in (_CONTACT, _KIND) if n in names)}
+        return _Layout(
+            separator,
+            UNITS[(said or self._unit or "s").lower()],
+            times[0],
+            names.index(_CONTACT) if _CONTACT in names else None,
+            names.index(_KIND) if _KIND in names else None,
+            len(cells),
+            tuple(cell for k, cell in enumerate(cells) if k not in read and cell),
+        )
+
+    def _row(self, cells: list[str], layout: _Layout) -> CsvRow:
+        """The row in some cells."""
+        most = layout.width or 3
+        if len(cells) > most:
+            what = "the header has" if layout.width else f"expected {_FORM}, at most"
+            self._wrong(f"{len(cells)} columns found; {what} {most}")
+
+        def cell(column: int | None) -> str:
+            return "" if column is None or column >= len(cells) else cells[column]
+
+        time = self._time(cell(layout.time), layout)
+        switch = Switch(self._contact(cell(layout.contact)), self._kind(cell(layout.kind)))
+        return CsvRow(self._line, time, switch)
+
+    def _time(self, cell: str, layout: _Layout) -> int:
+        """A time in ns after the file's zero, rounded to the nearest."""
+        number = _decimal(cell, layout.separator)
+        if not _NUMBER.fullmatch(number) or len(number) > 60:
+            self._wrong(f"{cell!r} found; expected a time as a decimal number")
+        exact = _EXACT.multiply(Decimal(number), Decimal(layout.unit))
+        if abs(exact) > MAX_STAMP:
+            self._wrong(f"time {cell} is too large; stamps end at {text(MAX_STAMP)} s")
+        return int(exact.to_integral_value())
+
+    def _contact(self, cell: str) -> str:
+        """The contact that is named, or the model's only one."""
+        known = self._contacts
+        if not cell:
+            if known is not None and len(known) == 1:
+                return known[0]
+            which = f"one of {', '.join(known) or 'none'}" if known else "a column contact"
+            remedy = "" if known else ", or a --model with one contact"
+            self._wrong(f"names no contact; expected {which}{remedy}")
+        if known is not None and cell not in known:
+            self._wrong(f"contact {cell!r} is none of the model's: {', '.join(known) or 'none'}")
+        return cell
+
+    def _kind(self, cell: str) -> Kind:
+        """How the contact switched; an impact where nothing is said."""
+        if not cell:
+            return Kind.IMPACT
+        if cell.lower() not in _KINDS:
+            names = ", ".join(kind.name.lower() for kind in Kind)
+            self._wrong(f"kind {cell!r} found; expected one of {names}")
+        return _KINDS[cell.lower()]
+
+    def _wrong(self, problem: str) -> NoReturn:
+        raise UsageError(f"{self._path}, line {self._line}: {problem}")
+
+
+def _decimal(cell: str, separator: str) -> str:
+    """A number with a decimal point: where commas do not separate, they may be one."""
+    return cell if separator == "," else cell.replace(",", ".")
+
+
+def import_csv(
+    path: Path,
+    output: Path,
+    *,
+    model: Model | None = None,
+    unit: str | None = None,
+    start: int | None = None,
+    epoch: int | None = None,
+    sort: bool = False,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Imported:
+    """Write the impact times of a file to a bag.
+
+    Rows of equal time are one event. Memory is constant, unless the rows are to be sorted.
+
+    Args:
+        path: the CSV file.
+        output: the bag to make.
+        model: to put into the bag; its contacts are the only ones allowed. None for none.
+        unit: of time, one of ``UNITS``; None for that in the header, else seconds.
+        start: stamp of the file's time zero, ns. None for 0 where the first time lies after 1973,
+            as times since 1970 do, and for 1 s elsewhere.
+        epoch: stamp of ``t = 0`` of the forcing, ns; None for the file's time zero.
+        sort: whether rows may stand in any order.
+        progress: told the rows read.
+
+    Raises:
+        UsageError: the file has a mistake, or something is at ``output`` already.
+        BagError: the bag cannot be written.
+    """
+    contacts = None if model is None else model.system.contact_names
+    table = Table(path, unit=unit, contacts=contacts)
+    rows = iter(sorted(table.rows(), key=lambda row: row.time) if sort else table.rows())
+    first = next(rows, None)
+    if first is None:
+        raise UsageError(f"{path}: holds no impact; expected rows {_FORM} below the header")
+    if start is None:
+        start = 0 if first.time >= _SINCE_1970 else NS_PER_S
+    zero = start if epoch is None else epoch
+    switches = events = stamp = 0
+    make = bag_messages()
+    with all_or_nothing(output) as writer:
+        if model is not None:
+            told = model.text({"package": "impact_observer", "version": __version__})
+            at = max(start + first.time, 1)
+            writer.write(interfaces.PLANT_MODEL.topic, at, make.model(told))
+        writer.declare(interfaces.IMPACTS.topic)
+        for _, group in groupby(_ascending(path, chain([first], rows)), lambda row: row.time):
+            together = list(group)
+            stamp = _stamp(path, together[0], start, zero)
+            events += 1
+            event = ImpactEvent(stamp, _switches(path, together), events, 0, zero)
+            writer.write(interfaces.IMPACTS.topic, stamp, make.event(event))
+            switches += len(together)
+            progress(switches)
+    return Imported(events, switches, start, zero, start + first.time, stamp, table.ignored)
+
+
+def _ascending(path: Path, rows: Iterable[CsvRow]) -> Iterator[CsvRow]:
+    """The same rows, which must not go back in time."""
+    before: CsvRow | None = None
+    for row in rows:
+        if before is not None and row.time < before.time:
+            raise UsageError(
+                f"{path}, line {row.line}: time {text(row.time)} s comes after"
+                f" {text(before.time)} s; sort the rows, or say --sort"
+            )
+        before = row
+        yield row
+
+
+def _stamp(path: Path, row: CsvRow, start: int, epoch: int) -> int:
+    """The stamp of a row, ns."""
+    stamp = start + row.time
+    if not max(epoch, 1) <= stamp <= MAX_STAMP:
+        least = f"{text(epoch)} s, the epoch, or more" if epoch > 0 else "more than 0"
+        raise UsageError(
+            f"{path}, line {row.line}: the stamp would be {text(stamp)} s; expected {least}, at"
+            f" most {text(MAX_STAMP)} s: choose --start, the stamp of time 0, or --epoch"
+        )
+    return stamp
+
+
+def _switches(path: Path, rows: Sequence[CsvRow]) -> tuple[Switch, ...]:
+    """What switches in one event, each once."""
+    found: dict[Switch, CsvRow] = {}
+    for row in rows:
+        if (other := found.setdefault(row.switch, row)) is not row:
+            kind = row.switch.kind.name.lower()
+            raise UsageError(
+                f"{path}, line {row.line}: {kind} of {row.switch.contact!r} stands in line"
+                f" {other.line} already, at the same time; remove one"
+            )
+    return tuple(found)

@@ -1,0 +1,504 @@
+"""Between our values and messages: exact stamps, finite numbers, one set of conversions.
+
+``rosbags`` and ``rclpy`` have message classes of their own, with the same attribute names and
+keyword arguments. :class:`Messages` is told where the classes come from, so that a node and a bag
+say the same thing byte for byte; reading needs the attributes only.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
+from typing import Protocol, TypeVar, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from impact_observer.errors import ImpactObserverError
+from impact_observer.events import SECOND_THOUGHT, ImpactEvent, Kind, Ruling, Switch, Verdict
+from impact_observer.io import interfaces
+from impact_observer.io.typestores import typestore
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
+from impact_observer.states import Estimate, Vector, frozen
+
+_MAX_UINT32 = 2**32 - 1
+_MAX_UINT64 = 2**64 - 1
+_Kinds = TypeVar("_Kinds", bound=IntEnum)
+
+
+class MessageError(ImpactObserverError, ValueError):
+    """A value that no message may carry, or a message without a valid value."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointState:
+    """A state at a stamp; mirrors ``sensor_msgs/JointState``.
+
+    Attributes:
+        stamp: when the state holds, ns.
+        names: the coordinates' names, n of them.
+        q: coordinates, shape (n,), m or rad.
+        u: velocities, shape (n,), m/s or rad/s.
+    """
+
+    stamp: int
+    names: tuple[str, ...]
+    q: Vector
+    u: Vector
+
+    def ordered(self, names: tuple[str, ...]) -> "JointState":
+        """The same with its coordinates in the order of ``names``.
+
+        Raises:
+            MessageError: it has others.
+        """
+        if sorted(self.names) != sorted(names):
+            raise MessageError(f"names {', '.join(self.names)}; expected {', '.join(names)}")
+        order = [self.names.index(name) for name in names]
+        return JointState(self.stamp, names, self.q[order], self.u[order])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EstimateError:
+    """An estimate's distance from the truth; mirrors ``impact_observer_msgs/EstimateError``.
+
+    Attributes:
+        stamp: when both states hold, ns.
+        law: name of the observer's law.
+        v: Lyapunov distance V, J.
+        names: the coordinates' names, n of them.
+        q: estimate minus truth, shape (n,), m or rad.
+        u: estimate minus truth, shape (n,), m/s or rad/s.
+    """
+
+    stamp: int
+    law: str
+    v: float
+    names: tuple[str, ...]
+    q: Vector
+    u: Vector
+
+
+class TimeMessage(Protocol):
+    """``builtin_interfaces/Time``."""
+
+    sec: int
+    nanosec: int
+
+
+class HeaderMessage(Protocol):
+    """``std_msgs/Header``."""
+
+    stamp: TimeMessage
+    frame_id: str
+
+
+class ClockMessage(Protocol):
+    """``rosgraph_msgs/Clock``."""
+
+    clock: TimeMessage
+
+
+class StringMessage(Protocol):
+    """``std_msgs/String``."""
+
+    data: str
+
+
+class JointStateMessage(Protocol):
+    """``sensor_msgs/JointState``."""
+
+    header: HeaderMessage
+    name: list[str]
+    position: Sequence[float]
+    velocity: Sequence[float]
+    effort: Sequence[float]
+
+
+class SwitchMessage(Protocol):
+    """``impact_observer_msgs/ContactSwitch``."""
+
+    contact: str
+    kind: int
+
+
+class EventMessage(Protocol):
+    """``impact_observer_msgs/ImpactEvent``."""
+
+    header: HeaderMessage
+    sequence: int
+    episode: int
+    epoch: TimeMessage
+    switches: list[SwitchMessage]
+
+
+class VerdictMessage(Protocol):
+    """``impact_observer_msgs/EventVerdict``."""
+
+    header: HeaderMessage
+    verdict: int
+    sequence: int
+    contact: str
+    reason: str
+    innovation: float
+    latency: float
+
+
+class EstimateMessage(Protocol):
+    """``impact_observer_msgs/ObserverState``."""
+
+    header: HeaderMessage
+    law: str
+    name: list[str]
+    position: Sequence[float]
+    velocity: Sequence[float]
+    covariance: Sequence[float]
+    closed: list[str]
+    convergence: float
+    synchronized: bool
+    clock_offset: float
+    last_sequence: int
+    last_event: TimeMessage
+    parameter_name: list[str]
+    parameter: Sequence[float]
+    parameter_deviation: Sequence[float]
+
+
+class ErrorMessage(Protocol):
+    """``impact_observer_msgs/EstimateError``."""
+
+    header: HeaderMessage
+    law: str
+    v: float
+    name: list[str]
+    position_error: Sequence[float]
+    velocity_error: Sequence[float]
+
+
+class MessageClass(Protocol):
+    """A message class: makes a message from its fields."""
+
+    def __call__(self, **fields: object) -> object:
+        """A message with ``fields``."""
+
+
+class Messages:
+    """Makes messages of our values, from the message classes it is told to use.
+
+    Every method raises :class:`MessageError`, one line with the field's name, for a stamp that a
+    message cannot carry (it must be after 0 and before 2038), for a number that is not finite,
+    for a counter out of range, and for arrays that do not fit the names.
+    """
+
+    def __init__(
+        self,
+        classes: Callable[[str], MessageClass],
+        floats: Callable[[Vector], object],
+    ) -> None:
+        """Say where message classes come from.
+
+        Args:
+            classes: finds a message class by its type name, such as ``std_msgs/msg/String``.
+            floats: what a ``float64[]`` field wants for an array of shape (k,).
+        """
+        self._classes = classes
+        self._floats = floats
+
+    def time(self, stamp: int) -> TimeMessage:
+        """``stamp`` (ns, or 0 for "unknown") as ``builtin_interfaces/Time``."""
+        _check_stamp("Time", stamp, earliest=0)
+        seconds, nanoseconds = divmod(int(stamp), NS_PER_S)
+        new = self._classes(interfaces.TIME)
+        return cast("TimeMessage", new(sec=seconds, nanosec=nanoseconds))
+
+    def clock(self, stamp: int) -> ClockMessage:
+        """``stamp`` (ns) as ``rosgraph_msgs/Clock``."""
+        new = self._classes(interfaces.CLOCK)
+        return cast("ClockMessage", new(clock=self.time(stamp)))
+
+    def model(self, model: str) -> StringMessage:
+        """A model file's text as ``std_msgs/String``."""
+        return cast("StringMessage", self._classes(interfaces.STRING)(data=model))
+
+    def event(self, event: ImpactEvent) -> EventMessage:
+        """``event`` as ``impact_observer_msgs/ImpactEvent``."""
+        _check_counter("ImpactEvent.sequence", event.sequence, _MAX_UINT64)
+        _check_counter("ImpactEvent.episode", event.episode, _MAX_UINT32)
+        _check_stamp("ImpactEvent.epoch", event.epoch, earliest=0)
+        new_switch = self._classes(interfaces.CONTACT_SWITCH)
+        message = self._classes(interfaces.IMPACT_EVENT)(
+            header=self._header("ImpactEvent", event.stamp),
+            sequence=event.sequence,
+            episode=event.episode,
+            epoch=self.time(event.epoch),
+            switches=[new_switch(contact=s.contact, kind=int(s.kind)) for s in event.switches],
+        )
+        return cast("EventMessage", message)
+
+    def verdict(self, verdict: Verdict, latency: float = 0.0) -> VerdictMessage:
+        """``verdict`` as ``impact_observer_msgs/EventVerdict``.
+
+        Args:
+            verdict: what became of an event.
+            latency: from the event's stamp to its application, s.
+        """
+        _check_counter("EventVerdict.sequence", verdict.sequence, _MAX_UINT64)
+        message = self._classes(interfaces.EVENT_VERDICT)(
+            header=self._header("EventVerdict", verdict.stamp),
+            verdict=int(verdict.ruling),
+            sequence=verdict.sequence,
+            contact=verdict.contact,
+            reason=verdict.reason,
+            innovation=_number("EventVerdict.innovation", verdict.innovation),
+            latency=_number("EventVerdict.latency", latency),
+        )
+        return cast("VerdictMessage", message)
+
+    def estimate(self, estimate: Estimate, names: Sequence[str]) -> EstimateMessage:
+        """``estimate`` as ``impact_observer_msgs/ObserverState``.
+
+        Args:
+            estimate: the state of n coordinates and its surroundings.
+            names: the coordinates' names, n of them.
+        """
+        n = len(names)
+        _check_counter("ObserverState.last_sequence", estimate.last_sequence, _MAX_UINT64)
+        _check_stamp("ObserverState.last_event", estimate.last_event, earliest=0)
+        entries = 4 * n * n if estimate.covariance.size else 0
+        learnt = np.array([each[1:] for each in estimate.learnt]).reshape(-1, 2).T
+        message = self._classes(interfaces.OBSERVER_STATE)(
+            header=self._header("ObserverState", estimate.stamp),
+            law=estimate.law,
+            name=list(names),
+            position=self._array("ObserverState.position", estimate.q, n),
+            velocity=self._array("ObserverState.velocity", estimate.u, n),
+            covariance=self._array("ObserverState.covariance", estimate.covariance, entries),
+            closed=list(estimate.closed),
+            convergence=_number("ObserverState.convergence", estimate.convergence),
+            synchronized=bool(estimate.synchronized),
+            clock_offset=_number("ObserverState.clock_offset", estimate.clock_offset),
+            last_sequence=estimate.last_sequence,
+            last_event=self.time(estimate.last_event),
+            parameter_name=[name for name, _, _ in estimate.learnt],
+            parameter=self._array("ObserverState.parameter", learnt[0], learnt.shape[1]),
+            parameter_deviation=self._array(
+                "ObserverState.parameter_deviation", learnt[1], learnt.shape[1]
+            ),
+        )
+        return cast("EstimateMessage", message)
+
+    def joint_state(self, state: JointState) -> JointStateMessage:
+        """``state`` as ``sensor_msgs/JointState``, without efforts."""
+        n = len(state.names)
+        message = self._classes(interfaces.JOINT_STATE)(
+            header=self._header("JointState", state.stamp),
+            name=list(state.names),
+            position=self._array("JointState.position", state.q, n),
+            velocity=self._array("JointState.velocity", state.u, n),
+            effort=self._floats(np.empty(0)),
+        )
+        return cast("JointStateMessage", message)
+
+    def estimate_error(self, error: EstimateError) -> ErrorMessage:
+        """``error`` as ``impact_observer_msgs/EstimateError``."""
+        n = len(error.names)
+        message = self._classes(interfaces.ESTIMATE_ERROR)(
+            header=self._header("EstimateError", error.stamp),
+            law=error.law,
+            v=_number("EstimateError.v", error.v),
+            name=list(error.names),
+            position_error=self._array("EstimateError.position_error", error.q, n),
+            velocity_error=self._array("EstimateError.velocity_error", error.u, n),
+        )
+        return cast("ErrorMessage", message)
+
+    def bound(self, estimate: Estimate) -> ErrorMessage:
+        """The certified bound of ``estimate``'s V, as an error whose parts are not known."""
+        unknown = frozen(np.empty(0))
+        error = EstimateError(estimate.stamp, estimate.law, estimate.bound, (), unknown, unknown)
+        return self.estimate_error(error)
+
+    def _header(self, kind: str, stamp: int) -> HeaderMessage:
+        """A header with a stamp that must be known."""
+        _check_stamp(f"{kind}.header.stamp", stamp)
+        new = self._classes(interfaces.HEADER)
+        return cast("HeaderMessage", new(stamp=self.time(stamp), frame_id=""))
+
+    def _array(self, field: str, values: Vector, count: int) -> object:
+        """``count`` finite numbers as the message class wants them, row by row."""
+        return self._floats(_numbers(field, values, count).reshape(-1))
+
+
+@cache
+def bag_messages() -> Messages:
+    """Messages of the classes of ``rosbags``, to be written to a bag."""
+    types = cast("dict[str, MessageClass]", typestore().types)
+    return Messages(types.__getitem__, np.array)
+
+
+def read_stamp(field: str, time: TimeMessage, earliest: int = 1) -> int:
+    """The stamp of a message, ns.
+
+    Args:
+        field: what the error calls it.
+        time: the message's field.
+        earliest: the least value allowed, ns; 0 where a stamp may be unknown.
+
+    Raises:
+        MessageError: the stamp is before ``earliest``, or its nanoseconds fill a second.
+    """
+    if not 0 <= time.nanosec < NS_PER_S:
+        raise MessageError(f"{field}.nanosec is {time.nanosec}; expected less than {NS_PER_S}")
+    stamp = int(time.sec) * NS_PER_S + int(time.nanosec)
+    _check_stamp(field, stamp, earliest=earliest)
+    return stamp
+
+
+def read_event(message: EventMessage) -> ImpactEvent:
+    """The event in a message.
+
+    Raises:
+        MessageError: its stamp is not after 0, or a switch is of no known kind.
+    """
+    return ImpactEvent(
+        stamp=read_stamp("ImpactEvent.header.stamp", message.header.stamp),
+        switches=tuple(
+            Switch(switch.contact, _member(Kind, f"ImpactEvent.switches[{i}].kind", switch.kind))
+            for i, switch in enumerate(message.switches)
+        ),
+        sequence=int(message.sequence),
+        episode=int(message.episode),
+        epoch=read_stamp("ImpactEvent.epoch", message.epoch, earliest=0),
+    )
+
+
+def read_verdict(message: VerdictMessage) -> tuple[Verdict, float]:
+    """The verdict in a message, and the latency, s.
+
+    Raises:
+        MessageError: its stamp is not after 0, or the ruling is unknown.
+    """
+    verdict = Verdict(
+        stamp=read_stamp("EventVerdict.header.stamp", message.header.stamp),
+        ruling=_member(Ruling, "EventVerdict.verdict", message.verdict),
+        sequence=int(message.sequence),
+        contact=message.contact,
+        reason=message.reason,
+        innovation=float(message.innovation),
+        revises=message.reason.startswith(SECOND_THOUGHT),
+    )
+    return verdict, float(message.latency)
+
+
+def read_estimate(message: EstimateMessage) -> tuple[tuple[str, ...], Estimate]:
+    """The coordinates' names and the estimate in a message.
+
+    Raises:
+        MessageError: its stamp is not after 0, a state is not finite, or lengths do not fit.
+    """
+    n = len(message.name)
+    covariance = np.asarray(message.covariance, dtype=np.float64)
+    if covariance.size:
+        covariance = _numbers("ObserverState.covariance", covariance, 4 * n * n)
+        covariance = covariance.reshape(2 * n, 2 * n)
+    else:
+        covariance = covariance.reshape(0, 0)
+    estimate = Estimate(
+        stamp=read_stamp("ObserverState.header.stamp", message.header.stamp),
+        law=message.law,
+        q=frozen(_numbers("ObserverState.position", message.position, n)),
+        u=frozen(_numbers("ObserverState.velocity", message.velocity, n)),
+        covariance=frozen(covariance),
+        closed=tuple(message.closed),
+        convergence=float(message.convergence),
+        synchronized=bool(message.synchronized),
+        clock_offset=float(message.clock_offset),
+        learnt=tuple(
+            (name, float(value), float(deviation))
+            for name, value, deviation in zip(
+                message.parameter_name,
+                message.parameter,
+                message.parameter_deviation,
+                strict=True,
+            )
+        ),
+        last_sequence=int(message.last_sequence),
+        last_event=read_stamp("ObserverState.last_event", message.last_event, earliest=0),
+    )
+    return tuple(message.name), estimate
+
+
+def read_joint_state(message: JointStateMessage) -> JointState:
+    """The state in a message.
+
+    Raises:
+        MessageError: its stamp is not after 0, a number is not finite, or there is not one
+            position and one velocity a name.
+    """
+    n = len(message.name)
+    return JointState(
+        stamp=read_stamp("JointState.header.stamp", message.header.stamp),
+        names=tuple(message.name),
+        q=frozen(_numbers("JointState.position", message.position, n)),
+        u=frozen(_numbers("JointState.velocity", message.velocity, n)),
+    )
+
+
+def read_estimate_error(message: ErrorMessage) -> EstimateError:
+    """The distance in a message.
+
+    Raises:
+        MessageError: its stamp is not after 0, a number is not finite, or lengths do not fit.
+    """
+    n = len(message.name)
+    return EstimateError(
+        stamp=read_stamp("EstimateError.header.stamp", message.header.stamp),
+        law=message.law,
+        v=_number("EstimateError.v", message.v),
+        names=tuple(message.name),
+        q=frozen(_numbers("EstimateError.position_error", message.position_error, n)),
+        u=frozen(_numbers("EstimateError.velocity_error", message.velocity_error, n)),
+    )
+
+
+def _check_stamp(field: str, stamp: int, earliest: int = 1) -> None:
+    """Raise unless ``stamp`` (ns) is one that ``builtin_interfaces/Time`` can carry."""
+    if not earliest <= stamp <= MAX_STAMP:
+        wanted = "more than 0" if earliest else "0 (unknown) or more"
+        raise MessageError(
+            f"{field} is {text(stamp)} s; expected {wanted}, at most {text(MAX_STAMP)} s"
+        )
+
+
+def _check_counter(field: str, value: int, highest: int) -> None:
+    """Raise unless ``value`` fits an unsigned field."""
+    if not 0 <= value <= highest:
+        raise MessageError(f"{field} is {value}; expected 0 to {highest}")
+
+
+def _number(field: str, value: float) -> float:
+    """``value`` if it is finite."""
+    if not math.isfinite(value):
+        raise MessageError(f"{field} is {value}; expected a finite number")
+    return float(value)
+
+
+def _numbers(field: str, values: ArrayLike, count: int) -> Vector:
+    """``values`` if they are ``count`` finite numbers."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.size != count:
+        raise MessageError(f"{field} has {array.size} numbers; expected {count}, as named")
+    if not np.isfinite(array).all():
+        i = int(np.flatnonzero(~np.isfinite(array))[0])
+        raise MessageError(f"{field}[{i}] is {array.flat[i]}; expected finite numbers")
+    return array
+
+
+def _member(kinds: type[_Kinds], field: str, value: int) -> _Kinds:
+    """The member of an enumeration that a message's number stands for."""
+    try:
+        return kinds(value)
+    except ValueError:
+        known = ", ".join(f"{kind.value} ({kind.name})" for kind in kinds)
+        raise MessageError(f"{field} is {value}; expected {known}") from None

@@ -1,0 +1,216 @@
+"""How a bag is played, and when each message is due: all but the publishing."""
+
+import math
+import queue
+import threading
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from enum import Enum
+from types import TracebackType
+from typing import final
+
+from impact_observer.errors import UsageError
+from impact_observer.io.qos_overrides import Profile
+from impact_observer.io.reader import RawMessage
+from impact_observer.stamps import NS_PER_S
+
+_READ_AHEAD = 5000
+"""Messages read before their time: a bag is stored in chunks that take a while to open."""
+_PATIENCE = 0.05
+"""How often a reader that is ahead looks whether it is still wanted, s."""
+
+
+class Control(Enum):
+    """What whoever watches may want of a bag that is played."""
+
+    PAUSE = "pause, or go on"
+    NEXT = "the next message, while paused"
+    FASTER = "a tenth faster"
+    SLOWER = "the same slower"
+    QUIT = "the end"
+
+
+@dataclass(frozen=True, slots=True)
+class Playing:
+    """How a bag is played.
+
+    Attributes:
+        topics: only these absolute names; None for all.
+        rate: seconds of the bag a second of the wall clock.
+        start: where to begin, s after the bag's start.
+        duration: how much of the bag, s; None for all that is left.
+        loop: whether to begin again at the end.
+        paused: whether to begin paused.
+        clock_rate: ticks of ``/clock``, Hz of wall time, besides one at every message; the bag's
+            own clock is left out then. None for no clock.
+        names: what topics are called instead, by their absolute names in the bag.
+        profiles: qualities of service to offer instead, by names in the bag.
+    """
+
+    topics: Collection[str] | None = None
+    rate: float = 1.0
+    start: float = 0.0
+    duration: float | None = None
+    loop: bool = False
+    paused: bool = False
+    clock_rate: float | None = None
+    names: Mapping[str, str] = field(default_factory=dict)
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the numbers.
+
+        Raises:
+            UsageError: one is out of range.
+        """
+        _check_positive("rate", self.rate)
+        if self.clock_rate is not None:
+            _check_positive("clock rate", self.clock_rate)
+        if self.duration is not None:
+            _check_positive("duration", self.duration)
+
+
+@dataclass(slots=True)
+class Pace:
+    """Which log time is due at which wall time; may be paused, and its rate changed.
+
+    All is measured from one pair of a log time and a wall time, so delays do not add up.
+
+    Attributes:
+        bag: a log time, ns.
+        wall: the wall time at which it is due, ns.
+        rate: seconds of the bag a second of the wall clock.
+        paused: whether the bag's time stands still.
+    """
+
+    bag: int
+    wall: int
+    rate: float = 1.0
+    paused: bool = False
+
+    def due(self, log_time: int) -> int | None:
+        """Wall time of ``log_time``, ns; None while paused."""
+        return None if self.paused else self.wall + round((log_time - self.bag) / self.rate)
+
+    def at(self, wall: int) -> int:
+        """Log time at a ``wall`` time, ns; before the pair that of the pair."""
+        return (
+            self.bag if self.paused else self.bag + max(round((wall - self.wall) * self.rate), 0)
+        )
+
+    def jump(self, log_time: int, wall: int) -> None:
+        """Have ``log_time`` due at ``wall``, both ns."""
+        self.bag, self.wall = log_time, wall
+
+    def turn(self, wall: int, latest: int) -> None:
+        """Pause, or go on.
+
+        Args:
+            wall: now, ns.
+            latest: the next message's log time, ns: one that is late is still to come.
+        """
+        self.jump(min(self.at(wall), latest), wall)
+        self.paused = not self.paused
+
+    def change(self, wall: int, latest: int, factor: float) -> None:
+        """Go on ``factor`` times as fast; the other arguments as for :meth:`turn`."""
+        self.jump(min(self.at(wall), latest), wall)
+        self.rate *= factor
+
+
+@dataclass(slots=True)
+class Ticks:
+    """Wall times at which the simulated clock ticks besides the messages: never summed up.
+
+    Attributes:
+        rate: Hz.
+        begin: the first tick, ns.
+        count: ticks that were.
+    """
+
+    rate: float
+    begin: int
+    count: int = 0
+
+    @property
+    def next(self) -> int:
+        """Wall time of the next tick, ns."""
+        return self.begin + round(self.count * NS_PER_S / self.rate)
+
+
+@final
+class ReadAhead:
+    """Messages, read in a thread so that each is there when it is due; a context manager."""
+
+    def __init__(self, messages: Iterable[RawMessage]) -> None:
+        """Begin to read."""
+        self._ahead: queue.Queue[RawMessage | Exception | None] = queue.Queue(_READ_AHEAD)
+        self._given_up = threading.Event()
+        self._first: list[RawMessage | Exception | None] = []
+        self._thread = threading.Thread(
+            target=self._read, args=(messages,), name="read ahead", daemon=True
+        )
+        self._thread.start()
+
+    def __enter__(self) -> "ReadAhead":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __iter__(self) -> "ReadAhead":
+        return self
+
+    def __next__(self) -> RawMessage:
+        """The next message.
+
+        Raises:
+            BagError: reading failed, at the message where it did.
+        """
+        item = self._first.pop() if self._first else self._ahead.get()
+        if isinstance(item, RawMessage):
+            return item
+        self._first = [item]  # the end stays the end
+        if item is None:
+            raise StopIteration
+        raise item
+
+    def wait(self) -> None:
+        """Until the first message is there."""
+        if not self._first:
+            self._first = [self._ahead.get()]
+
+    def close(self) -> None:
+        """Give up what is left; closing twice does no harm."""
+        self._given_up.set()
+        self._thread.join()
+
+    def _put(self, item: RawMessage | Exception | None) -> None:
+        """In the thread: hand over, unless nobody wants it."""
+        while not self._given_up.is_set():
+            with suppress(queue.Full):
+                self._ahead.put(item, timeout=_PATIENCE)
+                break
+
+    def _read(self, messages: Iterable[RawMessage]) -> None:
+        """In the thread: read all."""
+        try:
+            for message in messages:
+                self._put(message)
+                if self._given_up.is_set():
+                    return
+            self._put(None)
+        except Exception as error:  # noqa: BLE001 (raised where the messages are wanted)
+            self._put(error)
+
+
+def _check_positive(name: str, value: float) -> None:
+    """Raise unless ``value`` is a positive finite number."""
+    if not 0 < value < math.inf:
+        raise UsageError(f"{name} is {value}; expected a positive number")

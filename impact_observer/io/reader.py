@@ -1,0 +1,485 @@
+"""Reading a bag: MCAP or sqlite3, a directory or a bare file.
+
+Messages are streamed; what a bag holds is checked where it is used, and every failure is one line
+that names the bag, what was found and what is wanted.
+"""
+
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, TypeVar, cast, final
+
+from mcap.summary import Summary
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.rosbag2 import Reader, ReaderError
+from rosbags.serde import SerdeError
+from rosbags.typesys import TypesysError
+from rosbags.typesys.store import Typestore
+from ruamel.yaml import YAML
+
+from impact_observer.errors import BagError, ImpactObserverError, UsageError
+from impact_observer.events import ImpactEvent, Verdict
+from impact_observer.io import interfaces
+from impact_observer.io.chunks import Message, index_of, messages
+from impact_observer.io.columns import Columns, JointStates, ObserverStates, joined
+from impact_observer.io.interfaces import Interface, Quality
+from impact_observer.io.messages import (
+    MessageError,
+    StringMessage,
+    VerdictMessage,
+    read_event,
+    read_verdict,
+)
+from impact_observer.io.typestores import add_definition, deserialize, new_typestore
+
+_Message = TypeVar("_Message")
+_Value = TypeVar("_Value")
+
+BLOCK = 4096
+"""Most states in a block."""
+_STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
+_FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """What a bag says of a topic.
+
+    Attributes:
+        name: the absolute name.
+        type: the message type; several joined by `` and `` when publishers disagreed.
+        count: messages.
+        quality: the quality of service that was offered; None when the bag does not say.
+        definition: the text of the message type; empty when the bag does not carry it.
+    """
+
+    name: str
+    type: str
+    count: int
+    quality: Quality | None
+    definition: str
+
+
+class RawMessage(NamedTuple):
+    """A message as it lies in the bag.
+
+    Attributes:
+        topic: the absolute name.
+        log_time: when it was recorded, ns.
+        data: the serialized message (CDR).
+    """
+
+    topic: str
+    log_time: int
+    data: bytes
+
+
+@final
+class BagReader:
+    """A bag, open for reading; a context manager.
+
+    Attributes:
+        path: the folder or file.
+        namespace: where plant and observers are looked for, such as ``/rig``; empty for anywhere.
+        storage: ``mcap`` or ``sqlite3``.
+        topics: what the bag says of each topic, by absolute name.
+        start: log time of the first message, ns; 0 when the bag is empty.
+        end: log time of the last message, ns; 0 when the bag is empty.
+        message_count: messages on all topics.
+    """
+
+    def __init__(self, path: Path | str, namespace: str = "") -> None:
+        """Open a bag.
+
+        Args:
+            path: a rosbag2 folder, or a bare ``.mcap`` or ``.db3`` file.
+            namespace: of the rig that is meant, in a bag of several; empty for any.
+
+        Raises:
+            UsageError: there is nothing at ``path``, or no topic in the ``namespace``.
+            BagError: what is there is no bag, or a damaged one.
+        """
+        self.path = Path(path)
+        self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
+        with self._translated():
+            self.storage = _storage_of(self.path)
+            self._reader = Reader(self.path)
+            self._reader.open()
+            self._connections = {
+                topic: info.connections for topic, info in sorted(self._reader.topics.items())
+            }
+            self.topics = {
+                topic: _topic_info(topic, connections)
+                for topic, connections in self._connections.items()
+            }
+        if self.topics and not any(map(self._is_here, self.topics)):
+            found = ", ".join(self.topics)
+            self.close()
+            raise UsageError(f"{self.path}: no topic in {self.namespace}; in the bag: {found}")
+        self._store: Typestore | None = None
+        self.message_count = self._reader.message_count
+        self.start = self._reader.start_time if self.message_count else 0
+        self.end = self._reader.end_time - 1 if self.message_count else 0
+
+    def __enter__(self) -> "BagReader":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files; closing twice does no harm."""
+        if self._reader.is_open:
+            self._reader.close()
+
+    @property
+    def size(self) -> int:
+        """Bytes on disk."""
+        files = self.path.iterdir() if self.path.is_dir() else [self.path]
+        return sum(file.stat().st_size for file in files)
+
+    def find(self, wanted: Interface) -> str | None:
+        """The topic of an interface: its absolute name, else the only one in a namespace.
+
+        Returns:
+            The absolute name; None when the bag has no such topic.
+
+        Raises:
+            BagError: several topics fit, none of them at the top.
+        """
+        fitting = [topic for topic in self.topics if self._is_here(topic) and wanted.fits(topic)]
+        if wanted.topic in fitting:
+            return wanted.topic
+        if len(fitting) > 1:
+            raise BagError(
+                f"{self.path}: {' and '.join(fitting)} both fit {wanted.topic}; name the one meant"
+                " with --namespace"
+            )
+        return fitting[0] if fitting else None
+
+    def _is_here(self, topic: str) -> bool:
+        """Whether a topic is in the namespace."""
+        return topic.startswith(f"{self.namespace}/")
+
+    def truth_topic(self) -> str | None:
+        """The topic of the plant's true states; None when the bag has none.
+
+        Raises:
+            BagError: there are several plants.
+        """
+        return self.find(interfaces.PLANT_JOINT_STATES)
+
+    def observers(self) -> tuple[str, ...]:
+        """Prefixes of the observers in the bag, such as ``/observer_geometric``, sorted."""
+        own = (interfaces.OBSERVER_STATES, interfaces.OBSERVER_JOINT_STATES)
+        here = filter(self._is_here, self.topics)
+        fitting = (topic for topic in here if any(each.fits(topic) for each in own))
+        return tuple(sorted({topic.rpartition("/")[0] for topic in fitting}))
+
+    def raw(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[RawMessage]:
+        """The messages as they are, in bag order, for copying and playing.
+
+        Args:
+            topics: only these absolute names; None for all.
+            start: only messages logged at or after this stamp, ns.
+
+        Raises:
+            BagError: a topic is missing, or the bag is damaged.
+        """
+        if topics is not None:
+            for topic in topics:
+                self._topic(topic)
+        wanted = self.topics if topics is None else topics
+        connections = [c for topic in wanted for c in self._connections[topic]]
+        return (
+            RawMessage(topic, log_time, data)
+            for log_time, topic, data in self._stream(connections, start)
+        )
+
+    def messages(self, topic: str) -> Iterator[tuple[int, object]]:
+        """Log times (ns) and messages of any topic whose type is known or in the bag.
+
+        Raises:
+            BagError: the topic is missing, its type is unknown, or the bag is damaged.
+        """
+        return self._decoded(topic, self._topic(topic).type)
+
+    def decoder(self, topic: str) -> Callable[[bytes], object]:
+        """What makes messages of the bytes that :meth:`raw` gives for a topic.
+
+        Raises:
+            BagError: the topic is missing or its type is unknown; or, when it is called, the
+                bytes are no message of that type.
+        """
+        type_name = self._topic(topic).type
+        store = self._store_knowing(topic, type_name)
+        return lambda data: self._deserialized(store, topic, type_name, data)
+
+    def events(self, topic: str = interfaces.IMPACTS.topic) -> Iterator[ImpactEvent]:
+        """The events of a topic, in bag order.
+
+        Raises:
+            BagError: the topic is missing or of another type, or a message has no valid event.
+        """
+        return self._values(topic, interfaces.IMPACT_EVENT, read_event)
+
+    def verdicts(self, topic: str) -> Iterator[Verdict]:
+        """The verdicts of a topic, in bag order.
+
+        Raises:
+            BagError: the topic is missing or of another type, or a message has no valid verdict.
+        """
+        return self._values(topic, interfaces.EVENT_VERDICT, _verdict)
+
+    def blocks(
+        self, topics: Collection[str], names: Sequence[str] | None = None
+    ) -> Iterator[tuple[str, JointStates]]:
+        """The states on some topics in one pass, each topic's in bag order, a block at a time.
+
+        Args:
+            topics: absolute names, of joint states or of an observer's states.
+            names: the columns wanted, by name; None for those of each topic's first message.
+
+        Yields:
+            A topic and its next states, at most ``BLOCK`` of them, an observer's as
+            ``ObserverStates``. The last block of each topic may be empty.
+
+        Raises:
+            BagError: a topic is missing or of another type; a name is missing, extra or double;
+                a message has not one finite position and velocity a name; a law changes.
+        """
+        columns = {topic: self._columns(topic, names) for topic in topics}
+        for batch in self._batches([c for topic in columns for c in self._connections[topic]]):
+            for topic, own in columns.items():
+                data = [each for _, name, each in batch if name == topic]
+                while data:
+                    room = BLOCK - len(own)
+                    own.add(data[:room])
+                    data = data[room:]
+                    if len(own) == BLOCK:
+                        yield topic, own.take()
+        for topic, own in columns.items():
+            yield topic, own.take()
+
+    def joint_states(self, topic: str, names: Sequence[str] | None = None) -> JointStates:
+        """All states of a topic of joint states; arguments and errors as of :meth:`blocks`."""
+        self._check_type(topic, interfaces.JOINT_STATE)
+        return joined(block for _, block in self.blocks([topic], names))
+
+    def observer_states(self, topic: str, names: Sequence[str] | None = None) -> ObserverStates:
+        """All estimates of an observer's ``state`` topic, such as ``/observer/state``."""
+        self._check_type(topic, interfaces.OBSERVER_STATE)
+        return cast("ObserverStates", joined(block for _, block in self.blocks([topic], names)))
+
+    def _columns(self, topic: str, names: Sequence[str] | None) -> Columns:
+        """What makes blocks of a topic of states."""
+        found, observer = self._topic(topic).type, interfaces.OBSERVER_STATE
+        self._check_type(topic, observer if found == observer else interfaces.JOINT_STATE)
+        return Columns(f"{self.path}: {topic}", found, names, self.decoder(topic))
+
+    def _check_type(self, topic: str, wanted: str) -> None:
+        """Raise unless a topic is of one type."""
+        if (found := self._topic(topic).type) != wanted:
+            raise BagError(f"{self.path}: {topic} is {found}; expected {wanted}")
+
+    def model_text(self) -> str | None:
+        """The model file that the bag carries, as it was last published; None without one.
+
+        Raises:
+            BagError: several plants published one, or the topic is of another type.
+        """
+        if (topic := self.find(interfaces.PLANT_MODEL)) is None:
+            return None
+        return next(iter(deque(self._values(topic, interfaces.STRING, _text), maxlen=1)), None)
+
+    def _topic(self, topic: str) -> TopicInfo:
+        """What the bag says of a topic that must be there."""
+        if topic not in self.topics:
+            found = ", ".join(self.topics) or "none"
+            raise BagError(f"{self.path}: no topic {topic}; topics in the bag: {found}")
+        return self.topics[topic]
+
+    def _values(
+        self, topic: str, type_name: str, read: Callable[[_Message], _Value]
+    ) -> Iterator[_Value]:
+        """What ``read`` makes of the messages of a topic that must be of one type."""
+        messages = self._decoded(topic, type_name)
+
+        def values() -> Iterator[_Value]:
+            position = 0
+            try:
+                for position, (_, message) in enumerate(messages):  # noqa: B007 (for the error)
+                    yield read(cast("_Message", message))
+            except MessageError as error:
+                raise BagError(f"{self.path}: {topic}, message {position}: {error}") from error
+
+        return values()
+
+    def _decoded(self, topic: str, type_name: str) -> Iterator[tuple[int, object]]:
+        """Log times and messages of a topic that must be of one known type."""
+        store = self._store_knowing(topic, type_name)
+        return (
+            (log_time, self._deserialized(store, topic, type_name, data))
+            for log_time, _, data in self._stream(self._connections[topic])
+        )
+
+    def _store_knowing(self, topic: str, type_name: str) -> Typestore:
+        """The types, with those of a topic that must be of one known type."""
+        self._check_type(topic, type_name)
+        info = self._topic(topic)
+        if self._store is None:
+            self._store = new_typestore()
+        store = self._store
+        try:
+            disagrees = info.definition and add_definition(store, info.definition, type_name)
+        except BagError as error:
+            raise BagError(f"{self.path}: {topic}: {error}") from error
+        if disagrees:
+            raise BagError(
+                f"{self.path}: {topic} has another definition of {type_name} than this package; "
+                "read it with the version that made it"
+            )
+        if type_name not in store.fielddefs:
+            raise BagError(
+                f"{self.path}: {topic} is {type_name}, which neither this package nor the bag "
+                "defines; expected a bag with message definitions, as MCAP and Jazzy write them"
+            )
+        return store
+
+    def _deserialized(self, store: Typestore, topic: str, type_name: str, data: bytes) -> object:
+        """The message in ``data``."""
+        try:
+            return deserialize(store, data, type_name)
+        except Exception as error:  # as above
+            raise BagError(
+                f"{self.path}: {topic} has bytes that are no {type_name}: {_reason(error)}"
+            ) from error
+
+    def _stream(self, connections: Collection[Connection], start: int = 0) -> Iterator[Message]:
+        """Log times (ns), topics and messages of some connections, none missing."""
+        return chain.from_iterable(self._batches(connections, start))
+
+    def _batches(
+        self, connections: Collection[Connection], start: int = 0
+    ) -> Iterator[Sequence[Message]]:
+        """The same, many at a time."""
+        if not connections:
+            return
+        count = 0
+        with self._translated():
+            for batch in self._read(connections, start):
+                count += len(batch)
+                yield batch
+        promised = sum(connection.msgcount for connection in connections)
+        if count < promised and not start:
+            raise BagError(
+                f"{self.path}: {count} messages found, {promised} promised by its index; "
+                "`impact-observer check --salvage` saves what is left"
+            )
+
+    def _read(
+        self, connections: Collection[Connection], start: int
+    ) -> Iterator[Sequence[Message]]:
+        """The messages in bag order: by the files' indexes, else as ``rosbags`` reads them."""
+        if not self._indexes:
+            read = self._reader.messages(connections, start=start or None)
+            return (((log_time, own.topic, data),) for own, log_time, data in read)
+        wanted = {(each.topic, each.msgtype) for each in connections}
+        return chain.from_iterable(
+            messages(file, index, wanted, start) for file, index in self._indexes
+        )
+
+    @cached_property
+    def _indexes(self) -> list[tuple[Path, Summary]]:
+        """The bag's files and their indexes; none where ``rosbags`` has to do without."""
+        found = [(file, index_of(file)) for file in self._files()]
+        known = [(file, index) for file, index in found if index is not None]
+        return known if len(known) == len(found) else []
+
+    def _files(self) -> list[Path]:
+        """The MCAP files in their order; none where these are compressed, or another storage."""
+        if self.storage != "mcap" or self._reader.compression_mode:
+            return []
+        if self.path.is_file():
+            return [self.path]
+        if len(found := [*self.path.glob("*.mcap")]) == 1:
+            return found
+        about = YAML(typ="safe").load(self.path / "metadata.yaml")
+        names = about["rosbag2_bagfile_information"]["relative_file_paths"]
+        return [self.path / Path(name).name for name in names]
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        """Tell what ``rosbags`` meets in a damaged bag as one line."""
+        try:
+            yield
+        except ImpactObserverError:
+            raise
+        except Exception as error:  # whatever rosbags trips over in a damaged file
+            raise BagError(
+                f"{self.path}: cannot be read as a bag: {_reason(error)}; if it was cut short, "
+                "`impact-observer check --salvage` saves what is left"
+            ) from error
+
+
+def _storage_of(path: Path) -> str:
+    """``mcap`` or ``sqlite3``, by what lies at ``path``."""
+    if not path.exists():
+        raise UsageError(f"{path}: does not exist; expected a bag: {_FORMS}")
+    if path.is_dir():
+        inside = sorted(file for file in path.iterdir() if file.suffix in _STORAGES)
+        if (path / "metadata.yaml").is_file():
+            # A file that was compressed as a whole has two suffixes.
+            suffixes = [each for file in path.iterdir() for each in file.suffixes]
+            return next((_STORAGES[each] for each in suffixes if each in _STORAGES), "mcap")
+        hint = f"read {inside[0]} itself, or " if inside else ""
+        raise BagError(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
+    if path.suffix not in _STORAGES:
+        raise BagError(f"{path}: not a bag; expected {_FORMS}")
+    return _STORAGES[path.suffix]
+
+
+def _topic_info(topic: str, connections: Sequence[Connection]) -> TopicInfo:
+    """What the connections of a topic say together."""
+    offers = [
+        Quality.recorded(qos, interfaces.usual_quality(topic).depth)
+        for connection in connections
+        if isinstance(connection.ext, ConnectionExtRosbag2)
+        for qos in connection.ext.offered_qos_profiles
+    ]
+    return TopicInfo(
+        name=topic,
+        type=" and ".join(sorted({connection.msgtype for connection in connections})),
+        count=sum(connection.msgcount for connection in connections),
+        quality=Quality.common(offers) if offers else None,
+        definition=connections[0].msgdef.data,
+    )
+
+
+def _text(message: StringMessage) -> str:
+    """The text in a message."""
+    return message.data
+
+
+def _verdict(message: VerdictMessage) -> Verdict:
+    """The verdict in a message, without its latency."""
+    return read_verdict(message)[0]
+
+
+def _reason(error: BaseException) -> str:
+    """What ``rosbags`` or the system says, as one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    said = " ".join(str(error).split()).rstrip(".")
+    own = isinstance(error, (ReaderError, SerdeError, TypesysError))
+    return said if own else f"{type(error).__name__}: {said}"

@@ -1,0 +1,253 @@
+"""State messages many at a time, read or made: those of one shape differ in a few places only.
+
+A layout is where the numbers of a message lie, found by walking through one of its shape (OMG CDR,
+little endian). It holds for every message with the same bytes elsewhere. ``rosbags`` decodes the
+rest, and is asked whether the layout says the same of its first message. What is made is a copy of
+a message of ``rosbags`` with other numbers, and it is asked for the last one.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.io.interfaces import JOINT_STATE, OBSERVER_STATE
+from impact_observer.stamps import MAX_STAMP, NS_PER_S
+from impact_observer.states import Matrix, Stamps
+
+_START = 4
+"""The header of a serialized message; places are aligned from behind it."""
+_LITTLE_ENDIAN = b"\x00\x01"
+_MOST_LAYOUTS = 32
+"""Shapes tried on one block; what is left then is decoded one by one."""
+
+
+class StateRows(NamedTuple):
+    """What state messages of one shape say.
+
+    Attributes:
+        at: which messages of the block these are, shape (k,).
+        stamps: ns, shape (k,).
+        q: coordinates in the order of the message, shape (k, n).
+        u: velocities alike.
+        last_sequence: of the last event, shape (k,); zeros for joint states.
+        last_event: its stamp, ns, shape (k,); zeros for joint states.
+    """
+
+    at: NDArray[np.intp]
+    stamps: Stamps
+    q: NDArray[np.float64]
+    u: NDArray[np.float64]
+    last_sequence: NDArray[np.uint64]
+    last_event: Stamps
+
+    @property
+    def sound(self) -> NDArray[np.bool_]:
+        """Which of them are finite and at stamps that a message may carry, shape (k,)."""
+        finite = np.isfinite(self.q).all(axis=1) & np.isfinite(self.u).all(axis=1)
+        stamped = (self.stamps > 0) & (self.stamps <= MAX_STAMP)
+        told = (self.last_event >= 0) & (self.last_event <= MAX_STAMP)
+        return np.asarray(finite & stamped & told)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Where the numbers of a state message lie, as offsets into its bytes.
+
+    Attributes:
+        n: how many coordinates it has.
+        stamp: of the header.
+        q: of the first coordinate.
+        u: of the first velocity.
+        covariance: of its first number; None for joint states.
+        convergence: None for joint states.
+        last_sequence: None for joint states.
+        last_event: None for joint states.
+        learnt: of the first parameter; None where a message has no place for them.
+        deviations: of the first deviation of these, likewise.
+        fixed: the bytes that make the shape, shape (size,).
+    """
+
+    n: int
+    stamp: int
+    q: int
+    u: int
+    covariance: int | None
+    convergence: int | None
+    last_sequence: int | None
+    last_event: int | None
+    learnt: int | None
+    deviations: int | None
+    fixed: NDArray[np.bool_]
+
+
+class _Walk:
+    """A way through the bytes of one message."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._at = _START
+        self.fixed = np.zeros(len(data), dtype=np.bool_)
+        self.fixed[:_START] = True
+
+    def number(self, size: int, count: int = 1) -> int:
+        """Pass ``count`` numbers of ``size`` bytes; where they begin."""
+        if count:
+            self._at += (_START - self._at) % size
+        begin = self._at
+        self._at += size * count
+        if self._at > len(self._data):
+            raise ValueError
+        return begin
+
+    def length(self) -> int:
+        """Pass a length, which is part of the shape."""
+        begin = self.number(4)
+        self.fixed[begin : begin + 4] = True
+        return int.from_bytes(self._data[begin : begin + 4], "little")
+
+    def string(self) -> None:
+        """Pass a text, which is part of the shape."""
+        size = self.length()
+        begin = self.number(1, size)
+        self.fixed[begin : begin + size] = True
+
+    def strings(self) -> int:
+        """Pass a sequence of texts; how many there are."""
+        count = self.length()
+        for _ in range(count):
+            self.string()
+        return count
+
+    def floats(self) -> tuple[int, int]:
+        """Pass a sequence of float64: where it begins, and how many there are."""
+        count = self.length()
+        return self.number(8, count), count
+
+
+def layout_of(type_name: str, data: bytes) -> Layout | None:
+    """The layout of a message and of all of its shape; None where it has none.
+
+    Args:
+        type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.
+        data: the message, serialized.
+    """
+    if type_name not in {JOINT_STATE, OBSERVER_STATE} or data[:2] != _LITTLE_ENDIAN:
+        return None
+    walk, covariance, convergence, sequence, event = _Walk(data), None, None, None, None
+    try:
+        stamp = walk.number(4, 2)
+        walk.string()
+        if type_name == OBSERVER_STATE:
+            walk.string()
+        n = walk.strings()
+        (q, positions), (u, velocities) = walk.floats(), walk.floats()
+        if type_name == OBSERVER_STATE:
+            covariance, _ = walk.floats()
+            walk.strings()
+            convergence = walk.number(8)
+            walk.number(1)
+            walk.number(8)
+            sequence, event = walk.number(8), walk.number(4, 2)
+    except ValueError:
+        return None
+    if not positions == velocities == n:
+        return None
+    fixed = walk.fixed.copy()  # what is behind may differ among messages that are read
+    learnt, deviations = (None, None) if event is None else _learnt(walk)
+    places = (covariance, convergence, sequence, event, learnt, deviations)
+    return Layout(n, stamp, q, u, *places, fixed)
+
+
+def _learnt(walk: _Walk) -> tuple[int, int] | tuple[None, None]:
+    """Where parameters and their deviations begin, at the end of what is walked through."""
+    try:
+        walk.strings()
+        return walk.floats()[0], walk.floats()[0]
+    except ValueError:
+        return None, None
+
+
+def decode(type_name: str, block: Sequence[bytes]) -> tuple[list[StateRows], list[int]]:
+    """What state messages say that have a layout, and which of them have none.
+
+    Nothing is checked here of what they say; see ``StateRows.sound``.
+
+    Args:
+        type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.
+        block: messages, serialized.
+
+    Returns:
+        The rows of each shape, the first of its messages first, and the others' places.
+    """
+    found: list[StateRows] = []
+    left = np.arange(len(block))
+    sizes = np.fromiter(map(len, block), dtype=np.intp, count=len(block))
+    without: list[int] = []
+    while left.size and len(found) < _MOST_LAYOUTS:
+        first = int(left[0])
+        layout = layout_of(type_name, block[first])
+        if layout is None:
+            without.append(first)
+            left = left[1:]
+            continue
+        same = left[sizes[left] == sizes[first]]
+        data = np.frombuffer(b"".join(block[i] for i in same), dtype=np.uint8)
+        data = data.reshape(same.size, -1)
+        fits = (data[:, layout.fixed] == data[0, layout.fixed]).all(axis=1)
+        found.append(_rows(layout, data[fits], same[fits]))
+        left = np.setdiff1d(left, same[fits], assume_unique=True)
+    return found, [*without, *left.tolist()]
+
+
+def encode(
+    type_name: str, example: bytes, stamps: Stamps, q: Matrix, u: Matrix
+) -> list[bytes] | None:
+    """State messages that differ from one in stamp and state only; None where it has no layout.
+
+    Args:
+        type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.
+        example: one of them, serialized.
+        stamps: of each, ns, shape (k,), such as a message can carry.
+        q: coordinates, shape (k, n), finite.
+        u: velocities alike.
+    """
+    layout = layout_of(type_name, example)
+    if layout is None or layout.n != q.shape[1]:
+        return None
+    data = np.tile(np.frombuffer(example, dtype=np.uint8), (stamps.size, 1))
+    time = np.stack(np.divmod(stamps, NS_PER_S), axis=1).astype("<u4")
+    for begin, values in ((layout.stamp, time), (layout.q, q), (layout.u, u)):
+        raw = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).view(np.uint8)
+        data[:, begin : begin + raw.shape[1]] = raw
+    together, size = data.tobytes(), len(example)
+    return [together[at : at + size] for at in range(0, len(together), size)]
+
+
+def _rows(layout: Layout, data: NDArray[np.uint8], at: NDArray[np.intp]) -> StateRows:
+    """The numbers of messages of one layout, shape (k, size)."""
+    zeros = np.zeros(len(data), dtype=np.int64)
+    sequence, event = layout.last_sequence, layout.last_event
+    return StateRows(
+        at,
+        _times(data, layout.stamp),
+        _numbers(data, layout.q, 8 * layout.n).view("<f8"),
+        _numbers(data, layout.u, 8 * layout.n).view("<f8"),
+        zeros.astype(np.uint64)
+        if sequence is None
+        else _numbers(data, sequence, 8).view("<u8").ravel(),
+        zeros if event is None else _times(data, event),
+    )
+
+
+def _numbers(data: NDArray[np.uint8], begin: int, size: int) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(data[:, begin : begin + size])
+
+
+def _times(data: NDArray[np.uint8], begin: int) -> Stamps:
+    """Stamps of ``builtin_interfaces/Time``; those whose nanoseconds fill a second are -1."""
+    seconds = _numbers(data, begin, 4).view("<i4").ravel().astype(np.int64)
+    nanoseconds = _numbers(data, begin + 4, 4).view("<u4").ravel().astype(np.int64)
+    return np.where(nanoseconds < NS_PER_S, seconds * NS_PER_S + nanoseconds, -1)

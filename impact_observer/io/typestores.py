@@ -1,0 +1,161 @@
+"""Message types: those of ROS 2 Jazzy, ours from their ``.msg`` texts, those a bag defines.
+
+The texts in ``msg_defs/msg`` are the single source of our messages: ``colcon`` builds the ROS
+classes from them, this module registers them with ``rosbags``.
+"""
+
+import os
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+from rosbags.interfaces.typing import FieldDesc, Typesdict
+from rosbags.serde import SerdeError
+from rosbags.typesys import (
+    Stores,
+    TypesysError,
+    get_types_from_idl,
+    get_types_from_msg,
+    get_typestore,
+)
+from rosbags.typesys.store import Typestore
+
+from impact_observer.errors import BagError
+from impact_observer.resources import shared
+
+_PACKAGE = "impact_observer_msgs"
+_RESERVE = 64
+_SEPARATOR = "=" * 80 + "\n"
+
+
+@cache
+def _our_types() -> Typesdict:
+    """The types of ``msg_defs/msg``."""
+    types: Typesdict = {}
+    for path in sorted(shared("msg_defs/msg").glob("*.msg")):
+        types.update(get_types_from_msg(path.read_text("utf-8"), f"{_PACKAGE}/msg/{path.stem}"))
+    return types
+
+
+def new_typestore() -> Typestore:
+    """A typestore of ROS 2 Jazzy's and our message types, for the caller to add to.
+
+    Raises:
+        UsageError: the package was installed without its message texts.
+    """
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(_our_types())
+    return store
+
+
+@cache
+def typestore() -> Typestore:
+    """The typestore that our own messages are made of; not to be added to."""
+    return new_typestore()
+
+
+def parse_definition(definition: str, type_name: str) -> Typesdict:
+    """The types in the text that a bag stores beside a message type.
+
+    Args:
+        definition: message text with those of its parts appended, or the same in IDL.
+        type_name: the message type that the text begins with.
+
+    Raises:
+        BagError: the text is no definition of ``type_name``.
+    """
+    try:
+        if not definition.startswith(f"{_SEPARATOR}IDL: "):
+            return get_types_from_msg(definition, type_name)
+        types: Typesdict = {}
+        for part in definition.split(_SEPARATOR)[1:]:
+            types.update(get_types_from_idl(part.partition("\n")[2]))
+    except (TypesysError, AssertionError, LookupError, ValueError) as error:
+        raise BagError(f"the definition of {type_name} cannot be parsed") from error
+    return types
+
+
+def add_definition(store: Typestore, definition: str, type_name: str) -> set[str]:
+    """Add to ``store`` the types of a ``definition`` that it does not know.
+
+    Returns:
+        The names of types that ``store`` knows with other fields; these stay as they were.
+
+    Raises:
+        BagError: the text is no definition of ``type_name``.
+    """
+    types = parse_definition(definition, type_name)
+    known = types.keys() & store.fielddefs.keys()
+    store.register({name: parts for name, parts in types.items() if name not in known})
+    return {name for name in known if _fields(types, name) != _fields(store.fielddefs, name)}
+
+
+def _fields(types: Typesdict, name: str) -> list[tuple[str, FieldDesc]]:
+    """Field names and types of the message type ``name``."""
+    return [(field.lower(), kind) for field, kind in types[name][1]]
+
+
+def deserialize(store: Typestore, data: bytes, type_name: str) -> object:
+    """The message in serialized ``data`` (CDR of either byte order).
+
+    A few bytes too many are let pass: ``rclpy.serialization.serialize_message``, with which
+    scripts write bags, returns as many as it had reserved.
+
+    Raises:
+        SerdeError: the bytes are no message of that type; or another exception of ``rosbags``.
+    """
+    if len(data) < 4 or data[0] != 0 or data[1] > 1:
+        raise SerdeError("no CDR header")
+    known = store.get_msgdef(type_name)
+    read = known.deserialize_cdr_le if data[1] else known.deserialize_cdr_be
+    message, end = read(data[4:], 0, known.cls, store)
+    if (left := len(data) - 4 - end) > _RESERVE:
+        raise SerdeError(f"{left} bytes are left over")
+    return message
+
+
+def installed_definition(type_name: str) -> str | None:
+    """The text of a message type and its parts, as installed by its interface package.
+
+    Looked for in ``share/<package>/msg`` of every prefix of ``AMENT_PREFIX_PATH`` and of the
+    Python environment.
+
+    Args:
+        type_name: such as ``sensor_msgs/msg/Imu``.
+
+    Returns:
+        The text that :func:`parse_definition` reads; None when a part is not installed.
+    """
+    texts: dict[str, str] = {}
+    pending = [type_name]
+    while pending:
+        name = pending.pop(0)
+        if name in texts:
+            continue
+        if (path := _installed_text(name)) is None:
+            return None
+        texts[name] = path.read_text("utf-8")
+        pending += _parts(parse_definition(texts[name], name)[name][1])
+    first, *others = texts.items()
+    return first[1] + "".join(
+        f"\n{_SEPARATOR}MSG: {name.replace('/msg/', '/')}\n{text}" for name, text in others
+    )
+
+
+def _installed_text(type_name: str) -> Path | None:
+    """Where the ``.msg`` text of a type is installed."""
+    package, kind, name = type_name.split("/")
+    prefixes = (*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix)
+    paths = (Path(prefix, "share", package, kind, f"{name}.msg") for prefix in prefixes if prefix)
+    return next((path for path in paths if path.is_file()), None)
+
+
+def _parts(description: object) -> Iterator[str]:
+    """Names of the message types in a tree of field descriptions: strings with a slash."""
+    if isinstance(description, str):
+        if "/" in description:
+            yield description
+    elif isinstance(description, (list, tuple)):
+        for part in description:
+            yield from _parts(part)

@@ -1,0 +1,250 @@
+"""Writing a bag: an MCAP directory that ``ros2 bag`` reads."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Collection
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TypeVar, final
+
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
+
+from impact_observer.errors import BagError, UsageError
+from impact_observer.io.batch_writer import Item, write_together
+from impact_observer.io.interfaces import Quality, interface, usual_quality
+from impact_observer.io.reader import BagReader
+from impact_observer.io.typestores import add_definition, new_typestore
+
+_BATCH = 1024
+_BATCH_BYTES = 2**20
+"""Messages, or bytes of them, that are handed to ``rosbags`` together."""
+_Result = TypeVar("_Result")
+
+
+def check_free(path: Path) -> None:
+    """Raise unless a bag can be made at ``path``.
+
+    Raises:
+        UsageError: something is there already, or its parent is no folder.
+    """
+    if os.path.lexists(path):
+        raise UsageError(f"{path}: exists already; remove it or choose another name")
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"{path}: no folder {path.parent}; make it first")
+
+
+@final
+class BagWriter:
+    """A bag, open for writing; a context manager.
+
+    However its block ends, the bag is closed and whole: ``rosbags`` runs in a thread of its own,
+    where no ``KeyboardInterrupt`` can tear a record apart.
+
+    Attributes:
+        path: the folder that is written.
+        message_count: messages taken so far.
+    """
+
+    def __init__(self, path: Path | str, *, compressed: bool = False) -> None:
+        """Make the bag's folder at ``path``.
+
+        Args:
+            path: the folder.
+            compressed: whether the chunks of the MCAP file are compressed, by zstd.
+
+        Raises:
+            UsageError: something is at ``path`` already, or its parent is no folder. Then
+                nothing is created.
+        """
+        self.path = Path(path)
+        check_free(self.path)
+        self.message_count = 0
+        self._store = new_typestore()
+        self._connections: dict[str, Connection] = {}
+        self._pending: deque[Item] = deque()
+        self._pending_bytes = 0
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="bag")
+        try:
+            self._writer = self._run(
+                lambda: Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
+            )
+            if compressed:
+                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+            self._run(self._writer.open)
+        except BaseException:
+            self._thread.shutdown()
+            with suppress(OSError):
+                self.path.rmdir()
+            raise
+        self._open = True
+
+    def __enter__(self) -> "BagWriter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Write what is left, the index and the metadata; closing twice does no harm.
+
+        Raises:
+            BagError: the disk is full or gone.
+        """
+        if not self._open:
+            return
+        self._open = False
+        try:
+            self._run(self._finish)
+        finally:
+            self._thread.shutdown()
+
+    def declare(
+        self,
+        topic: str,
+        *,
+        type_name: str | None = None,
+        quality: Quality | None = None,
+        definition: str = "",
+    ) -> None:
+        """Say what a topic carries; our own topics need not be declared.
+
+        Args:
+            topic: the absolute name.
+            type_name: the message type; None for that of the interface table.
+            quality: the quality of service offered; None for that of the interface table.
+            definition: the text of a message type that ROS 2 Jazzy and we do not define.
+
+        Raises:
+            UsageError: the topic is in the bag already, or its type is not known.
+            BagError: the definition is not one, or disagrees with what is known.
+        """
+        if topic in self._connections:
+            raise UsageError(f"{self.path}: {topic} is declared twice; declare it once")
+        known = interface(topic)
+        if (type_name := type_name or (known.type if known else None)) is None:
+            raise UsageError(f"{self.path}: {topic} is no topic of this package; name its type")
+        if definition and add_definition(self._store, definition, type_name):
+            raise BagError(
+                f"{self.path}: {topic} brings another definition of {type_name}; "
+                "a bag can hold one only"
+            )
+        if type_name not in self._store.fielddefs:
+            raise UsageError(f"{self.path}: {topic} is {type_name}; give its definition too")
+        offered = (quality or usual_quality(topic)).offered()
+        self._connections[topic] = self._run(
+            lambda: self._writer.add_connection(
+                topic, type_name, typestore=self._store, offered_qos_profiles=[offered]
+            )
+        )
+
+    def write(self, topic: str, log_time: int, message: object) -> None:
+        """Write a message of :func:`~impact_observer.io.messages.bag_messages`.
+
+        Args:
+            topic: the absolute name; declared by itself when it is one of ours.
+            log_time: when it is recorded, ns.
+            message: a message of the topic's type.
+
+        Raises:
+            UsageError: the topic is not declared, or the message is of another type.
+            BagError: the disk is full or gone.
+        """
+        self.write_raw(topic, log_time, self.serialized(topic, message))
+
+    def serialized(self, topic: str, message: object) -> bytes:
+        """The bytes of a message, as :meth:`write_raw` takes them.
+
+        Raises:
+            UsageError: as of :meth:`write`.
+        """
+        type_name = self._connection(topic).msgtype
+        if (found := getattr(message, "__msgtype__", type(message).__name__)) != type_name:
+            raise UsageError(f"{self.path}: {topic} is {type_name}; not {found}")
+        return bytes(self._store.serialize_cdr(message, type_name))
+
+    def write_raw(self, topic: str, log_time: int, data: bytes) -> None:
+        """Write a serialized message (CDR).
+
+        Args:
+            topic: the absolute name; declared by itself when it is one of ours.
+            log_time: when it is recorded, ns.
+            data: the message of the topic's type, serialized.
+
+        Raises:
+            UsageError: the topic is not declared, or the log time is before 0.
+            BagError: the disk is full or gone.
+        """
+        connection = self._connection(topic)
+        if log_time < 0:
+            raise UsageError(f"{self.path}: {topic} at log time {log_time} ns; expected 0 or more")
+        self._pending.append((connection, log_time, data))
+        self.message_count += 1
+        self._pending_bytes += len(data)
+        if len(self._pending) >= _BATCH or self._pending_bytes >= _BATCH_BYTES:
+            self._pending_bytes = 0
+            self._run(self._write_pending)
+
+    def _connection(self, topic: str) -> Connection:
+        """The open topic, declared from the interface table if need be."""
+        if not self._open:
+            raise UsageError(f"{self.path}: is closed; nothing more can be written")
+        if topic not in self._connections:
+            self.declare(topic)
+        return self._connections[topic]
+
+    def _write_pending(self) -> None:
+        """In the thread: hand to ``rosbags`` what has come."""
+        due = [self._pending.popleft() for _ in range(len(self._pending))]
+        write_together(self._writer, due)
+
+    def _finish(self) -> None:
+        """In the thread: the rest, then index and metadata."""
+        try:
+            self._write_pending()
+        finally:
+            self._writer.close()
+
+    def _run(self, job: Callable[[], _Result]) -> _Result:
+        """Run ``job`` in the thread that owns the files, and wait for it."""
+        try:
+            return self._thread.submit(job).result()
+        except (OSError, WriterError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise BagError(f"{self.path}: cannot be written: {reason}") from error
+
+
+def copy_topics(
+    reader: BagReader, writer: BagWriter, topics: Collection[str] | None = None
+) -> int:
+    """Copy topics as they are: bytes, log times, types and qualities.
+
+    Args:
+        reader: the bag to copy from.
+        writer: the bag to copy to; topics that it does not know yet are declared.
+        topics: only these absolute names; None for all.
+
+    Returns:
+        The number of messages copied.
+
+    Raises:
+        UsageError: ``writer`` has one of the topics already.
+        BagError: a topic is missing, or one of the bags cannot be read or written.
+    """
+    messages = reader.raw(topics)
+    for topic in reader.topics if topics is None else topics:
+        info = reader.topics[topic]
+        writer.declare(
+            topic, type_name=info.type, quality=info.quality, definition=info.definition
+        )
+    before = writer.message_count
+    for message in messages:
+        writer.write_raw(*message)
+    return writer.message_count - before

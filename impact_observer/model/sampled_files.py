@@ -1,0 +1,149 @@
+"""Sampled forcing in a model file: a CSV file beside it, or its text or a table in the model."""
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from impact_observer.errors import ModelError
+from impact_observer.model.document import Section, Value, file_beside, number, numbers
+from impact_observer.model.force_samples import HOLDS, Samples
+from impact_observer.model.forcing import Forcing
+from impact_observer.model.validation import LARGEST
+from impact_observer.states import Matrix
+
+KEYS = ("sampled", "hold")
+_TIME = "time"
+
+
+def sampled_forcing(
+    section: Section, coordinates: Sequence[str], folder: Path | None
+) -> Forcing | None:
+    """The forcing of a section ``{sampled, hold}``; None where it is not sampled.
+
+    Args:
+        section: ``forcing`` of a model file.
+        coordinates: names of the coordinates, in order.
+        folder: where CSV files lie; without it the section may not name any.
+
+    Raises:
+        ModelError: naming the key, or the file with its line and column.
+    """
+    if "sampled" not in section:
+        if "hold" in section:
+            raise ModelError(section.key("hold"), "stands without sampled")
+        return None
+    for name in ("constant", "harmonics"):
+        if name in section:
+            raise ModelError(
+                section.key(name), "stands beside sampled; add it to the samples instead"
+            )
+    hold = section.text("hold")
+    if hold not in HOLDS:
+        raise ModelError(section.key("hold"), f"{hold!r} found; expected {' or '.join(HOLDS)}")
+    key, value = section.key("sampled"), section.value("sampled")
+    if isinstance(value, str):
+        source = "its table" if "\n" in value else value
+        lines = io.StringIO(value) if "\n" in value else _lines(key, value, folder)
+        try:
+            table = _read_csv(lines, coordinates)
+            return Forcing.of_samples(Samples(table[:, 0], table[:, 1:], hold))
+        except ModelError as error:
+            raise ModelError(key, f"{source}: {error.problem}") from None
+        except (ValueError, csv.Error) as error:
+            raise ModelError(key, f"{source}: {error}") from None
+    inline = Section(key, value, ("time", "force"))
+    time = _column(inline.key("time"), inline.value("time"))
+    rows = [numbers(at, row, len(coordinates)) for at, row in inline.items("force")]
+    if len(rows) != len(time):
+        raise ModelError(inline.key("force"), f"{len(rows)} rows found for {len(time)} times")
+    return Forcing.of_samples(Samples(time, np.reshape(rows, (-1, len(coordinates))), hold))
+
+
+def _column(key: str, value: Value) -> Matrix:
+    if not isinstance(value, list):
+        raise ModelError(key, "is not a list; expected instants, s since the epoch")
+    return np.array([number(f"{key}[{i}]", item) for i, item in enumerate(value)])
+
+
+def _lines(key: str, relative: str, folder: Path | None) -> list[str]:
+    """The lines of a file beside the model."""
+    path = file_beside(key, relative, folder)
+    try:
+        return path.read_text(encoding="utf-8-sig").splitlines(keepends=True)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(key, f"{path} cannot be read: {error}") from None
+
+
+def _read_csv(text: Iterable[str], coordinates: Sequence[str]) -> Matrix:
+    """Time and forces in the order of ``coordinates``, shape (k, 1 + n)."""
+    reader = csv.reader(text)
+    header = [name.strip() for name in next(reader, [])]
+    lines = [(reader.line_num, row) for row in reader if row]
+    order = _order(header, coordinates)
+    return _numbers(lines, header)[:, order]
+
+
+def _order(header: list[str], coordinates: Sequence[str]) -> list[int]:
+    """Where time and coordinates stand in ``header``, which names each once and no other."""
+    if _TIME in coordinates:
+        raise ValueError(f"a coordinate is named {_TIME!r} as the column of instants; rename it")
+    wanted = [_TIME, *coordinates]
+    for name in wanted:
+        if name not in header:
+            raise ValueError(f"column {name!r} is missing; expected {', '.join(wanted)}")
+    for i, name in enumerate(header):
+        if name not in wanted:
+            raise ValueError(f"column {name!r} is not known; expected {', '.join(wanted)}")
+        if name in header[:i]:
+            raise ValueError(f"column {name!r} stands there twice")
+    return [header.index(name) for name in wanted]
+
+
+def _numbers(lines: list[tuple[int, list[str]]], header: list[str]) -> Matrix:
+    """All rows as numbers."""
+    for line, row in lines:
+        if len(row) != len(header):
+            raise ValueError(f"line {line} has {len(row)} values; expected {len(header)}")
+    try:
+        table = np.array([[float(value) for value in row] for _, row in lines])
+    except ValueError:
+        pass
+    else:
+        if np.all(np.abs(table) <= LARGEST):  # false for NaN
+            return table.reshape(-1, len(header))
+    line, name, value = next(
+        (line, name, value)
+        for line, row in lines
+        for name, value in zip(header, row, strict=True)
+        if not _is_number(value)
+    )
+    raise ValueError(
+        f"line {line}, column {name}: {value.strip()!r} found; expected a number of at most"
+        f" {LARGEST:g}"
+    )
+
+
+def _is_number(value: str) -> bool:
+    try:
+        return math.isfinite(float(value)) and abs(float(value)) <= LARGEST
+    except ValueError:
+        return False
+
+
+def table_of(samples: Samples, coordinates: Sequence[str]) -> Value:
+    """What ``sampled`` may hold in a model that reads back equal: CSV, or lists for odd names."""
+    if _TIME in coordinates or any(not _plain(name) for name in coordinates):
+        return {"time": samples.time.tolist(), "force": samples.force.tolist()}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([_TIME, *coordinates])
+    writer.writerows(np.column_stack([samples.time, samples.force]).tolist())
+    return text.getvalue()
+
+
+def _plain(name: str) -> bool:
+    return name.isprintable() and name == name.strip()

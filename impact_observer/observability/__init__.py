@@ -1,0 +1,1 @@
+"""Whether the impacts of a recording determine the state: rank, condition, directions."""

@@ -1,0 +1,189 @@
+"""The event-driven plant: exact flow from one change of its contacts to the next."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from impact_observer.dynamics import (
+    KEPT,
+    Crossing,
+    ImpactLaw,
+    Phase,
+    Phases,
+    Search,
+    Watched,
+    resting,
+)
+from impact_observer.errors import DynamicsError, ImpactLawError
+from impact_observer.model import System
+from impact_observer.plant.switching import Switching, switches
+from impact_observer.plant.zeno import Accumulation, Rest
+from impact_observer.stamps import Instant, seconds_between, text
+from impact_observer.states import Stamps, Vector
+
+_INSTANT = 1e-4
+"""Length of a phase that is no progress, relative to the shortest flight."""
+_MOST = 1_000
+"""Changes of contacts at one instant beyond which they would never end."""
+
+
+class Plant:
+    """The master system with ordinary unilateral contacts, one phase at a time.
+
+    Attributes:
+        system: what moves.
+        epoch: stamp of ``t = 0`` of the forcing and of the initial state, ns.
+        closed: indices of the contacts that are closed in the present phase.
+    """
+
+    _crossing: Crossing | None
+    _next: Switching | None
+
+    def __init__(self, system: System, position: Vector, velocity: Vector, *, epoch: int) -> None:
+        """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
+
+        Raises:
+            UsageError: a state of the wrong size, not finite, or inside a stop.
+            ImpactLawError: contacts are closed at the start and their impact has no solution.
+        """
+        q, u = system.checked_start(position, velocity)
+        self.system = system
+        self.epoch = epoch
+        self._law = ImpactLaw(system)
+        self._phases = Phases(system)
+        self._rest = Rest(self._phases)
+        self._accumulation = Accumulation(self._rest.shortest)
+        self._hasty = 0
+        self._searcher = lru_cache(KEPT)(self._search_of)
+        start, x = Instant(epoch), np.concatenate([q, u])
+        self._begin(start, x, closed=(), held=())
+        if touching := system.touched(q):
+            switching = self._impact(start, x, touching)
+            closing = np.any(system.contact_speed(u)[list(touching)] < 0)
+            if closing or switching.closed:
+                self._next = switching
+            else:  # it separates; only where rounding has left the gaps is mended
+                self._begin(start, switching.after, closed=(), held=())
+
+    def next_switching(self, limit: int) -> Switching | None:
+        """What the contacts do next, if its stamp is not after ``limit`` (ns).
+
+        Asking again, with any limit, costs nothing where it has been looked already.
+
+        Raises:
+            ImpactLawError: the impact law has no solution.
+            DynamicsError: changes of contacts at one instant never end.
+        """
+        if self._next is None:
+            if self._crossing is None:
+                self._crossing = self._hunt.first(self._start.until(limit) + 0.5e-9)
+            crossing = self._crossing
+            if crossing is None or self._start.after(crossing.s).stamp > limit:
+                return None
+            self._next = self._ended(crossing)
+        return self._next if self._next.instant.stamp <= limit else None
+
+    def cross(self, switching: Switching) -> None:
+        """Go on after ``switching``, which must be the one that ``next_switching`` told."""
+        assert switching is self._next, "only the next switching can be crossed"
+        self._begin(switching.instant, switching.after, switching.closed, switching.held)
+
+    def states(self, stamps: Stamps) -> Vector:
+        """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n).
+
+        A stamp equal to the last switching's is after it, however its instant was rounded.
+        """
+        s = (stamps - self._start.stamp) * 1e-9 - self._start.remainder
+        states = self._motion.states(np.maximum(s, 0.0))
+        states[s <= 0] = self._state
+        return states
+
+    def _begin(
+        self, instant: Instant, x: Vector, closed: tuple[int, ...], held: tuple[int, ...]
+    ) -> None:
+        """Begin a phase at ``instant`` from state ``x``."""
+        self._start = instant
+        self.closed = closed
+        self._open = tuple(i for i in range(self.system.m) if i not in closed)
+        self._phase = self._phases.phase(held)
+        self._state = x
+        self._motion = self._phase.start(self._time(instant), x)
+        self._hunt = self._searcher(self._phase, self._open).along(self._motion)
+        self._crossing = None
+        self._next = None
+
+    def _time(self, instant: Instant) -> float:
+        """Seconds since the epoch."""
+        return seconds_between(self.epoch, instant.stamp) + instant.remainder
+
+    def _search_of(self, phase: Phase, differences: tuple[int, ...]) -> Search:
+        """The search for the end of a phase: gaps of those ``differences`` first, then loads."""
+        gaps = Watched.gaps(self.system, list(differences))
+        return Search(phase, gaps.and_also(Watched.loads(phase)), self._phases.scales.window)
+
+    def _ended(self, crossing: Crossing) -> Switching:
+        """What ends the present phase."""
+        instant = self._start.after(crossing.s)
+        x = self._motion.state(crossing.s)
+        hit = [self._open[i] for i in crossing.which if i < len(self._open)]
+        self._check_progress(crossing.s, instant)
+        if hit:
+            return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
+        switching = self._switched(instant, x, x, (), self.closed)
+        if switching.held == self._phase.held:
+            # The load falls too slowly for its sign to be told, but below zero it may not be.
+            unloaded = {self._phase.held[i - len(self._open)] for i in crossing.which}
+            loaded = tuple(i for i in self.closed if i not in unloaded)
+            switching = self._switched(instant, x, x, (), loaded)
+        return switching
+
+    def _check_progress(self, s: float, instant: Instant) -> None:
+        """Raise where contacts change again and again and time does not go on."""
+        self._hasty = self._hasty + 1 if s <= _INSTANT * self._rest.shortest else 0
+        if self._hasty > _MOST:
+            raise DynamicsError(
+                f"contacts {', '.join(self.system.contact_names)}: {_MOST} changes at stamp"
+                f" {text(instant.stamp)} s and no end; are some of them the same stop?"
+            )
+
+    def _impact(self, instant: Instant, x: Vector, contacts: tuple[int, ...]) -> Switching:
+        """The impact of ``contacts``; without restitution where their impacts accumulate."""
+        n, u = self.system.n, x[self.system.n :]
+        try:
+            velocity = self._law.velocity_after(u, contacts)
+            if lately := self._accumulation.hit(instant, contacts, self._energy(u)):
+                near = {*contacts, *(i for i in self.system.touched(x[:n]) if i in lately)}
+                plastic = self._law.plastic.velocity_after(u, tuple(sorted(near)))
+                if self._accumulation.negligible(self._energy(u) - self._energy(plastic)):
+                    velocity, contacts = plastic, tuple(sorted(near))
+        except ImpactLawError as error:
+            raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None
+        after = np.concatenate([self._phases.projection.position_after(x[:n], contacts), velocity])
+        rest = self._rest.after(self._time(instant), after, contacts, x[n:])
+        return self._switched(instant, x, after, contacts, rest)
+
+    def _energy(self, u: Vector) -> float:
+        """Kinetic energy of velocities ``u``, J."""
+        return float(u.dot(self._phases.inertia(u))) / 2
+
+    def _switched(
+        self,
+        instant: Instant,
+        before: Vector,
+        after: Vector,
+        contacts: tuple[int, ...],
+        rest: tuple[int, ...],
+    ) -> Switching:
+        """What becomes of the contacts at ``rest`` after an impact of ``contacts``, or none."""
+        if rest:
+            after = self._phases.stopped(after, rest)
+        still = resting(self._phases, (), self._time(instant), after, rest)
+        return Switching(
+            instant=instant,
+            contacts=contacts,
+            closed=still.closed,
+            held=still.held,
+            before=before,
+            after=after,
+            switches=switches(self.system, self.closed, contacts, still.closed),
+        )

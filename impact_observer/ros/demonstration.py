@@ -1,0 +1,275 @@
+"""The demonstration: plant, observers and monitors as processes, recorded while they run."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.io import interfaces
+from impact_observer.io.messages import ErrorMessage
+from impact_observer.io.writer import BagWriter
+from impact_observer.ros.message_classes import message_class
+from impact_observer.ros.node_process import FOLLOW
+from impact_observer.ros.parameters import TABLES, check
+from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.recorder import Recorder, drain
+from impact_observer.ros.session import Stop, ros_node
+from impact_observer.ros.wiring import (
+    Setting,
+    Started,
+    monitor_name,
+    monitors,
+    observer_name,
+    observers,
+    plant,
+)
+
+_START_UP = 30.0
+"""How long the processes may take to appear on the graph, s."""
+_SHUT_DOWN = 10.0
+"""How long a process may take to end after SIGINT, s."""
+_SILENCE = 20.0
+"""How long the plant may say nothing before it counts as dead, s."""
+_CATCH_UP = 5.0
+"""How long the observers may go on after the plant has ended, s."""
+_DISCOVERY = 1.5
+"""How long to look for others on the same ROS domain, s."""
+_SPIN = 0.05
+"""Between two looks at the processes, s."""
+
+
+class DemonstrationError(ImpactObserverError):
+    """A process that failed, or that did not come up."""
+
+
+@dataclass(slots=True)
+class Live:
+    """What is known while it runs.
+
+    Attributes:
+        time: simulated time since the epoch, s.
+        impacts: events so far.
+        v: latest Lyapunov distance of each law, J.
+        reached: how far each law's estimates have come, simulated time since the epoch, s.
+    """
+
+    time: float = 0.0
+    impacts: int = 0
+    v: dict[str, float] = field(default_factory=dict)
+    reached: dict[str, float] = field(default_factory=dict)
+
+
+def run(setting: Setting, folder: Path, show: Callable[[Live], None]) -> Path:
+    """Run the demonstration.
+
+    Args:
+        setting: what to run.
+        folder: to make, for the bag and the ``logs`` of what the processes print.
+        show: told what is known, about twenty times a second.
+
+    Returns:
+        The bag.
+
+    Raises:
+        UsageError: another plant runs on this ROS domain, a parameter cannot be used, or the
+            folder cannot be made.
+        DemonstrationError: a process failed, or the run was interrupted.
+    """
+    for each in (plant(setting), *observers(setting), *monitors(setting)):
+        check(TABLES[each.executable], each.parameters)
+    bag, logs = folder / "bag", folder / "logs"
+    with (
+        Stop() as stop,
+        ros_node("demo", use_sim_time=True) as (node, executor),
+        contextlib.ExitStack() as later,
+    ):
+        _refuse_company(node, executor)
+        _make(folder)
+        logs.mkdir()
+        writer = later.enter_context(BagWriter(bag))
+        recorder, live = Recorder(node, writer), Live()
+        _subscribe(node, setting, live)
+        with _processes(setting, logs) as processes:
+            _wait_until_heard(executor, recorder, processes, stop, setting=setting, logs=logs)
+            with _process(plant(setting, recorders=1), logs) as master:
+                heard, told = time.monotonic(), -1
+                while master.poll() is None and not stop.requested:
+                    executor.spin_once(timeout_sec=_SPIN)
+                    _check_all(processes, logs)
+                    show(live)
+                    if writer.message_count > told:
+                        heard, told = time.monotonic(), writer.message_count
+                    elif time.monotonic() > heard + _SILENCE:
+                        raise DemonstrationError(f"plant: silent for {_SILENCE:g} s; see {logs}")
+                if stop.requested:
+                    raise DemonstrationError(f"interrupted; what was recorded is in {bag}")
+                _check("plant", master, logs)
+            _let_catch_up(executor, setting, live)
+            drain(executor, writer)
+            recorder.close()
+    return bag
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        raise UsageError(f"{folder}: exists already; remove it or choose another name") from None
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be made: {error.strerror}") from None
+
+
+def _subscribe(node: Node, setting: Setting, live: Live) -> None:
+    """Keep ``live`` up to date."""
+
+    def on_impact(_: object) -> None:
+        live.impacts += 1
+
+    def on_error(message: ErrorMessage) -> None:
+        live.v[message.law] = message.v
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        at = live.reached[message.law] = (stamp - setting.epoch) * 1e-9
+        live.time = max(live.time, at)
+
+    node.create_subscription(
+        message_class(interfaces.IMPACT_EVENT),
+        "impacts",
+        on_impact,
+        qos_profile(interfaces.EVENTS),
+    )
+    error = message_class(interfaces.ESTIMATE_ERROR)
+    for law in setting.laws:
+        topic = f"{monitor_name(law)}/error"
+        node.create_subscription(error, topic, on_error, qos_profile(interfaces.STATES))
+
+
+def _refuse_company(node: Node, executor: SingleThreadedExecutor) -> None:
+    """Another plant or demonstration on the same domain would be taken for ours."""
+    until = time.monotonic() + _DISCOVERY
+    while time.monotonic() < until:
+        executor.spin_once(timeout_sec=_SPIN)
+        names = node.get_node_names()
+        if "plant" in names or names.count("demo") > 1 or node.count_publishers("/clock"):
+            domain = os.environ.get("ROS_DOMAIN_ID", "0")
+            raise UsageError(
+                f"ROS domain {domain}: another demo, plant or clock runs there already;"
+                " end it or choose another domain with ROS_DOMAIN_ID"
+            )
+
+
+def _wait_until_heard(
+    executor: SingleThreadedExecutor,
+    recorder: Recorder,
+    processes: Mapping[str, "subprocess.Popen[bytes]"],
+    stop: Stop,
+    *,
+    setting: Setting,
+    logs: Path,
+) -> None:
+    """Until the recorder is connected to all observers and monitors: nothing is missed then."""
+    topics = [
+        topic
+        for law in setting.laws
+        for topic in (
+            f"{observer_name(law)}/state",
+            f"{observer_name(law)}/joint_states",
+            f"{observer_name(law)}/verdicts",
+            f"{monitor_name(law)}/error",
+        )
+    ]
+    until = time.monotonic() + _START_UP
+    while missing := [topic for topic in topics if not recorder.uses_events(topic)]:
+        executor.spin_once(timeout_sec=_SPIN)
+        _check_all(processes, logs)
+        if stop.requested:
+            raise DemonstrationError("interrupted before the plant began")
+        if time.monotonic() > until:
+            raise DemonstrationError(
+                f"{missing[0]}: not heard after {_START_UP:g} s; does DDS work on this machine?"
+            )
+
+
+def _let_catch_up(executor: SingleThreadedExecutor, setting: Setting, live: Live) -> None:
+    """The plant has ended; an observer that lags behind is heard to the end as well."""
+    until, end = time.monotonic() + _CATCH_UP, setting.duration - 1.5 / setting.rate
+    while any(live.reached.get(law, 0.0) < end for law in setting.laws):
+        if time.monotonic() > until:
+            return
+        executor.spin_once(timeout_sec=_SPIN)
+
+
+@contextlib.contextmanager
+def _processes(setting: Setting, logs: Path) -> Iterator[dict[str, "subprocess.Popen[bytes]"]]:
+    """Observers and monitors, ended when the block ends."""
+    with contextlib.ExitStack() as stack:
+        processes = {
+            each.name: stack.enter_context(_process(each, logs))
+            for each in (*observers(setting), *monitors(setting))
+        }
+        yield processes
+
+
+@contextlib.contextmanager
+def _process(node: Started, logs: Path) -> Iterator["subprocess.Popen[bytes]"]:
+    """One node as a process in a group of its own: Ctrl-C comes from here only."""
+    with (logs / f"{node.name}.log").open("wb") as log:
+        process = _spawn(_arguments(node), log)
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+            try:
+                process.wait(_SHUT_DOWN)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+    if process.returncode != 0 and sys.exc_info()[0] is None:
+        _check(node.name, process, logs)
+
+
+def _spawn(arguments: Sequence[str], log: IO[bytes]) -> "subprocess.Popen[bytes]":
+    return subprocess.Popen(
+        [sys.executable, "-m", *arguments],
+        env={**os.environ, FOLLOW: str(os.getpid())},
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=subprocess.STDOUT,
+        start_new_session=True,
+    )
+
+
+def _check_all(processes: Mapping[str, "subprocess.Popen[bytes]"], logs: Path) -> None:
+    for name, process in processes.items():
+        _check(name, process, logs)
+
+
+def _check(name: str, process: "subprocess.Popen[bytes]", logs: Path) -> None:
+    """Raise if a process has failed, with the last line it printed."""
+    if process.poll() in (None, 0):
+        return
+    lines = (logs / f"{name}.log").read_text(errors="replace").strip().splitlines()
+    last = f": {lines[-1]}" if lines else ""
+    raise DemonstrationError(f"{name} ended with exit code {process.returncode}{last}")
+
+
+def _arguments(node: Started) -> list[str]:
+    """For ``python -m``; strings are quoted, as YAML would read some of them otherwise."""
+    arguments = [f"impact_observer.ros.{node.executable}", "--ros-args"]
+    arguments += ["-r", f"__node:={node.name}"]
+    for name, value in node.parameters.items():
+        arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
+    for ours, theirs in node.remappings.items():
+        arguments += ["-r", f"{ours}:={theirs}"]
+    return arguments

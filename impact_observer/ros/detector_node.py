@@ -1,0 +1,201 @@
+"""The detector node: what sensors publish in, impact events out."""
+
+from collections.abc import Mapping
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from impact_observer.detector import Detection, Detector, SensorCounts, Source, read_sources
+from impact_observer.detector.source import SWITCH
+from impact_observer.io import interfaces
+from impact_observer.io.interfaces import Quality
+from impact_observer.ros import parameters
+from impact_observer.ros.message_classes import message_class, ros_messages
+from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.subscribing import Info, common_offer, waiting
+from impact_observer.stamps import text
+
+_LOOK = 0.1
+"""How often the graph is looked at for the sensors' topics, s."""
+_TICK = 0.01
+"""How often silence is listened to, s."""
+_DEPTH = 5000
+"""Messages that a sensor may be ahead of the node: half a second at 10 kHz."""
+_BURST = 500
+"""Messages taken at once, before the timers have their turn."""
+
+
+class DetectorNode(Node):
+    """Runs one :class:`Detector` on the topics of its sources.
+
+    A message without a stamp in its header is stamped by the middleware where it was published;
+    under simulated time, which the middleware does not know, by the clock when it is heard. What
+    a latched switch has said before the node began is heard too, but not under simulated time:
+    the clock would stamp it with the present.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("detector")
+        values = parameters.declare(self, parameters.DETECTOR)
+        self._wanted = list(read_sources(values.text("sources")))
+        self._detector = Detector(epoch=values.integer("epoch"))
+        self._indices: dict[str, list[int]] = {}
+        self._asked: dict[str, Quality] = {}
+        self._subscriptions_by_topic: dict[str, Subscription] = {}
+        self._told: dict[int, tuple[int, int]] = {}
+        self._unheard = 0
+        self._make = ros_messages()
+        self._impacts = self.create_publisher(
+            message_class(interfaces.IMPACTS.type),
+            interfaces.IMPACTS.name,
+            qos_profile(interfaces.IMPACTS.quality),
+        )
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, "/diagnostics", qos_profile(interfaces.DIAGNOSTIC_ARRAYS.quality)
+        )
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(_LOOK, self._discover, clock=steady)
+        self.create_timer(_TICK, self._on_tick, clock=steady)
+        self.create_timer(1.0, self._diagnose, clock=steady)
+        backwards = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+        )
+        self._jump = self.get_clock().create_jump_callback(
+            backwards, post_callback=self._on_clock_back
+        )
+
+    def _now(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _discover(self) -> None:
+        """Listen to the topics that have a publisher, whose type says what they are."""
+        for source in tuple(self._wanted):
+            topic = self.resolve_topic_name(source.topic)
+            publishers = self.get_publishers_info_by_topic(topic)
+            if publishers:
+                complete = source.complete(publishers[0].topic_type)
+                self._indices.setdefault(topic, []).append(self._detector.add(complete))
+                self._wanted.remove(source)
+        for topic in self._indices:
+            self._listen(topic)
+
+    def _listen(self, topic: str) -> None:
+        """Subscribe to what all publishers of a topic offer, and to no more."""
+        publishers = self.get_publishers_info_by_topic(topic)
+        if not publishers:
+            return
+        offered = common_offer(topic, publishers)
+        before = self._asked.get(topic)
+        reliable = offered.reliable and (before is None or before.reliable)
+        latched = reliable and offered.transient_local and self._has_latched_switch(topic)
+        wanted = Quality(reliable, latched and (before is None or before.transient_local), _DEPTH)
+        if wanted == before:
+            return
+        if before is not None:
+            self.destroy_subscription(self._subscriptions_by_topic.pop(topic))
+        self._asked[topic] = wanted
+        self._subscriptions_by_topic[topic] = self.create_subscription(
+            message_class(publishers[0].topic_type),
+            topic,
+            lambda message, info: self._on_message(topic, message, info),
+            qos_profile(self._asked[topic]),
+        )
+
+    def _has_latched_switch(self, topic: str) -> bool:
+        """Whether what was said before now still holds, and when it was said can be known."""
+        kinds = {self._detector.sources[index].kind for index in self._indices[topic]}
+        return SWITCH in kinds and not self.get_clock().ros_time_is_active
+
+    def _on_message(self, topic: str, message: object, info: Info) -> None:
+        """Hear a message that the executor brings, and at once those that wait behind it.
+
+        Under simulated time they wait for the clock's next tick, which stamps them.
+        """
+        self._hear(topic, message, info)
+        if self.get_clock().ros_time_is_active:
+            return
+        for behind, its_info in waiting(self._subscriptions_by_topic[topic], _BURST):
+            self._hear(topic, behind, its_info)
+
+    def _hear(self, topic: str, message: object, info: Info) -> None:
+        """Detect, unless simulated time has not begun."""
+        arrival = self._now()
+        if not self.get_clock().ros_time_is_active:
+            arrival = info["source_timestamp"] or arrival
+        if arrival == 0:
+            self._unheard += 1
+            return
+        for index in self._indices[topic]:
+            self._publish(self._detector.hear(index, message, arrival))
+
+    def _publish(self, detections: list[Detection]) -> None:
+        for _, event in detections:
+            self._impacts.publish(self._make.event(event))
+
+    def _on_tick(self) -> None:
+        """A switch that stays silent may have closed for long."""
+        if now := self._now():
+            self._publish(self._detector.advance(now))
+
+    def _on_clock_back(self, _: TimeJump) -> None:
+        """The clock jumped back (a bag loop, say): a new episode."""
+        self._detector.restart()
+
+    def _diagnose(self) -> None:
+        """Publish what each sensor says, and what is wrong, to ``/diagnostics``."""
+        array = DiagnosticArray()
+        array.header.stamp = self.get_clock().now().to_msg()
+        array.status = [
+            *(self._waited_for(source) for source in self._wanted),
+            *(self._heard(index) for index in range(len(self._detector.sources))),
+        ]
+        self._diagnostics.publish(array)
+
+    def _waited_for(self, source: Source) -> DiagnosticStatus:
+        """A sensor that has no publisher."""
+        topic = self.resolve_topic_name(source.topic)
+        return self._status(source, DiagnosticStatus.WARN, f"nobody publishes {topic}", {})
+
+    def _heard(self, index: int) -> DiagnosticStatus:
+        """A sensor that has one."""
+        source, tally = self._detector.sources[index], self._detector.tallies[index]
+        messages, passed_over = self._told.get(index, (0, 0))
+        now_passed_over = tally.invalid + tally.disordered
+        self._told[index] = (tally.messages, now_passed_over)
+        level, message = DiagnosticStatus.OK, f"{tally.hits} impacts"
+        if now_passed_over > passed_over or not tally.messages:
+            level, message = DiagnosticStatus.WARN, self._detector.shortfall(index)
+        if self._unheard and not self._now():
+            level, message = DiagnosticStatus.WARN, "use_sim_time is set, but no /clock has come"
+        return self._status(source, level, message, _figures(source, tally, messages))
+
+    def _status(
+        self, source: Source, level: bytes, message: str, figures: Mapping[str, object]
+    ) -> DiagnosticStatus:
+        return DiagnosticStatus(
+            level=level,
+            name=f"{self.get_fully_qualified_name()}: {source.contact}",
+            message=message,
+            hardware_id=source.contact,
+            values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+        )
+
+
+def _figures(source: Source, tally: SensorCounts, messages: int) -> dict[str, object]:
+    """The values of a sensor's diagnostics; ``messages`` is their number a second ago."""
+    return {
+        "topic": source.topic,
+        "kind": source.kind,
+        "impacts": tally.hits,
+        "lasting contacts": tally.lasting,
+        "openings": tally.openings,
+        "last event [s]": text(tally.last_event) if tally.last_event else "none",
+        "messages": tally.messages,
+        "rate [Hz]": tally.messages - messages,
+        "messages not usable": tally.invalid,
+        "stamps out of order": tally.disordered,
+        "largest signal": f"{tally.highest:.6g}",
+    }

@@ -1,0 +1,68 @@
+"""ROS message classes by type name, and our values as ROS messages."""
+
+from array import array
+from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING, cast
+
+from impact_observer.errors import UsageError
+from impact_observer.io.messages import (
+    JointState,
+    JointStateMessage,
+    MessageClass,
+    MessageError,
+    Messages,
+    read_joint_state,
+)
+from impact_observer.states import Vector
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+
+@cache
+def message_class(type_name: str) -> MessageClass:
+    """The ROS class of a message type, such as ``sensor_msgs/msg/JointState``.
+
+    Raises:
+        UsageError: its interface package is not installed, or not sourced.
+    """
+    package, _, name = type_name.partition("/")
+    module, _, name = name.partition("/")
+    try:
+        return cast("MessageClass", getattr(import_module(f"{package}.{module}"), name))
+    except (ImportError, AttributeError) as error:
+        raise UsageError(
+            f"{type_name}: no such ROS message here ({error}); build or source {package}"
+        ) from error
+
+
+@cache
+def ros_messages() -> Messages:
+    """Messages of the classes of ROS, to be published."""
+    return Messages(message_class, _floats)
+
+
+def state_of(
+    node: "Node", topic: str, message: JointStateMessage, names: tuple[str, ...]
+) -> JointState | None:
+    """The state in a message, its columns in the order of ``names``.
+
+    Args:
+        node: says in a line what is wrong with a message that has none, or other columns.
+        topic: where it came.
+        message: says a state.
+        names: the coordinates of the node's model.
+    """
+    try:
+        return read_joint_state(message).ordered(names)
+    except MessageError as error:
+        node.get_logger().error(f"{topic}: {error}", throttle_duration_sec=5.0)
+        return None
+
+
+def _floats(values: Vector) -> "array[float]":
+    """What ROS classes take for a ``float64[]`` without looking at each number."""
+    numbers = array("d")
+    numbers.frombytes(values.tobytes())
+    return numbers

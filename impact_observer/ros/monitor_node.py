@@ -1,0 +1,74 @@
+"""The monitor node: the estimate's distance from the truth. Only it sees both."""
+
+from collections import OrderedDict
+
+import numpy as np
+from rclpy.node import Node
+
+from impact_observer.dynamics.lyapunov import distance
+from impact_observer.io import interfaces
+from impact_observer.io.interfaces import Quality
+from impact_observer.io.messages import EstimateError, JointState, JointStateMessage
+from impact_observer.model import read_model
+from impact_observer.ros import parameters
+from impact_observer.ros.message_classes import message_class, ros_messages, state_of
+from impact_observer.ros.qos import qos_profile
+
+_MEMORY = 2000
+"""States kept until their counterpart comes, and until there is time for them."""
+
+
+class MonitorNode(Node):
+    """Publishes ``~/error`` for every estimate whose stamp the truth has too."""
+
+    def __init__(self) -> None:
+        super().__init__("monitor")
+        values = parameters.declare(self, parameters.MONITOR)
+        self._system = read_model(values.text("model")).system
+        self._make = ros_messages()
+        self._truth: OrderedDict[int, JointState] = OrderedDict()
+        self._waiting: OrderedDict[int, JointState] = OrderedDict()
+        quality = qos_profile(interfaces.STATES)
+        joint_state = message_class(interfaces.JOINT_STATE)
+        self._errors = self.create_publisher(
+            message_class(interfaces.MONITOR_ERROR.type), "~/error", quality
+        )
+        burst = qos_profile(Quality(depth=_MEMORY))
+        self.create_subscription(joint_state, "plant/joint_states", self._on_truth, burst)
+        estimates = self.create_subscription(
+            joint_state, "observer/joint_states", self._on_estimate, burst
+        )
+        self._law = values.text("law") or estimates.topic_name.rpartition("/")[0].lstrip("/")
+
+    def _on_truth(self, message: JointStateMessage) -> None:
+        state = state_of(self, "plant/joint_states", message, self._system.coordinates)
+        if state is None:
+            return
+        _keep(self._truth, state)
+        estimate = self._waiting.pop(state.stamp, None)
+        if estimate is not None:
+            self._compare(state, estimate)
+
+    def _on_estimate(self, message: JointStateMessage) -> None:
+        """An estimate may come twice: the second time corrected by an event that was late."""
+        state = state_of(self, "observer/joint_states", message, self._system.coordinates)
+        if state is None:
+            return
+        truth = self._truth.get(state.stamp)
+        if truth is None:
+            _keep(self._waiting, state)
+        else:
+            self._compare(truth, state)
+
+    def _compare(self, truth: JointState, estimate: JointState) -> None:
+        q, u = estimate.q - truth.q, estimate.u - truth.u
+        v = float(distance(self._system, q, u))
+        error = EstimateError(truth.stamp, self._law, v, truth.names, np.asarray(q), np.asarray(u))
+        self._errors.publish(self._make.estimate_error(error))
+
+
+def _keep(states: OrderedDict[int, JointState], state: JointState) -> None:
+    """Remember ``state`` by its stamp and forget the oldest."""
+    states[state.stamp] = state
+    while len(states) > _MEMORY:
+        states.popitem(last=False)

@@ -1,0 +1,246 @@
+"""The plant node: simulates the impacting system and publishes its impact times."""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from std_srvs.srv import Trigger
+
+from impact_observer.errors import UsageError
+from impact_observer.integrators import described
+from impact_observer.io import interfaces
+from impact_observer.io.messages import JointState
+from impact_observer.io.recordings import carried_text
+from impact_observer.model import read_model
+from impact_observer.plant import Master, Sensing, SensorModel, make_plant
+from impact_observer.ros import parameters
+from impact_observer.ros.message_classes import message_class, ros_messages
+from impact_observer.ros.qos import qos_profile
+from impact_observer.sensor_faults import SENSOR_FAULTS
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
+
+_LOOK_AHEAD = NS_PER_S
+"""How far beyond the present a switching is looked for, ns."""
+_LONGEST_SLEEP = 0.05
+"""Between two looks at a clock that is not the node's own, s."""
+_LAST_WORDS = Duration(seconds=1.0)
+"""How long the last messages may take to be heard before the node ends."""
+_SETTLE = 3.5
+"""Between the last subscriber's appearance and the beginning, s of wall time.
+
+That we know of a subscriber does not say that it knows of us: DDS announces a participant anew
+only every 3 s, should the first announcements have been lost.
+"""
+
+
+class PlantNode(Node):
+    """Publishes ``impacts``, true states and the model; owns ``/clock`` on request.
+
+    What its sensor tells is published when it arrives, and what is under way at the end of the
+    duration still is; a reset begins with a new sensor, and what is under way is lost.
+
+    Attributes:
+        done: whether the duration is over.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("plant")
+        values = parameters.declare(self, parameters.PLANT)
+        self.done = False
+        self._model = read_model(values.text("model"))
+        self._rate = values.number("rate")
+        self._duration = from_seconds(values.number("duration"))
+        self._integrator = values.text("integrator")
+        self._step = values.number("step")
+        self._factor = values.number("realtime_factor")
+        self._owns_clock = values.flag("publish_clock")
+        self._clock_period = from_seconds(1.0 / values.number("clock_rate"))
+        self._wanted_subscribers = values.integer("wait_for_subscribers")
+        self._wanted_epoch = values.integer("epoch")
+        self._seed = values.integer("seed")
+        troubles: dict[str, Any] = {
+            t.name: values.value(f"sensor.{t.name}") for t in SENSOR_FAULTS
+        }
+        self._sensor = SensorModel(**troubles)
+        self._sensor.check(self._model.system)
+        self._check_time_source()
+        self._make = ros_messages()
+        how = described(self._integrator, self._step)
+        model_text = carried_text(self._model, self._seed, how, self._sensor)
+        self._impacts = self._publisher(interfaces.IMPACTS, "impacts")
+        self._states = self._publisher(interfaces.PLANT_JOINT_STATES, "~/joint_states")
+        self._model_topic = self._publisher(interfaces.PLANT_MODEL, "~/model")
+        self._clock_topic = (
+            self._publisher(interfaces.SIMULATED_CLOCK, "/clock") if self._owns_clock else None
+        )
+        self._model_topic.publish(self._make.model(model_text))
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self._episode = 0
+        self._plant: Master | None = None
+        # The plant paces itself by wall time: the timer sleeps just to what is due next.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = self.create_timer(_LONGEST_SLEEP, self._tick, clock=steady)
+        self._ready_since: float | None = None
+
+    def _check_time_source(self) -> None:
+        """Refuse two owners of the time, or a pace that nobody else would know."""
+        simulated = self.get_parameter("use_sim_time").value
+        if self._owns_clock and simulated:
+            raise UsageError(
+                "parameter publish_clock: true together with use_sim_time; choose one"
+            )
+        if self._factor != 1.0 and not self._owns_clock:
+            raise UsageError(
+                f"parameter realtime_factor: {self._factor:g} needs publish_clock: true"
+            )
+
+    def _publisher(self, interface: interfaces.Interface, topic: str) -> Publisher:
+        return self.create_publisher(
+            message_class(interface.type), topic, qos_profile(interface.quality)
+        )
+
+    def _tick(self) -> None:
+        """Publish what is due, in the order of stamps, and sleep to the next."""
+        if self._plant is None and not self._begins():
+            return
+        now = self._now()
+        self._publish_until(now)
+        if now >= self._end and self._sensing.next_stamp is None:
+            self.get_logger().info(f"{self._duration / NS_PER_S:g} s are over")
+            for publisher in (self._impacts, self._states):
+                publisher.wait_for_all_acked(_LAST_WORDS)
+            self.done = True
+            return
+        self._sleep_from(now)
+
+    def _begins(self) -> bool:
+        """Start the plant if it is time: subscribers are there and the clock runs.
+
+        Until then simulated time, if it is the plant's own, stands still just before the epoch.
+        """
+        now = self._wanted_epoch or self.get_clock().now().nanoseconds
+        if self._clock_topic is not None:
+            self._wanted_epoch = now
+            self._clock_topic.publish(self._make.clock(max(now - self._clock_period, 1)))
+        listeners = min(
+            self._impacts.get_subscription_count(), self._states.get_subscription_count()
+        )
+        if listeners < self._wanted_subscribers:
+            return False
+        self._ready_since = self._ready_since or time.monotonic()
+        if self._wanted_subscribers and time.monotonic() < self._ready_since + _SETTLE:
+            return False
+        if now == 0:
+            return False  # simulated time that has not begun
+        self._start(now)
+        return True
+
+    def _start(self, epoch: int) -> None:
+        """Begin an episode at ``epoch``."""
+        self._plant = make_plant(
+            self._model.system,
+            *self._model.initial_state(),
+            epoch=epoch,
+            integrator=self._integrator,
+            step=self._step,
+        )
+        self._plant.next_switching(epoch + _LOOK_AHEAD)
+        self._end = epoch + self._duration if self._duration else MAX_STAMP
+        self._sensing = Sensing(
+            self._sensor,
+            self._model.system,
+            epoch=epoch,
+            last=self._end,
+            seed=self._seed,
+            episode=self._episode,
+        )
+        self._epoch = epoch
+        self._started = time.monotonic_ns()  # last: the first use of everything takes its time
+        self._next_sample = 0
+        self._next_clock = epoch
+        name = self._model.system.name
+        self.get_logger().info(f"{name}: episode {self._episode}, epoch {epoch} ns")
+
+    def _now(self) -> int:
+        """The present stamp, ns."""
+        if self._owns_clock:
+            elapsed = (time.monotonic_ns() - self._started) * self._factor
+            return self._epoch + int(elapsed)
+        return int(self.get_clock().now().nanoseconds)
+
+    def _sample_stamp(self, k: int) -> int:
+        """Stamp of the true state number ``k``, ns."""
+        return self._epoch + round(k * NS_PER_S / self._rate)
+
+    def _publish_until(self, now: int) -> None:
+        """What is due: at equal stamps the event first, the clock last.
+
+        After the end only events that are still under way are, and the clock that they need.
+        """
+        assert self._plant is not None
+        last = min(now, self._end)
+        while (switching := self._plant.next_switching(last)) is not None:
+            self._publish_present(switching.instant.stamp - 1)
+            self._sensing.feel(switching)
+            self._plant.cross(switching)
+        self._publish_present(now)
+        shown = last if self._sensing.next_stamp is None else now
+        if self._clock_topic is not None and shown >= self._next_clock:
+            self._clock_topic.publish(self._make.clock(shown))
+            late = max(shown - self._next_clock, 0) // self._clock_period
+            self._next_clock += (late + 1) * self._clock_period
+
+    def _publish_present(self, last: int) -> None:
+        """Events that arrive and true states up to ``last``, all of the present phase."""
+        for event, arrival in self._sensing.due(last):
+            self._publish_states(arrival - 1)
+            self._impacts.publish(self._make.event(event))
+        self._publish_states(last)
+
+    def _publish_states(self, last: int) -> None:
+        """True states of the present phase up to the stamp ``last``, none after the end."""
+        assert self._plant is not None
+        n, names = self._model.system.n, self._model.system.coordinates
+        last = min(last, self._end)
+        while (stamp := self._sample_stamp(self._next_sample)) <= last:
+            x = self._plant.states(np.array([stamp]))[0]
+            state = JointState(stamp, names, x[:n], x[n:])
+            self._states.publish(self._make.joint_state(state))
+            self._next_sample += 1
+
+    def _sleep_from(self, now: int) -> None:
+        """Set the timer to the next thing that is due."""
+        wait = max(min(self._coming(now)) - now, 0) / self._factor
+        if not self._owns_clock:
+            wait = min(wait, _LONGEST_SLEEP * NS_PER_S)
+        self._timer.timer_period_ns = max(int(wait), 1000)
+        self._timer.reset()
+
+    def _coming(self, now: int) -> Iterator[int]:
+        """Stamps of what is due next: one at least, or all would be over."""
+        assert self._plant is not None
+        if (heard := self._sensing.next_stamp) is not None:
+            yield heard
+        if self._owns_clock:
+            yield self._next_clock
+        if now < self._end:
+            yield self._sample_stamp(self._next_sample)
+            switching = self._plant.next_switching(now + _LOOK_AHEAD)
+            if switching is not None:
+                yield switching.instant.stamp
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Begin again from the initial state, as a new episode whose epoch is now."""
+        if self._plant is None:
+            response.success, response.message = False, "the plant has not begun yet"
+            return response
+        self._episode += 1
+        self._start(max(self._now(), self._sample_stamp(self._next_sample - 1) + 1))
+        response.success = True
+        response.message = f"episode {self._episode}, epoch {self._epoch} ns"
+        return response

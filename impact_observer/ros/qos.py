@@ -1,0 +1,56 @@
+"""Qualities of service as ``rclpy`` wants and gives them."""
+
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+from impact_observer.io.interfaces import Quality
+from impact_observer.io.qos_overrides import Profile
+
+
+def qos_profile(quality: Quality) -> QoSProfile:
+    """``quality`` for a publisher that offers it, or a subscriber that asks for it."""
+    reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
+    durability = (
+        DurabilityPolicy.TRANSIENT_LOCAL if quality.transient_local else DurabilityPolicy.VOLATILE
+    )
+    history = HistoryPolicy.KEEP_LAST if quality.depth else HistoryPolicy.KEEP_ALL
+    return QoSProfile(
+        history=history, depth=quality.depth, reliability=reliability, durability=durability
+    )
+
+
+def overriding_profile(profile: Profile) -> QoSProfile:
+    """A topic's policies as a file has them, for a publisher."""
+    return QoSProfile(
+        history=HistoryPolicy.get_from_short_key(profile.history),
+        depth=profile.depth,
+        reliability=ReliabilityPolicy.get_from_short_key(profile.reliability),
+        durability=DurabilityPolicy.get_from_short_key(profile.durability),
+        liveliness=LivelinessPolicy.get_from_short_key(profile.liveliness),
+        deadline=Duration(nanoseconds=profile.deadline),
+        lifespan=Duration(nanoseconds=profile.lifespan),
+        liveliness_lease_duration=Duration(nanoseconds=profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )
+
+
+def offered_quality(profile: QoSProfile, depth: int = 10) -> Quality:
+    """The quality in a ``profile``.
+
+    Args:
+        profile: of a publisher; what it leaves open is read as reliable and volatile.
+        depth: messages kept when the profile does not know, as that of a publisher in another
+            process, whose history cannot be seen.
+    """
+    kept = {HistoryPolicy.KEEP_ALL: 0, HistoryPolicy.KEEP_LAST: max(profile.depth, 1)}
+    return Quality(
+        reliable=profile.reliability != ReliabilityPolicy.BEST_EFFORT,
+        transient_local=profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+        depth=kept.get(profile.history, depth),
+    )

@@ -1,0 +1,284 @@
+"""Recording topics of the ROS graph into a bag, as ``ros2 bag record`` does."""
+
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.io.interfaces import Quality
+from impact_observer.io.reader import RawMessage
+from impact_observer.io.typestores import installed_definition, typestore
+from impact_observer.io.writer import BagWriter
+from impact_observer.ros.message_classes import message_class
+from impact_observer.ros.session import Stop, ros_node
+from impact_observer.ros.subscribing import common_offer, subscribe_raw
+
+_DISCOVERY_PERIOD = 0.1
+"""How often the graph is looked at for new topics, s."""
+_BURST = 5000
+"""Messages a topic may be ahead of the recorder; more than any of our publishers keeps."""
+_DRAIN = 0.05
+"""How long the network must be silent before a stopped recording is closed, s."""
+_LONGEST_DRAIN = 1.0
+"""After this long, a recording that was stopped is closed in any case, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTopic:
+    """What a recording has come to.
+
+    Attributes:
+        counts: messages by topic; 0 for one that has said nothing.
+        missing: topics that were asked for and never appeared.
+    """
+
+    counts: Mapping[str, int]
+    missing: tuple[str, ...]
+
+
+class Recorder:
+    """Writes what is published, as serialized, to a bag; while its node is spun.
+
+    A topic is subscribed to when its first publisher appears, with the quality of service that
+    all its publishers offer, so that latched messages and earlier events are kept too. The log
+    time is the node's clock, which may be simulated; it never goes back.
+
+    Attributes:
+        counts: messages recorded, by topic; 0 for a topic that has said nothing yet.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        writer: BagWriter,
+        topics: Collection[str] | None = None,
+        *,
+        exclude: Collection[str] = (),
+        on_topic: Callable[[str, str], None] | None = None,
+        on_message: Callable[[RawMessage], None] | None = None,
+    ) -> None:
+        """Record with ``node`` into ``writer``.
+
+        Args:
+            node: subscribes; the caller spins it.
+            writer: an open bag; the caller closes it, after :meth:`close`.
+            topics: only these topics; None for every topic that appears, hidden ones left out.
+            exclude: none of these; ``*`` in a name stands for anything.
+            on_topic: told the name and the type of each topic that is found.
+            on_message: told each message that is recorded.
+        """
+        self.counts: dict[str, int] = {}
+        self._node = node
+        self._writer = writer
+        self._wanted = None if topics is None else {_resolved(node, t) for t in topics}
+        self._unwanted = tuple(
+            each if each.startswith(("/", "*")) else f"{_namespace(node)}/{each}"
+            for each in exclude
+        )
+        self._on_topic = on_topic
+        self._on_message = on_message
+        self._asked: dict[str, Quality] = {}
+        self._given_up: set[str] = set()
+        self._subscriptions: dict[str, Subscription] = {}
+        self._last = 0
+        self._waiting: list[tuple[str, bytes]] = []
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(_DISCOVERY_PERIOD, self.discover, clock=steady)
+
+    @property
+    def missing(self) -> list[str]:
+        """Topics that were asked for and have not appeared."""
+        return sorted((self._wanted or set()) - self.counts.keys() - self._given_up)
+
+    def uses_events(self, topic: str) -> bool:
+        """Whether a publisher of ``topic`` is connected."""
+        subscription = self._subscriptions.get(self._node.resolve_topic_name(topic))
+        return subscription is not None and subscription.get_publisher_count() > 0
+
+    def close(self) -> None:
+        """Stop listening."""
+        if self._waiting:
+            self._node.get_logger().warning(
+                f"{len(self._waiting)} messages are not recorded: /clock never ran"
+            )
+        self._node.destroy_timer(self._timer)
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+
+    def discover(self) -> None:
+        """Subscribe to the topics that have appeared since the last look."""
+        for topic, _ in self._node.get_topic_names_and_types():
+            if self._is_wanted(topic) and (publishers := self._publishers(topic)):
+                offer = common_offer(topic, publishers)
+                if topic in self.counts:
+                    self._check(topic, offer)
+                else:
+                    self._subscribe(topic, publishers[0].topic_type, offer)
+
+    def _is_wanted(self, topic: str) -> bool:
+        """Whether a topic is to be recorded."""
+        unwanted = any(fnmatchcase(topic, each) for each in self._unwanted)
+        if unwanted or topic in self._given_up:
+            return False
+        if self._wanted is not None:
+            return topic in self._wanted
+        return not any(part.startswith("_") for part in topic.split("/"))
+
+    def _publishers(self, topic: str) -> list[TopicEndpointInfo]:
+        """The publishers of a topic, other than this node itself."""
+        own = (self._node.get_name(), self._node.get_namespace())
+        return [
+            publisher
+            for publisher in self._node.get_publishers_info_by_topic(topic)
+            if (publisher.node_name, publisher.node_namespace) != own
+        ]
+
+    def _subscribe(self, topic: str, type_name: str, offer: Quality) -> None:
+        """Record a topic from now on, or say once why it cannot be."""
+        known = type_name in typestore().fielddefs
+        definition = "" if known else installed_definition(type_name)
+        try:
+            if definition is None:
+                raise UsageError(f"the definition of {type_name} is not installed")
+            message_type = message_class(type_name)
+            self._writer.declare(topic, type_name=type_name, quality=offer, definition=definition)
+        except ImpactObserverError as error:
+            self._given_up.add(topic)
+            self._node.get_logger().warning(f"{topic} is not recorded: {error}")
+            return
+        self.counts[topic] = 0
+        self._asked[topic] = offer
+        quality = replace(offer, depth=_BURST)
+        self._subscriptions[topic] = subscribe_raw(
+            self._node, topic, message_type, quality, self._write
+        )
+        if self._on_topic:
+            self._on_topic(topic, type_name)
+
+    def _check(self, topic: str, offer: Quality) -> None:
+        """Say once that a later publisher offers less than was asked of the first ones."""
+        asked = self._asked[topic]
+        if (asked.reliable, asked.transient_local) != (
+            asked.reliable and offer.reliable,
+            asked.transient_local and offer.transient_local,
+        ):
+            self._asked[topic] = offer
+            self._node.get_logger().warning(
+                f"{topic} has a new publisher that is less reliable or durable than the first; "
+                "its messages are not recorded"
+            )
+
+    def _write(self, topic: str, data: bytes) -> None:
+        """Write a message; what comes before simulated time runs waits for its first instant."""
+        self._waiting.append((topic, data))
+        now = self._node.get_clock().now().nanoseconds
+        if now == 0:
+            return
+        self._last = max(self._last, now)
+        waiting, self._waiting = self._waiting, []
+        for each in waiting:
+            message = RawMessage(each[0], self._last, each[1])
+            self._writer.write_raw(*message)
+            self.counts[message.topic] += 1
+            if self._on_message:
+                self._on_message(message)
+
+
+def record(
+    path: Path | str,
+    topics: Collection[str] | None = None,
+    *,
+    exclude: Collection[str] = (),
+    use_sim_time: bool = False,
+    duration: float | None = None,
+    compressed: bool = False,
+    on_topic: Callable[[str, str], None] | None = None,
+    on_progress: Callable[[int, float], None] | None = None,
+) -> RecordedTopic:
+    """Record a bag until SIGINT, SIGTERM or the end of ``duration``.
+
+    What was published before the end is still taken in.
+
+    Args:
+        path: the folder to make.
+        topics: only these topics; None for every topic that appears.
+        exclude: none of these; ``*`` in a name stands for anything.
+        use_sim_time: whether log times follow ``/clock``.
+        duration: how long, s of wall time; None for until a signal.
+        compressed: whether what is written is compressed.
+        on_topic: told the name and the type of each topic that is found.
+        on_progress: told the number of messages so far and the seconds that have passed, about
+            ten times a second.
+
+    Returns:
+        What came, and what did not.
+
+    Raises:
+        UsageError: something is at ``path`` already, a topic cannot be called so, or the
+            duration is not positive. Then no bag is made.
+        BagError: the bag cannot be written.
+    """
+    if duration is not None and not 0 < duration < float("inf"):
+        raise UsageError(f"duration is {duration}; expected a positive number of seconds")
+    with (
+        Stop() as stop,
+        ros_node("recorder", use_sim_time=use_sim_time) as (node, executor),
+        _writer(path, node, topics, compressed=compressed) as writer,
+    ):
+        recorder = Recorder(node, writer, topics, exclude=exclude, on_topic=on_topic)
+        begin = shown = time.monotonic()
+        while not stop.requested and (duration is None or time.monotonic() < begin + duration):
+            executor.spin_once(timeout_sec=_DISCOVERY_PERIOD)
+            if on_progress and time.monotonic() > shown + _DISCOVERY_PERIOD:
+                shown = time.monotonic()
+                on_progress(writer.message_count, shown - begin)
+        drain(executor, writer)
+        recorder.close()
+        return RecordedTopic(recorder.counts, tuple(recorder.missing))
+
+
+def _writer(
+    path: Path | str, node: Node, topics: Collection[str] | None, *, compressed: bool
+) -> BagWriter:
+    """An open bag; none is made where a topic cannot be called so."""
+    for topic in topics or ():
+        _resolved(node, topic)
+    return BagWriter(path, compressed=compressed)
+
+
+def _resolved(node: Node, topic: str) -> str:
+    """The absolute name of a topic, as a node sees it.
+
+    Raises:
+        UsageError: nothing can be called so.
+    """
+    try:
+        return str(node.resolve_topic_name(topic))
+    except Exception as error:  # noqa: BLE001 (what rclpy raises it does not make public)
+        reason = str(error).partition(", at ")[0].removeprefix("failed to resolve name: ")
+        raise UsageError(f"topic {topic!r}: {reason}") from None
+
+
+def _namespace(node: Node) -> str:
+    """A node's namespace, before a slash."""
+    return str(node.get_namespace()).rstrip("/")
+
+
+def drain(executor: SingleThreadedExecutor, writer: BagWriter) -> None:
+    """Take in what is on its way: spin until nothing has come for a moment."""
+    latest = silent_since = time.monotonic()
+    latest += _LONGEST_DRAIN
+    while time.monotonic() < min(latest, silent_since + _DRAIN):
+        before = writer.message_count
+        executor.spin_once(timeout_sec=_DRAIN)
+        if writer.message_count > before:
+            silent_since = time.monotonic()

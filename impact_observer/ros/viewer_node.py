@@ -1,0 +1,142 @@
+"""The viewer node: plant and estimates side by side as markers for RViz."""
+
+from functools import partial
+
+from rclpy.node import Node
+
+from impact_observer.draw.curves import Observed
+from impact_observer.draw.scene.scene import Scene
+from impact_observer.errors import UsageError
+from impact_observer.events import Kind
+from impact_observer.io import interfaces
+from impact_observer.io.messages import (
+    EventMessage,
+    JointState,
+    JointStateMessage,
+    MessageError,
+    read_event,
+)
+from impact_observer.model import read_model
+from impact_observer.ros import parameters
+from impact_observer.ros.markers import ESTIMATE, PLANT, MarkerRow, Painter
+from impact_observer.ros.message_classes import message_class, ros_messages, state_of
+from impact_observer.ros.qos import qos_profile
+from impact_observer.stamps import NS_PER_S
+
+_GLOW = NS_PER_S // 5
+"""How long a stop that was hit is lit, ns."""
+PLANT_ROW = "plant"
+"""Name of the row of the plant, and of its node."""
+
+
+class ViewerNode(Node):
+    """Publishes ``~/markers`` of the last state of the plant and of each observer."""
+
+    def __init__(self) -> None:
+        super().__init__("viewer")
+        values = parameters.declare(self, parameters.VIEWER)
+        model = read_model(values.text("model"))
+        self._system = model.system
+        known = () if model.position is None else [model.position]
+        scene = Scene.of(model.system, known, values.number("reach"))
+        self._painter = Painter(scene, values.text("frame"))
+        self._rows = _rows(values.text("observers"))
+        self._states: dict[str, JointState] = {}
+        self._hits: dict[int, int] = {}
+        self._closed: set[int] = set()
+        self._episode = (0, 0)
+        self._make = ros_messages()
+        quality = qos_profile(interfaces.VIEWER_MARKERS.quality)
+        self._markers = self.create_publisher(
+            message_class(interfaces.MARKERS), "~/markers", quality
+        )
+        self._subscribe()
+        self._cleared = False
+        self.create_timer(1.0 / values.number("rate"), self._publish)
+        for line in scene.omitted:
+            self.get_logger().warning(f"{model.system.name}: shown {line}")
+
+    def _subscribe(self) -> None:
+        """Listen to the states of all rows, and to impacts."""
+        states = qos_profile(interfaces.STATES)
+        for row in self._rows:
+            self.create_subscription(
+                message_class(interfaces.JOINT_STATE),
+                f"{row.name}/joint_states",
+                partial(self._on_state, row.name),
+                states,
+            )
+        # Earlier events light nothing any more; and a bag that is played may offer none.
+        heard = interfaces.Quality(depth=interfaces.EVENTS.depth)
+        self.create_subscription(
+            message_class(interfaces.IMPACT_EVENT), "impacts", self._on_event, qos_profile(heard)
+        )
+
+    def _on_state(self, name: str, message: JointStateMessage) -> None:
+        """Remember the last state that came."""
+        state = state_of(self, f"{name}/joint_states", message, self._system.coordinates)
+        if state is None:
+            return
+        if name == PLANT_ROW and name in self._states and state.stamp < self._states[name].stamp:
+            self._closed.clear()  # as of a bag that is played again
+        self._states[name] = state
+
+    def _on_event(self, message: EventMessage) -> None:
+        """Remember when contacts were hit, and which stay closed."""
+        try:
+            event = read_event(message)
+        except MessageError as error:
+            self.get_logger().error(f"impacts: {error}", throttle_duration_sec=5.0)
+            return
+        if (event.epoch, event.episode) != self._episode:
+            self._episode = (event.epoch, event.episode)
+            self._hits.clear()
+            self._closed.clear()
+        for switch in event.switches:
+            if switch.contact not in self._system.contact_names:
+                continue
+            contact = self._system.contact_names.index(switch.contact)
+            if switch.kind is Kind.OPEN:
+                self._closed.discard(contact)
+                continue
+            self._hits[contact] = event.stamp
+            if switch.kind is Kind.CLOSE:
+                self._closed.add(contact)
+
+    def _publish(self) -> None:
+        """Publish all rows that have a state; before the first, remove what is left of others."""
+        if not self._cleared:
+            self._markers.publish(self._painter.clear(self.get_clock().now().to_msg()))
+            self._cleared = self._markers.get_subscription_count() > 0
+        markers = []
+        for row in self._rows:
+            state = self._states.get(row.name)
+            if state is not None:
+                time = self._make.time(state.stamp)
+                markers += self._painter.markers(row, state.q, self._lit(state), time)
+        if markers:
+            self._markers.publish(message_class(interfaces.MARKERS)(markers=markers))
+
+    def _lit(self, state: JointState) -> set[int]:
+        """Contacts that are closed, or were hit shortly before a state."""
+        hit = {i for i, stamp in self._hits.items() if 0 <= state.stamp - stamp < _GLOW}
+        return hit | self._closed
+
+
+def _rows(observers: str) -> tuple[MarkerRow, ...]:
+    """The plant first, then the observers that are named, each once.
+
+    Raises:
+        UsageError: a name is empty, none of a node, or the plant's.
+    """
+    names = list(dict.fromkeys(name.strip() for name in observers.split(","))) if observers else []
+    for name in names:
+        if not name:
+            raise UsageError(
+                f"parameter observers: {observers!r} has an empty name; expected NAME,NAME,..."
+            )
+        if name == PLANT_ROW:
+            raise UsageError("parameter observers: the plant is shown in any case; leave it out")
+        Observed.named(name)
+    rows = [MarkerRow(PLANT_ROW, 0, PLANT)]
+    return (*rows, *(MarkerRow(name, i, ESTIMATE) for i, name in enumerate(names, start=1)))

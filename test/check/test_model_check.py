@@ -1,0 +1,188 @@
+"""What a model means for an observer: modes, what contacts see, effective masses."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from numpy.typing import NDArray
+from systems import Harmonic, chain, examples, forcing, sample, system, systems
+
+from impact_observer.check.model_check import ModelCheck, check_model
+from impact_observer.model import System
+
+Array = NDArray[np.float64]
+
+
+def state_matrix(model: System) -> Array:
+    """``A`` of ``d(q, u)/dt = A (q, u)``."""
+    stiff, damped = (np.linalg.solve(model.M, part) for part in (model.K, model.C))
+    return np.block([[np.zeros_like(stiff), np.eye(model.n)], [-stiff, -damped]])
+
+
+def eigenvalues(checked: ModelCheck) -> Array:
+    """All 2n of them, as the result tells them."""
+    upper = [complex(mode.decay, mode.frequency) for mode in checked.modes]
+    pairs = [value for each in upper for value in (each, each.conjugate())]
+    return np.array([*pairs, *checked.rates, *np.zeros(len(checked.rigid))])
+
+
+def test_eigenfrequencies_of_a_chain_are_the_closed_form() -> None:
+    """``2 sqrt(k) sin(j pi / (2 (n + 1)))``; damping in proportion gives every ratio."""
+    n, k, c = 7, 10.0, 0.1
+    checked = check_model(chain(n, k, c))
+    expected = 2 * np.sqrt(k) * np.sin(np.arange(1, n + 1) * np.pi / (2 * (n + 1)))
+    np.testing.assert_allclose(checked.undamped, expected, rtol=1e-12)
+    ratios = c / k * expected / 2
+    np.testing.assert_allclose([mode.natural for mode in checked.modes], expected, rtol=1e-11)
+    np.testing.assert_allclose([m.damping_ratio for m in checked.modes], ratios, rtol=1e-9)
+    damped = expected * np.sqrt(1 - ratios**2)
+    np.testing.assert_allclose([mode.frequency for mode in checked.modes], damped, rtol=1e-11)
+    assert checked.damped
+    assert checked.rigid.shape == (0, n)
+
+
+@examples(40)
+@given(systems(forced=False))
+def test_eigenvalues_are_those_of_the_state_matrix(model: System) -> None:
+    """Coupled damping, gyroscopic forces and rigid bodies included: 2n of them, same polynomial.
+
+    Double eigenvalues are known to half the digits only, so coefficients are compared.
+    """
+    found = eigenvalues(check_model(model))
+    assert found.size == 2 * model.n
+    matrix = state_matrix(model)
+    scale = max(1.0, float(np.max(np.abs(found))))
+    expected = np.poly(matrix / scale)
+    np.testing.assert_allclose(np.poly(found / scale), expected, atol=1e-8 * 2**model.n)
+
+
+def test_overdamped_pairs_are_real() -> None:
+    """``s^2 + 5 s + 4`` beside an oscillation."""
+    checked = check_model(system(np.eye(2), np.diag([5, 0.2]), np.diag([4, 9])))
+    np.testing.assert_allclose(checked.rates, [-4, -1], rtol=1e-13)
+    (mode,) = checked.modes
+    assert mode.natural == pytest.approx(3, rel=1e-13)
+    assert mode.damping_ratio == pytest.approx(0.1 / 3, rel=1e-12)
+
+
+def test_a_free_chain_has_one_rigid_mode_with_equal_displacements() -> None:
+    """Without friction on the ground its motion goes on for ever."""
+    laplacian = np.diag([1.0, 2, 1]) - np.eye(3, k=1) - np.eye(3, k=-1)
+    model = system(np.diag([1.0, 2, 3]), laplacian, laplacian, contacts=[([1, -1, 0], 0.1, 0.5)])
+    checked = check_model(model)
+    np.testing.assert_allclose(checked.rigid, [[1, 1, 1]], rtol=1e-12)
+    assert checked.undamped[0] == 0
+    assert checked.rates.tolist() == [0]
+    assert not checked.damped
+    (unseen,) = checked.unseen  # the contact is between bodies
+    assert (unseen.decay, unseen.frequency) == (0, 0)
+    np.testing.assert_allclose(unseen.shape, [1, 1, 1], rtol=1e-12)
+
+
+def test_friction_on_the_ground_damps_a_rigid_body() -> None:
+    """Its velocity decays at c/m, its displacement is still seen by nobody's V."""
+    checked = check_model(system(2, 3, 0, contacts=[([1], 0.0, 0.5)]))
+    assert checked.rates == pytest.approx([-1.5], rel=1e-14)
+    assert len(checked.rigid) == 1
+    assert checked.damped
+    assert checked.unseen == ()
+
+
+def test_the_ball_is_one_free_rigid_body() -> None:
+    """The smallest system: one zero eigenvalue for its height, one for its speed."""
+    checked = check_model(sample("bouncing_ball").system)
+    assert checked.rigid.tolist() == [[1.0]]
+    assert (checked.modes, checked.rates.tolist()) == ((), [0.0])
+
+
+def test_undamped_modes_are_exactly_that() -> None:
+    """The middle of a chain does not move in its second mode: a damper there misses it."""
+    laplacian = 2 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1)
+    checked = check_model(system(np.eye(3), np.diag([0, 0.3, 0]), 10 * laplacian))
+    decays = [mode.decay for mode in checked.modes]
+    assert decays[1] == 0
+    assert decays[0] < 0
+    assert decays[2] < 0
+    assert checked.modes[1].frequency == pytest.approx(np.sqrt(20), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("frequency", "force", "resonates"),
+    [
+        (20**0.5, [1, 0, 0], True),
+        (20**0.5, [0, 1, 0], False),  # at a node of the mode
+        (20**0.5, [1, 0, 1], False),  # symmetric, the mode is not
+        (4.5, [1, 0, 0], False),
+    ],
+)
+def test_only_a_force_along_an_undamped_mode_resonates(
+    frequency: float, force: list[float], resonates: bool
+) -> None:
+    """At its frequency, and not at a node of it."""
+    harmonics = [Harmonic(1.0, [1, 1, 1], [0, 0, 0]), Harmonic(frequency, [0, 0, 0], force)]
+    model = chain(3, damping=0.0, force=forcing(3, 0.0, harmonics))
+    found = check_model(model).resonances
+    assert [each.harmonic for each in found] == ([1] if resonates else [])
+    assert check_model(chain(3, force=forcing(3, 0.0, harmonics))).resonances == ()
+
+
+def test_a_contact_at_a_node_does_not_see_the_mode() -> None:
+    """The second mode of three masses, from the middle one."""
+    (unseen,) = check_model(chain(3, contacts=[([0, 1, 0], 0.1, 0.5)])).unseen
+    assert unseen.frequency == pytest.approx(np.sqrt(20 - 0.1**2), rel=1e-12)
+    assert unseen.decay == pytest.approx(-0.1, rel=1e-10)
+    np.testing.assert_allclose(np.abs(unseen.shape), [1, 0, 1], atol=1e-12)
+    assert unseen.shape[0] * unseen.shape[2] < 0
+    assert check_model(chain(3, contacts=[([1, 0, 0], 0.1, 0.5)])).unseen == ()
+
+
+def test_equal_oscillators_need_a_contact_each() -> None:
+    """Each is seen by the sum, but not their difference."""
+    one = check_model(system(np.eye(2), np.eye(2) / 9, np.eye(2), contacts=[([1, 1], 0, 1)]))
+    assert len(one.unseen) == 1
+    assert one.unseen[0].shape.sum() == pytest.approx(0, abs=1e-12)
+    both = [([1, 1], 0, 1), ([1, 0], 0, 1)]
+    assert not check_model(system(np.eye(2), np.eye(2) / 9, np.eye(2), contacts=both)).unseen
+
+
+@examples(40)
+@given(systems(forced=False, contacts=(1, 2)))
+def test_as_many_motions_are_hidden_as_the_observability_matrix_says(model: System) -> None:
+    """Rank of the rows ``W^T A^k``, for gaps and speeds; a pair counts two, a rigid one too."""
+    A = state_matrix(model)
+    A /= max(1.0, float(np.linalg.norm(A, 2)))
+    rows = [np.kron(np.eye(2), (model.W / np.linalg.norm(model.W, axis=0)).T)]
+    for _ in range(2 * model.n - 1):
+        rows.append(rows[-1] @ A)
+    singular = np.linalg.svd(np.vstack(rows), compute_uv=False)
+    hidden = check_model(model).unseen
+    if not np.any((singular > 1e-13) & (singular < 1e-7)):  # the oracle is sure
+        assert bool(hidden) == bool(np.any(singular <= 1e-13))
+    for each in hidden:
+        assert np.linalg.norm(model.W.T @ each.shape) <= 1e-7 * np.linalg.norm(model.W)
+
+
+def test_effective_mass_is_what_the_contact_feels() -> None:
+    """``1 / (w^T M^-1 w)``: a body's own mass, and the reduced mass of two."""
+    contacts = [([1, 0], 0.0, 0.5), ([-1, 1], 0.0, 0.5), ([0, 2], 0.0, 0.5)]
+    model = system(np.diag([2, 3]), np.eye(2), np.eye(2), contacts=contacts)
+    found = check_model(model).effective_mass
+    np.testing.assert_allclose(found, [2, 6 / 5, 3 / 4], rtol=1e-14)
+
+
+def test_a_system_without_contacts_hides_every_mode() -> None:
+    """And no impact can raise anything."""
+    checked = check_model(chain(3))
+    assert len(checked.unseen) == 3
+    assert checked.nonexpansive is True
+    assert checked.effective_mass.size == 0
+    assert checked.possible
+    assert checked.roomy
+
+
+def test_every_set_that_raises_v_has_its_factor() -> None:
+    """In the same order."""
+    contacts = [([1.0, 0.0], 0.1, 1.0), ([0.9, 0.436], 0.1, 0.0), ([0.436, 0.9], 0.1, 0.3)]
+    checked = check_model(system(np.eye(2), np.eye(2), np.eye(2), contacts=contacts))
+    assert checked.nonexpansive is False
+    assert [each.contacts for each in checked.growths] == list(checked.expansive.sets)
+    assert all(each.factor > 1 for each in checked.growths)

@@ -1,0 +1,333 @@
+"""Damaged bags: what check says of each, and what comes out of salvage."""
+
+import shutil
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from faulty_bags import GOOD, MAKE, S, model, state
+from foreign_bags import bare, humble_sqlite, mcap_folder, rewritten
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
+from systems import examples
+
+from impact_observer.check.bag_check import check_bag
+from impact_observer.check.salvage import Salvage, salvage
+from impact_observer.check.sqlite_pages import Pages
+from impact_observer.errors import BagError, UsageError
+from impact_observer.io import BagReader, BagWriter, interfaces
+from impact_observer.io.reader import RawMessage
+from impact_observer.stamps import text
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model, 400 states and the impacts among them."""
+    path = tmp_path_factory.mktemp("salvage") / "own"
+    with BagWriter(path) as writer:
+        writer.write("/plant/model", S, MAKE.model(model()))
+        for k in range(400):
+            writer.write("/plant/joint_states", S + k * 20_000_000, state(S + k * 20_000_000))
+            if k % 50 == 49 and k // 50 < len(GOOD):
+                event = GOOD[k // 50]
+                writer.write("/impacts", event.stamp, MAKE.event(event))
+    return path
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Bags lie in the working folder: lines name them in short."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def messages(path: Path) -> list[RawMessage]:
+    """All of a whole bag."""
+    with BagReader(path) as reader:
+        return list(reader.raw())
+
+
+def cut(path: Path, share: float) -> int:
+    """Cut a file short; its size then."""
+    data = path.read_bytes()
+    path.write_bytes(data[: round(share * len(data))])
+    return path.stat().st_size
+
+
+def flip(path: Path, at: int, mask: int = 0x55) -> None:
+    """Change a byte."""
+    data = bytearray(path.read_bytes())
+    data[at] ^= mask
+    path.write_bytes(data)
+
+
+def lines(path: Path) -> list[str]:
+    """What is found in a bag that nobody can use."""
+    report = check_bag(path)
+    assert not report.usable
+    return [f"{each.severity} {each.line}" for each in report.findings]
+
+
+def found(path: Path, whole: Path) -> int:
+    """How many messages a salvage brings back, each of them unharmed."""
+    salvage(Salvage(path), Path("new"))
+    again, all_ = messages(Path("new")), set(messages(whole))
+    assert set(again) <= all_
+    assert len(again) == len(set(again))
+    shutil.rmtree("new")
+    return len(again)
+
+
+def readable(path: Path) -> dict[str, int]:
+    """How many messages of each topic can be read."""
+    source = Salvage(path)
+    assert len(list(source.raw())) == sum(source.counts.values())
+    return source.counts
+
+
+def chunks(path: Path) -> list[int]:
+    """Where the chunks of an MCAP file begin."""
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    return [each.chunk_start_offset for each in summary.chunk_indexes]
+
+
+REMEDY = "write them to a new bag with `impact-observer check bag --salvage -o NEW`"
+
+
+@pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
+def test_mcap_that_was_cut_in_a_chunk(whole: Path, compression: str) -> None:
+    """Every message before the cut comes back, those of the open chunk too."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy", compression=compression, chunk=10_000)
+    size = cut(bare(bag), 0.5)
+    counts = readable(bag)
+    last = max(raw.log_time for raw in Salvage(bag).raw())
+    said = lines(bag)
+    assert said[0] == (
+        f"error bag: cannot be read as a bag: File end magic is invalid; {sum(counts.values())}"
+        f" messages, up to {text(last)} s, can be read: {REMEDY}"
+    )
+    assert f"warning bag_0.mcap: was cut short at byte {size}" in said
+    assert found(bag, whole) == sum(counts.values()) > 120
+
+
+def test_mcap_whose_recorder_was_killed(whole: Path) -> None:
+    """It ends after a chunk, without index and metadata."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
+    (bag / "metadata.yaml").unlink()
+    third = chunks(bare(bag))[2]
+    bare(bag).write_bytes(bare(bag).read_bytes()[:third])
+    assert lines(bag) == [
+        f"error bag: no metadata.yaml; 147 messages, up to 3.860000000 s, can be read: {REMEDY}",
+        f"warning bag_0.mcap: was cut short at byte {third}",
+        "note /impacts: 2 messages can be read, up to 3.000000000 s",
+        "note /plant/joint_states: 144 messages can be read, up to 3.860000000 s",
+        "note /plant/model: 1 message can be read, up to 1.000000000 s",
+    ]
+    assert found(bag, whole) == 147
+
+
+def test_mcap_with_a_broken_chunk(whole: Path) -> None:
+    """It is left out: nobody knows which of its messages are right."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
+    second = chunks(bare(bag))[1]
+    flip(bare(bag), second + 3000)
+    said = lines(bag)
+    assert said[0].startswith("error bag: cannot be read as a bag: Chunk checksum mismatch; ")
+    assert said[1:3] == [
+        f"warning bag_0.mcap: the chunk at byte {second} does not match its checksum",
+        (
+            "warning /impacts: 1 event missing by the sequence numbers, the first is number 2,"
+            " before 4.000000000 s; record with reliable quality of service and a depth of 2000"
+        ),
+    ]
+    assert 300 < found(bag, whole) < len(messages(whole))
+
+
+def test_mcap_with_a_broken_length_goes_on_at_the_next_chunk(whole: Path) -> None:
+    """Its index says where that is."""
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
+    (bag / "metadata.yaml").unlink()
+    _, second, third, *_ = chunks(bare(bag))
+    flip(bare(bag), second + 7)
+    assert f"warning bag_0.mcap: is damaged from byte {second} to {third}" in lines(bag)
+    assert 300 < found(bag, whole) < len(messages(whole))
+
+
+def test_metadata_that_is_missing_or_wrong_loses_nothing(whole: Path) -> None:
+    """The files know themselves."""
+    everything = (
+        f"nothing seems to be lost; 406 messages, up to 8.980000000 s, can be read: {REMEDY}"
+    )
+    bag = mcap_folder(whole, Path("bag"), distro="jazzy")
+    metadata = bag / "metadata.yaml"
+    right = metadata.read_text("utf-8")
+    metadata.write_text(right.replace("message_count: 400", "message_count: 401"), "utf-8")
+    assert (
+        lines(bag)[0] == f"error bag: 406 messages found, 407 promised by its index; {everything}"
+    )
+    metadata.write_text("{[", "utf-8")
+    said = lines(bag)[0]
+    assert said.startswith("error bag: cannot be read as a bag: Could not load YAML from bag/")
+    assert said.endswith(everything)
+    metadata.unlink()
+    assert lines(bag)[0] == f"error bag: no metadata.yaml; {everything}"
+    assert found(bag, whole) == 406
+
+
+@pytest.mark.parametrize(
+    "share",
+    [0.4, pytest.param(0.6, marks=pytest.mark.slow), pytest.param(0.9, marks=pytest.mark.slow)],
+)
+def test_database_that_was_cut(whole: Path, share: float) -> None:
+    """Its pages tell, whether or not those that lead to them are there."""
+    bag = humble_sqlite(whole, Path("bag"))
+    pages = bare(bag).stat().st_size // 4096
+    left = cut(bare(bag), share) // 4096
+    count = sum(readable(bag).values())
+    said = lines(bag)
+    assert said[0].startswith(
+        "error bag: cannot be read as a bag: Cannot open database bag/bag_0.db3: database disk"
+        f" image is malformed; {count} messages, up to "
+    )
+    assert f"warning bag_0.db3: was cut short, {pages - left} of {pages} pages" in said
+    assert found(bag, whole) == count > share * 406 - 150
+
+
+def test_database_with_a_broken_page(whole: Path) -> None:
+    """The row numbers tell how many are missing."""
+    bag = humble_sqlite(whole, Path("bag"))
+    data = bare(bag).read_bytes()
+    leaves = [at for at in range(4096, len(data), 4096) if data[at] == 0x0D]
+    flip(bare(bag), leaves[len(leaves) // 2])
+    count = sum(readable(bag).values())
+    assert 340 < count < 406
+    said = f"warning bag_0.db3: {406 - count} messages before the last one are broken"
+    assert said in lines(bag)
+    assert found(bag, whole) == count
+
+
+def test_journal_that_a_recorder_left_is_told(whole: Path) -> None:
+    """Nobody reads it; the bag without it can be used."""
+    bag = humble_sqlite(whole, Path("bag"))
+    (bag / "bag_0.db3-wal").write_bytes(b"1234")
+    report = check_bag(bag)
+    assert report.usable
+    assert [each.line for each in report.findings] == [
+        (
+            "bag_0.db3-wal: 4 bytes that are not in the database yet; put them in: sqlite3"
+            " bag/bag_0.db3 'PRAGMA wal_checkpoint(TRUNCATE)'"
+        )
+    ]
+
+
+def test_what_is_no_bag_at_all_is_said_so() -> None:
+    """And there is nothing to salvage."""
+    Path("notes.txt").write_text("none")
+    Path("bag").mkdir()
+    for path, expected in (
+        ("notes.txt", "notes.txt: not a bag; nothing can be read: there is no .mcap or .db3 file"),
+        ("bag", "bag: no metadata.yaml; nothing can be read: there is no .mcap or .db3 file"),
+    ):
+        assert lines(Path(path)) == [f"error {expected}"]
+        with pytest.raises(BagError, match=r"nothing can be read; there is no \.mcap"):
+            salvage(Salvage(Path(path)), Path("new"))
+        assert not Path("new").exists()
+    Path("x.mcap").write_bytes(b"")
+    Path("x.db3").write_bytes(b"SQLite format 4\0" * 100)
+    assert lines(Path("x.mcap")) == [
+        (
+            "error x.mcap: cannot be read as a bag: File 'x.mcap' seems to be empty; nothing can"
+            " be read: x.mcap: does not begin as an MCAP file"
+        )
+    ]
+    assert lines(Path("x.db3"))[0].endswith("x.db3: does not begin as an sqlite3 file")
+    with pytest.raises(UsageError, match=r"absent: does not exist"):
+        Salvage(Path("absent"))
+
+
+def test_other_definitions_and_unknown_types_are_named() -> None:
+    """The first would be read as something else, the second not at all."""
+    with Writer(Path("bag"), version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(
+            "/impacts", interfaces.IMPACT_EVENT, msgdef="int32 data\n", rihs01="RIHS01_0"
+        )
+        writer.write(connection, 1, b"\x00\x01\0\0\1\0\0\0")
+    assert lines(Path("bag"))[0] == (
+        "error /impacts: the bag defines impact_observer_msgs/msg/ImpactEvent otherwise than this"
+        " package; expected the same fields; read it with the version that made it"
+    )
+
+
+def test_type_that_nobody_defines_is_left_out_of_a_new_bag(whole: Path) -> None:
+    """An old database has no definitions."""
+    bag = humble_sqlite(whole, Path("bag"))
+    with sqlite3.connect(bare(bag)) as database:
+        database.execute("UPDATE topics SET type = 'rig/msg/X' WHERE name = '/plant/model'")
+    metadata = (bag / "metadata.yaml").read_text("utf-8")
+    (bag / "metadata.yaml").write_text(metadata.replace("std_msgs/msg/String", "rig/msg/X"))
+    said = "note bag: no definition of the messages on /plant/model (rig/msg/X); they can be"
+    assert any(line.startswith(said) for line in lines(bag))
+    (loss,) = salvage(Salvage(bag), Path("new"))
+    assert loss.startswith("/plant/model is left out: ")
+    assert len(messages(Path("new"))) == 405
+
+
+@pytest.mark.slow
+@settings(examples(25), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    flips=st.lists(st.tuples(st.floats(0, 1), st.integers(1, 255)), max_size=3),
+    keep=st.floats(0, 1) | st.just(1.0),
+    kind=st.sampled_from(["mcap", "zstd", "message", "db3"]),
+)
+def test_no_damage_is_ever_a_traceback(
+    whole: Path, flips: list[tuple[float, int]], keep: float, kind: str
+) -> None:
+    """Check always says something, in lines; salvage takes what it gets."""
+    shutil.rmtree("bag", ignore_errors=True)
+    if kind == "db3":
+        bag = humble_sqlite(whole, Path("bag"))
+    elif kind == "message":
+        bag = rewritten(whole, Path("bag"), StoragePlugin.MCAP, CompressionMode.MESSAGE)
+    else:
+        packed = kind if kind == "zstd" else ""
+        bag = mcap_folder(whole, Path("bag"), distro="jazzy", compression=packed, chunk=10_000)
+    file = bare(bag)
+    for where, mask in flips:
+        flip(file, round(where * (file.stat().st_size - 1)), mask)
+    cut(file, keep)
+    report = check_bag(bag)
+    assert report.readable or not report.usable
+    assert all("\n" not in each.line for each in report.findings)
+    readable(bag)
+
+
+@pytest.mark.parametrize("size", [512, 4096, 65536])
+def test_rows_of_a_database_are_those_that_sqlite_reads(size: int) -> None:
+    """Of any page size; long ones go on in pages of their own; numbers of any length."""
+    draw = np.random.default_rng(size)
+    database = sqlite3.connect("x.db3")
+    database.execute(f"PRAGMA page_size = {size}")
+    database.execute("CREATE TABLE t(id INTEGER PRIMARY KEY, a INT, b TEXT, c BLOB)")
+    for k in range(300):
+        number = int(draw.integers(-(2**62), 2**62)) >> int(draw.integers(0, 62))
+        data = draw.bytes(
+            int(draw.choice([0, 3, 400, 5000, 70_000], p=[0.2, 0.3, 0.3, 0.15, 0.05]))
+        )
+        row = (k * k + 1, number, f"ü{k}" if k % 3 else None, data)
+        database.execute("INSERT INTO t VALUES (?, ?, ?, ?)", row)
+    database.commit()
+    rows = database.execute("SELECT * FROM t").fetchall()
+    database.close()
+    with Path("x.db3").open("rb") as stream:
+        pages = Pages(stream)
+        assert pages.size == size
+        mine = {row.number: row.values for row in pages.rows() if len(row.values) == 4}
+    assert pages.lost == 0
+    assert {number: values for number, *values in rows} == {
+        number: [*values[1:]] for number, values in mine.items()
+    }

@@ -1,0 +1,313 @@
+"""Comparing streams: the same figures however the blocks come, both sides of a jump kept apart."""
+
+from collections.abc import Iterable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from systems import sample
+
+from impact_observer.compare.comparison import Comparing, Comparison, compare_law
+from impact_observer.compare.mismatch import Impact, window
+from impact_observer.compare.tally import MOST_ROWS, ErrorCurve, ErrorRows
+from impact_observer.dynamics.lyapunov import distance
+from impact_observer.errors import BagError
+from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
+from impact_observer.io.pairing import HOLD, Pairing, Series
+from impact_observer.model import read_model
+from impact_observer.observer import Options
+from impact_observer.observer.event_outcomes import outcomes_of
+from impact_observer.plant import Plant, Run, SensorModel, sense, simulate
+from impact_observer.stamps import NS_PER_S, grid
+from impact_observer.states import Stamps
+
+SYSTEM = sample("two_mass").system
+EPOCH = NS_PER_S
+SECONDS = 20
+
+
+def run_of(rate: float = 1000.0) -> Run:
+    """Twenty seconds of two_mass."""
+    model = read_model("two_mass")
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    return simulate(plant, grid(EPOCH, EPOCH + SECONDS * NS_PER_S, rate))
+
+
+RUN = run_of()
+
+
+def in_blocks(series: Series, *cuts: int) -> list[Series]:
+    """``series`` cut before these rows."""
+    edges = [0, *cuts, series.stamps.size]
+    return [
+        Series(
+            series.stamps[a:b],
+            series.x[a:b],
+            None if series.last_event is None else series.last_event[a:b],
+        )
+        for a, b in pairwise(edges)
+    ]
+
+
+def compared(
+    truth: Iterable[Series],
+    estimates: Iterable[Series],
+    events: Iterable[ImpactEvent] = (),
+    verdicts: Iterable[Verdict] | None = None,
+) -> Comparison:
+    """What comes out when the blocks come in turn."""
+    comparing = Comparing(SYSTEM, outcomes_of(events, verdicts))
+    waiting = [[*truth][::-1], [*estimates][::-1]]
+    while any(waiting):
+        if waiting[0]:
+            comparing.pairing.truth.add(waiting[0].pop())
+        if waiting[1]:
+            comparing.pairing.estimates.add(waiting[1].pop())
+        comparing.proceed()
+    return comparing.result("some law")
+
+
+def shifted(delay: int) -> NDArray[np.float64]:
+    """The run's own states, so many samples later: an estimate that jumps late each time."""
+    return np.vstack([RUN.states[:1].repeat(delay, axis=0), RUN.states[: len(RUN.states) - delay]])
+
+
+@pytest.mark.parametrize("cuts", [(), (1,), (7, 4000, 4001, 12000), tuple(range(100, 20000, 333))])
+def test_figures_do_not_depend_on_the_blocks(cuts: tuple[int, ...]) -> None:
+    """They are those of plain formulas on whole arrays."""
+    rng = np.random.default_rng(3)
+    x = RUN.states + rng.normal(size=RUN.states.shape) * np.exp(-np.arange(20001) / 3000)[:, None]
+    truth, estimate = Series(RUN.stamps, RUN.states), Series(RUN.stamps, x)
+    found = compared(in_blocks(truth, *cuts), in_blocks(estimate, *(c // 2 for c in cuts[::2])))
+    error = x - RUN.states
+    V = distance(SYSTEM, error[:, :2], error[:, 2:])
+    np.testing.assert_array_equal(found.stamps, RUN.stamps)
+    np.testing.assert_array_equal(found.error, error)
+    np.testing.assert_array_equal(found.V, V)
+    np.testing.assert_allclose(found.rms, np.sqrt(np.mean(error**2, axis=0)), rtol=1e-12)
+    np.testing.assert_array_equal(found.largest, np.max(np.abs(error), axis=0))
+    np.testing.assert_array_equal(found.final, error[-1])
+    assert found.largest_rise == pytest.approx(np.max(np.diff(V)) / V[0], rel=1e-12)
+    above = np.flatnonzero(0.01 * V[0] < V)
+    assert found.settling_time == pytest.approx((above[-1] + 1) / 1000, abs=1e-9)
+    near = np.flatnonzero(10 * V[-1] >= V)[0]
+    assert found.rate_per_second == pytest.approx(np.log(V[0] / V[near]) / (near / 1000))
+
+
+@pytest.mark.parametrize("delay", [1, 3, 8])
+def test_a_late_jump_is_a_mismatch_and_no_error(delay: int) -> None:
+    """As many samples lie between as the estimate is late, at every impact."""
+    told = [ImpactEvent(e.stamp + delay * 1_000_000, e.switches, e.sequence) for e in RUN.events]
+    truth, late = Series(RUN.stamps, RUN.states), Series(RUN.stamps, shifted(delay))
+    found = compared(in_blocks(truth, 5000), in_blocks(late, 9000, 9001), told)
+    assert found.mismatch.windows == len(RUN.events)
+    assert found.mismatch.samples == delay * len(RUN.events)
+    assert found.mismatch.longest == pytest.approx(delay * 1e-3, abs=1e-9)
+    jumps = np.abs(np.diff(RUN.states[:, 3])).max()
+    assert 0.4 * jumps**2 < found.mismatch.V, "half the square of the jump, m = 1 kg"
+    assert found.largest[3] < 0.2 * jumps, "no jump is among the errors"
+    assert found.samples + found.mismatch.samples == RUN.stamps.size
+    early = compared([late], [truth], RUN.events)
+    assert early.mismatch.samples == delay * len(RUN.events), "whichever of the two is late"
+
+
+def test_jumps_at_the_same_sample_are_no_mismatch() -> None:
+    """Whatever the size of the estimate's jump, up or down, and with openings among the events."""
+    for factor in (0.1, 1.0, -0.7):
+        found = compared(
+            [Series(RUN.stamps, RUN.states)], [Series(RUN.stamps, RUN.states * factor)], RUN.events
+        )
+        assert found.mismatch.windows == found.mismatch.samples == 0
+        assert found.samples == RUN.stamps.size
+
+
+def test_a_jump_of_the_estimate_at_the_next_impact_belongs_to_that_one() -> None:
+    """It hardly jumps at the first of two impacts 80 ms apart: nothing lies between there."""
+    stamps = np.arange(1, 301) * 1_000_000
+    first, second = int(stamps[100]), int(stamps[180])
+    falling = -np.arange(300) / 40.0
+    truth = falling + 2.0 * (stamps >= first) + 2.0 * (stamps >= second)
+    estimate = falling + 0.1 * (stamps >= first) + 2.0 * (stamps >= second)
+    assert window(stamps, truth, estimate, Impact(first, 0), [second]) is None
+    assert window(stamps, truth, estimate, Impact(second, 0), [first]) is None
+    alone = window(stamps, truth, estimate, Impact(first, 0))
+    assert alone == (first, second), "without another impact it is this one's"
+
+
+def test_an_invented_impact_is_an_error_and_no_mismatch() -> None:
+    """Where the truth has not jumped, the estimate's jump is its own."""
+    instant = (RUN.events[2].stamp + RUN.events[3].stamp) // 2
+    x = RUN.states.copy()
+    x[np.searchsorted(RUN.stamps, instant) :, 3] += 5.0
+    spurious = ImpactEvent(instant, (Switch("stop"),))
+    found = compared(
+        [Series(RUN.stamps, RUN.states)], [Series(RUN.stamps, x)], [*RUN.events, spurious]
+    )
+    assert found.mismatch.windows == 0
+    assert found.largest[3] == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("rate", "delay", "least"),
+    [(20.0, 0.03, 5), pytest.param(1e3, 4e-3, 31, marks=pytest.mark.slow)],
+)
+def test_a_sensor_that_jitters_is_seen_in_the_windows_of_an_observer(
+    rate: float, delay: float, least: int
+) -> None:
+    """The windows are those between the plant's true instants and the stamps it heard.
+
+    Also where samples are so far apart that a speed bends visibly between them.
+    """
+    sampled = run_of(rate)
+    sensor = SensorModel(delay=delay, jitter=delay / 2)
+    last = int(sampled.stamps[-1])
+    heard = sense(sensor, SYSTEM, sampled.switchings, epoch=EPOCH, last=last, seed=2)
+    events = [each.event for each in heard]
+    observer = Options("geometric", "random:1", clock_error=0.0, ensemble=1).observer(SYSTEM)
+    found = compare_law(observer, events, lambda: [Series(sampled.stamps, sampled.states)])
+    samples = 0
+    for true, told in zip(sampled.events, events, strict=False):
+        a, b = sorted(np.searchsorted(sampled.stamps, [true.stamp, told.stamp]))
+        samples += b - a
+    assert samples >= least
+    assert found.mismatch.samples == samples
+    assert found.heard.until(last) == len(events)
+
+
+def test_the_last_word_on_a_stamp_counts() -> None:
+    """A live estimate is published again when a late event corrects it, blocks later too."""
+    wrong = Series(RUN.stamps[:5000], RUN.states[:5000] + 7.0)
+    right = Series(RUN.stamps, RUN.states + 0.5)
+    found = compared([Series(RUN.stamps, RUN.states)], [wrong, *in_blocks(right, 2500, 10_000)])
+    np.testing.assert_allclose(found.largest, 0.5)
+    assert found.stale == 0
+
+
+def test_states_that_come_long_after_later_ones_are_counted_and_left_out() -> None:
+    """A bag that was played twice while it was recorded: the first pass counts."""
+    truth = Series(RUN.stamps, RUN.states)
+    again = Series(RUN.stamps, RUN.states + 1.0)
+    pairing = Pairing()
+    pairs = 0
+    for block in (truth, again):
+        pairing.truth.add(block)
+        pairing.estimates.add(block)
+        settled = pairing.settled()
+        pairs += 0 if settled is None else settled.stamps.size
+    last = pairing.settled(done=True)
+    assert last is not None
+    assert pairs + last.stamps.size == RUN.stamps.size
+    held = HOLD // 1_000_000
+    assert pairing.truth.stale == RUN.stamps.size - held
+
+
+def test_an_estimate_without_its_event_is_late() -> None:
+    """It is counted and left out, and neither an error nor a mismatch."""
+    stamps = RUN.stamps
+    instants = np.array([e.stamp for e in RUN.events])
+    last_event = np.concatenate([[0], instants])[np.searchsorted(instants, stamps, side="right")]
+    here = int(np.searchsorted(stamps, instants[4]))
+    last_event[here : here + 6] = instants[3]
+    x = RUN.states.copy()
+    x[here : here + 6, 3] -= 3.0
+    found = compared([Series(stamps, RUN.states)], [Series(stamps, x, last_event)], RUN.events)
+    assert found.late == 6
+    assert found.mismatch.samples == 0
+    assert not found.largest.any()
+
+
+def test_an_impact_that_was_not_heard_makes_no_estimate_late() -> None:
+    """No event was on its way: until it is inserted the estimate is wrong, and that counts."""
+    stamps, missed, later = RUN.stamps, RUN.events[4], 60
+    instants = np.array([e.stamp for e in RUN.events])
+    last_event = np.concatenate([[0], instants])[np.searchsorted(instants, stamps, side="right")]
+    here = int(np.searchsorted(stamps, missed.stamp))
+    last_event[here : here + later] = instants[3]
+    x = RUN.states.copy()
+    x[here : here + later, 1] += 2.0
+    verdicts = [
+        Verdict(e.stamp, Ruling.INSERTED if e is missed else Ruling.APPLIED, 0, "stop")
+        for e in RUN.events
+    ]
+    told = [e for e in RUN.events if e is not missed]
+    found = compared([Series(stamps, RUN.states)], [Series(stamps, x, last_event)], told, verdicts)
+    assert found.late == 0
+    assert found.largest[1] == pytest.approx(2.0)
+    assert found.heard.until(int(stamps[-1])) == len(RUN.events)
+
+
+def test_an_insertion_that_was_taken_back_is_no_rejected_event() -> None:
+    """The sensor has told nothing there that could be rejected."""
+    events = [ImpactEvent(2 * NS_PER_S, (Switch("stop"),), 1)]
+    verdicts = [
+        Verdict(2 * NS_PER_S, Ruling.APPLIED, 1, "stop"),
+        Verdict(3 * NS_PER_S, Ruling.INSERTED, 0, "stop"),
+        Verdict(3 * NS_PER_S, Ruling.REJECTED, 0, "stop", revises=True),
+    ]
+    heard = outcomes_of(events, verdicts)
+    assert heard.rulings == {Ruling.APPLIED: 1}
+    assert heard.impacts == ((2 * NS_PER_S, "stop"),)
+
+
+def test_ranges_that_do_not_overlap_are_both_said() -> None:
+    """The line names them in seconds."""
+    truth = Series(RUN.stamps, RUN.states)
+    estimate = Series(RUN.stamps + 3600 * NS_PER_S, RUN.states)
+    with pytest.raises(BagError) as error:
+        compared([truth], [estimate])
+    assert str(error.value) == (
+        "some law: truth and estimate have no stamp in common: truth 1.000000000 to 21.000000000"
+        " s, estimate 3601.000000000 to 3621.000000000 s; both must be sampled at the same"
+        " instants"
+    )
+
+
+def test_what_was_rejected_is_not_used_and_what_was_inserted_is() -> None:
+    """The last verdict on each switch counts."""
+    events = [ImpactEvent(s * NS_PER_S, (Switch("stop"),), s) for s in (2, 3, 4)]
+    verdicts = [
+        Verdict(2 * NS_PER_S, Ruling.APPLIED, 2, "stop"),
+        Verdict(3 * NS_PER_S, Ruling.APPLIED, 3, "stop"),
+        Verdict(3 * NS_PER_S, Ruling.REJECTED, 3, "stop", revises=True),
+        Verdict(4 * NS_PER_S, Ruling.REJECTED, 4, "stop"),
+        Verdict(5 * NS_PER_S, Ruling.INSERTED, 0, "stop"),
+    ]
+    heard = outcomes_of(events, verdicts)
+    assert heard.impacts == ((2 * NS_PER_S, "stop"), (5 * NS_PER_S, "stop"))
+    assert heard.instants.tolist() == [2 * NS_PER_S, 5 * NS_PER_S]
+    assert heard.rulings == {Ruling.APPLIED: 1, Ruling.REJECTED: 2, Ruling.INSERTED: 1}
+    assert heard.until(3 * NS_PER_S) == 1
+
+
+def test_a_curve_of_any_length_keeps_its_ends_and_peaks() -> None:
+    """Millions of rows become at most twice ``MOST_ROWS``; the largest V is among them."""
+    rng = np.random.default_rng(5)
+    count = 10 * MOST_ROWS
+    stamps: Stamps = np.arange(1, count + 1, dtype=np.int64)
+    V = rng.random(count)
+    V[123_457] = 2.0
+    curve = ErrorCurve(1)
+    for begin in range(0, count, 1000):
+        part = slice(begin, begin + 1000)
+        curve.add(ErrorRows(stamps[part], V[part, None], V[part]))
+    rows = curve.rows()
+    assert MOST_ROWS <= rows.V.size <= 2 * MOST_ROWS + 2
+    assert rows.stamps[0] == 1
+    assert rows.stamps[-1] == count
+    assert rows.V.max() == 2.0
+    assert (np.diff(rows.stamps) > 0).all()
+    np.testing.assert_array_equal(V[rows.stamps - 1], rows.V)
+    np.testing.assert_array_equal(rows.error[:, 0], rows.V)
+
+
+def test_what_waits_does_not_grow_with_the_length() -> None:
+    """A long run keeps ``HOLD`` of samples in memory and no more."""
+    pairing = Pairing()
+    for k in range(400):
+        stamps = np.arange(k * 1000 + 1, (k + 1) * 1000 + 1, dtype=np.int64) * 1_000_000
+        for stream in (pairing.truth, pairing.estimates):
+            stream.add(Series(stamps, np.zeros((1000, 4))))
+        pairing.settled()
+        for stream in (pairing.truth, pairing.estimates):
+            assert sum(each.stamps.size for each in stream._waiting) <= HOLD // 1_000_000 + 1000

@@ -1,0 +1,156 @@
+"""Pictures: told apart in grey, nothing covered, exact estimates left blank."""
+
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from systems import sample
+
+from impact_observer.compare.comparison import Comparing, Comparison
+from impact_observer.compare.error_pictures import lyapunov_figure
+from impact_observer.draw.pictures import STYLES, Style, styles
+from impact_observer.io.pairing import Series
+from impact_observer.observer.event_outcomes import outcomes_of
+from impact_observer.stamps import NS_PER_S, grid
+
+STAMPS = grid(NS_PER_S, 31 * NS_PER_S, 20.0)
+
+
+def fading(law: str, decades: float) -> Comparison:
+    """A comparison whose V falls from 1 J by ``decades``."""
+    error = np.zeros((STAMPS.size, 4))
+    error[:, 2] = np.sqrt(2.0 * 10.0 ** -np.linspace(0.0, decades, STAMPS.size))  # M = 1 kg
+    comparing = Comparing(sample("two_mass").system, outcomes_of((), ()))
+    comparing.pairing.truth.add(Series(STAMPS, np.zeros_like(error)))
+    comparing.pairing.estimates.add(Series(STAMPS, error))
+    return comparing.result(law)
+
+
+def picture(laws: dict[str, float], *, contacts: int = 2, paper: bool = False) -> Figure:
+    """A picture of curves that fall by so many decades, drawn once so that all has its place."""
+    figure = lyapunov_figure(
+        {law: fading(law, decades) for law, decades in laws.items()},
+        {f"stop {i}": STAMPS[3 :: 40 + i] for i in range(contacts)},
+        title="one line\nand another",
+        epoch=NS_PER_S,
+        paper=paper,
+    )
+    figure.draw_without_rendering()
+    return figure
+
+
+FIVE = {"open-loop": 0.0, "kinematic": 4.0, "geometric": 5.0, "unilateral": 6.0}
+FIVE["minimum-variance"] = 20.0
+
+
+def luminance(style: Style) -> float:
+    """How bright a curve is on grey paper, 0 to 1 (ITU-R BT.601)."""
+    return float(np.dot(to_rgb(style["color"]), [0.299, 0.587, 0.114]))
+
+
+def test_laws_are_told_apart_in_grey() -> None:
+    """Any two differ in dashes or in markers, or in brightness and width."""
+    for (one, first), (two, second) in combinations(STYLES.items(), 2):
+        dashed = first["linestyle"] != second["linestyle"]
+        marked = first.get("marker") != second.get("marker")
+        bright = abs(luminance(first) - luminance(second)) > 0.4
+        wide = abs(first["linewidth"] - second["linewidth"]) > 0.5
+        assert dashed or marked or (bright and wide), f"{one} and {two} look alike"
+
+
+def test_all_curves_are_dark_enough_on_white() -> None:
+    """A contrast of 3 to 1 or more, by the formula of WCAG 2."""
+    for law, style in STYLES.items():
+        rgb = np.array(to_rgb(style["color"]))
+        linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+        assert 1.05 / (linear @ [0.2126, 0.7152, 0.0722] + 0.05) >= 3, law
+
+
+def test_a_law_that_comes_again_gets_other_markers() -> None:
+    """Two bags observed with one law are two curves, and so are two laws of other packages."""
+    found = styles(["geometric", "geometric", "geometric", "mine", "yours", "mine"])
+    looks = [(each["color"], str(each["linestyle"]), each.get("marker")) for each in found]
+    assert len(set(looks)) == len(looks)
+    assert found[0] == styles(["geometric"])[0]
+
+
+def test_exact_estimates_leave_a_gap() -> None:
+    """Zero has no logarithm: neither a warning nor a line down to nowhere."""
+    exact = fading("geometric", 3.0)
+    exact.V[200:300] = 0.0
+    figure = lyapunov_figure({"geometric": exact}, {}, title="", epoch=NS_PER_S)
+    drawn = np.asarray(figure.axes[0].lines[0].get_ydata(), dtype=float)
+    assert np.flatnonzero(np.isnan(drawn)).tolist() == list(range(200, 300))
+    figure.draw_without_rendering()
+    low, _ = figure.axes[0].get_ylim()
+    assert low > 1e-4
+
+
+@pytest.mark.parametrize("paper", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_legend_and_impacts_cover_no_curve(paper: bool) -> None:
+    """The legend lies above the axes and within the picture, impacts above the curves."""
+    figure = picture(FIVE, paper=paper)
+    axes = figure.axes[0]
+    legend = axes.get_legend()
+    assert legend is not None
+    box, inside = legend.get_window_extent(), axes.get_window_extent()
+    assert box.y0 >= inside.y1
+    assert box.x1 <= figure.bbox.x1
+    assert box.y1 <= figure.bbox.y1
+    to_axes = axes.transData + axes.transAxes.inverted()
+    highest = to_axes.transform((0.0, 1.0))[1]
+    marks = [line for line in axes.lines if str(line.get_label()).startswith("impacts at")]
+    assert len(marks) == 2
+    assert min(float(np.min(np.asarray(line.get_ydata()))) for line in marks) > highest + 0.01
+
+
+@pytest.mark.slow
+def test_very_many_contacts_share_one_row() -> None:
+    """Rows and a legend for each would leave no room for the curves."""
+    few, many = picture({"geometric": 3.0}, contacts=8), picture({"geometric": 3.0}, contacts=30)
+    assert len(few.axes[0].lines) == 1 + 8
+    assert len(many.axes[0].lines) == 1 + 1
+    marks = many.axes[0].lines[1]
+    assert marks.get_label() == "impacts at 30 contacts"
+    assert np.size(marks.get_xdata()) == sum(STAMPS[3 :: 40 + i].size for i in range(30))
+
+
+@pytest.mark.parametrize(
+    "letters", [*(pytest.param(each, marks=pytest.mark.slow) for each in (30, 60)), 300]
+)
+@pytest.mark.parametrize("paper", [False, True])
+def test_long_names_leave_the_curves_their_room(letters: int, paper: bool) -> None:
+    """Names of bags go into fewer columns, and lose their middle before the axes get narrow."""
+    name = ("recording_of_some_machine_" * 12)[:letters]
+    named = {f"geometric {name}{i}": float(i) for i in range(3)}
+    figure = picture(named, paper=paper)
+    assert figure.axes[0].get_window_extent().width > 0.7 * figure.bbox.width
+    shown = figure.axes[0].get_legend_handles_labels()[1]
+    assert [label[-1] for label in shown[:3]] == ["0", "1", "2"]
+    assert all(label.startswith("geometric recording") for label in shown[:3])
+
+
+@pytest.mark.slow
+def test_twenty_decades_stay_readable() -> None:
+    """Labels on the axis of V are whole powers of ten, some, and none over another."""
+    figure = picture(FIVE)
+    axes = figure.axes[0]
+    low, high = axes.get_ylim()
+    shown = [label for label in axes.get_yticklabels() if low <= label.get_position()[1] <= high]
+    assert 4 <= len(shown) <= 12
+    boxes = sorted((each.get_window_extent() for each in shown), key=lambda box: box.y0)
+    assert all(lower.y1 < upper.y0 for lower, upper in pairwise(boxes))
+    assert axes.get_xlabel().endswith("[s]")
+    assert axes.get_ylabel().endswith("[J]")
+
+
+def test_markers_of_different_curves_stand_beside_each_other() -> None:
+    """Curves that lie on each other are seen to be two."""
+    figure = picture({"unilateral": 3.0, "minimum-variance": 3.0}, contacts=0)
+    one, two = (line.get_markevery() for line in figure.axes[0].lines)
+    assert isinstance(one, tuple)
+    assert isinstance(two, tuple)
+    assert one[1] == two[1] > 1
+    assert abs(one[0] - two[0]) >= one[1] // 3

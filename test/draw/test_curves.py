@@ -1,0 +1,130 @@
+"""The one list of curves: of a model, and of a bag."""
+
+from pathlib import Path
+
+import pytest
+from plotting_tools import everything
+
+from impact_observer.draw.curves import CurveGroup, Observed, Shown, curves, observed_in
+from impact_observer.errors import UsageError
+from impact_observer.io import BagReader
+from impact_observer.model import read_model
+
+LAWS = {
+    "observer_geometric": "geometric",
+    "observer_kinematic": "kinematic",
+    "observer_minimum_variance": "minimum-variance",
+    "observer_open_loop": "open-loop",
+    "observer_unilateral": "unilateral",
+}
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An observer of every law, each named after it."""
+    return everything(tmp_path_factory.mktemp("curves") / "bag", LAWS)
+
+
+def test_what_a_name_promises_is_what_the_law_publishes(bag: Path) -> None:
+    """Bounds, covariance and learnt parameters: of the name as found in the bag."""
+    with BagReader(bag) as reader:
+        found = {each.prefix: each for each in observed_in(reader)}
+    assert found == {f"/{name}": Observed.named(name) for name in LAWS}
+    assert found["/observer_minimum_variance"].learnt == ("clock_error",)
+
+
+def test_an_observer_without_a_law_in_its_name_has_the_default_one() -> None:
+    """The node called observer runs geometric, unless told."""
+    assert Observed.named("observer") == Observed("/observer", bounded=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "truth"),
+    [
+        ("observer", "/monitor/error", "/plant/joint_states"),
+        ("observer_kinematic", "/monitor_kinematic/error", "/plant/joint_states"),
+        ("/rig/observer", "/rig/monitor/error", "/rig/plant/joint_states"),
+        ("rig/observer_2", "/rig/monitor_2/error", "/rig/plant/joint_states"),
+        ("watcher", "/monitor_watcher/error", "/plant/joint_states"),
+    ],
+)
+def test_plant_and_monitor_are_those_beside_the_observer(
+    name: str, error: str, truth: str
+) -> None:
+    """In its namespace, and named alike."""
+    found = {each.topic for each in curves(read_model("two_mass").system, [Observed.named(name)])}
+    assert {error, truth} <= found
+
+
+def test_every_coordinate_is_drawn_for_plant_and_observer() -> None:
+    """Truth and estimate share the axes of a coordinate; errors have their own."""
+    system = read_model("three_mass").system
+    found = curves(system, [Observed.named("observer")])
+    for group, unit in (
+        (CurveGroup.POSITIONS, "position [m]"),
+        (CurveGroup.VELOCITIES, "velocity [m/s]"),
+    ):
+        own = [each for each in found if each.group is group]
+        assert [each.plot for each in own[::2]] == [f"{q} {unit}" for q in system.coordinates]
+        assert {each.source for each in own} == {"plant", "observer"}
+        assert [each.element for each in own[1::2]] == list(system.coordinates)
+    assert sum(each.group is CurveGroup.ERRORS for each in found) == 6
+    contacts = [each.name for each in found if each.topic == "/impacts"]
+    assert contacts == ["right", "left"]
+
+
+def test_observers_of_two_rigs_are_told_apart() -> None:
+    """By names and colours, and each is drawn beside its own plant and contacts."""
+    rigs = [Observed.named(name) for name in ("/a/observer", "/b/observer")]
+    found = curves(read_model("two_mass").system, rigs)
+    assert len({(each.group, each.plot, each.name) for each in found}) == len(found)
+    assert {each.source for each in found} == {"plant", "a/observer", "b/observer"}
+    of_plants = [(each.name, each.topic) for each in found if each.source == "plant"]
+    assert ("x1 a/plant", "/a/plant/joint_states") in of_plants
+    assert ("x1 b/plant", "/b/plant/joint_states") in of_plants
+    assert of_plants[-2:] == [("a/stop", "/a/impacts"), ("b/stop", "/b/impacts")]
+
+
+def test_v_and_what_bounds_it_are_drawn_as_logarithms() -> None:
+    """On one pair of axes; deviations are roots of variances, on the covariance's diagonal."""
+    system = read_model("two_mass").system
+    found = curves(system, [Observed("/observer", bounded=True, filters=True)])
+    logarithms = [each for each in found if each.shown is Shown.LOGARITHM]
+    assert [each.name for each in logarithms] == [
+        "V observer",
+        "bound of V observer",
+        "convergence observer",
+    ]
+    assert logarithms[0].plot == logarithms[1].plot
+    roots = [each.steps[0].index for each in found if each.shown is Shown.ROOT]
+    assert roots == [0, 5, 10, 15]
+
+
+def test_only_topics_that_are_there_are_drawn() -> None:
+    """Such as those of a bag without a monitor."""
+    topics = ["/plant/joint_states", "/observer/joint_states", "/elsewhere"]
+    found = curves(read_model("two_mass").system, [Observed.named("observer")], topics)
+    assert {each.topic for each in found} == set(topics[:2])
+
+
+def test_a_name_that_no_node_can_have_is_refused() -> None:
+    """In one line; and so is drawing nobody."""
+    with pytest.raises(UsageError, match="'my observer': no name of a node"):
+        Observed.named("my observer")
+    with pytest.raises(UsageError, match="no observer"):
+        curves(read_model("two_mass").system, [])
+
+
+def test_an_observer_that_said_nothing_still_counts(tmp_path: Path) -> None:
+    """Its topics are in the bag without messages, or it has joint states only."""
+    from impact_observer.io import BagWriter
+
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.declare("/observer/state")
+        writer.declare("/observer_other/joint_states")
+    with BagReader(tmp_path / "bag") as reader:
+        silent = observed_in(reader)
+    assert silent == (
+        Observed("/observer", bounded=False),
+        Observed("/observer_other", bounded=False),
+    )

@@ -1,0 +1,199 @@
+"""Films of bags: a stretch of time, the observers that are asked for, and nothing more."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from impact_observer.draw.film_from_bag import MOST_ESTIMATES, Stretch, read_film
+from impact_observer.errors import BagError, UsageError
+from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
+from impact_observer.io import BagReader, BagWriter, JointState
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.recordings import system_of
+from impact_observer.model import read_model
+from impact_observer.stamps import NS_PER_S
+from impact_observer.states import Estimate, Vector
+
+WHOLE = Stretch(0.0, 60.0)
+SYSTEM = read_model("two_mass").system
+EPOCH = NS_PER_S
+
+
+def bag_of(folder: Path, write: Callable[[BagWriter, int, Vector], None]) -> Path:
+    """A bag that ``write`` adds a state to every 10 ms, for half a second."""
+    with BagWriter(folder / "bag") as writer:
+        for k in range(51):
+            write(writer, EPOCH + k * 10_000_000, np.array([0.01 * k, -0.01 * k]))
+    return folder / "bag"
+
+
+def write_joint_states(topic: str) -> Callable[..., None]:
+    """What writes joint states on a topic."""
+    make, names = bag_messages(), SYSTEM.coordinates
+
+    def write(writer: BagWriter, stamp: int, q: Vector) -> None:
+        state = JointState(stamp, names, q, np.zeros(2))
+        writer.write(topic, stamp, make.joint_state(state))
+
+    return write
+
+
+def test_film_of_a_bag_has_plant_and_estimates(sample_bag: Path) -> None:
+    """With the law for a name, V at the samples, and the impacts."""
+    with BagReader(sample_bag) as reader:
+        film = read_film(reader, system_of(reader, None), WHOLE)
+    assert film.truth is not None
+    assert [each.label for each in film.tracks] == ["plant", "geometric"]
+    assert film.truth.stamps.size == film.estimates[0].stamps.size == 51
+    assert (film.start, film.end, film.epoch) == (EPOCH, EPOCH + NS_PER_S // 2, EPOCH)
+    assert film.distances[0].V.tolist() == [0.0] * 51
+    assert film.contacts.hits[0].size == 11
+    assert film.truth.cuts.tolist() == film.contacts.hits[0].tolist()
+
+
+def test_only_the_stretch_is_kept(sample_bag: Path) -> None:
+    """From its first to its last stamp, both in it."""
+    with BagReader(sample_bag) as reader:
+        film = read_film(reader, SYSTEM, Stretch(0.1, 0.2))
+    assert film.truth is not None
+    for track in film.tracks:
+        assert track.stamps.size == 21
+        assert track.q.base is None
+    assert (film.start, film.end) == (EPOCH + 100_000_000, EPOCH + 300_000_000)
+
+
+def test_stretch_without_states_is_one_line(sample_bag: Path) -> None:
+    """It says the stretch."""
+    with BagReader(sample_bag) as reader, pytest.raises(BagError) as error:
+        read_film(reader, SYSTEM, Stretch(100.0, 1.0))
+    assert "no states between 101.000000000 and 102.000000000 s" in str(error.value)
+
+
+def test_plant_alone_and_estimate_alone_are_films(tmp_path: Path) -> None:
+    """Without events the time begins at the first state, and nothing lights up."""
+    for topic, truth in (("/plant/joint_states", True), ("/observer_rig/joint_states", False)):
+        folder = tmp_path / str(truth)
+        folder.mkdir()
+        with BagReader(bag_of(folder, write_joint_states(topic))) as reader:
+            film = read_film(reader, SYSTEM, WHOLE)
+        assert (film.truth is not None) is truth
+        assert [each.label for each in film.tracks] == ["plant" if truth else "observer_rig"]
+        assert film.distances == ()
+        assert film.epoch == film.start == EPOCH
+
+
+def test_bag_without_states_is_one_line(tmp_path: Path) -> None:
+    """It names what is expected."""
+    make = bag_messages()
+
+    def write(writer: BagWriter, stamp: int, _: object) -> None:
+        event = ImpactEvent(stamp, (Switch("stop"),), 1, 0, EPOCH)
+        writer.write("/impacts", stamp, make.event(event))
+
+    said = "nothing that moves; expected true states on /plant"
+    with BagReader(bag_of(tmp_path, write)) as reader, pytest.raises(BagError, match=said):
+        read_film(reader, SYSTEM, WHOLE)
+
+
+def test_observers_of_one_law_are_told_apart_by_their_topics(tmp_path: Path) -> None:
+    """And only those that are asked for are shown, with or without a slash."""
+    make, names = bag_messages(), SYSTEM.coordinates
+    several = {"observer_a": "geometric", "observer_b": "geometric", "observer_c": "kinematic"}
+
+    def write(writer: BagWriter, stamp: int, q: Vector) -> None:
+        for owner, law in several.items():
+            estimate = Estimate(stamp, law, q, np.zeros(2))
+            writer.write(f"/{owner}/state", stamp, make.estimate(estimate, names))
+
+    with BagReader(bag_of(tmp_path, write)) as reader:
+        film = read_film(reader, SYSTEM, WHOLE)
+        labels = [each.label for each in film.estimates]
+        assert labels == ["geometric (observer_a)", "geometric (observer_b)", "kinematic"]
+        chosen = read_film(reader, SYSTEM, WHOLE, ["observer_c", "/observer_a", "observer_c"])
+        assert [each.label for each in chosen.estimates] == ["kinematic", "geometric"]
+        with pytest.raises(
+            UsageError, match=r"observer /observer_d: not in .*; it has /observer_a"
+        ):
+            read_film(reader, SYSTEM, WHOLE, ["observer_d"])
+
+
+def test_too_many_observers_are_refused(tmp_path: Path) -> None:
+    """With the names to choose from."""
+
+    def write(writer: BagWriter, stamp: int, q: Vector) -> None:
+        for i in range(MOST_ESTIMATES + 1):
+            write_joint_states(f"/observer_{i}/joint_states")(writer, stamp, q)
+
+    with BagReader(bag_of(tmp_path, write)) as reader:
+        with pytest.raises(UsageError, match="7 observers: too many; name at most 6"):
+            read_film(reader, SYSTEM, WHOLE)
+        names = [f"observer_{i}" for i in range(MOST_ESTIMATES)]
+        assert len(read_film(reader, SYSTEM, WHOLE, names).estimates) == MOST_ESTIMATES
+
+
+def test_estimate_jumps_where_its_observer_inserted_an_impact(tmp_path: Path) -> None:
+    """An impact that nobody heard is a jump all the same."""
+    make, names = bag_messages(), SYSTEM.coordinates
+
+    def write(writer: BagWriter, stamp: int, q: Vector) -> None:
+        estimate = Estimate(stamp, "minimum-variance", q, np.zeros(2))
+        writer.write("/observer/state", stamp, make.estimate(estimate, names))
+        if stamp == EPOCH + 200_000_000:
+            missed = Verdict(stamp - 3_000_000, Ruling.INSERTED, 0, "stop", "missed")
+            writer.write("/observer/verdicts", stamp, make.verdict(missed))
+
+    with BagReader(bag_of(tmp_path, write)) as reader:
+        (track,) = read_film(reader, SYSTEM, WHOLE).estimates
+    assert track.cuts.tolist() == [EPOCH + 197_000_000]
+
+
+def test_inserted_impact_makes_no_earlier_estimate_late(tmp_path: Path) -> None:
+    """Nobody told the observer of it, so no estimate waits for it."""
+    make, names = bag_messages(), SYSTEM.coordinates
+    heard = EPOCH + 50_000_000
+
+    def write(writer: BagWriter, stamp: int, q: Vector) -> None:
+        last = heard if stamp >= heard else 0
+        estimate = Estimate(stamp, "minimum-variance", q, np.zeros(2), last_event=last)
+        writer.write("/observer/state", stamp, make.estimate(estimate, names))
+        if stamp == EPOCH:
+            event = ImpactEvent(heard, (Switch("stop"),), 1, 0, EPOCH)
+            writer.write("/impacts", stamp, make.event(event))
+        if stamp == EPOCH + 200_000_000:
+            missed = Verdict(stamp - 3_000_000, Ruling.INSERTED, 0, "stop", "missed")
+            for verdict in (Verdict(heard, Ruling.APPLIED, 1, "stop"), missed):
+                writer.write("/observer/verdicts", stamp, make.verdict(verdict))
+
+    with BagReader(bag_of(tmp_path, write)) as reader:
+        (track,) = read_film(reader, SYSTEM, WHOLE).estimates
+    assert track.stamps.size == 51
+    assert track.cuts.tolist() == [heard, EPOCH + 197_000_000]
+
+
+def test_estimates_that_came_before_their_event_are_left_out(tmp_path: Path) -> None:
+    """A live observer may hear of an impact late; until then it is on the wrong side of it."""
+    make, names = bag_messages(), SYSTEM.coordinates
+    hit, heard = EPOCH + 195_000_000, EPOCH + 230_000_000
+
+    def write(writer: BagWriter, stamp: int, q: Vector) -> None:
+        last = hit if stamp >= heard else 0 if stamp < EPOCH + 50_000_000 else EPOCH + 50_000_000
+        jumped = q - 1.0 if stamp >= heard else q
+        estimate = Estimate(stamp, "geometric", jumped, np.zeros(2), last_event=last)
+        if stamp == EPOCH:
+            for i, instant in enumerate((EPOCH + 50_000_000, hit), start=1):
+                event = ImpactEvent(instant, (Switch("stop"),), i, 0, EPOCH)
+                writer.write("/impacts", stamp, make.event(event))
+        writer.write("/observer/state", stamp, make.estimate(estimate, names))
+
+    with BagReader(bag_of(tmp_path, write)) as reader:
+        (track,) = read_film(reader, SYSTEM, WHOLE).estimates
+    left_out = {EPOCH + k * 10_000_000 for k in (20, 21, 22)}
+    assert track.stamps.size == 51 - len(left_out)
+    assert not left_out & set(track.stamps.tolist())
+    before, after = track.at(hit - 1), track.at(hit)
+    assert before is not None
+    assert after is not None
+    np.testing.assert_allclose(before, [0.19, -0.19])
+    np.testing.assert_allclose(after, [-0.77, -1.23])

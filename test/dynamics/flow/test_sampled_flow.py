@@ -1,0 +1,277 @@
+"""Flow under sampled forcing, against arithmetic that shares nothing with it."""
+
+from itertools import pairwise
+
+import numpy as np
+import precise
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike, NDArray
+from scipy import integrate
+from systems import chain, examples, forcing, numbers, sample, system, systems, vectors
+
+from impact_observer.dynamics import Flow, flow_of
+from impact_observer.dynamics.flow.dense import DenseFlow
+from impact_observer.dynamics.flow.modes import split
+from impact_observer.dynamics.flow.responses import DenseResponse, response_of
+from impact_observer.dynamics.flow.sampled import Response, SampledFlow
+from impact_observer.dynamics.flow.spectral import SpectralFlow
+from impact_observer.errors import DynamicsError
+from impact_observer.model import Forcing, System
+from impact_observer.model.force_samples import Samples
+
+Array = NDArray[np.float64]
+
+HOLDS = ("previous", "linear")
+UNEVEN = np.array([-0.5, -0.2, 0.3, 0.35, 1.1, 3.0])
+EVEN = np.linspace(-0.3, 2.7, 11)
+FINE = np.linspace(-0.05, 1.95, 41)
+LAPLACIAN = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+WITHOUT = {
+    "three_mass": sample("three_mass").system,
+    "ball": sample("bouncing_ball").system,
+    "not proportional": system(
+        np.diag([1, 2, 3]), np.diag([0.3, 0, 0.7]), 9 * LAPLACIAN + np.eye(3)
+    ),
+    "not proportional, overdamped": system(np.eye(2), [[9, 1], [1, 3]], [[2, 0.5], [0.5, 1]]),
+    "rigid": system(np.diag([1, 2, 3]), 0.1 * LAPLACIAN, 4 * LAPLACIAN),
+    "no stiffness": system(np.eye(2), np.diag([0, 3.0]), np.zeros((2, 2))),
+    "critical": system(np.eye(2), np.diag([2.0, 4]), np.diag([1.0, 4])),
+    "overdamped": system(1, 20, 1),
+    "stiff": system(np.eye(2), np.zeros((2, 2)), np.diag([1.0, 1e4])),
+    "defective": system(np.eye(2), np.diag([1.0, 0.0]), [[1.25, 0.5], [0.5, 1.0]]),
+}
+
+
+def forced(base: System, time: ArrayLike, force: ArrayLike, hold: str) -> System:
+    """``base`` under samples instead of its own forcing."""
+    samples = Samples(np.asarray(time, float), np.asarray(force, float), hold)
+    return system(base.M, base.C, base.K, force=Forcing.of_samples(samples))
+
+
+def noise(n: int, time: Array) -> Array:
+    """Forces that nobody could foretell."""
+    return np.random.default_rng(n).normal(size=(time.size, n))
+
+
+def energy(model: System, x: Array) -> Array:
+    """Square root of twice the energy of states, shape (samples, 2n)."""
+    q, u = x[:, : model.n], x[:, model.n :]
+    twice = np.einsum("si,ij,sj->s", u, model.M, u) + np.einsum("si,ij,sj->s", q, model.K, q)
+    return np.asarray(np.sqrt(twice))
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+@pytest.mark.parametrize(
+    "time",
+    [UNEVEN, pytest.param(EVEN, marks=pytest.mark.slow), FINE],
+    ids=["uneven", "even", "fine"],
+)
+@pytest.mark.parametrize(
+    "base",
+    [
+        pytest.param(base, marks=pytest.mark.slow if k % 3 else (), id=name)
+        for k, (name, base) in enumerate(WITHOUT.items())
+    ],
+)
+def test_flow_is_exact_between_samples_and_across_them(
+    base: System, time: Array, hold: str
+) -> None:
+    """Against the power series in 90 digits, begun between two samples and at one."""
+    model = forced(base, time, noise(base.n, time), hold)
+    x = np.linspace(1.0, -0.7, 2 * base.n)
+    seconds = np.array([0.0, 1e-9, 0.07, 0.3, 1.5])
+    for t in (0.11, float(time[2])):
+        expected = precise.flow(model, t, x, seconds.tolist())
+        found = flow_of(model).start(t, x).states(seconds)
+        scale = max(1.0, *energy(model, expected))
+        assert np.max(energy(model, found - expected)) < 3e-14 * scale
+        assert np.max(np.abs(found - expected)) < 1e-13 * scale
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+@pytest.mark.parametrize("base", WITHOUT.values(), ids=list(WITHOUT))
+def test_power_series_and_closed_form_give_the_same_answer(base: System, hold: str) -> None:
+    """One serves short steps, the other all; the exponential of one matrix serves both."""
+    modes = split(base)
+    h = np.array([1e-6, 1e-3, 3e-3])
+    force, slope = noise(base.n, h), noise(base.n, h) if hold == "linear" else 0 * noise(base.n, h)
+
+    def answers(response: Response, *, short: bool) -> Array:
+        found = response.propagators(h) if short else response.closed_form(h)
+        y = found.loaded(response.loads(force), response.loads(slope))
+        again = found.applied(y, response.loads(slope), response.loads(force))
+        return np.hstack([response.states(y), response.states(again)])
+
+    expected = answers(DenseResponse(base, 1.0), short=False)
+    response = response_of(base, modes, 3e-3)
+    for short in (True, False):
+        np.testing.assert_allclose(answers(response, short=short), expected, 1e-12, 1e-17)
+
+
+def test_free_body_under_a_ramp_moves_with_the_cube_of_time() -> None:
+    """``q'' = b s`` from rest is ``b s^3 / 6``; a rigid mode is resonance with a ramp."""
+    model = forced(system(1, 0, 0), [0, 100], [[0], [300]], "linear")
+    s = np.array([1e-6, 0.1, 1.0, 50.0, 100.0])
+    states = flow_of(model).start(0.0, np.zeros(2)).states(s)
+    np.testing.assert_allclose(states[:, 0], s**3 / 2, rtol=1e-14)
+    np.testing.assert_allclose(states[:, 1], 3 * s**2 / 2, rtol=1e-14)
+
+
+@pytest.mark.parametrize("omega", [1e-4, 1.0, 1e6])
+@pytest.mark.parametrize("hold", HOLDS)
+def test_undamped_mode_under_a_step_and_under_a_ramp(omega: float, hold: str) -> None:
+    """``(1 - cos ws) / w^2`` and ``(ws - sin ws) / w^3``, at any rate."""
+    end = 40.0 / omega
+    force = [[0.0], [0.0]] if hold == "linear" else [[1.0], [1.0]]
+    force[-1][0] = end if hold == "linear" else 7.0
+    model = forced(system(1, 0, omega**2), [0.0, end], force, hold)
+    angle = np.array([1e-3, 0.05, 2.0, 11.0, 40.0])
+    found = flow_of(model).start(0.0, np.zeros(2)).states(angle / omega)
+    if hold == "linear":
+        # For small angles by their series; the difference itself would cancel.
+        exact = np.where(
+            angle < 0.5,
+            angle**3 / 6 * (1 - angle**2 / 20 * (1 - angle**2 / 42 * (1 - angle**2 / 72))),
+            angle - np.sin(angle),
+        )
+        np.testing.assert_allclose(found[:, 0], exact / omega**3, rtol=1e-13)
+        velocity = 2 * np.sin(angle / 2) ** 2 / omega**2
+    else:
+        np.testing.assert_allclose(found[:, 0], 2 * np.sin(angle / 2) ** 2 / omega**2, rtol=1e-13)
+        velocity = np.sin(angle) / omega
+    np.testing.assert_allclose(found[:, 1], velocity, rtol=2e-13)
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_many_short_steps_do_not_drift(hold: str) -> None:
+    """A held constant and a straight line do not depend on how finely they are sampled."""
+    base = chain(3, damping=0.0)
+    ends, constant = np.array([0.0, 60.0]), np.array([1.0, -2.0, 0.5])
+    force = np.outer([1.0, 1.0] if hold == "previous" else [0.0, 60.0], constant)
+    coarse = forced(base, ends, force, hold)
+    many = np.linspace(0.0, 60.0, 12_001)
+    per_sample = np.ones(many.size) if hold == "previous" else many
+    fine = forced(base, many, np.outer(per_sample, constant), hold)
+    x, s = np.arange(6.0), np.linspace(0.0, 60.0, 31)
+    once, often = (flow_of(model).start(0.0, x).states(s) for model in (coarse, fine))
+    assert np.max(energy(base, once - often)) < 1e-12 * np.max(energy(base, once))
+
+
+def test_sampled_flow_agrees_with_a_runge_kutta_method() -> None:
+    """DOP853 with tight tolerances, from sample to sample."""
+    time = np.linspace(0.0, 3.0, 31)
+    model = forced(chain(8), time, noise(8, time), "linear")
+    x = np.random.default_rng(3).normal(size=16)
+
+    def slope(t: float, state: Array) -> Array:
+        load = np.array([np.interp(t, time, column) for column in model.forcing.sampled.force.T])  # type: ignore[union-attr]
+        return np.concatenate([state[8:], load - model.C @ state[8:] - model.K @ state[:8]])
+
+    state, now = x, 0.25
+    for start, stop in pairwise([now, *time[time > now][:20]]):
+        solution = integrate.solve_ivp(
+            slope, (start, stop), state, "DOP853", rtol=1e-12, atol=1e-13
+        )
+        state = solution.y[:, -1]
+    found = flow_of(model).start(now, x).state(float(time[time > now][19]) - now)
+    np.testing.assert_allclose(found, state, atol=3e-11)
+
+
+def test_samples_add_to_harmonics_and_a_constant() -> None:
+    """A mapped forcing may have all parts, and the flow is linear in them."""
+    base = sample("three_mass").system
+    samples = Samples(EVEN, noise(3, EVEN), "linear")
+    both = forcing(3, [1, 2, 3]).plus(np.ones(3))
+    mixed = Forcing(both.constant, both.frequency, both.cosine, both.sine, samples)
+    s, rest = np.linspace(0.0, 2.0, 5), np.zeros(6)
+
+    class Equations:
+        n, M, C, K = 3, base.M, base.C, base.K
+        forcing = mixed
+
+    parts = [
+        system(base.M, base.C, base.K, force=force)
+        for force in (both, Forcing.of_samples(samples))
+    ]
+    summed = sum(flow_of(part).start(0.2, rest).states(s) for part in parts)
+    found = flow_of(Equations()).start(0.2, rest).states(s)
+    np.testing.assert_allclose(found, summed, atol=1e-14)
+
+
+@examples(25)
+@given(st.data())
+def test_sampled_flow_is_a_group(data: st.DataObject) -> None:
+    """One flow over the sum is the two flows one after the other, wherever the samples lie."""
+    base = data.draw(systems(contacts=(0, 0), forced=False))
+    steps = data.draw(st.lists(numbers(1 / 64, 2.0), min_size=4, max_size=8))
+    time = np.concatenate([[0.0], np.cumsum(steps)])
+    force = np.array([data.draw(vectors(base.n)) for _ in time])
+    model = forced(base, time, force, data.draw(st.sampled_from(HOLDS)))
+    x = data.draw(vectors(2 * base.n))
+    share = data.draw(numbers(0.0, 1.0)), data.draw(numbers(0.0, 1.0))
+    t = float(time[-1]) * share[0] / 2
+    first, second = (float(time[-1] - t) * part / 2 for part in (share[1], 1 - share[1]))
+    flow = flow_of(model)
+    halfway = flow.start(t, x).state(first)
+    there = flow.start(t + first, halfway).state(second)
+    once = flow.start(t, x).state(first + second)
+    scale = max(1.0, float(np.max(np.abs(np.vstack([x, halfway, once])))))
+    assert np.max(np.abs(there - once)) < 1e-11 * scale
+
+
+@pytest.mark.parametrize("base", [WITHOUT[name] for name in ("three_mass", "defective")])
+def test_nobody_changes_a_bit_by_asking(base: System) -> None:
+    """States do not depend on what was asked before, in which order or how much of it."""
+    time = np.linspace(0.0, 3.0, 1001)
+    flow = flow_of(forced(base, time, noise(base.n, time), "linear"))
+    x, s = np.ones(2 * base.n), np.linspace(0.0, 2.5, 50)
+    at_once = flow.start(0.3, x)
+    backwards, forwards = flow.start(0.3, x), flow.start(0.3, x)
+    early = [forwards.state(float(at)) for at in s]
+    late = [backwards.state(float(at)) for at in s[::-1]][::-1]
+    assert np.array_equal(early, late)
+    again = at_once.states(s)
+    assert np.array_equal(at_once.states(s), again)
+    assert np.array_equal([at_once.state(float(at)) for at in s], early)
+
+
+@pytest.mark.parametrize("hold", HOLDS)
+def test_motion_beyond_the_samples_is_one_line(hold: str) -> None:
+    """It is known up to the last sample, for both ways to hold; a rounding beyond counts as it."""
+    flow = flow_of(forced(system(1, 0, 1), [0.0, 1.0, 2.0], [[1], [2], [3]], hold))
+    motion = flow.start(0.5, np.zeros(2))
+    assert np.all(np.isfinite(motion.states(np.array([1.5, 1.5 + 1e-10]))))
+    with pytest.raises(DynamicsError) as caught:
+        motion.states(np.array([0.1, 2.0]))
+    line = "forcing.sampled: the samples end at t = 2 s, but the force at t = 2.5 s is needed"
+    assert str(caught.value).startswith(line)
+    assert len(str(caught.value).splitlines()) == 1
+    for t, word in ((2.1, "end"), (-0.1, "begin")):
+        with pytest.raises(DynamicsError, match=f"the samples {word} at t = "):
+            flow.start(t, np.zeros(2))
+    last = flow.start(2.0, np.array([3.0, 4.0]))
+    assert last.state(0.0).tolist() == [3.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("base", "kind"), [(WITHOUT["three_mass"], SpectralFlow), (WITHOUT["defective"], DenseFlow)]
+)
+def test_samples_lie_on_top_of_the_flow_that_would_be_without(
+    base: System, kind: type[Flow]
+) -> None:
+    """Which way is taken depends on the spectrum, not on the forcing."""
+    flow = flow_of(forced(base, EVEN, noise(base.n, EVEN), "linear"))
+    assert isinstance(flow, SampledFlow)
+    assert isinstance(flow._smooth, kind)
+
+
+def test_no_samples_of_no_load_change_nothing() -> None:
+    """Samples that are all zero leave the free motion as it is."""
+    base = chain(3)
+    x, s = np.arange(6.0), np.linspace(0.0, 2.0, 5)
+    zero = forced(base, EVEN, np.zeros((EVEN.size, 3)), "linear")
+    free = flow_of(base).start(0.1, x).states(s)
+    assert np.array_equal(flow_of(zero).start(0.1, x).states(s), free)
+    assert flow_of(zero).start(0.1, x).states(np.zeros(0)).shape == (0, 6)

@@ -1,0 +1,330 @@
+"""Hypotheses: how they are weighed, that they are all of a mixture, and that order is nothing."""
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import special, stats
+from systems import (
+    EPOCH,
+    Harmonic,
+    believing,
+    chain,
+    estimates,
+    event,
+    examples,
+    forcing,
+    observer,
+    run,
+    sample,
+    system,
+)
+
+from impact_observer.estimation import impact_filter
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.filter_bank import MOST
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.joint import Joint
+from impact_observer.estimation.parametric import Map
+from impact_observer.estimation.uncertainty import Uncertainty
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.model import System
+from impact_observer.observer import Belief, Observer
+from impact_observer.observer.laws.minimum_variance import CLOCK_ERRORS
+from impact_observer.plant import Run
+from impact_observer.stamps import NS_PER_S, seconds_between
+
+Array = NDArray[np.float64]
+DOUBTING = Uncertainty(clock_error=0.0)
+PRESSED = chain(
+    2,
+    damping=0.3,
+    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
+    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
+)
+"""Two masses that are pressed against a stop each, and let go, by turns."""
+
+
+@cache
+def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
+    """A sample, where its plant starts, and what it does."""
+    model = sample(name)
+    start = model.initial_state()
+    whole = run(model.system, *start, seconds=seconds, rate=10.0)
+    return model.system, np.concatenate(start), whole
+
+
+def beliefs(watcher: Observer) -> list[Belief]:
+    """After every event."""
+    assert watcher._timeline is not None
+    return [entry.belief for entry in watcher._timeline.entries]
+
+
+def ball(gravity: float) -> System:
+    """A mass above a floor at zero."""
+    force = forcing(1, [-gravity])
+    return system([[1.0]], [[0.0]], [[0.0]], contacts=[([1], 0.0, 0.5)], force=force)
+
+
+def passages(x: Array, root: Array, gravity: float) -> Array:
+    """When each of many such masses comes down on the floor, s: NaN where it never does."""
+    half = np.random.default_rng(3).normal(size=(100_000, 2)) @ root.T
+    q, u = (x + np.vstack([half, -half])).T
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((u + np.sqrt(u * u + 2 * gravity * q)) / gravity)
+
+
+@pytest.mark.parametrize("clock", [1e-9, 5e-3])
+@pytest.mark.parametrize("root", [[[0.01, 0], [0, 0.01]], [[0.01, 0], [0.02, 0.01]]])
+@pytest.mark.parametrize("deviations", [-1.5, 0.0, 1.0])
+def test_evidence_is_the_density_of_the_first_passage(
+    clock: float, root: list[list[float]], deviations: float
+) -> None:
+    """200000 masses that fall, a histogram of their instants, and the clock's error on top."""
+    model, gravity, x, S = ball(9.81), 9.81, np.array([0.0, -2.0]), np.array(root)
+    spread = math.hypot(float(np.linalg.norm(S[0])) / 2.0, clock)
+    dt = deviations * spread
+    Phi = np.array([[1.0, dt], [0.0, 1.0]])
+    then = Phi @ x - gravity * np.array([dt * dt / 2, dt])
+    filter_, change = ImpactFilter(model), ContactChange(dt, (), (0,), ())
+    prior = filter_.prior(change, GaussianState.of(then[None], Phi @ S), clock)
+    found = filter_.evidence(change, prior)
+    bin_ = spread / 5
+    instants = passages(x, S, gravity)
+    low, high = (dt - bin_ / 2 - instants) / clock, (dt + bin_ / 2 - instants) / clock
+    density = np.mean(special.ndtr(high) - special.ndtr(low)) / bin_
+    assert found.density == pytest.approx(math.log(density), abs=0.06)
+    assert found.innovations[0] == pytest.approx(abs(deviations), rel=0.05, abs=0.05)
+
+
+@pytest.mark.parametrize("speed", [-1.0, -0.3, 0.0, 0.2])
+def test_evidence_knows_that_a_gap_closes_from_above(speed: float) -> None:
+    """Rice's formula for uniform motion: speeds that are hardly known, or hardly closing."""
+    S = np.diag([0.1, 0.3])
+    filter_, change = ImpactFilter(ball(0.0)), ContactChange(0.0, (), (0,), ())
+    prior = filter_.prior(change, GaussianState.of(np.array([[0.0, speed]]), S), 1e-9)
+    found = filter_.evidence(change, prior).density
+    closing = -speed * special.ndtr(-speed / 0.3) + 0.3 * stats.norm.pdf(speed / 0.3)
+    exact = math.log(stats.norm.pdf(0.0, scale=0.1) * closing)
+    assert found == pytest.approx(exact, abs=0.7 if speed > 0 else 0.3)
+    faster = filter_.prior(change, GaussianState.of(np.array([[0.0, speed - 1.0]]), S), 1e-9)
+    assert filter_.evidence(change, faster).density > found
+
+
+def test_evidence_of_what_cannot_be_goes_on_falling() -> None:
+    """Hundreds of deviations off: finite, and less the farther off it is."""
+    filter_ = ImpactFilter(ball(9.81))
+    found = []
+    for gap in (0.2, 1.0, 30.0, 1e6):
+        change = ContactChange(0.0, (), (0,), ())
+        known = GaussianState.of(np.array([[gap, -2.0]]), 0.01 * np.eye(2))
+        found.append(filter_.evidence(change, filter_.prior(change, known, 1e-9)).density)
+    assert np.all(np.isfinite(found))
+    assert found == sorted(found, reverse=True)
+
+
+def mixture(belief: Belief) -> Array:
+    """Second moments of all hypotheses about the estimate."""
+    size = belief.x.size
+    P = np.zeros((size, size))
+    for each in belief.hypotheses:
+        differences, root = each.known.x - belief.x, each.known.root[:size]
+        P += math.exp(each.weight) * (root @ root.T + np.outer(differences, differences))
+    return P
+
+
+@pytest.mark.slow
+def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
+    """After true, spurious and missed impacts; probabilities add up to one, and are ordered."""
+    model, start, whole = truth("three_mass", 20.0)
+    x = start + np.random.default_rng(3).normal(size=6)
+    watcher = observer(model, "minimum-variance", x, uncertainty=DOUBTING, epoch=EPOCH)
+    told = [each for k, each in enumerate(whole.events[:7]) if k not in (2, 5)]
+    for each in [*told, event(4.2, "left", sequence=90), event(8.3, "right", sequence=91)]:
+        watcher.receive(each)
+    several = 0
+    for belief in beliefs(watcher):
+        weights = [each.weight for each in belief.hypotheses]
+        assert sum(map(math.exp, weights)) == pytest.approx(1.0, abs=1e-12)
+        assert weights == sorted(weights, reverse=True)
+        assert len(weights) <= MOST + len(CLOCK_ERRORS)
+        assert belief.root is not None
+        np.testing.assert_array_equal(belief.x, belief.hypotheses[0].known.x)
+        P = mixture(belief)
+        size = np.sqrt(np.outer(np.diag(P), np.diag(P)))
+        np.testing.assert_allclose((belief.root @ belief.root.T - P) / size, 0.0, atol=1e-10)
+        several += len({each.known.x.tobytes() for each in belief.hypotheses}) > 1
+    assert several >= 5
+
+
+def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) -> tuple[Array, ...]:
+    """State and root by ``ImpactFilter`` alone, at the stamp ``end``."""
+    filter_, index = ImpactFilter(model), model.contact_names.index
+    known = filter_.begin(GaussianState.of(x[None], np.eye(x.size)))
+    since = EPOCH
+    for each in events:
+        before = filter_.course(seconds_between(EPOCH, since), known)
+        known = before.known(seconds_between(since, each.stamp))
+        switches = [(index(switch.contact), switch.kind) for switch in each.switches]
+        change = ContactChange.of(seconds_between(EPOCH, each.stamp), known.closed, switches)
+        prior = filter_.prior(change, known, 1e-9 / math.sqrt(12))
+        known, since = filter_.after(change, filter_.heard(change, prior)), each.stamp
+    course = filter_.course(seconds_between(EPOCH, since), known)
+    s = seconds_between(since, end)
+    return course.state(s), course.root(s)
+
+
+@pytest.mark.parametrize("name", ["three_mass", pytest.param("pressed", marks=pytest.mark.slow)])
+def test_believing_every_event_is_the_plain_filter(name: str) -> None:
+    """With all three probabilities at 0: the same bits as ``ImpactFilter`` by hand."""
+    if name == "pressed":
+        model, start = PRESSED, np.zeros(4)
+        whole = run(model, start[:2], start[2:], seconds=6.0, rate=10.0)
+        assert {switch.kind for each in whole.events for switch in each.switches} >= {Kind.CLOSE}
+    else:
+        model, start, whole = truth(name, 20.0)
+    x = start + np.random.default_rng(0).normal(size=start.size)
+    watcher = observer(model, "minimum-variance", x, uncertainty=believing(), epoch=EPOCH)
+    for each in whole.events:
+        watcher.receive(each)
+    end = int(whole.stamps[-1]) + 1234
+    told = watcher.estimate(end)
+    state, root = by_hand(model, x, whole.events, end)
+    np.testing.assert_array_equal(np.concatenate([told.q, told.u]), state + 0.0)
+    np.testing.assert_array_equal(told.covariance, root @ root.T + 0.0)
+    assert not any(each.hypotheses for each in beliefs(watcher))
+
+
+def test_event_that_is_near_needs_no_other_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    """State and covariance are the same, but for rounding, if it is looked at where it was."""
+    model, start, whole = truth("three_mass", 20.0)
+    x = start + np.random.default_rng(0).normal(size=start.size)
+    end = int(whole.stamps[-1]) + 1234
+    moved = Joint.moved
+    looks: list[float] = []
+
+    def counted(joint: Joint, s: float, map_: Map, turn: Array | None = None) -> Joint:
+        looks.append(s)
+        return moved(joint, s, map_, turn)
+
+    monkeypatch.setattr(Joint, "moved", counted)
+    state, root = by_hand(model, x, whole.events, end)
+    assert not looks
+    monkeypatch.setattr(impact_filter, "_NEAR", 0.0)
+    far = by_hand(model, x, whole.events, end)
+    assert looks
+    np.testing.assert_allclose(far[0], state, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(far[1] @ far[1].T, root @ root.T, rtol=1e-5, atol=1e-26)
+
+
+@pytest.mark.slow
+@given(data=st.data())
+@examples(2)
+def test_any_order_of_arrival_gives_equal_bits(data: st.DataObject) -> None:
+    """Some missed, some spurious, some told twice, estimates asked for in between."""
+    model, start, whole = truth("two_mass", 12.0)
+    kept = [each for each in whole.events if data.draw(st.integers(0, 3))]
+    spurious = data.draw(st.lists(st.integers(1, 11_999), max_size=2, unique=True))
+    stamps = [*(each.stamp for each in kept), *(EPOCH + k * 1_000_003 for k in spurious)]
+    events = [
+        ImpactEvent(stamp, (Switch("stop"),), k + 1, 0, EPOCH)
+        for k, stamp in enumerate(sorted(stamps))
+    ]
+    order = data.draw(st.permutations([*events, *events[:2]]))
+    found = []
+    for arriving in (events, order):
+        watcher = observer(
+            model, "minimum-variance", start + 0.3, uncertainty=DOUBTING, epoch=EPOCH, history=1e3
+        )
+        for k, each in enumerate(arriving):
+            watcher.receive(each)
+            if arriving is order and k % 2:
+                watcher.estimate(EPOCH + 13 * NS_PER_S)
+        told = [watcher.estimate(EPOCH + k * NS_PER_S) for k in range(0, 14, 3)]
+        bits = [np.concatenate([each.q, each.u, each.covariance.ravel()]) for each in told]
+        found.append(np.array(bits))
+    np.testing.assert_array_equal(found[0], found[1])
+
+
+def checked(watcher: Observer, stamp: int) -> None:
+    """Nothing is NaN, and there are no more hypotheses than there may be."""
+    for told in (watcher.estimate(stamp), watcher.estimate(stamp + 3 * NS_PER_S)):
+        assert np.all(np.isfinite(np.concatenate([told.q, told.u, told.covariance.ravel()])))
+        assert np.all(np.isfinite([each[1:] for each in told.learnt]))
+    assert watcher._timeline is not None
+    for entry in watcher._timeline.entries:
+        hypotheses = entry.belief.hypotheses
+        if watcher.law.uncertainty.trusting:
+            assert not hypotheses  # nothing is weighed
+            continue
+        assert 1 <= len(hypotheses) <= 2 * (MOST + len(CLOCK_ERRORS))
+        if any(kind is not Kind.OPEN for _, kind in entry.key.switches):
+            total = sum(math.exp(each.weight) for each in hypotheses)
+            assert total == pytest.approx(1.0, abs=1e-9)
+
+
+CLOSES = (("c1", Kind.CLOSE), ("c1", Kind.IMPACT), ("c1", Kind.CLOSE), ("c2", Kind.OPEN))
+
+
+@pytest.mark.parametrize("declared", [0.0, pytest.param(0.9, marks=pytest.mark.slow)])
+def test_absurd_streams_end_in_no_nan(declared: float) -> None:
+    """One stamp again and again; a contact at rest that hits; the last stamp first."""
+    everything: dict[str, Any] = {
+        "missed": declared,
+        "spurious": declared,
+        "mislabelled": declared,
+    }
+    model, start, _ = truth("three_mass", 20.0)
+    streams = {
+        "one stamp": [event(1.0, "left", "right", sequence=k + 1) for k in range(12)],
+        "backwards": [event(9.0 - k, "left", sequence=k + 1) for k in range(5)],
+    }
+    for stream in streams.values():
+        told = Uncertainty(clock_error=0.0, **everything)
+        watcher = observer(model, "minimum-variance", start, uncertainty=told, epoch=EPOCH)
+        for each in stream:
+            watcher.receive(each)
+        checked(watcher, EPOCH + 10 * NS_PER_S)
+    told = Uncertainty(clock_error=1e-3, **everything)
+    watcher = observer(PRESSED, "minimum-variance", np.zeros(4), uncertainty=told, epoch=EPOCH)
+    for k, (contact, kind) in enumerate(2 * CLOSES):
+        stamp = EPOCH + (k + 1) * NS_PER_S // 4
+        watcher.receive(ImpactEvent(stamp, (Switch(contact, kind),), k + 1, 0, EPOCH))
+    assert watcher.missing == 0
+    checked(watcher, EPOCH + 4 * NS_PER_S)
+
+
+@pytest.mark.slow
+def test_events_that_do_nothing_multiply_no_hypotheses() -> None:
+    """A switch that says OPEN again and again while the estimate falls through stops."""
+    model, start, _ = truth("three_mass", 20.0)
+    told = Uncertainty(clock_error=0.0, deviation=0.05)
+    watcher = observer(model, "minimum-variance", start, uncertainty=told, epoch=EPOCH)
+    for k in range(100):
+        switches = (Switch("left", Kind.OPEN),)
+        watcher.receive(ImpactEvent(EPOCH + (k + 1) * NS_PER_S // 10, switches, k + 1, 0, EPOCH))
+    assert watcher.missing == 0
+    checked(watcher, EPOCH + 13 * NS_PER_S)
+
+
+@pytest.mark.slow
+def test_hundreds_of_invented_events_at_one_stamp_end_in_no_nan() -> None:
+    """And the next true events are what they are."""
+    model, start, whole = truth("two_mass", 20.0)
+    watcher = observer(
+        model, "minimum-variance", start, uncertainty=DOUBTING, epoch=EPOCH, history=1e3
+    )
+    for k in range(300):
+        watcher.receive(event(1.0, "stop", sequence=k + 1))
+    for k, each in enumerate(whole.events[1:]):
+        watcher.receive(ImpactEvent(each.stamp, each.switches, 1001 + k, 0, EPOCH))
+    checked(watcher, int(whole.stamps[-1]))
+    differences = estimates(watcher, whole.stamps[-1:])[0] - whole.states[-1]
+    assert np.max(np.abs(differences)) < 1e-6

@@ -1,0 +1,276 @@
+"""What a motion runs into when nothing is heard: found where it is, and as deep as it is."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import linalg
+from systems import Harmonic, believing, chain, examples, forcing, sample, system, systems, vectors
+
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.filter_bank import FilterBank
+from impact_observer.estimation.forecast import Dip, Forecast
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.events import Kind
+from impact_observer.model import System
+
+Array = NDArray[np.float64]
+SECONDS = 6.0
+SAMPLES = 6000
+SEEN = 1e-4
+"""Depth from which on a dip must be found, relative to the largest value of what is watched."""
+COARSE = 1 / 288
+"""By which the lowest of 38 samples a period may miss the minimum, relative to an amplitude."""
+
+SWINGING = system(
+    np.eye(2),
+    np.zeros((2, 2)),
+    np.diag([1.0, 4.0]),
+    contacts=[([1, 0], 0.9, 0.5), ([0, 1], 5.0, 0.5)],
+)
+"""Two oscillators of 1 and 2 rad/s, a stop for each."""
+
+
+def forecast(model: System, t: float, x: Array, root: Array, closed: tuple[int, ...]) -> Forecast:
+    """What is foreseen from ``x`` at ``t`` on."""
+    bank = FilterBank(ImpactFilter(model), believing())
+    return bank.forecast(t, GaussianState.of(x[None], root, closed))
+
+
+class Watched(NamedTuple):
+    """Values of a gap or a load on a fine grid, by an oracle."""
+
+    contact: int
+    kind: Kind
+    values: Array
+
+
+def oracle(
+    model: System, t: float, x: Array, closed: int | None
+) -> tuple[Array, list[Watched], Array]:
+    """Instants, what is watched, and the transition of one sample: one matrix exponential.
+
+    The closed contact's load is eliminated by hand: ``G lambda = -W^T M^-1 (f - C u - K q)``.
+    """
+    n, h, force = model.n, SECONDS / SAMPLES, model.forcing
+    inverse = np.linalg.inv(model.M)
+    W = model.W[:, [] if closed is None else [closed]]
+    G = W.T @ inverse @ W
+    taken = np.linalg.solve(G, W.T @ inverse) if W.size else np.zeros((0, n))
+    push = inverse - inverse @ W @ taken
+    k, count = force.frequency, 2 * n + 1 + 2 * force.frequency.size
+    loads = np.hstack([-model.K, -model.C, force.constant[:, None], force.cosine.T, force.sine.T])
+    A = np.zeros((count, count))
+    A[:n, n : 2 * n], A[n : 2 * n] = np.eye(n), push @ loads
+    for j, w in enumerate(k.tolist()):
+        cosine, sine = 2 * n + 1 + j, 2 * n + 1 + k.size + j
+        A[cosine, sine], A[sine, cosine] = -w, w
+    y = np.concatenate([x, [1.0], np.cos(k * t), np.sin(k * t)])
+    step = linalg.expm(h * A)
+    path, on = y[None], step
+    while len(path) <= SAMPLES:
+        path, on = np.vstack([path, path @ on.T]), on @ on
+    path = path[: SAMPLES + 1]
+    watched = [
+        Watched(i, Kind.IMPACT, path[:, :n] @ model.W[:, i] + model.q_r[i])
+        for i in range(model.m)
+        if i != closed
+    ]
+    if closed is not None:
+        watched.append(Watched(closed, Kind.OPEN, -path @ (taken @ loads)[0]))
+    return np.linspace(0.0, SECONDS, SAMPLES + 1), watched, np.asarray(step)
+
+
+def stretches(values: Array) -> list[tuple[int, int]]:
+    """First and last index of each run below zero."""
+    below = np.flatnonzero(values < 0)
+    runs = np.split(below, np.flatnonzero(np.diff(below) > 1) + 1) if below.size else []
+    return [(int(run[0]), int(run[-1])) for run in runs]
+
+
+def check(dips: list[Dip], found: Forecast, s: Array, each: Watched) -> None:
+    """Every run below zero that is deep enough is a dip, with its root and its depth."""
+    mine = [dip for dip in dips if (dip.contact, dip.kind) == (each.contact, each.kind)]
+    size, h = float(np.max(np.abs(each.values))), float(s[1])
+    for first, last in stretches(each.values):
+        depth = -float(np.min(each.values[first : last + 1]))
+        if depth < SEEN * size or first == 0 or last - first < 2:
+            continue
+        near = [dip for dip in mine if abs(found.root(dip) - s[first] + h / 2) <= h]
+        assert len(near) == 1
+        (dip,) = near
+        assert dip.above < dip.below <= dip.deepest
+        deviation = found._deviation(dip.which, dip.deepest)
+        assert depth - COARSE * size <= dip.depth * deviation <= 1.001 * depth + 1e-6 * size
+        if last < SAMPLES - 2:
+            assert dip.over
+        elif last == SAMPLES:
+            assert not dip.over
+    for dip in mine:  # and there is no other
+        at = np.interp(dip.deepest, s, each.values)
+        assert at <= 1e-5 * size
+
+
+@given(data=st.data())
+@examples(20)
+def test_every_dip_of_a_gap_is_found(data: st.DataObject) -> None:
+    """Random systems and motions, against a matrix exponential on a grid 30 times finer."""
+    model = data.draw(systems(max_n=3, gaps=(0.25, 2.0)))
+    x = data.draw(vectors(2 * model.n))
+    found = forecast(model, 0.5, x, np.eye(2 * model.n), ())
+    s, watched, _ = oracle(model, 0.5, x, None)
+    dips = found.dips(SECONDS)
+    assert dips == sorted(dips, key=lambda dip: dip.below)
+    for each in watched:
+        check(dips, found, s, each)
+
+
+@given(data=st.data())
+@examples(12)
+def test_every_dip_of_a_load_is_found(data: st.DataObject) -> None:
+    """One contact rests: its load is watched instead of its gap."""
+    model = data.draw(systems(max_n=3, contacts=(1, 2), gaps=(0.0, 2.0)))
+    n, w = model.n, model.W[:, 0]
+    x = data.draw(vectors(2 * n))
+    x[:n] -= w * float(model.gap(x[:n])[0]) / (w @ w)
+    x[n:] -= w * float(w @ x[n:]) / (w @ w)
+    s, watched, _ = oracle(model, 0.5, x, 0)
+    found = forecast(model, 0.5, x, np.eye(2 * n), (0,))
+    dips = found.dips(SECONDS)
+    assert {dip.contact for dip in dips} <= {0, *range(model.m)}
+    for each in watched:
+        check(dips, found, s, each)
+
+
+@given(data=st.data())
+@examples(8)
+def test_depth_is_in_deviations_of_what_is_watched_then(data: st.DataObject) -> None:
+    """The covariance carried on by the oracle's transition, any root of it."""
+    model = data.draw(systems(max_n=3, gaps=(0.25, 2.0)))
+    n = model.n
+    x, values = data.draw(vectors(2 * n)), data.draw(vectors(4 * n * n))
+    root = np.reshape(values, (2 * n, 2 * n)) + 3 * np.eye(2 * n)
+    found = forecast(model, 0.5, x, root, ())
+    s, watched, step = oracle(model, 0.5, x, None)
+    values_of = {each.contact: each.values for each in watched}
+    for dip in found.dips(SECONDS):
+        w = np.concatenate([model.W[:, dip.contact], np.zeros(n)])
+        k = round(dip.deepest / s[1])
+        carried = np.linalg.matrix_power(step, k)[: 2 * n, : 2 * n]
+        deviation = float(np.linalg.norm(w @ carried @ root))
+        value = float(np.interp(dip.deepest, s, values_of[dip.contact]))
+        size = float(np.max(np.abs(values_of[dip.contact])))
+        expected = -value / deviation
+        assert dip.depth == pytest.approx(expected, rel=0.02, abs=1e-4 * size / deviation)
+        assert dip.unlikely == pytest.approx(math.log(math.erfc(dip.depth / math.sqrt(2)) / 2))
+
+
+@pytest.mark.parametrize("depth", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("phase", np.linspace(0.0, 0.1, 5).tolist())
+def test_shallow_dips_between_samples_are_found(depth: float, phase: float) -> None:
+    """``cos`` that only just falls below ``-0.9``, wherever the samples lie; and none that not."""
+    for amplitude, count in ((0.9 + depth, 2), (0.9 - depth, 0)):
+        x = amplitude * np.array([np.cos(phase), 0.0, -np.sin(phase), 0.0])
+        found = forecast(SWINGING, 0.0, x, 0.1 * np.eye(4), ())
+        dips = found.dips(4 * np.pi)
+        assert len(dips) == count
+        for k, dip in enumerate(dips):
+            half = math.acos(0.9 / (0.9 + depth))
+            first = (2 * k + 1) * np.pi - phase - half
+            assert found.root(dip) == pytest.approx(first, abs=1e-9)
+            assert 0 < dip.depth <= 1.001 * depth / 0.1
+            assert dip.over
+
+
+def test_sure_is_where_it_is_deep_enough() -> None:
+    """The gap there, over its deviation, is what was asked for; a shallower dip never is."""
+    found = forecast(SWINGING, 0.0, np.array([1.5, 0.0, 0.0, 0.0]), 0.01 * np.eye(4), ())
+    dip = found.dips(4.0)[0]
+    at = found.sure(dip, 3.0)
+    assert at > found.root(dip)
+    assert 1.5 * math.cos(at) + 0.9 == pytest.approx(-0.03, abs=1e-12)
+    shallow = forecast(SWINGING, 0.0, np.array([1.5, 0.0, 0.0, 0.0]), np.eye(4), ()).dips(4.0)[0]
+    assert shallow.depth < 3
+
+
+def test_nothing_is_foreseen_where_nothing_can_be() -> None:
+    """Without contacts, without time, without coming near."""
+    free = chain(2, force=forcing(2, 1.0, [Harmonic(2.0, [1, 0], [0, 1])]))
+    assert forecast(free, 0.0, np.ones(4), np.eye(4), ()).dips(10.0) == []
+    x = np.array([0.5, 0.1, 0.0, 0.0])
+    assert forecast(SWINGING, 0.0, x, np.eye(4), ()).dips(100.0) == []
+    assert forecast(SWINGING, 0.0, 4 * x, np.eye(4), ()).dips(0.0) == []
+
+
+def test_gap_that_comes_up_from_below_is_no_dip() -> None:
+    """Just after an impact that was taken for a little too early."""
+    x = np.array([-0.9 - 1e-9, 0.0, 1.0, 0.0])
+    dips = forecast(SWINGING, 0.0, x, 1e-6 * np.eye(4), ()).dips(2.0)
+    assert dips == []
+
+
+def flown(model: System, now: Array, x: Array, s: Array) -> Array:
+    """States (samples, 2n) each ``s`` seconds on from its ``now``: Runge and Kutta, 8 steps."""
+    n, inverse, h = model.n, np.linalg.inv(model.M), s / 8
+
+    def rate(at: Array, y: Array) -> Array:
+        force = model.forcing.derivatives(at, 0)[0]
+        pull = force - y[:, :n] @ model.K.T - y[:, n:] @ model.C.T
+        return np.hstack([y[:, n:], pull @ inverse.T])
+
+    step = h[:, None]
+    for _ in range(8):
+        one = rate(now, x)
+        two = rate(now + h / 2, x + step / 2 * one)
+        three = rate(now + h / 2, x + step / 2 * two)
+        four = rate(now + h, x + step * three)
+        x, now = x + step / 6 * (one + 2 * two + 2 * three + four), now + h
+    return x
+
+
+def thrown(model: System, t: float, x: Array, i: int) -> Array:
+    """What states (samples, 2n) at ``t`` have become of: each hits at its own root."""
+    n, w, s = model.n, model.W[:, i], np.zeros(len(x))
+    now = np.full(len(x), t)
+    for _ in range(4):
+        y = flown(model, now, x, s)
+        s = s - (y[:, :n] @ w + model.q_r[i]) / (y[:, n:] @ w)
+    y, push = flown(model, now, x, s), np.linalg.solve(model.M, w)
+    y[:, n:] -= np.outer((1 + model.eps[i]) * (y[:, n:] @ w), push / (w @ push))
+    return flown(model, now + s, y, -s)
+
+
+@pytest.mark.parametrize("deviation", [1e-3, 1e-2, 5e-2])
+def test_unheard_impact_leaves_the_moments_of_nonlinear_jumps(deviation: float) -> None:
+    """Of 8000 states that hit at an instant of their own: mean and covariance, to its noise."""
+    model, t = sample("two_mass").system, 0.3
+    x = np.array([0.1, 0.5, -0.4, 1.6])
+    rng = np.random.default_rng(5)
+    root = deviation * np.tril(rng.normal(size=(4, 4)) / 4 + np.eye(4))
+    filter_ = ImpactFilter(model)
+    known = filter_.missed(ContactChange(t, (), (0,), ()), GaussianState.of(x[None], root))
+    drawn = rng.normal(size=(4000, 4)) @ root.T
+    after = thrown(model, t, x + np.vstack([drawn, -drawn]), 0)
+    mean, covariance = after.mean(axis=0), np.cov(after.T)
+    P = known.root @ known.root.T
+    deviations = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose((known.x - mean) / deviations, 0.0, atol=max(0.5 * deviation, 1e-3))
+    scaled = (P - covariance) / np.outer(deviations, deviations)
+    np.testing.assert_allclose(scaled, 0.0, atol=0.06 + deviation)
+
+
+def test_unheard_impact_that_is_early_jumps_at_its_own_root() -> None:
+    """A gap that is not yet zero: the state then is that of a plant that hits a little later."""
+    model, t = sample("two_mass").system, 0.3
+    x = np.array([0.1, 0.499, -0.4, 1.6])
+    known = ImpactFilter(model).missed(
+        ContactChange(t, (), (0,), ()), GaussianState.of(x[None], 1e-9 * np.eye(4))
+    )
+    expected = thrown(model, t, x[None], 0)[0]
+    np.testing.assert_allclose(known.x, expected, atol=1e-6)
+    np.testing.assert_allclose(known.x[1], 0.499 - 1e-3, atol=2e-2)

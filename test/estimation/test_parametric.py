@@ -1,0 +1,93 @@
+"""What unknown parameters make of an error: differences are derivatives, noise covers draws."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from systems import examples, matrices, vectors
+
+from impact_observer.estimation.parametric import Map, Sensitivity, led
+
+Array = NDArray[np.float64]
+P, N = 2, 3
+
+
+class Quadratic:
+    """``F = (A + B_j theta_j) x + c + b_j theta_j + c_jk theta_j theta_k / 2``, drawn."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.A, self.B = rng.normal(size=(N, N)), rng.normal(size=(P, N, N))
+        self.b, bent = rng.normal(size=(P, N)), rng.normal(size=(P, P, N))
+        self.c = bent + bent.transpose(1, 0, 2)
+        self.x, self.theta = rng.normal(size=N), rng.normal(size=P)
+        root = np.tril(rng.normal(size=(N + P, N + P)))
+        self.root = led(np.roll(root, -P, axis=0), slice(N, N + P))
+
+    def value(self, x: Array, theta: Array) -> Array:
+        """``F`` of one state and one theta, or of as many as there are rows of both."""
+        bent = np.einsum("...j,...k,jkn->...n", theta, theta, self.c) / 2
+        turned = np.einsum("...j,jnm,...m->...n", theta, self.B, x)
+        return np.asarray(x @ self.A.T + turned + theta @ self.b + bent)
+
+    def at(self, theta: Array) -> Map:
+        """The map for other parameters."""
+        return Map(self.value(self.x, theta), self.A + np.tensordot(theta, self.B, 1))
+
+
+@given(seed=st.integers(0, 10_000), exponents=st.tuples(*[st.integers(-6, 2)] * P))
+@examples(40)
+def test_differences_of_a_quadratic_map_are_its_derivatives(
+    seed: int, exponents: tuple[int, ...]
+) -> None:
+    """Wherever the grid lies: first ones at ``theta`` itself, not where the map was looked at."""
+    F = Quadratic(seed)
+    steps = np.exp2(np.array(exponents, dtype=float))
+    seen = Sensitivity.of(F.at, F.theta, steps)
+    first = F.b + np.einsum("jkn,k->jn", F.c, F.theta) + F.B @ F.x
+    rounding = 1e-12 / np.min(steps) ** 2
+    np.testing.assert_allclose(seen.first, first, atol=1e-11 + rounding)
+    np.testing.assert_allclose(seen.turns, F.B, atol=1e-11 + rounding)
+    np.testing.assert_allclose(seen.second, F.c, atol=1e-10 + rounding)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_covers_what_is_left_of_a_quadratic_map(seed: int) -> None:
+    """The covariance of the true error is not larger than what is claimed, in any direction.
+
+    Nor is what is claimed besides the linear part more than a few times what is there.
+    """
+    F = Quadratic(seed)
+    seen = Sensitivity.of(F.at, F.theta, np.full(P, 0.25))
+    linear = F.at(F.theta).linear @ F.root[:N]
+    columns, noise = seen.added(F.root[:N], F.root[N:, :P])
+    linear[:, :P] += columns
+    rng = np.random.default_rng(seed + 100)
+    drawn = rng.normal(size=(40_000, N + P)) @ F.root.T
+    errors = F.value(F.x + drawn[:, :N], F.theta + drawn[:, N:]) - F.value(F.x, F.theta)
+    left = errors - drawn @ np.linalg.lstsq(F.root.T, linear.T, rcond=None)[0]
+    true, claimed = left.T @ left / len(left), noise @ noise.T
+    ratios = np.linalg.eigvals(np.linalg.solve(claimed, true)).real
+    assert np.max(ratios) < 1.0
+    assert np.min(ratios) > 0.05
+
+
+@given(root=matrices(5, 7), first=st.integers(0, 3))
+@examples(40)
+def test_a_root_that_is_led_has_the_same_covariance(root: Array, first: int) -> None:
+    """And its rows begin as a lower triangle."""
+    rows = slice(first, first + 2)
+    found = led(root, rows)
+    np.testing.assert_allclose(found @ found.T, root @ root.T, atol=1e-12)
+    np.testing.assert_allclose(np.triu(found[rows], 1), 0.0, atol=1e-14)
+
+
+@given(x=vectors(N))
+@examples(10)
+def test_without_parameters_nothing_is_added(x: Array) -> None:
+    """A map that does not depend on what is unknown."""
+    seen = Sensitivity.of(lambda _: Map(x, np.eye(N)), np.zeros(1), np.ones(1))
+    columns, noise = seen.added(np.eye(N), np.eye(1))
+    assert not np.any(columns)
+    assert not np.any(noise)

@@ -1,0 +1,124 @@
+"""What users declare not to know: read, checked, and spread over replicas."""
+
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+from systems import sample
+
+from impact_observer.errors import UsageError
+from impact_observer.estimation.uncertainty import (
+    LARGEST,
+    Uncertainty,
+    covariance_root,
+    deviation_of,
+    spread,
+)
+from impact_observer.estimation.unknown_parameters import MOST_DRIFT
+from impact_observer.observer import Options
+from impact_observer.ros.parameters import OBSERVER
+
+SYSTEM = sample("two_mass").system
+
+
+def test_deviation_is_one_number_or_one_for_each_state() -> None:
+    """The same for all, or q1,..,qn,u1,..,un."""
+    assert deviation_of("0.5", SYSTEM).tolist() == [0.5] * 4
+    assert deviation_of("1,2,3,0", SYSTEM).tolist() == [1.0, 2.0, 3.0, 0.0]
+
+
+@pytest.mark.parametrize("text", ["", "1,2", "a", "-1", "nan", "inf", "1,2,3,4,5", "1,,2,3"])
+def test_deviation_that_is_none_is_one_line(text: str) -> None:
+    """It says what was found and what is wanted."""
+    with pytest.raises(
+        UsageError, match="expected one number from 0 to 1e\\+09, or 4 of them"
+    ) as info:
+        deviation_of(text, SYSTEM)
+    assert repr(text) in str(info.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("deviation", -1.0),
+        ("deviation", 1e10),
+        ("clock_error", -1e-3),
+        ("clock_error", 0.5),
+        ("model_error", float("nan")),
+        ("model_error", 1e7),
+    ],
+)
+def test_uncertainty_checks_itself(name: str, value: float) -> None:
+    """By name, with what was found."""
+    wrong: dict[str, Any] = {name: value}
+    with pytest.raises(UsageError, match=f"{name}: .* found; expected 0 to "):
+        Uncertainty(**wrong)
+
+
+def test_options_name_what_cannot_be_used() -> None:
+    """The law, the initial state, the size of a deviation, an ensemble of none."""
+    for options, message in (
+        (Options(law="none"), "law 'none': not installed"),
+        (Options(initial="1,2"), "initial state '1,2': 2 numbers, expected 4"),
+        (Options(deviation="1,2"), "deviation '1,2'"),
+        (Options(ensemble=0), "ensemble: 0 found; expected a positive number"),
+        (Options(agreed=0.0), "agreed: 0 found"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            options.observer(SYSTEM)
+
+
+def test_covariance_has_a_root() -> None:
+    """Also where it is singular, and given row by row."""
+    root = np.array([[1.0, 0, 0, 0], [2, 1, 0, 0], [0, 0, 0, 0], [1, 0, 3, 0]])
+    found = covariance_root((root @ root.T).ravel(), 2)
+    np.testing.assert_allclose(found @ found.T, root @ root.T, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("covariance", "message"),
+    [
+        ([1.0] * 9, r"9 numbers; expected 16 of at most 1e\+18, 4 x 4"),
+        ([float("inf")] * 16, "expected 16 of at most"),
+        (1e307 * np.eye(4), "expected 16 of at most"),
+        (np.triu(np.ones((4, 4))).ravel(), "not symmetric"),
+        (-np.eye(4).ravel(), "has the eigenvalue -1"),
+    ],
+)
+def test_what_is_no_covariance_is_one_line(covariance: object, message: str) -> None:
+    """Of the wrong size, not finite, not symmetric, not semidefinite."""
+    with pytest.raises(UsageError, match=message):
+        covariance_root(covariance, 2)  # type: ignore[arg-type]
+
+
+def test_replicas_are_spread_as_declared() -> None:
+    """The first is the state itself; mean and covariance of the others are as told, exactly."""
+    x, root = np.array([1.0, -2.0]), np.array([[2.0, 0.0], [1.0, 0.5]])
+    for count in (4, 10, 2001):
+        found = spread(x, root, count)
+        np.testing.assert_array_equal(found[0], x)
+        np.testing.assert_allclose(found[1:].mean(axis=0), x, atol=1e-13)
+        np.testing.assert_allclose(np.cov(found[1:].T, ddof=0), root @ root.T, atol=1e-12)
+
+
+def test_few_replicas_are_spread_as_far() -> None:
+    """Fewer than directions: their mean square distance is that of many."""
+    for count in (2, 3, 5):
+        found = spread(np.zeros(8), np.eye(8), count)
+        assert len({x.tobytes() for x in found}) == count
+        if count > 2:
+            assert np.mean(np.sum(found[1:] ** 2, axis=1)) == pytest.approx(8.0)
+    assert spread(np.zeros(8), np.eye(8), 1).shape == (1, 8)
+
+
+def test_node_and_command_mean_the_same_by_nothing_said() -> None:
+    """The node's defaults are those of the options, and its limits those of what is declared."""
+    table = {each.name: each for each in OBSERVER}
+    renamed = {"initial": "initial_state", "deviation": "initial_deviation"}
+    for option in fields(Options):
+        default = -1.0 if option.default is None else option.default  # nothing declared
+        assert table[renamed.get(option.name, option.name)].default == default
+    limited = [name for name in LARGEST if name != "deviation"]
+    assert [table[name].high for name in limited] == [LARGEST[name] for name in limited]
+    assert table["parameter_drift"].high == MOST_DRIFT

@@ -1,0 +1,354 @@
+"""Parameters of the model as slow states of the filter: what it learns, and how surely."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from systems import EPOCH, PRESSED, believing, run, sample, system
+
+from impact_observer.dynamics import Phases
+from impact_observer.dynamics.lyapunov import distance
+from impact_observer.errors import UsageError
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.unknown_parameters import MOST_DRIFT, Unknowns
+from impact_observer.events import ImpactEvent
+from impact_observer.identify.motion import FlightEnd, shoot
+from impact_observer.model import System
+from impact_observer.model.family import Family
+from impact_observer.observer import Observer, Options, law_named
+from impact_observer.plant import Run
+from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
+
+Array = NDArray[np.float64]
+TRUSTING = {"missed": 0.0, "spurious": 0.0, "mislabelled": 0.0}
+
+
+@cache
+def truth(name: str, seconds: float = 60.0) -> Run:
+    """A run of a sample."""
+    model = sample(name)
+    q, u = model.initial_state()
+    return run(model.system, q, u, seconds=seconds, rate=10.0)
+
+
+def watching(
+    model: System, x: Array, free: Sequence[str] = (), clock: float = 0.0, **declared: object
+) -> Observer:
+    """An observer of minimum variance that believes every event and learns ``free``."""
+    unknowns = Unknowns.named(model, free) if free else None
+    told = believing(clock_error=clock, unknowns=unknowns, **{**TRUSTING, **declared})
+    law = law_named("minimum-variance")(model, told)
+    n = model.n
+    return Observer(model, law, x[:n], x[n:], epoch=EPOCH, history=1e4, ensemble=4)
+
+
+def heard(watcher: Observer, events: Sequence[ImpactEvent]) -> Observer:
+    """The observer when it has been told."""
+    for each in events:
+        watcher.receive(each)
+    return watcher
+
+
+def distances(watcher: Observer, model: System, true: Run) -> Array:
+    """V of the estimate at the samples of a run, by the energy of the true model, J."""
+    seen = [watcher.estimate(int(stamp)) for stamp in true.stamps]
+    differences = np.array([np.concatenate([x.q, x.u]) for x in seen]) - true.states
+    return np.asarray(distance(model, differences[:, : model.n], differences[:, model.n :]))
+
+
+def stiffer(model: System, ratio: float) -> System:
+    """The model with other springs."""
+    return replace(model, K=ratio * model.K)
+
+
+def bouncier(model: System, by: float) -> System:
+    """The model with other restitutions."""
+    contacts = tuple(replace(each, restitution=each.restitution + by) for each in model.contacts)
+    return replace(model, contacts=contacts)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["two_mass", "three_mass"])
+def test_wrong_stiffness_is_learnt_and_its_floor_is_gone(name: str) -> None:
+    """Without, V stays where 2 % of stiffness put it."""
+    model, true = sample(name).system, truth(name)
+    wrong, start = stiffer(model, 1.02), np.array([0.4, -0.3, 0.2, 0.5, -0.6, 0.1])[: 2 * model.n]
+    late = true.stamps > EPOCH + 40 * NS_PER_S
+    plain = heard(watching(wrong, start), true.events)
+    learning = heard(watching(wrong, start, ["stiffness-scale=0.03"]), true.events)
+    floor = np.median(distances(plain, model, true)[late])
+    assert floor > 1e-3
+    assert np.median(distances(learning, model, true)[late]) < 1e-8 * floor
+    ((told, value, deviation),) = learning.estimate(int(true.stamps[-1])).learnt
+    assert told == "stiffness-scale"
+    assert abs(value - 1 / 1.02) < 4 * deviation < 1e-7
+
+
+@pytest.mark.parametrize("wrong", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
+def test_restitution_is_learnt_and_costs_little_where_it_was_right(wrong: float) -> None:
+    """The estimate is as exact as the stamps let it be a few impacts later than without."""
+    model, true = sample("two_mass").system, truth("two_mass", 30.0)
+    start = np.array([0.4, -0.3, 0.5, -0.6])
+    watcher = heard(
+        watching(bouncier(model, wrong), start, ["restitution"]),
+        true.events,
+    )
+    V = distances(watcher, model, true)
+    assert np.median(V[-50:]) < 1e-15 * V[0]
+    ((_, value, deviation),) = watcher.estimate(int(true.stamps[-1])).learnt
+    assert abs(value - 0.7) < 4 * deviation < 1e-8
+    assert watcher.estimate(int(true.stamps[-1])).synchronized
+
+
+def test_everything_at_once_is_learnt() -> None:
+    """Stiffness, restitution and gap; each within what is said of it."""
+    model, true = sample("two_mass").system, truth("two_mass")
+    contacts = tuple(replace(c, gap=1.01 * c.gap) for c in model.contacts)
+    wrong = bouncier(stiffer(replace(model, contacts=contacts), 1.03), 0.1)
+    free = ["restitution=0.15", "gap=0.02", "stiffness-scale=0.05"]
+    watcher = heard(watching(wrong, np.array([0.4, -0.3, 0.5, -0.6]), free), true.events)
+    learnt = watcher.estimate(int(true.stamps[-1])).learnt
+    right = {"stiffness-scale": 1 / 1.03, "restitution.stop": 0.7, "gap.stop": 0.5}
+    assert [name for name, _, _ in learnt] == ["stiffness-scale", "restitution.stop", "gap.stop"]
+    for name, value, deviation in learnt:
+        assert abs(value - right[name]) < 4 * deviation < 1e-4
+
+
+@pytest.mark.slow
+def test_gaps_are_learnt_where_contacts_rest() -> None:
+    """A body at rest on a stop that is elsewhere is elsewhere itself, and so surely."""
+    contacts = tuple(replace(c, gap=c.gap + 0.015) for c in PRESSED.contacts)
+    true = run(PRESSED, np.zeros(2), np.zeros(2), seconds=12.0, rate=10.0)
+    wrong = replace(PRESSED, contacts=contacts)
+    watcher = watching(wrong, np.array([0.1, -0.1, 0.2, 0.1]), ["gap=0.02"], deviation=0.3)
+    heard(watcher, true.events)
+    at = 100
+    late = watcher.estimate(int(true.stamps[at]))
+    assert late.closed == ("c1", "c2")
+    for (_, value, deviation), right in zip(late.learnt, PRESSED.q_r.tolist(), strict=True):
+        assert abs(value - right) < 4 * deviation < 1e-9
+    np.testing.assert_allclose(late.q, true.states[at][:2], atol=1e-9)
+    spread = np.sqrt(np.diag(late.covariance))[:2]
+    assert np.all(spread > 0.2 * late.learnt[0][2])
+
+
+def linearised(
+    family: Family, t: float, x: Array, s: float, closed: tuple[int, ...] = ()
+) -> tuple[Array, Array]:
+    """Derivatives of the state after ``s`` seconds with state and parameters, by differences."""
+
+    def after(theta: Array) -> tuple[Array, Array]:
+        phases = Phases(family.system_at(theta))
+        phase = phases.phase(closed)
+        return phase.start(t, x).state(s), phase.transition(s)
+
+    given, h = np.array(family.given), 1e-5
+    turn = [
+        (after(given + h * e)[0] - after(given - h * e)[0]) / (2 * h) for e in np.eye(given.size)
+    ]
+    return after(given)[1], np.column_stack(turn)
+
+
+@pytest.mark.parametrize("closed", [(), (0,)])
+def test_small_errors_go_on_by_the_derivatives_of_the_motion(closed: tuple[int, ...]) -> None:
+    """State and parameters, also while a contact is held; the other replicas likewise."""
+    told = Unknowns.named(PRESSED, ["stiffness-scale=1e-5", "mass-scale=2e-5", "gap.c2=1e-5"])
+    filter_ = ImpactFilter(PRESSED, 0.0, told)
+    rng = np.random.default_rng(5)
+    root = 1e-5 * np.tril(rng.normal(size=(7, 7)))
+    x = np.array([0.1, 0.05, 0.0, -0.4])
+    differences = 1e-5 * rng.normal(size=(7, 2))
+    known = GaussianState(x, told.family.given, root, differences, closed, parameters=3)
+    found = filter_.course(0.3, known).known(0.8)
+    Phi, turn = linearised(told.family, 0.3, x, 0.8, closed)
+    whole = np.block([[Phi, turn], [np.zeros((3, 4)), np.eye(3)]])
+    P = whole @ root @ root.T @ whole.T
+    size = np.sqrt(np.outer(np.diag(P), np.diag(P))) + 1e-20
+    assert np.max(np.abs(found.root @ found.root.T - P) / size) < 1e-3
+    np.testing.assert_allclose(found.differences, whole @ differences, atol=2e-9)
+    np.testing.assert_array_equal(found.slow, told.family.given)
+
+
+def test_small_errors_are_learnt_from_as_by_least_squares() -> None:
+    """The filter's parameters and deviations are those of all impacts fitted at once."""
+    model, true, jitter, size = sample("two_mass").system, truth("two_mass", 12.0), 1e-6, 1e-5
+    free = [f"{name}={size}" for name in ("stiffness-scale", "restitution", "gap")]
+    told = Unknowns.named(model, free)
+    rng = np.random.default_rng(8)
+    start = np.concatenate([true.states[0] + size * rng.normal(size=4), told.family.given])
+    late = [from_seconds(each) for each in jitter * rng.normal(size=len(true.events))]
+    events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
+    watcher = heard(watching(model, start[:4], free, jitter, deviation=size), events)
+    found = watcher.estimate(events[-1].stamp).learnt
+    # shifts and start are such that all gaps are zero; the sum of squares, each over its own
+    # deviation, is least
+    t = np.array([seconds_between(EPOCH, each.stamp) for each in events])
+    moments = [FlightEnd(float(each), (0,), (0,)) for each in t]
+    shot = shoot(told.family, start, moments, t, 0.0)
+    weights = np.concatenate([np.full(7, size), np.full(t.size, jitter)])
+    rows = np.hstack([shot.by_start, shot.by_instant]) * weights
+    step = weights * np.linalg.lstsq(rows, -shot.gaps, rcond=None)[0]
+    _, _, rest = np.linalg.svd(rows)
+    free_ = rest[len(rows) :] * weights
+    deviations = np.linalg.norm(free_, axis=0)[4:7]
+    values = np.array([value for _, value, _ in found])
+    np.testing.assert_allclose([each for _, _, each in found], deviations, rtol=1e-2)
+    assert np.max(np.abs(values - (start + step[:7])[4:]) / deviations) < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("free", ["restitution=0.1", "stiffness-scale=0.03"])
+def test_what_is_said_of_parameters_is_true_over_many_starts(free: str) -> None:
+    """Errors are as large as their deviations: the mean of their squares is near one."""
+    model, true = sample("two_mass").system, truth("two_mass", 20.0)
+    name, _, deviation = free.partition("=")
+    family = Unknowns.named(model, [free]).family
+    squares = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        value = float(family.given[0]) + float(deviation) * np.clip(rng.normal(), -2, 2)
+        wrong = family.system_at(np.array([value]))
+        right = 1 / value if name == "stiffness-scale" else float(family.given[0])
+        late = [from_seconds(each) for each in 1e-3 * rng.normal(size=len(true.events))]
+        events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
+        start = true.states[0] + 0.5 * rng.normal(size=4)
+        watcher = watching(wrong, start, [free], 1e-3, deviation=0.5)
+        ((_, found, claimed),) = heard(watcher, events).estimate(int(true.stamps[-1])).learnt
+        squares.append(((found - right) / claimed) ** 2)
+    assert 0.3 < np.mean(squares) < 2.0
+
+
+def test_a_parameter_that_drifts_is_known_less_as_time_goes_by() -> None:
+    """By its share of what was declared, as a random walk; one that does not stays known."""
+    model, s = sample("two_mass").system, 15.0
+    x = np.concatenate(sample("two_mass").initial_state())
+    for free in ("restitution", "stiffness-scale"):
+        for drift in (0.0, 0.4):
+            told = Unknowns.named(model, [f"{free}=0.02"], drift=drift)
+            root = np.diag([1e-3] * 4 + [0.005])
+            known = GaussianState(x, told.family.given, root, np.empty((5, 0)), (), parameters=1)
+            found = ImpactFilter(model, 0.0, told).course(0.0, known).known(s)
+            wanted = np.hypot(0.005, 0.02 * drift * np.sqrt(s / 60.0))
+            assert np.linalg.norm(found.root[4]) == pytest.approx(wanted)
+
+
+def test_a_restitution_that_cannot_be_is_never_reached() -> None:
+    """However wrong the stamps are, what is published lies between 0 and 1."""
+    model = system(1.0, 0.0, 4.0, contacts=[([1.0], 0.2, 0.95)])
+    true = run(model, np.array([0.5]), np.array([0.0]), seconds=20.0)
+    rng = np.random.default_rng(1)
+    watcher = watching(bouncier(model, -0.3), np.array([0.3, 0.2]), ["restitution=0.5"], 0.05)
+    for each in true.events[:12]:
+        watcher.receive(replace(each, stamp=each.stamp + from_seconds(0.05 * rng.normal())))
+        ((_, value, _),) = watcher.estimate(each.stamp + NS_PER_S // 10).learnt
+        assert 0.0 <= value <= 1.0
+
+
+def test_names_and_deviations_are_read_as_users_write_them() -> None:
+    """A kind is all of its members; what is said of one beats what is said of its kind."""
+    model = sample("three_mass")
+    told = Unknowns.named(model.system, ["gap = 0.01", "restitution"])
+    assert told.family.names == ("gap.right", "gap.left", "restitution.right", "restitution.left")
+    assert told.deviations.tolist() == [0.01, 0.01, 0.1, 0.1]
+    told = Unknowns.named(
+        model.system, ["gap.left=0.02", "stiffness.x1-x2", "mass.x2=0.3"], model.elements
+    )
+    assert told.family.names == ("stiffness.x1-x2", "mass.x2", "gap.left")
+    np.testing.assert_allclose(told.deviations, [0.05 * 25, 0.3, 0.02])
+
+
+@pytest.mark.parametrize(
+    ("wanted", "said"),
+    [
+        (("clock-offset",), "declare clock_offset_error instead"),
+        (("restitution=",), "nothing found after ="),
+        (("restitution=much",), "much found after ="),
+        (("restitution=0",), "deviation of restitution.stop: 0 found"),
+        (("restitution=nan",), "deviation of restitution.stop: nan found"),
+        (("restitution=1e5",), "100000 found; expected 1e-12 to 1"),
+        (("stiffness-scale=1e-300",), "1e-300 found; expected 1e-12 to 1"),
+        (("elasticity",), "parameter 'elasticity': this model has none"),
+        (("restitution", "restitution.stop"), "found twice"),
+    ],
+)
+def test_parameters_that_cannot_be_learnt_are_refused_by_name(
+    wanted: tuple[str, ...], said: str
+) -> None:
+    """In one line."""
+    options = Options("minimum-variance", estimate_parameters=wanted)
+    with pytest.raises(UsageError, match=said):
+        options.observer(sample("two_mass").system)
+
+
+def test_a_law_that_learns_nothing_refuses_parameters() -> None:
+    """Rather than leave them as they are without a word."""
+    options = Options("geometric", estimate_parameters=("restitution",))
+    with pytest.raises(UsageError, match="the law geometric learns none"):
+        options.observer(sample("two_mass").system)
+
+
+def test_a_drift_of_nothing_is_refused() -> None:
+    """It would be ignored; laws that learn nothing beside one that does have none."""
+    with pytest.raises(UsageError, match="but no estimate_parameters to"):
+        Options("minimum-variance", parameter_drift=0.1).observer(sample("two_mass").system)
+    learning = Options(estimate_parameters=("restitution",), parameter_drift=0.1)
+    both = learning.of_laws(["geometric", "minimum-variance"])
+    assert [each.parameter_drift for each in both] == [0.0, 0.1]
+    assert [each.estimate_parameters for each in both] == [(), ("restitution",)]
+
+
+def test_a_contact_that_rests_says_nothing_of_its_restitution() -> None:
+    """A switch may have told of many bounces as of one: it stays what impacts have told."""
+    model = sample("two_mass").system
+    told = Unknowns.named(model, ["restitution=0.1"])
+    filter_ = ImpactFilter(model, 0.0, told)
+    x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
+    known = GaussianState(x, told.family.given, root, np.empty((5, 0)), (), parameters=1)
+    change = ContactChange(1.0, (), (0,), (0,))
+    after = filter_.after(change, filter_.heard(change, filter_.prior(change, known, 1e-4)))
+    assert after.closed == (0,)
+    assert after.theta[0] == pytest.approx(0.7, abs=1e-6)
+    assert np.linalg.norm(after.root[4]) == pytest.approx(0.1)
+    assert abs(float(model.W[:, 0] @ after.x[2:])) < 1e-12
+
+
+def test_an_estimate_that_is_made_less_sure_knows_parameters_as_at_first_at_least() -> None:
+    """However far the state is opened again; one row is as any other of a covariance."""
+    model = sample("two_mass").system
+    told = Unknowns.named(model, ["restitution=0.1", "gap=0.02"])
+    filter_ = ImpactFilter(model, 0.0, told)
+    rng = np.random.default_rng(4)
+    root = np.vstack([rng.normal(size=(4, 6)), 1e-3 * np.eye(2, 6)])
+    known = GaussianState(np.ones(4), told.family.given, root, np.empty((6, 0)), (), parameters=2)
+    wider = filter_.wider(known, 50.0)
+    np.testing.assert_allclose(wider.root[:4], 50.0 * root[:4])
+    np.testing.assert_allclose(np.linalg.norm(wider.root[4:], axis=1), [0.05, 0.02])
+
+
+def test_unknowns_check_themselves() -> None:
+    """Their number, and how far they drift."""
+    family = Unknowns.named(sample("two_mass").system, ["restitution"]).family
+    with pytest.raises(UsageError, match="2 found; expected 1"):
+        Unknowns(family, np.array([0.1, 0.2]))
+    for drift in (-0.1, float("nan"), 2 * MOST_DRIFT):
+        with pytest.raises(UsageError, match=r"parameter_drift: .* found; expected 0 to"):
+            Unknowns(family, np.array([0.1]), drift)
+
+
+def test_late_events_change_nothing_of_what_is_learnt() -> None:
+    """In any order they give the same bits."""
+    model, true = sample("two_mass").system, truth("two_mass", 12.0)
+    start = np.array([0.4, -0.3, 0.5, -0.6])
+    inorder = heard(watching(bouncier(model, 0.1), start, ["restitution"]), true.events)
+    late = watching(bouncier(model, 0.1), start, ["restitution"])
+    for k in (0, 2, 1, 4, 3):
+        late.receive(true.events[k])
+    heard(late, true.events[5:])
+    stamp = int(true.stamps[-1])
+    assert inorder.estimate(stamp).learnt == late.estimate(stamp).learnt
+    assert inorder.estimate(stamp).q.tolist() == late.estimate(stamp).q.tolist()

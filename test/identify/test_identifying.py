@@ -1,0 +1,323 @@
+"""Parameters learnt from impact times alone, what is not told, and what is not believed."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from systems import EPOCH, Harmonic, event, forcing, run, sample, system
+
+from impact_observer.errors import IdentificationError, UsageError
+from impact_observer.events import ImpactEvent
+from impact_observer.identify.fit_check import checked
+from impact_observer.identify.fit_picture import identification_figure
+from impact_observer.identify.identifying import Identified, identify
+from impact_observer.identify.least_squares import least
+from impact_observer.identify.model_edit import changes
+from impact_observer.model import Forcing, System, parse_model
+from impact_observer.model.force_samples import Samples
+from impact_observer.model.learnable import family_of
+from impact_observer.model.model_file import edited, load_yaml
+from impact_observer.plant import Run, SensorModel, sense
+from impact_observer.stamps import from_seconds
+
+Array = NDArray[np.float64]
+FREE = ("restitution", "stiffness-scale", "gap")
+
+
+@lru_cache
+def recorded(name: str) -> Run:
+    """A minute of a sample model."""
+    model = sample(name)
+    return run(model.system, *model.initial_state(), seconds=60.0, rate=1.0)
+
+
+def told(name: str, seed: int = 0, **troubles: float) -> list[ImpactEvent]:
+    """What a sensor tells of it."""
+    made, model = recorded(name), sample(name).system
+    last = int(made.stamps[-1])
+    sensor = SensorModel(**troubles)  # type: ignore[arg-type]
+    sensed = sense(sensor, model, made.switchings, epoch=made.epoch, last=last, seed=seed)
+    return sorted((each.event for each in sensed), key=lambda each: each.stamp)
+
+
+def wrong(model: System, stiffness: float = 1.03) -> System:
+    """The model with restitutions off by 0.1, stiffness by 3 % and gaps by 2 %."""
+    return replace(
+        model,
+        K=model.K * stiffness,
+        contacts=tuple(
+            replace(each, gap=1.02 * each.gap, restitution=each.restitution + 0.1 * (-1) ** i)
+            for i, each in enumerate(model.contacts)
+        ),
+    )
+
+
+def truth(found: Identified, model: System, stiffness: float = 1.03) -> Array:
+    """The true values of what was learnt."""
+    known = {f"restitution.{each.name}": each.restitution for each in model.contacts}
+    known |= {f"gap.{each.name}": each.gap for each in model.contacts}
+    known |= {"stiffness-scale": 1 / stiffness}
+    return np.array([known[name] for name in found.family.names])
+
+
+@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)])
+def test_exact_times_give_every_parameter(name: str) -> None:
+    """To a part in ten millions: stamps are rounded to 1 ns, and it finds that out."""
+    model = sample(name)
+    found = identify(family_of(wrong(model.system), FREE), told(name))
+    assert found.converged
+    assert not found.unknown
+    np.testing.assert_allclose(found.values, truth(found, model.system), rtol=1e-7)
+    np.testing.assert_allclose(found.start, np.concatenate(model.initial_state()), atol=1e-7)
+    assert found.rms < 1e-9
+    assert checked(found).fits
+
+
+@pytest.mark.slow
+def test_errors_under_jitter_are_as_large_as_is_said() -> None:
+    """The squares of 30 normalised errors; their sum is that of the right number, nearly."""
+    model = sample("two_mass").system
+    family = family_of(wrong(model), FREE)
+    weight, freedom, sizes = 0.0, 0, []
+    for seed in range(10):
+        found = identify(family, told("two_mass", seed, jitter=1e-3), clock=1e-3, believe=True)
+        error = found.values - truth(found, model)
+        own = found.covariance[found.start.size :, found.start.size :]
+        weight += float(error @ np.linalg.solve(own, error))
+        freedom += error.size
+        sizes.append(found.rms)
+    assert np.mean(sizes) == pytest.approx(1e-3, rel=0.2)
+    assert abs(weight / freedom - 1) < 4 * np.sqrt(2 / freedom)
+
+
+@pytest.mark.slow
+def test_invented_impacts_are_found_out() -> None:
+    """One in ten, one of them 5 ms from a true one; nothing is missing in the end."""
+    model = sample("two_mass").system
+    events = told("two_mass", 3, spurious=0.08)
+    events = [each for each in events if each.stamp < EPOCH + from_seconds(25.0)]
+    true = {each.stamp for each in recorded("two_mass").events}
+    found = identify(family_of(wrong(model), FREE), events)
+    assert {stamp for stamp, _ in found.recording.doubted} == {
+        each.stamp for each in events if each.stamp not in true
+    }
+    np.testing.assert_allclose(found.values, truth(found, model), rtol=1e-6)
+
+
+def test_what_moves_no_impact_is_named() -> None:
+    """Mass, damping and stiffness go together where no force is known."""
+    free_fall = system(
+        np.eye(1), [[0.1]], [[4.0]], contacts=[([1.0], -0.2, 0.9)], force=forcing(1, 0.0)
+    )
+    made = run(free_fall, [1.0], [0.0], seconds=12.0, rate=1.0)
+    scales = ["mass-scale", "damping-scale", "stiffness-scale"]
+    with pytest.raises(
+        IdentificationError, match=r"\+1 mass-scale \+1 damping-scale \+1 stiffness-scale: "
+    ):
+        identify(family_of(free_fall, scales), list(made.events))
+    alone = identify(family_of(free_fall, ["restitution", "stiffness-scale"]), list(made.events))
+    np.testing.assert_allclose(alone.values, [0.9, 1.0], rtol=1e-6)
+
+
+def test_a_motion_without_a_scale_is_refused() -> None:
+    """No force and no gap: the impacts of a motion twice as large come at the same times."""
+    same = system(np.eye(1), [[0.1]], [[4.0]], contacts=[([1.0], 0.0, 0.9)])
+    made = run(same, [1.0], [0.0], seconds=12.0, rate=1.0)
+    with pytest.raises(IdentificationError, match="size of the motion"):
+        identify(family_of(same, ["restitution"]), list(made.events))
+
+
+def test_a_clock_without_a_known_force_has_no_offset() -> None:
+    """And beside a phase it has none that can be told from it."""
+    model = sample("two_mass").system
+    family = family_of(model, ["clock-offset", "forcing-phase"])
+    with pytest.raises(IdentificationError, match="clock-offset"):
+        identify(family, told("two_mass"))
+
+
+def test_clock_offset_and_amplitude_are_learnt() -> None:
+    """The stamps of a clock that is 20 ms ahead."""
+    model = sample("three_mass").system
+    family = family_of(model, ["clock-offset", "forcing-amplitude.2"])
+    found = identify(family, told("three_mass", clock_offset=0.02))
+    np.testing.assert_allclose(found.values, [0.02, 1.0], rtol=1e-6)
+
+
+def test_too_few_impacts_are_refused() -> None:
+    """With both numbers."""
+    model = sample("two_mass").system
+    with pytest.raises(IdentificationError, match="3 impacts for 7 unknowns"):
+        identify(family_of(model, FREE), told("two_mass")[:3])
+
+
+def test_check_tells_right_from_wrong() -> None:
+    """By the declared clock error, or by shifts that are like their neighbours."""
+    model = sample("three_mass").system
+    events = told("three_mass", jitter=1e-3)
+    right = checked(identify(family_of(model, ()), events, clock=1e-3, believe=True))
+    assert right.fits
+    off = replace(model, K=1.02 * model.K)
+    bad = checked(identify(family_of(off, ()), events, clock=1e-3, believe=True))
+    assert not bad.fits
+    assert bad.worst in {"left", "right"}
+
+
+def test_least_is_what_generalised_least_squares_gives() -> None:
+    """Where ``B`` can be inverted it is the textbook's formula."""
+    rng = np.random.default_rng(1)
+    A, B, d = rng.normal(size=(9, 3)), rng.normal(size=(9, 9)), rng.normal(size=9)
+    x, e, root = least(A, B, d)
+    inverse = np.linalg.inv(B @ B.T)
+    covariance = np.linalg.inv(A.T @ inverse @ A)
+    np.testing.assert_allclose(x, covariance @ A.T @ inverse @ d, rtol=1e-9)
+    np.testing.assert_allclose(A @ x + B @ e, d, atol=1e-11)
+    np.testing.assert_allclose(root @ root.T, covariance, rtol=1e-9)
+
+
+ELEMENTS = """\
+# a rig
+name: rig
+bodies: [{name: x1, mass: 1}, {name: x2, mass: 2}]     # kg
+springs:
+  - {between: [ground, x1], stiffness: 10, damping: 0.1}
+  - {between: [x1, x2], stiffness: 20}
+forces: [{body: x2, constant: 1}, {body: x2, amplitude: 4, frequency: 2.5}]
+stops:
+  - {name: above, body: x2, limit: 0.5, side: above, restitution: 0.7}
+  - {name: below, body: x1, limit: -0.4, side: below, restitution: 0.6}
+  - {name: between, between: [x1, x2], gap: 0.3, restitution: 0.5}
+"""
+MATRICES = """\
+name: rig
+coordinates: [x1, x2]
+mass: [[1, 0], [0, 2]]
+damping: [[0.2, -0.1], [-0.1, 0.1]]
+stiffness: [[30, -20], [-20, 20]]
+forcing: {harmonics: [{frequency: 2.5, cosine: [0, 4], sine: [1, 0]}]}
+contacts: [{name: stop, direction: [0, -1], gap: 0.5, restitution: 0.7}]   # the anvil
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "free"),
+    [
+        (ELEMENTS, ("restitution", "gap", "stiffness", "damping", "mass")),
+        (ELEMENTS, ("stiffness-scale", "damping-scale", "mass-scale", "forcing-phase")),
+        (ELEMENTS, ("forcing-amplitude", "gap.below", "stiffness.x1-x2")),
+        (MATRICES, ("restitution", "gap", "stiffness-scale", "damping-scale", "mass-scale")),
+        (MATRICES, ("forcing-amplitude", "forcing-phase")),
+    ],
+)
+def test_a_written_model_reads_as_what_was_learnt(text: str, free: tuple[str, ...]) -> None:
+    """In its own form, with its comments."""
+    document = load_yaml(text)
+    assert isinstance(document, dict)
+    model = parse_model(text, "rig")
+    family = family_of(model.system, free, model.elements)
+    values = family.given + 0.07 * np.arange(1, family.size + 1) / family.size
+    written = edited(text, changes(document, family, values))
+    wanted, found = family.system_at(values), parse_model(written, "rig").system
+    for part in ("M", "C", "K", "q_r", "eps"):
+        np.testing.assert_allclose(getattr(found, part), getattr(wanted, part), rtol=1e-12)
+    np.testing.assert_allclose(found.forcing.cosine, wanted.forcing.cosine, atol=1e-12)
+    np.testing.assert_allclose(found.forcing.sine, wanted.forcing.sine, atol=1e-12)
+    assert text.count("#") == written.count("#")
+
+
+def test_the_picture_shows_every_contact() -> None:
+    """A row of marks each, and the clock's error."""
+    model = sample("three_mass").system
+    found = identify(family_of(model, ["restitution"]), told("three_mass"))
+    axes = identification_figure(found, title="three").axes[0]
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [each.get_text() for each in legend.get_texts()] == ["left", "right", "2 deviations"]
+
+
+def test_lasting_contacts_are_part_of_the_motion() -> None:
+    """A mass that is pressed against its stop once a period."""
+    push = forcing(1, 0.0, [Harmonic(2.0, [6.0], [0.0])])
+    model = system(1.0, 0.5, 4.0, contacts=[([-1.0], 0.5, 0.0)], force=push)
+    made = run(model, [0.0], [0.5], seconds=60.0, rate=1.0)
+    off = replace(model, K=1.03 * model.K)
+    found = identify(family_of(off, ["stiffness-scale"]), list(made.events))
+    np.testing.assert_allclose(found.values, [1 / 1.03], rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_impacts_that_accumulate_are_part_of_the_recording() -> None:
+    """A ball until it rests: 174 events, the last ones microseconds apart."""
+    model = sample("bouncing_ball")
+    made = run(model.system, *model.initial_state(), seconds=12.0, rate=1.0)
+    ball = replace(model.system.contacts[0], restitution=0.8)
+    family = family_of(replace(model.system, contacts=(ball,)), ["restitution"])
+    found = identify(family, list(made.events))
+    assert found.converged
+    np.testing.assert_allclose(found.values, [0.9], rtol=1e-9)
+
+
+def test_stamps_without_an_epoch_begin_with_the_first() -> None:
+    """A ball whose sender knows no epoch: the first stamp is the start."""
+    ball = system(1.0, 0.0, 0.0, contacts=[([1.0], 0.0, 0.9)], force=forcing(1, -9.81))
+    t, flight, events = 0.0, 2.0, []
+    for k in range(8):
+        events.append(event(t, "c1", sequence=k + 1, epoch=0))
+        t += flight
+        flight *= 0.9
+    family = family_of(
+        replace(ball, contacts=(replace(ball.contacts[0], restitution=0.8),)), ["restitution"]
+    )
+    found = identify(family, events)
+    np.testing.assert_allclose(found.values, [0.9], rtol=1e-7)
+    assert found.recording.start == 0.0
+    assert events[0].stamp == EPOCH + from_seconds(0.0)
+
+
+def test_a_sampled_forcing_is_refused() -> None:
+    """Its derivatives are not there; the line says what is expected."""
+    model = sample("two_mass").system
+    time = np.linspace(0.0, 70.0, 701)
+    values = np.column_stack([np.zeros(time.size), 4 * np.cos(2.5 * time)])
+    sampled = replace(model, forcing=Forcing.of_samples(Samples(time, values, "linear")))
+    with pytest.raises(UsageError, match="sampled, which identify cannot take"):
+        identify(family_of(sampled, ["restitution"]), told("two_mass"))
+
+
+def test_what_is_told_too_weakly_is_named_after_the_fit() -> None:
+    """A value that may be wrong by all of itself is none; what is told well stays."""
+    model = sample("two_mass").system
+    family = family_of(model, ["restitution", "damping-scale"])
+    found = identify(family, told("two_mass")[:12], clock=0.3, believe=True)
+    restitution, damping = found.errors
+    assert 2 * restitution < 1.0 < damping
+    ((term,),) = found.unknown
+    assert term.name == "damping-scale"
+    surely = identify(family, told("two_mass")[:12], clock=1e-4, believe=True)
+    assert surely.unknown == ()
+
+
+@pytest.mark.slow
+def test_a_parameter_at_its_bound_ends_there() -> None:
+    """It is held, the others are fitted, and that is a fit."""
+    force = forcing(1, 0.0, [Harmonic(1.3, [3.0], [0.0])])
+    model = system(1.0, 0.2, 4.0, contacts=[([1.0], 0.3, 1.0)], force=force)
+    made = run(model, [0.5], [0.0], seconds=40.0, rate=1.0)
+    at_bound = 0
+    for seed in range(6):
+        late = 1e-3 * np.random.default_rng(seed).normal(size=len(made.events))
+        events = [
+            replace(e, stamp=e.stamp + from_seconds(s))
+            for e, s in zip(made.events, late.tolist(), strict=True)
+        ]
+        contacts = (replace(model.contacts[0], gap=0.303, restitution=0.95),)
+        family = family_of(replace(model, contacts=contacts), ["restitution", "gap"])
+        found = identify(family, events, clock=1e-3, believe=True)
+        assert found.converged
+        restitution, gap = found.values
+        assert 0.98 < restitution <= 1.0
+        assert abs(gap - 0.3) < 5 * found.errors[1]
+        assert (restitution == 1.0) == ("restitution.c1" in found.bounded)
+        at_bound += restitution == 1.0
+    assert 0 < at_bound < 6

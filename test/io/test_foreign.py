@@ -1,0 +1,72 @@
+"""Bags as other recorders make them: every command takes each."""
+
+import json
+from pathlib import Path
+
+import pytest
+from foreign_bags import FORMS
+
+from impact_observer.check.salvage import Salvage, salvage
+from impact_observer.cli.main import main
+from impact_observer.io import BagReader
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four seconds of two_mass, with impacts, truth and model."""
+    path = tmp_path_factory.mktemp("recording") / "own"
+    given = ["--duration", "4", "--rate", "10", "-o", str(path)]
+    assert main(["simulate", "two_mass", *given]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def observed(recording: Path) -> list[bytes]:
+    """The estimates on the bag as this package wrote it."""
+    return estimates(recording, recording.parent / "observed")
+
+
+def estimates(bag: Path, output: Path) -> list[bytes]:
+    """The messages that ``observe`` makes of a bag."""
+    assert main(["observe", str(bag), "--ensemble", "1", "-o", str(output)]) == 0
+    with BagReader(output) as reader:
+        return [raw.data for raw in reader.raw(["/observer/state"])]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", FORMS)
+def test_every_command_takes_every_form(
+    recording: Path,
+    observed: list[bytes],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    form: str,
+) -> None:
+    """Estimates are equal to the last bit, counts and times are equal, nothing is to remark."""
+    bag = FORMS[form](recording, tmp_path / form)
+    assert main(["check", str(bag)]) == 0
+    assert capsys.readouterr().out == f"{bag}: an observer can use it (nothing to remark)\n"
+    figures = []
+    for each in (recording, bag):
+        assert main(["info", str(each), "--json"]) == 0
+        figures.append(json.loads(capsys.readouterr().out))
+    for key in ("start", "end", "messages", "impacts", "episodes", "model"):
+        assert figures[0][key] == figures[1][key], key
+    assert figures[1]["storage"] == ("mcap" if "mcap" in form else "sqlite3")
+    assert estimates(bag, tmp_path / "observed") == observed
+
+
+@pytest.mark.parametrize(
+    "form", ["humble_sqlite3", "humble_mcap_lz4", "sqlite3_file", "mcap_storage", "mcap_message"]
+)
+def test_every_form_can_be_salvaged_whole(recording: Path, tmp_path: Path, form: str) -> None:
+    """Without its metadata: all messages, their types and definitions come through."""
+    bag = FORMS[form](recording, tmp_path / form)
+    if bag.is_dir():
+        (bag / "metadata.yaml").unlink()
+    assert salvage(Salvage(bag), tmp_path / "new") == []
+    with BagReader(recording) as own, BagReader(tmp_path / "new") as new:
+        assert sorted(own.raw()) == sorted(new.raw())
+        assert {t: i.type for t, i in own.topics.items()} == {
+            t: i.type for t, i in new.topics.items()
+        }

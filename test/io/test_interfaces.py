@@ -1,0 +1,79 @@
+"""The table of topics and their quality of service."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.interfaces import QosDurability, QosHistory, QosReliability
+
+from impact_observer.io import interfaces
+from impact_observer.io.interfaces import EVENTS, LATCHED, STATES, Interface, Quality
+
+QUALITIES = st.builds(Quality, st.booleans(), st.booleans(), st.integers(0, 10_000))
+
+
+@pytest.mark.parametrize(
+    ("topic", "expected"),
+    [
+        ("/impacts", interfaces.IMPACTS),
+        ("/rig/impacts", interfaces.IMPACTS),
+        ("/plant/joint_states", interfaces.PLANT_JOINT_STATES),
+        ("/observer/joint_states", interfaces.OBSERVER_JOINT_STATES),
+        ("/observer_geometric/state", interfaces.OBSERVER_STATES),
+        ("/rig/observer_open_loop/verdicts", interfaces.OBSERVER_VERDICTS),
+        ("/monitor_geometric/error", interfaces.MONITOR_ERROR),
+        ("/clock", interfaces.SIMULATED_CLOCK),
+        ("/joint_states", None),
+        ("/observers/state", None),
+        ("/state", None),
+        ("/rig/clock", None),
+        ("/impacts/more", None),
+    ],
+)
+def test_topic_is_recognised_in_any_namespace_and_of_any_law(
+    topic: str, expected: Interface | None
+) -> None:
+    """Observers live side by side, and plants in namespaces; foreign topics stay foreign."""
+    assert interfaces.interface(topic) is expected
+
+
+def test_table_offers_what_the_contract_says() -> None:
+    """Late subscribers receive events and the model, but no states."""
+    assert interfaces.IMPACTS.quality == EVENTS == Quality(True, True, 2000)
+    assert interfaces.OBSERVER_STATES.quality == STATES == Quality(True, False, 10)
+    assert interfaces.PLANT_MODEL.quality == LATCHED == Quality(True, True, 1)
+
+
+def test_names_are_relative_for_nodes_and_absolute_in_bags() -> None:
+    """The clock is absolute for both."""
+    assert interfaces.IMPACTS.topic == "/impacts"
+    assert interfaces.OBSERVER_STATES.of("observer_geometric") == "observer_geometric/state"
+    assert interfaces.SIMULATED_CLOCK.topic == interfaces.SIMULATED_CLOCK.name == "/clock"
+
+
+@given(quality=QUALITIES)
+def test_quality_survives_a_bag(quality: Quality) -> None:
+    """What is offered is what is read."""
+    assert Quality.recorded(quality.offered()) == quality
+
+
+def test_depth_that_a_recorder_could_not_see_is_the_usual_one() -> None:
+    """``ros2 bag record`` writes the history ``unknown``."""
+    offered = EVENTS.offered()._replace(history=QosHistory.UNKNOWN, depth=0)
+    assert Quality.recorded(offered, depth=2000) == EVENTS
+
+
+def test_quality_left_open_is_read_as_reliable_and_volatile() -> None:
+    """As a publisher with the system's defaults behaves."""
+    offered = STATES.offered()._replace(
+        reliability=QosReliability.SYSTEM_DEFAULT, durability=QosDurability.UNKNOWN
+    )
+    assert Quality.recorded(offered) == STATES
+
+
+@given(offers=st.lists(QUALITIES, min_size=1, max_size=4))
+def test_common_quality_connects_to_every_publisher(offers: list[Quality]) -> None:
+    """It asks of nobody more than he offers, and keeps as much as the deepest."""
+    common = Quality.common(offers)
+    assert all(offer.reliable or not common.reliable for offer in offers)
+    assert all(offer.transient_local or not common.transient_local for offer in offers)
+    assert common.depth == 0 or all(0 < offer.depth <= common.depth for offer in offers)

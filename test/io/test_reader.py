@@ -1,0 +1,425 @@
+"""Reading a bag."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from systems import examples
+
+from impact_observer.errors import BagError, UsageError
+from impact_observer.events import ImpactEvent, Kind, Ruling, Switch, Verdict
+from impact_observer.io import BagReader, BagWriter, JointState, Quality, interfaces
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.typestores import typestore
+from impact_observer.states import Estimate, frozen
+
+MAKE = bag_messages()
+EVENTS = [
+    ImpactEvent(stamp, (Switch("stop", Kind.CLOSE), Switch("left")), stamp, 1, 9)
+    for stamp in range(10, 20)
+]
+VERDICT = Verdict(10, Ruling.REJECTED, 10, "left", "too far", 5.5)
+
+
+def state(stamp: int, **values: tuple[float, float]) -> object:
+    """A joint state message of (position, velocity) a name."""
+    q, u = (frozen([each[k] for each in values.values()]) for k in (0, 1))
+    return MAKE.joint_state(JointState(stamp, tuple(values), q, u))
+
+
+def estimate(stamp: int, law: str = "geometric") -> object:
+    """An estimate's message."""
+    q, u = frozen([0.5, stamp]), frozen([1.5, 2.5])
+    return MAKE.estimate(
+        Estimate(stamp, law, q, u, last_sequence=stamp - 1, last_event=stamp - 2), ("a", "b")
+    )
+
+
+@pytest.fixture(scope="module")
+def first_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What ``bag`` is a copy of."""
+    path = tmp_path_factory.mktemp("first") / "bag"
+    with BagWriter(path) as writer:
+        writer.write("/plant/model", 5, MAKE.model("name: first"))
+        writer.write("/plant/model", 6, MAKE.model("name: last"))
+        for k, event in enumerate(EVENTS):
+            writer.write("/impacts", 10 + k, MAKE.event(event))
+            writer.write("/plant/joint_states", 10 + k, state(1 + k, a=(k, 1), b=(2, 3)))
+            writer.write("/plant/joint_states", 10 + k, state(2 + k, b=(20, 30), a=(k, 10)))
+            writer.write("/observer_geometric/state", 10 + k, estimate(10 + k))
+        writer.write("/observer_geometric/verdicts", 30, MAKE.verdict(VERDICT, 0.5))
+        writer.write("/rig/observer/joint_states", 30, state(1, a=(1, 2)))
+    return path
+
+
+@pytest.fixture
+def bag(first_bag: Path, tmp_path: Path) -> Path:
+    """A bag with everything we publish; joint states in changing order of names."""
+    return Path(shutil.copytree(first_bag, tmp_path / "bag"))
+
+
+def rewritten(source: Path, target: Path, **choices: object) -> Path:
+    """The same bag as ``rosbags`` writes it with other choices."""
+    writer = Writer(target, version=8, storage_plugin=StoragePlugin.SQLITE3)
+    if choices.get("zstd"):
+        writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with BagReader(source) as reader, writer:
+        connections = {}
+        for topic in reader.topics.values():
+            assert topic.quality is not None
+            connections[topic.name] = writer.add_connection(
+                topic.name,
+                topic.type,
+                typestore=typestore(),
+                offered_qos_profiles=[topic.quality.offered()],
+            )
+        for message in reader.raw():
+            writer.write(connections[message.topic], message.log_time, message.data)
+    return target
+
+
+def test_every_storage_reads_the_same(bag: Path, tmp_path: Path) -> None:
+    """Directories and bare files, MCAP and sqlite3, plain and compressed."""
+    plain = rewritten(bag, tmp_path / "plain")
+    forms = {
+        bag: "mcap",
+        bag / "bag.mcap": "mcap",
+        plain: "sqlite3",
+        plain / "plain.db3": "sqlite3",
+        rewritten(bag, tmp_path / "small", zstd=True): "sqlite3",
+    }
+    for path, storage in forms.items():
+        with BagReader(path) as reader:
+            assert reader.storage == storage
+            assert (reader.start, reader.end, reader.message_count) == (5, 30, 44)
+            assert reader.topics["/impacts"].count == 10
+            assert reader.topics["/impacts"].quality == interfaces.EVENTS
+            assert reader.size > 1000
+            assert list(reader.events()) == EVENTS
+            assert list(reader.verdicts("/observer_geometric/verdicts")) == [VERDICT]
+            assert reader.model_text() == "name: last"
+            assert len(reader.joint_states("/plant/joint_states").stamps) == 20
+
+
+def test_columns_are_ordered_by_name(bag: Path) -> None:
+    """Whatever order each message has, and read-only."""
+    with BagReader(bag) as reader:
+        first = reader.joint_states("/plant/joint_states")
+        turned = reader.joint_states("/plant/joint_states", ["b", "a"])
+    assert first.names == ("a", "b")
+    assert turned.names == ("b", "a")
+    np.testing.assert_array_equal(first.stamps[:4], [1, 2, 2, 3])
+    np.testing.assert_array_equal(first.q[:4], [[0, 2], [0, 20], [1, 2], [1, 20]])
+    np.testing.assert_array_equal(first.u[:2], [[1, 3], [10, 30]])
+    np.testing.assert_array_equal(turned.q, first.q[:, ::-1])
+    assert first.stamps.dtype == np.int64
+    assert not any(each.flags.writeable for each in (first.stamps, first.q, first.u))
+
+
+def test_estimates_are_columns_with_their_last_event(bag: Path) -> None:
+    """And one law."""
+    with BagReader(bag) as reader:
+        states = reader.observer_states("/observer_geometric/state", ["b", "a"])
+    assert states.law == "geometric"
+    np.testing.assert_array_equal(states.q[:2], [[10, 0.5], [11, 0.5]])
+    np.testing.assert_array_equal(states.last_sequence, states.stamps - 1)
+    np.testing.assert_array_equal(states.last_event, states.stamps - 2)
+
+
+def test_observers_and_truth_are_found(bag: Path) -> None:
+    """Of any law and in any namespace."""
+    with BagReader(bag) as reader:
+        assert reader.observers() == ("/observer_geometric", "/rig/observer")
+        assert reader.truth_topic() == "/plant/joint_states"
+        assert reader.find(interfaces.MONITOR_ERROR) is None
+
+
+def test_several_plants_must_be_told_apart(tmp_path: Path) -> None:
+    """One at the top wins; two in namespaces are named."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.declare("/a/plant/joint_states")
+        writer.declare("/b/plant/joint_states")
+    with BagReader(tmp_path / "bag") as reader:
+        assert reader.model_text() is None
+        with pytest.raises(BagError, match=r"/a/plant/joint_states and /b/plant/joint_states"):
+            reader.truth_topic()
+
+
+def test_raw_messages_can_be_chosen(bag: Path) -> None:
+    """By topic and start, in the order of the bag."""
+    with BagReader(bag) as reader:
+        assert len(list(reader.raw())) == 44
+        some = list(reader.raw(["/impacts", "/plant/model"], start=15))
+        assert [each.log_time for each in some] == [15, 16, 17, 18, 19]
+        assert list(reader.raw([])) == []
+
+
+def test_nothing_there_is_wrong_use(tmp_path: Path) -> None:
+    """As opposed to a damaged bag."""
+    with pytest.raises(UsageError, match=r"absent: does not exist; expected a bag: a folder"):
+        BagReader(tmp_path / "absent")
+
+
+def break_name(path: Path) -> Path:
+    """A file that is no bag."""
+    (path / "notes.txt").write_text("x", "utf-8")
+    return path / "notes.txt"
+
+
+def break_metadata(path: Path) -> Path:
+    """A recording that was cut short before its metadata."""
+    (path / "metadata.yaml").unlink()
+    return path
+
+
+def break_folder(path: Path) -> Path:
+    """An empty folder."""
+    shutil.rmtree(path)
+    path.mkdir()
+    return path
+
+
+def break_yaml(path: Path) -> Path:
+    """Metadata that is no YAML."""
+    (path / "metadata.yaml").write_text("{[", "utf-8")
+    return path
+
+
+def break_file(path: Path) -> Path:
+    """Metadata without its storage."""
+    (path / "bag.mcap").unlink()
+    return path
+
+
+def break_end(path: Path) -> Path:
+    """A file that was cut short."""
+    data = (path / "bag.mcap").read_bytes()
+    (path / "bag.mcap").write_bytes(data[: len(data) // 2])
+    return path
+
+
+def break_sqlite(path: Path) -> Path:
+    """A database that is none."""
+    (path / "bag.db3").write_bytes(b"SQLite format 4\0" * 100)
+    return path / "bag.db3"
+
+
+def break_empty(path: Path) -> Path:
+    """An empty file."""
+    (path / "bag.mcap").write_bytes(b"")
+    return path / "bag.mcap"
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (break_name, r"notes\.txt: not a bag; expected a folder with metadata\.yaml"),
+        (break_metadata, r"bag: no metadata\.yaml; read .*bag\.mcap itself, or expected"),
+        (break_folder, r"bag: no metadata\.yaml; expected a bag"),
+        (break_yaml, r"bag: cannot be read as a bag: Could not load YAML"),
+        (break_file, r"bag: cannot be read as a bag: Some database files are missing"),
+        (break_end, r"bag: cannot be read as a bag: File end magic .*check --salvage"),
+        (break_sqlite, r"bag\.db3: cannot be read as a bag: Cannot open database"),
+        (break_empty, r"bag\.mcap: cannot be read as a bag: File .* seems to be empty"),
+    ],
+)
+def test_damaged_bag_is_one_line(bag: Path, damage: Callable[[Path], Path], expected: str) -> None:
+    """That names the bag, what is wrong, and what may help."""
+    with pytest.raises(BagError, match=expected) as caught:
+        BagReader(damage(bag))
+    assert "\n" not in str(caught.value)
+
+
+@settings(examples(100), suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    flips=st.lists(st.tuples(st.floats(0, 1), st.integers(1, 255)), max_size=4),
+    keep=st.floats(0, 1) | st.just(1.0),
+)
+def test_damage_anywhere_is_never_a_traceback(
+    bag: Path, flips: list[tuple[float, int]], keep: float
+) -> None:
+    """Bytes are flipped and the end is cut: reading works, or it is one line."""
+    data = bytearray((bag / "bag.mcap").read_bytes())
+    for where, mask in flips:
+        data[round(where * (len(data) - 1))] ^= mask
+    damaged = bag.parent / "damaged.mcap"
+    damaged.write_bytes(data[: round(keep * len(data))])
+    said = None
+    try:
+        with BagReader(damaged) as reader:
+            assert len(list(reader.raw())) >= len(list(reader.events()))
+            reader.joint_states("/plant/joint_states")
+            reader.observer_states("/observer_geometric/state")
+    except BagError as error:
+        said = str(error)
+    assert said is None or (said.startswith(str(damaged)) and "\n" not in said)
+
+
+def test_index_that_promises_more_than_there_is_is_noticed(bag: Path) -> None:
+    """Rather than an analysis of half the data."""
+    metadata = (bag / "metadata.yaml").read_text("utf-8")
+    (bag / "metadata.yaml").write_text(metadata.replace("count: 10\n", "count: 12\n"), "utf-8")
+    with (
+        BagReader(bag) as reader,
+        pytest.raises(BagError, match=r"10 messages found, 12 promised by its index"),
+    ):
+        list(reader.events())
+
+
+def test_missing_topic_and_wrong_type_are_named(bag: Path) -> None:
+    """With what is there instead."""
+    with BagReader(bag) as reader:
+        with pytest.raises(BagError, match=r"no topic /rig/impacts; topics in the bag: /impacts,"):
+            reader.events("/rig/impacts")
+        with pytest.raises(BagError, match=r"/plant/model is std_msgs/msg/String; expected sens"):
+            reader.joint_states("/plant/model")
+        with pytest.raises(BagError, match=r"/impacts is .*ImpactEvent; expected .*EventVerdict"):
+            reader.verdicts("/impacts")
+        with pytest.raises(BagError, match=r"no topic /absent"):
+            reader.raw(["/absent"])
+
+
+@pytest.mark.parametrize(
+    ("values", "names", "expected"),
+    [
+        ({"a": (1, 2), "c": (1, 2)}, ["a", "b"], "lacks b; expected the coordinates a, b"),
+        ({"a": (1, 2), "b": (1, 2), "c": (1, 2)}, ["b", "a"], "has also c; expected .* b, a"),
+        ({"a": (1, 2)}, None, "lacks b; expected the coordinates a, b"),
+    ],
+)
+def test_coordinates_that_do_not_fit_are_named(
+    tmp_path: Path,
+    values: dict[str, tuple[float, float]],
+    names: list[str] | None,
+    expected: str,
+) -> None:
+    """Against those wanted, or those of the first message."""
+    with BagWriter(tmp_path / "bag") as writer:
+        if names is None:
+            writer.write("/plant/joint_states", 1, state(1, a=(1, 2), b=(1, 2)))
+        writer.write("/plant/joint_states", 2, state(2, **values))
+    with BagReader(tmp_path / "bag") as reader, pytest.raises(BagError, match=expected):
+        reader.joint_states("/plant/joint_states", names)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "expected"),
+    [
+        ("velocity", np.empty(0), r"message 1: JointState\.velocity has 0 numbers; expected 2"),
+        ("position", np.ones(3), r"message 1: JointState\.position has 3 numbers; expected 2"),
+        ("position", np.array([0, np.nan]), r"message 1: JointState\.position\[1\] is nan"),
+        ("name", ["a", "a"], r"/plant/joint_states names twice a; expected"),
+    ],
+)
+def test_joint_states_that_are_none_are_named(
+    tmp_path: Path, field: str, value: object, expected: str
+) -> None:
+    """With their place in the topic."""
+    bad = state(2, a=(1, 2), b=(3, 4))
+    setattr(bad, field, value)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/plant/joint_states", 1, state(1, a=(1, 2), b=(3, 4)))
+        writer.write("/plant/joint_states", 2, bad)
+    with BagReader(tmp_path / "bag") as reader, pytest.raises(BagError, match=expected):
+        reader.joint_states("/plant/joint_states")
+
+
+def test_event_that_is_none_is_named(tmp_path: Path) -> None:
+    """With its place in the topic."""
+    bad = MAKE.event(ImpactEvent(1, ()))
+    bad.header.stamp.nanosec = 0
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/impacts", 1, MAKE.event(EVENTS[0]))
+        writer.write("/impacts", 2, bad)
+    with (
+        BagReader(tmp_path / "bag") as reader,
+        pytest.raises(BagError, match=r"/impacts, message 1: ImpactEvent\.header\.stamp is 0"),
+    ):
+        list(reader.events())
+
+
+def test_law_that_changes_on_the_way_is_refused(tmp_path: Path) -> None:
+    """One topic is one observer."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/observer/state", 1, estimate(5, "geometric"))
+        writer.write("/observer/state", 2, estimate(6, "kinematic"))
+    with (
+        BagReader(tmp_path / "bag") as reader,
+        pytest.raises(BagError, match=r"changes its law from geometric to kinematic"),
+    ):
+        reader.observer_states("/observer/state")
+
+
+def test_bytes_that_are_no_message_are_named(tmp_path: Path) -> None:
+    """As is a message with more than a few bytes too many."""
+    for k, data in enumerate((b"", b"\x07\x07\0\0", b"\x00\x01\0\0\1", b"\x00\x01" + b"\0" * 99)):
+        with BagWriter(tmp_path / str(k)) as writer:
+            writer.write_raw("/plant/model", 1, data)
+        with (
+            BagReader(tmp_path / str(k)) as reader,
+            pytest.raises(BagError, match=r"/plant/model has bytes that are no std_msgs/msg/Str"),
+        ):
+            reader.model_text()
+
+
+def test_bag_with_another_definition_of_our_type_is_refused(tmp_path: Path) -> None:
+    """Its bytes would be read as something else."""
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection(
+            "/impacts", interfaces.IMPACT_EVENT, msgdef="int32 data\n", rihs01="RIHS01_0"
+        )
+        writer.write(connection, 1, b"\x00\x01\0\0\1\0\0\0")
+    with BagReader(tmp_path / "bag") as reader:
+        assert len(list(reader.raw())) == 1
+        with pytest.raises(BagError, match=r"/impacts has another definition of .*ImpactEvent"):
+            reader.events()
+
+
+def test_type_that_nobody_defines_can_only_be_copied(tmp_path: Path) -> None:
+    """An old sqlite3 bag has no definitions."""
+    with Writer(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/x", "rig/msg/X", msgdef="int32 a", rihs01="RIHS01_0")
+        writer.write(connection, 1, b"\x00\x01\0\0\1\0\0\0")
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    with BagReader(tmp_path / "bag") as reader:
+        assert [getattr(message, "a", None) for _, message in reader.messages("/x")] == [1]
+    import apsw
+
+    database = apsw.Connection(str(tmp_path / "bag" / "bag.db3"))
+    database.execute("UPDATE message_definitions SET topic_type = 'rig/msg/Other'")
+    database.close()
+    assert metadata.is_file()
+    with BagReader(tmp_path / "bag") as reader:
+        assert len(list(reader.raw())) == 1
+        with pytest.raises(BagError, match=r"/x is rig/msg/X, which neither this package nor"):
+            reader.messages("/x")
+
+
+def test_topic_of_two_types_is_none_of_them(tmp_path: Path) -> None:
+    """Two publishers disagreed."""
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        for type_name in (interfaces.STRING, interfaces.IMPACT_EVENT):
+            writer.add_connection("/impacts", type_name, typestore=typestore())
+    with BagReader(tmp_path / "bag") as reader:
+        assert reader.topics["/impacts"].quality is None
+        with pytest.raises(BagError, match=r"/impacts is .*ImpactEvent and std_msgs/msg/String"):
+            reader.events()
+
+
+def test_publishers_of_different_quality_are_read_as_what_all_offer(tmp_path: Path) -> None:
+    """As a recorder stores them, one profile each."""
+    offers = [interfaces.EVENTS.offered(), Quality(reliable=False, depth=7).offered()]
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection(
+            "/impacts",
+            interfaces.IMPACT_EVENT,
+            typestore=typestore(),
+            offered_qos_profiles=offers,
+        )
+    with BagReader(tmp_path / "bag") as reader:
+        assert reader.topics["/impacts"].quality == Quality(False, False, 2000)

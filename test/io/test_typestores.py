@@ -1,0 +1,70 @@
+"""Message types."""
+
+from pathlib import Path
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from impact_observer.errors import BagError
+from impact_observer.io import interfaces, typestores
+
+
+def test_all_types_of_the_table_are_known() -> None:
+    """Ours from their texts, the others from ROS 2 Jazzy."""
+    known = typestores.typestore().fielddefs
+    assert {each.type for each in interfaces.INTERFACES} <= known.keys()
+    assert interfaces.IMPACT_EVENT not in get_typestore(Stores.ROS2_JAZZY).fielddefs
+
+
+def test_new_typestore_is_its_callers_own() -> None:
+    """What one bag defines is unknown to the next."""
+    mine = typestores.new_typestore()
+    assert typestores.add_definition(mine, "int32 a\n", "rig/msg/A") == set()
+    assert "rig/msg/A" in mine.fielddefs
+    assert "rig/msg/A" not in typestores.new_typestore().fielddefs
+
+
+def test_definition_that_disagrees_is_told_and_not_taken() -> None:
+    """Only fields count, not constants or remarks."""
+    mine = typestores.new_typestore()
+    same = "uint8 IMPACT=9  # another remark\nstring contact\nuint8 kind\n"
+    assert typestores.add_definition(mine, same, interfaces.CONTACT_SWITCH) == set()
+    other = "string contact\nuint16 kind\n"
+    assert typestores.add_definition(mine, other, interfaces.CONTACT_SWITCH) == {
+        interfaces.CONTACT_SWITCH
+    }
+    assert typestores.add_definition(mine, same, interfaces.CONTACT_SWITCH) == set()
+
+
+def test_definition_in_idl_is_read() -> None:
+    """As some bags carry it."""
+    text = (
+        "=" * 80 + "\nIDL: rig/msg/A\nmodule rig { module msg { struct A { int32 value; }; }; };\n"
+    )
+    assert typestores.parse_definition(text, "rig/msg/A").keys() == {"rig/msg/A"}
+
+
+def test_text_that_is_no_definition_is_one_line() -> None:
+    """With the name of the type."""
+    with pytest.raises(BagError, match=r"definition of rig/msg/A cannot be parsed"):
+        typestores.parse_definition("?!", "rig/msg/A")
+
+
+def test_installed_definition_brings_its_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the prefixes that a sourced workspace names."""
+    texts = tmp_path / "share" / "rig" / "msg"
+    texts.mkdir(parents=True)
+    (texts / "A.msg").write_text("B[] parts\nB[3] three\nfloat64 x\n", "utf-8")
+    (texts / "B.msg").write_text("string name\n", "utf-8")
+    (texts / "C.msg").write_text("absent/D d\n", "utf-8")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f":{tmp_path}")
+    definition = typestores.installed_definition("rig/msg/A")
+    assert definition is not None
+    assert typestores.parse_definition(definition, "rig/msg/A").keys() == {
+        "rig/msg/A",
+        "rig/msg/B",
+    }
+    assert typestores.installed_definition("rig/msg/C") is None
+    assert typestores.installed_definition("rig/msg/E") is None

@@ -1,0 +1,258 @@
+"""Writing a bag."""
+
+import _thread
+import gc
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from ruamel.yaml import YAML
+
+from impact_observer.errors import BagError, UsageError
+from impact_observer.events import ImpactEvent, Switch
+from impact_observer.io import BagReader, BagWriter, JointState, Quality, copy_topics, interfaces
+from impact_observer.io.messages import bag_messages
+
+MAKE = bag_messages()
+FOREIGN = "float64 torque\nstring[] labels\n"
+
+
+def event(stamp: int) -> object:
+    """A message of an event at ``stamp``."""
+    return MAKE.event(ImpactEvent(stamp, (Switch("stop"),), sequence=stamp))
+
+
+def test_folder_is_what_jazzy_writes(tmp_path: Path) -> None:
+    """Version 9, one MCAP file of that folder's name, hashes of the types."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/impacts", 7, event(5))
+        writer.write("/impacts", 9, event(6))
+    metadata = YAML(typ="safe").load(tmp_path / "bag" / "metadata.yaml")
+    about = metadata["rosbag2_bagfile_information"]
+    assert about["version"] == 9
+    assert about["storage_identifier"] == "mcap"
+    assert about["relative_file_paths"] == ["bag.mcap"]
+    assert about["message_count"] == 2
+    assert about["starting_time"] == {"nanoseconds_since_epoch": 7}
+    assert about["duration"] == {"nanoseconds": 2}
+    topic = about["topics_with_message_count"][0]["topic_metadata"]
+    assert topic["serialization_format"] == "cdr"
+    assert topic["type_description_hash"].startswith("RIHS01_")
+    offered = topic["offered_qos_profiles"][0]
+    assert (offered["history"], offered["depth"]) == ("keep_last", 2000)
+    assert (offered["reliability"], offered["durability"]) == ("reliable", "transient_local")
+    assert offered["deadline"] == {"sec": 9223372036, "nsec": 854775807}
+
+
+def test_mcap_is_of_profile_ros2_with_texts_of_its_messages(tmp_path: Path) -> None:
+    """As read by another library."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/impacts", 7, event(5))
+    with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert reader.get_header().profile == "ros2"
+        assert summary is not None
+        assert [c.message_encoding for c in summary.channels.values()] == ["cdr"]
+        (schema,) = summary.schemas.values()
+        assert (schema.name, schema.encoding) == (interfaces.IMPACT_EVENT, "ros2msg")
+        assert b"MSG: impact_observer_msgs/ContactSwitch" in schema.data
+        assert [m.log_time for _, _, m in reader.iter_messages()] == [7]
+
+
+def test_hash_of_our_messages_is_that_of_their_ros_classes(tmp_path: Path) -> None:
+    """So that ``ros2 bag play`` finds the types it recorded."""
+    messages = pytest.importorskip("impact_observer_msgs.msg")
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic in interfaces.INTERFACES:
+            writer.declare(topic.topic)
+    metadata = YAML(typ="safe").load(tmp_path / "bag" / "metadata.yaml")
+    hashes = {
+        each["topic_metadata"]["type"]: each["topic_metadata"]["type_description_hash"]
+        for each in metadata["rosbag2_bagfile_information"]["topics_with_message_count"]
+    }
+    checked = 0
+    for type_name, found in hashes.items():
+        package, _, name = type_name.split("/")
+        if package == "impact_observer_msgs":
+            installed = Path(messages.__file__).parents[5] / "share" / package / "msg"
+            if (installed / f"{name}.json").is_file():
+                assert found in (installed / f"{name}.json").read_text("utf-8")
+                checked += 1
+    assert checked in {0, 4}
+
+
+def test_qualities_are_kept(tmp_path: Path) -> None:
+    """Those of the table, and those that are given."""
+    own = Quality(reliable=False, transient_local=True, depth=0)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.declare("/plant/model")
+        writer.declare("/observer_geometric/state")
+        writer.declare("/own", type_name=interfaces.STRING, quality=own)
+    for path in (tmp_path / "bag", tmp_path / "bag" / "bag.mcap"):
+        with BagReader(path) as reader:
+            assert reader.topics["/plant/model"].quality == interfaces.LATCHED
+            assert reader.topics["/observer_geometric/state"].quality == interfaces.STATES
+            assert reader.topics["/own"].quality == own
+
+
+def test_existing_path_is_refused_and_left_alone(tmp_path: Path) -> None:
+    """A file, a folder, a link to nowhere: nothing is overwritten."""
+    (tmp_path / "file").write_text("mine", "utf-8")
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    for name in ("file", "link", "."):
+        with pytest.raises(UsageError, match=r"exists already; remove it or choose"):
+            BagWriter(tmp_path / name)
+    assert (tmp_path / "file").read_text("utf-8") == "mine"
+
+
+def test_missing_parent_is_refused_and_nothing_is_made(tmp_path: Path) -> None:
+    """A mistyped folder is not made by accident."""
+    with pytest.raises(UsageError, match=r"no folder .*absent; make it first"):
+        BagWriter(tmp_path / "absent" / "bag")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_that_may_not_be_made_is_one_line(tmp_path: Path) -> None:
+    """A name longer than the file system allows."""
+    with pytest.raises(BagError, match="cannot be written: File name too long"):
+        BagWriter(tmp_path / ("x" * 300))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bag_is_whole_after_an_exception(tmp_path: Path) -> None:
+    """What was written before the exception is there, and the exception is not hidden."""
+
+    def write_and_fail() -> None:
+        with BagWriter(tmp_path / "bag") as writer:
+            for stamp in range(1, 1001):
+                writer.write("/impacts", stamp, event(stamp))
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        write_and_fail()
+    with BagReader(tmp_path / "bag") as reader:
+        assert [each.stamp for each in reader.events()] == list(range(1, 1001))
+
+
+@pytest.mark.parametrize("patience", np.linspace(0.01, 0.2, 8).tolist())
+def test_bag_is_whole_wherever_an_interrupt_strikes(
+    request: pytest.FixtureRequest, tmp_path: Path, patience: float
+) -> None:
+    """Also amid a record: everything that was taken before is read back."""
+    gc.disable()  # an interrupt within a callback of it, such as hypothesis's, would be lost
+    request.addfinalizer(gc.enable)
+    timer = threading.Timer(patience, _thread.interrupt_main)
+    taken: list[int] = []
+
+    def write_until_interrupted() -> None:
+        message = event(1)
+        with BagWriter(tmp_path / "bag") as writer:
+            timer.start()
+            while len(taken) < 1_000_000:
+                writer.write("/impacts", len(taken), message)
+                taken.append(len(taken))
+
+    with pytest.raises(KeyboardInterrupt):
+        write_until_interrupted()
+    with BagReader(tmp_path / "bag") as reader:
+        times = [each.log_time for each in reader.raw()]
+    assert times in (taken, [*taken, len(taken)])
+
+
+def test_empty_bag_is_a_bag(tmp_path: Path) -> None:
+    """With topics and without."""
+    with BagWriter(tmp_path / "none"):
+        pass
+    with BagWriter(tmp_path / "silent") as writer:
+        writer.declare("/impacts")
+    with BagReader(tmp_path / "none") as reader:
+        assert (reader.topics, reader.start, reader.end) == ({}, 0, 0)
+        assert list(reader.raw()) == []
+    with BagReader(tmp_path / "silent") as reader:
+        assert list(reader.events()) == []
+        assert reader.topics["/impacts"].count == 0
+
+
+def test_closed_bag_takes_nothing(tmp_path: Path) -> None:
+    """Closing twice does no harm."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/impacts", 1, event(1))
+        writer.close()
+        with pytest.raises(UsageError, match="is closed"):
+            writer.write("/impacts", 2, event(2))
+
+
+def test_topics_must_be_known_and_hold_their_type(tmp_path: Path) -> None:
+    """Each mistake is named."""
+    with BagWriter(tmp_path / "bag") as writer:
+        with pytest.raises(UsageError, match=r"/torque is no topic of this package; name its"):
+            writer.write("/torque", 1, MAKE.model("x"))
+        with pytest.raises(UsageError, match=r"/torque is rig/msg/Torque; give its definition"):
+            writer.declare("/torque", type_name="rig/msg/Torque")
+        with pytest.raises(UsageError, match=r"/impacts is .*ImpactEvent; not std_msgs/msg/Str"):
+            writer.write("/impacts", 1, MAKE.model("x"))
+        with pytest.raises(UsageError, match=r"/impacts is declared twice"):
+            writer.declare("/impacts")
+        with pytest.raises(UsageError, match=r"/impacts at log time -1 ns; expected 0 or more"):
+            writer.write("/impacts", -1, event(1))
+        with pytest.raises(BagError, match=r"another definition of std_msgs/msg/String"):
+            writer.declare("/s", type_name=interfaces.STRING, definition="int32 data")
+        with pytest.raises(BagError, match=r"definition of rig/msg/Torque cannot be parsed"):
+            writer.declare("/torque", type_name="rig/msg/Torque", definition="?!")
+
+
+def test_foreign_type_is_written_and_copied_with_its_definition(tmp_path: Path) -> None:
+    """A type that only the bag defines is decoded from it."""
+    with BagWriter(tmp_path / "one") as writer:
+        writer.declare("/torque", type_name="rig/msg/Torque", definition=FOREIGN)
+        writer.write("/impacts", 4, event(4))
+        writer.write_raw("/torque", 5, b"\x00\x01\x00\x00" + np.float64(2.5).tobytes() + b"\0" * 4)
+    with BagReader(tmp_path / "one") as reader, BagWriter(tmp_path / "two") as writer:
+        assert copy_topics(reader, writer) == 2
+    with BagReader(tmp_path / "two") as reader:
+        ((log_time, message),) = reader.messages("/torque")
+        assert log_time == 5
+        assert getattr(message, "torque", None) == 2.5
+        assert reader.topics["/torque"].definition.startswith("float64 torque")
+        assert [each.stamp for each in reader.events()] == [4]
+
+
+def test_copy_of_some_topics_is_byte_for_byte(tmp_path: Path) -> None:
+    """In the order of the bag, with their qualities."""
+    state = JointState(3, ("a",), np.array([1.0]), np.array([2.0]))
+    with BagWriter(tmp_path / "one") as writer:
+        for log_time in range(1, 2001):
+            writer.write("/impacts", log_time, event(log_time))
+            writer.write("/plant/joint_states", log_time, MAKE.joint_state(state))
+    with BagReader(tmp_path / "one") as reader, BagWriter(tmp_path / "two") as writer:
+        assert copy_topics(reader, writer, ["/impacts"]) == 2000
+        with pytest.raises(UsageError, match="declared twice"):
+            copy_topics(reader, writer, ["/impacts"])
+        with pytest.raises(BagError, match="no topic /absent"):
+            copy_topics(reader, writer, ["/absent"])
+        wanted = list(reader.raw(["/impacts"]))
+    with BagReader(tmp_path / "two") as reader:
+        assert list(reader.raw()) == wanted
+        assert reader.topics["/impacts"].quality == interfaces.EVENTS
+
+
+def test_chunks_are_compressed_on_demand(tmp_path: Path) -> None:
+    """As ``ros2 bag record`` with chunk compression: the metadata say nothing of it."""
+    for name, compressed in (("plain", False), ("zstd", True)):
+        with BagWriter(tmp_path / name, compressed=compressed) as writer:
+            for stamp in range(1, 2001):
+                writer.write("/impacts", stamp, event(stamp))
+        with (tmp_path / name / f"{name}.mcap").open("rb") as file:
+            summary = make_reader(file).get_summary()
+        assert summary is not None
+        kinds = {chunk.compression for chunk in summary.chunk_indexes}
+        assert kinds == ({"zstd"} if compressed else {""})
+        metadata = YAML(typ="safe").load(tmp_path / name / "metadata.yaml")
+        about = metadata["rosbag2_bagfile_information"]
+        assert (about["compression_format"], about["compression_mode"]) == ("", "")
+    with BagReader(tmp_path / "plain") as plain, BagReader(tmp_path / "zstd") as packed:
+        assert list(packed.raw()) == list(plain.raw())
+        assert packed.size < plain.size / 2

@@ -1,0 +1,22 @@
+"""What every node's process begins with."""
+
+import os
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from impact_observer.ros.node_process import run_node
+
+
+@pytest.mark.parametrize(("given", "wanted"), [(None, "1"), ("3", "3")])
+def test_small_matrices_have_one_thread_unless_somebody_wants_more(
+    monkeypatch: pytest.MonkeyPatch, given: str | None, wanted: str
+) -> None:
+    """It is said before the node's module is imported, and numpy with it."""
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", given or "")
+    if given is None:
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS")
+    with pytest.raises(ModuleNotFoundError, match="no_such_node"):
+        run_node("node", "impact_observer.ros.no_such_node", "Node", [])
+    assert os.environ["OPENBLAS_NUM_THREADS"] == wanted

@@ -1,0 +1,756 @@
+"""The observer node: estimates on topics, verdicts, services, diagnostics."""
+
+import gc
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
+from impact_observer_msgs.srv import SetState
+from processes import Spinner, ros_arguments, running, spinning
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from impact_observer.errors import UsageError
+from impact_observer.estimation import impact_filter
+from impact_observer.estimation.compiled import compiled_single
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.events import ImpactEvent as Event
+from impact_observer.events import Kind, Remark, Ruling, Switch
+from impact_observer.io.interfaces import EVENTS, STATES, Quality
+from impact_observer.io.messages import read_estimate
+from impact_observer.model import read_model
+from impact_observer.observer import COMPILING, Observer, Options, initial_state, law_named
+from impact_observer.ros import observer_node
+from impact_observer.ros.message_classes import ros_messages
+from impact_observer.ros.observer_node import ObserverNode
+from impact_observer.ros.qos import qos_profile
+from impact_observer.states import Estimate
+
+pytestmark = pytest.mark.ros
+
+EPOCH = 5_000_000_000
+SYSTEM = read_model("two_mass").system
+PARAMETERS = {"model": "two_mass", "use_sim_time": True, "initial_state": "'random:1'"}
+
+
+def event(stamp: int, sequence: int, contact: str = "stop", **more: int) -> Event:
+    """An impact of two_mass."""
+    return Event(
+        stamp,
+        (Switch(contact),),
+        sequence,
+        epoch=more.get("epoch", EPOCH),
+        **{key: value for key, value in more.items() if key != "epoch"},
+    )
+
+
+@dataclass
+class Rig:
+    """A running observer node and everything a test wants to say and hear."""
+
+    spinner: Spinner
+    node: ObserverNode
+    impacts: Publisher
+    clock: Publisher
+    states: list[ObserverState] = field(default_factory=list)
+    verdicts: list[EventVerdict] = field(default_factory=list)
+    diagnostics: list[DiagnosticStatus] = field(default_factory=list)
+
+    def send(self, what: Event) -> None:
+        """Publish an event and wait until the node has said what it made of it."""
+        before = len(self.verdicts)
+        self.impacts.publish(ros_messages().event(what))
+        self.spinner.until(lambda: len(self.verdicts) > before)
+
+    def tick(self, stamp: int) -> None:
+        """Let simulated time be ``stamp``, and the node act on it."""
+        self.clock.publish(ros_messages().clock(stamp))
+        self.spinner.until(lambda: self.node.get_clock().now().nanoseconds == stamp)
+        self.spinner.settle(0.1)
+
+    def figures(self) -> dict[str, str]:
+        """The values of the next diagnostics."""
+        before = len(self.diagnostics)
+        self.spinner.until(lambda: len(self.diagnostics) > before)
+        return {each.key: each.value for each in self.diagnostics[-1].values}
+
+    def estimates(self) -> list[Estimate]:
+        """All estimates heard so far."""
+        return [read_estimate(message)[1] for message in self.states]
+
+
+def make_rig(spinner: Spinner, quality: Quality = EVENTS) -> Rig:
+    """An observer node beside a probe that plays the plant's part."""
+    node, probe = ObserverNode(), spinner.probe
+    spinner.add(node)
+    rig = Rig(
+        spinner,
+        node,
+        probe.create_publisher(ImpactEvent, "impacts", qos_profile(quality)),
+        probe.create_publisher(Clock, "/clock", qos_profile(STATES)),
+    )
+    many = qos_profile(Quality(depth=1000))
+    probe.create_subscription(ObserverState, "observer/state", rig.states.append, many)
+    probe.create_subscription(EventVerdict, "observer/verdicts", rig.verdicts.append, many)
+    probe.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: rig.diagnostics.extend(array.status), many
+    )
+    spinner.until(lambda: rig.clock.get_subscription_count() == 1)
+    return rig
+
+
+@pytest.fixture
+def rig(ros_environment: dict[str, str]) -> Iterator[Rig]:
+    """A rig that knows the epoch from the start."""
+    assert ros_environment
+    with rig_with() as made:
+        yield made
+
+
+@contextmanager
+def rig_with(**parameters: object) -> Iterator[Rig]:
+    """A rig that knows the epoch, whose observer has other parameters too."""
+    with spinning(ros_arguments({**PARAMETERS, "epoch": EPOCH, **parameters})) as spinner:
+        made = make_rig(spinner)
+        spinner.until(lambda: made.impacts.get_subscription_count() == 1)
+        yield made
+
+
+def replica(*events: Event) -> Observer:
+    """The same observer without ROS."""
+    law = law_named("geometric")(SYSTEM)
+    observer = Observer(SYSTEM, law, *initial_state("random:1", SYSTEM), epoch=EPOCH)
+    for each in events:
+        observer.receive(each)
+    return observer
+
+
+def assert_same(estimate: Estimate, wanted: Estimate) -> None:
+    """Bit for bit."""
+    assert estimate.stamp == wanted.stamp
+    assert estimate.q.tobytes() == wanted.q.tobytes()
+    assert estimate.u.tobytes() == wanted.u.tobytes()
+    assert estimate.last_sequence == wanted.last_sequence
+    assert estimate.last_event == wanted.last_event
+
+
+def test_estimates_stand_on_the_grid_of_the_epoch(rig: Rig) -> None:
+    """Stamps are epoch + k / rate; each state is that of the same observer without ROS."""
+    rig.tick(EPOCH + 35_000_000)
+    heard = rig.estimates()
+    assert [each.stamp - EPOCH for each in heard] == [0, 10_000_000, 20_000_000, 30_000_000]
+    for each in heard:
+        assert_same(each, replica().estimate(each.stamp))
+
+
+def test_parameters_of_the_model_are_learnt_and_published(
+    ros_environment: dict[str, str],
+) -> None:
+    """Names, values and deviations stand in every state, and in the diagnostics with units."""
+    assert ros_environment
+    wanted = {"law": "minimum-variance", "estimate_parameters": "[gap=0.01, restitution]"}
+    with rig_with(**wanted) as rig:
+        rig.tick(EPOCH + 30_000_000)
+        rig.send(event(EPOCH + 25_000_000, 1))
+        rig.spinner.until(lambda: rig.states[-1].last_sequence == 1)
+        first, last = rig.states[0], rig.states[-1]
+        figures = rig.figures()
+    assert list(first.parameter_name[:2]) == ["gap.stop", "restitution.stop"]
+    np.testing.assert_allclose(first.parameter[:2], [0.5, 0.7])
+    np.testing.assert_allclose(first.parameter_deviation[:2], [0.01, 0.1])
+    options = Options(
+        "minimum-variance", "random:1", estimate_parameters=("gap=0.01", "restitution")
+    )
+    same = options.observer(SYSTEM)
+    same.receive(event(EPOCH + 25_000_000, 1))
+    learnt = same.estimate(EPOCH + 30_000_000).learnt
+    assert list(last.parameter) == [value for _, value, _ in learnt]
+    assert list(last.parameter_deviation) == [deviation for _, _, deviation in learnt]
+    assert figures["gap.stop [m]"].startswith("0.5")
+    assert "+-" in figures["restitution.stop"]
+
+
+def test_a_late_event_corrects_the_last_estimate_at_once(rig: Rig) -> None:
+    """The estimate that should have contained the event is published again with it."""
+    rig.tick(EPOCH + 30_000_000)
+    late = event(EPOCH + 25_000_000, 1)
+    rig.send(late)
+    rig.spinner.until(lambda: rig.states[-1].last_sequence == 1)
+    stamps = [each.stamp for each in rig.estimates()]
+    assert stamps == sorted(stamps), "stamps never go back"
+    assert stamps[-1] == stamps[-2] == EPOCH + 30_000_000
+    assert_same(rig.estimates()[-1], replica(late).estimate(EPOCH + 30_000_000))
+
+
+def test_every_switch_gets_a_verdict_with_its_latency(rig: Rig) -> None:
+    """Applied, duplicate, unknown contact and too late are told apart on the topic."""
+    rig.tick(EPOCH + 50_000_000)
+    rig.send(event(EPOCH + 20_000_000, 1))
+    rig.send(event(EPOCH + 20_000_000, 1))
+    rig.send(event(EPOCH + 21_000_000, 2, "anvil"))
+    rig.send(event(EPOCH - 1, 3))
+    rulings = [Ruling(verdict.verdict) for verdict in rig.verdicts]
+    assert rulings == [Ruling.APPLIED, Ruling.DUPLICATE, Ruling.UNKNOWN_CONTACT, Ruling.TOO_LATE]
+    assert rig.verdicts[0].latency == pytest.approx(0.03)
+    assert rig.verdicts[2].contact == "anvil"
+    assert "stop" in rig.verdicts[2].reason
+
+
+def test_a_clock_that_jumps_back_begins_again(rig: Rig) -> None:
+    """After a bag loop the replica is what it was at the start."""
+    rig.tick(EPOCH + 10_000_000)
+    rig.send(event(EPOCH + 5_000_000, 1))
+    rig.tick(EPOCH + 20_000_000)
+    rig.states.clear()
+    rig.tick(EPOCH + 1)
+    rig.tick(EPOCH + 12_000_000)
+    heard = rig.estimates()
+    assert [each.stamp - EPOCH for each in heard] == [0, 10_000_000]
+    for each in heard:
+        assert_same(each, replica().estimate(each.stamp))
+
+
+def test_a_new_episode_begins_again_at_its_epoch(rig: Rig) -> None:
+    """A reset of the plant moves the epoch; the replica follows."""
+    rig.tick(EPOCH + 10_000_000)
+    moved = EPOCH + 500_000_000
+    again = event(moved + 3_000_000, 1, episode=1, epoch=moved)
+    rig.send(again)
+    rig.states.clear()
+    rig.tick(moved + 10_000_000)
+    last = rig.estimates()[-1]
+    assert last.stamp == moved + 10_000_000
+    assert_same(last, replica(again).estimate(last.stamp))
+
+
+def test_a_plant_started_anew_is_followed_and_its_past_is_not(rig: Rig) -> None:
+    """The later epoch wins, though episodes count from 0 again; what is older is refused."""
+    rig.tick(EPOCH + 10_000_000)
+    rig.send(event(EPOCH + 5_000_000, 1, episode=3))
+    moved = EPOCH + 100_000_000
+    rig.tick(moved + 1_000_000)
+    anew = event(moved + 500_000, 1, episode=0, epoch=moved)
+    rig.send(anew)
+    rig.send(event(EPOCH + 6_000_000, 2, episode=3))
+    rulings = [Ruling(verdict.verdict) for verdict in rig.verdicts]
+    assert rulings == [Ruling.APPLIED, Ruling.APPLIED, Ruling.REJECTED]
+    rig.tick(moved + 10_000_000)
+    last = rig.estimates()[-1]
+    assert_same(last, replica(anew).estimate(last.stamp))
+
+
+def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
+    """It would make every true event too late."""
+    rig.tick(EPOCH + 50_000_000)
+    rig.send(event(EPOCH + 3_600_000_000_000, 1))
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.REJECTED
+    assert "after the clock" in rig.verdicts[-1].reason
+    good = event(EPOCH + 20_000_000, 2)
+    rig.send(good)
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+
+
+def test_an_epoch_from_the_future_is_rejected(rig: Rig) -> None:
+    """All true events would be of a past that is over."""
+    rig.tick(EPOCH + 50_000_000)
+    rig.send(event(EPOCH + 10_000_000, 1, epoch=EPOCH + 3_600_000_000_000))
+    assert "its epoch is 3599.950 s after the clock" in rig.verdicts[-1].reason
+    rig.send(event(EPOCH + 20_000_000, 2))
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+    assert rig.figures()["from the future"] == "1"
+
+
+def test_bytes_that_are_no_event_are_left_out(rig: Rig) -> None:
+    """A header alone, and more switches than there are bytes: counted, and the node goes on."""
+    rig.tick(EPOCH + 50_000_000)
+    whole = serialize_message(ros_messages().event(event(EPOCH + 10_000_000, 1)))
+    for data in (whole[:4], whole[:-20] + b"\xff" * 20):
+        rig.impacts.publish(data)
+    rig.spinner.until(lambda: rig.figures()["invalid messages"] == "2")
+    rig.send(event(EPOCH + 20_000_000, 2))
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+
+
+def test_services_do_not_wait_for_a_queue_of_events(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Events that take long are taken for some milliseconds, not until none is left."""
+    rig.tick(EPOCH + 950_000_000)
+    receive = rig.node._observer.receive
+
+    def slow(what: Event) -> object:
+        time.sleep(0.05)
+        return receive(what)
+
+    monkeypatch.setattr(rig.node._observer, "receive", slow)
+    client = rig.spinner.probe.create_client(Trigger, "/observer/reset")
+    rig.spinner.until(client.service_is_ready)
+    for k in range(40):
+        rig.impacts.publish(ros_messages().event(event(EPOCH + (k + 1) * 20_000_000, k + 1)))
+    answer = client.call_async(Trigger.Request())
+    rig.spinner.until(answer.done)
+    assert len(rig.verdicts) < 20
+    rig.spinner.until(lambda: len(rig.verdicts) >= 40)
+
+
+def test_estimates_before_the_epoch_are_told_once(rig: Rig) -> None:
+    """The known past may begin before the forcing does, as far as a clock may be ahead."""
+    rig.tick(EPOCH - 500_000_000)
+    rig.send(event(EPOCH - 600_000_000, 3))
+    for k in range(1, 4):
+        rig.tick(EPOCH - 500_000_000 + k * 100_000_000)
+    stamps = [each.stamp for each in rig.estimates()]
+    assert stamps[0] == EPOCH - 600_000_000
+    assert stamps == sorted({*stamps})
+    assert stamps[-1] == EPOCH - 200_000_000
+
+
+def test_how_far_ahead_a_stamp_may_be_is_a_parameter(ros_environment: dict[str, str]) -> None:
+    """Up to ``future`` it is applied at its stamp; beyond it is rejected and counted."""
+    assert ros_environment
+    with rig_with(future=0.05) as rig:
+        rig.tick(EPOCH + 10_000_000)
+        rig.send(event(EPOCH + 60_000_001, 1))
+        assert Ruling(rig.verdicts[-1].verdict) is Ruling.REJECTED
+        assert rig.verdicts[-1].reason == "stamped 0.050 s after the clock; future allows 0.05 s"
+        ahead = event(EPOCH + 55_000_000, 2)
+        rig.send(ahead)
+        assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+        rig.tick(EPOCH + 60_000_000)
+        assert_same(rig.estimates()[-1], replica(ahead).estimate(EPOCH + 60_000_000))
+        assert rig.figures()["from the future"] == "1"
+
+
+def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
+    ros_environment: dict[str, str],
+) -> None:
+    """What comes later than that is repaired, told and counted."""
+    assert ros_environment
+    with rig_with(lag=0.03) as rig:
+        rig.tick(EPOCH + 29_000_000)
+        assert not rig.states
+        rig.tick(EPOCH + 50_000_000)
+        intime, late = event(EPOCH + 25_000_000, 1), event(EPOCH + 35_000_000, 2)
+        rig.send(intime)
+        assert rig.verdicts[-1].reason == ""
+        rig.tick(EPOCH + 70_000_000)
+        heard = rig.estimates()
+        stamps = [0, 10_000_000, 20_000_000, 30_000_000, 40_000_000]
+        assert [each.stamp - EPOCH for each in heard] == stamps, "each once"
+        for each in heard:
+            assert_same(each, replica(intime).estimate(each.stamp))
+        rig.send(late)
+        assert rig.verdicts[-1].reason == "later than lag: the last estimate is published again"
+        rig.spinner.until(lambda: len(rig.states) > len(heard))
+        last = rig.estimates()[-1]
+        assert_same(last, replica(intime, late).estimate(EPOCH + 40_000_000))
+        assert rig.figures()["estimates corrected"] == "1"
+
+
+def test_a_state_set_behind_a_lag_obeys_events_that_are_known_already(
+    ros_environment: dict[str, str],
+) -> None:
+    """It holds from the last estimate on; the event after that acts on it."""
+    assert ros_environment
+    with rig_with(lag=0.03) as rig:
+        rig.tick(EPOCH + 50_000_000)
+        known = event(EPOCH + 45_000_000, 1)
+        rig.send(known)
+        probe, spinner = rig.spinner.probe, rig.spinner
+        client = probe.create_client(SetState, "observer/set_state")
+        spinner.until(client.service_is_ready)
+        future = client.call_async(SetState.Request(position=[0.1, 0.2], velocity=[0.3, 0.4]))
+        spinner.until(future.done)
+        assert future.result().message == f"holds at {EPOCH + 20_000_000} ns"
+        rig.tick(EPOCH + 90_000_000)
+        wanted = replica()
+        wanted.set_state(EPOCH + 20_000_000, [0.1, 0.2], [0.3, 0.4])
+        wanted.receive(known)
+        heard = rig.estimates()
+        assert [each.stamp - EPOCH for each in heard] == [k * 10_000_000 for k in range(7)]
+        for each in heard[3:]:
+            assert_same(each, wanted.estimate(each.stamp))
+        assert heard[-1].last_sequence == 1
+
+
+def test_a_lag_beyond_the_history_is_refused(ros_environment: dict[str, str]) -> None:
+    """There is no state so long ago."""
+    assert ros_environment
+    wanted = "parameter lag: 3 found; expected at most history, 2"
+    with (
+        spinning(ros_arguments({**PARAMETERS, "lag": 3.0, "history": 2.0})),
+        pytest.raises(UsageError, match=wanted),
+    ):
+        ObserverNode()
+
+
+def test_every_trouble_is_told_and_counted(rig: Rig) -> None:
+    """On the verdicts by its reason, in the diagnostics by its name."""
+    rig.tick(EPOCH + 90_000_000)
+    closing = Event(EPOCH + 10_000_000, (Switch("stop", Kind.CLOSE),), 5, epoch=EPOCH)
+    for each in (
+        event(EPOCH + 10_000_000, 1),
+        event(EPOCH + 30_000_000, 4),
+        event(EPOCH + 20_000_000, 3),
+        closing,
+        closing,
+    ):
+        rig.send(each)
+    assert [verdict.reason for verdict in rig.verdicts[:2]] == [
+        "",
+        "events 2 to 3 before it are missing",
+    ]
+    assert rig.verdicts[2].reason == "late: 1 event run again"
+    assert "supersedes the IMPACT of event 1" in rig.verdicts[3].reason
+    assert Ruling(rig.verdicts[4].verdict) is Ruling.DUPLICATE
+    rig.tick(EPOCH + 1)
+    rig.tick(EPOCH + 50_000_000)
+    rig.send(event(EPOCH + 10_000_000, 1))
+    assert rig.verdicts[-1].reason == "the clock jumped back: everything begins again"
+    figures = rig.figures()
+    assert {remark.value for remark in Remark} <= set(figures)
+    counted = {name: int(figures[name]) for name in ("sequence gaps", "late events", "duplicates")}
+    assert counted == {"sequence gaps": 1, "late events": 2, "duplicates": 1}
+    assert figures["stamps against sequence"] == figures["superseded impacts"] == "1"
+    assert figures["clock jumps back"] == "1"
+
+
+def test_services_set_and_reset_the_state(rig: Rig) -> None:
+    """set_state holds from the last estimate on; reset brings the initial state back."""
+    probe, spinner = rig.spinner.probe, rig.spinner
+    rig.tick(EPOCH + 20_000_000)
+    client = probe.create_client(SetState, "observer/set_state")
+    spinner.until(client.service_is_ready)
+    wanted = [0.1, 0.2, 0.3, 0.4]
+    future = client.call_async(SetState.Request(position=wanted[:2], velocity=wanted[2:]))
+    spinner.until(future.done)
+    assert future.result().success, future.result().message
+    estimate = rig.node._observer.estimate(EPOCH + 20_000_000)
+    np.testing.assert_allclose(np.r_[estimate.q, estimate.u], wanted, rtol=1e-14)
+
+    future = client.call_async(SetState.Request(position=[1.0], velocity=[0.0, 0.0]))
+    spinner.until(future.done)
+    assert not future.result().success
+    assert "1 values, expected 2" in future.result().message
+
+    covariance = np.diag([1e-6, 1e-6, 1e-4, 1e-4]).ravel()
+    request = SetState.Request(position=wanted[:2], velocity=wanted[2:], covariance=covariance)
+    future = client.call_async(request)
+    spinner.until(future.done)
+    assert future.result().success, future.result().message
+    narrow = rig.node._observer.estimate(rig.node._last_stamp).convergence
+    assert 0 < narrow < 1e-2 * estimate.convergence
+
+    request = SetState.Request(position=wanted[:2], velocity=wanted[2:], covariance=[1.0] * 4)
+    future = client.call_async(request)
+    spinner.until(future.done)
+    assert not future.result().success
+    assert "covariance: 4 numbers; expected 16 of" in future.result().message
+
+    reset = probe.create_client(Trigger, "observer/reset")
+    spinner.until(reset.service_is_ready)
+    future = reset.call_async(Trigger.Request())
+    spinner.until(future.done)
+    assert future.result().success
+    estimate = rig.node._observer.estimate(EPOCH + 20_000_000)
+    np.testing.assert_allclose(
+        np.r_[estimate.q, estimate.u],
+        np.concatenate(initial_state("random:1", SYSTEM)),
+        rtol=1e-14,
+    )
+
+
+def test_a_publisher_that_is_not_durable_enough_is_an_error_diagnostic(
+    ros_environment: dict[str, str],
+) -> None:
+    """Who asks for transient_local never hears a volatile publisher; it is told so."""
+    assert ros_environment
+    wanted = {**PARAMETERS, "events_durability": "transient_local"}
+    with spinning(ros_arguments(wanted)) as spinner:
+        rig = make_rig(spinner, Quality(transient_local=False, depth=10))
+        spinner.until(lambda: any(s.level == DiagnosticStatus.ERROR for s in rig.diagnostics))
+        assert "events_durability" in rig.diagnostics[-1].message
+
+
+def test_the_epoch_is_learnt_from_the_first_event(ros_environment: dict[str, str]) -> None:
+    """Without it nothing is published; with it the replica started at the epoch."""
+    assert ros_environment
+    with spinning(ros_arguments(PARAMETERS)) as spinner:
+        rig = make_rig(spinner)
+        spinner.until(lambda: rig.impacts.get_subscription_count() == 1)
+        rig.tick(EPOCH + 40_000_000)
+        assert not rig.states
+        first = event(EPOCH + 45_000_000, 1)
+        rig.send(first)
+        rig.tick(EPOCH + 60_000_000)
+        assert_same(rig.estimates()[-1], replica(first).estimate(EPOCH + 60_000_000))
+
+
+def test_contact_that_stays_closed_is_told_until_it_opens(
+    ros_environment: dict[str, str],
+) -> None:
+    """CLOSE and OPEN travel as events; the estimates are the replica's to the last bit."""
+    assert ros_environment
+    with spinning(ros_arguments(PARAMETERS)) as spinner:
+        rig = make_rig(spinner)
+        spinner.until(lambda: rig.impacts.get_subscription_count() == 1)
+        closing = Event(EPOCH + 15_000_000, (Switch("stop", Kind.CLOSE),), 1, epoch=EPOCH)
+        opening = Event(EPOCH + 45_000_000, (Switch("stop", Kind.OPEN),), 2, epoch=EPOCH)
+        rig.tick(EPOCH + 20_000_000)
+        rig.send(closing)
+        rig.tick(EPOCH + 30_000_000)
+        assert rig.states[-1].closed == ["stop"]
+        rig.tick(EPOCH + 50_000_000)
+        rig.send(opening)
+        rig.tick(EPOCH + 60_000_000)
+        assert rig.states[-1].closed == []
+        told = replica(closing, opening).estimate(EPOCH + 60_000_000)
+        assert_same(rig.estimates()[-1], told)
+
+
+def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str, str]) -> None:
+    """Checked on the ROS graph: no ground truth goes into the observer."""
+    arguments = ros_arguments({"model": "two_mass", "use_sim_time": True})
+    with (
+        running("impact_observer.ros.observer", arguments, ros_environment),
+        spinning() as spinner,
+    ):
+        probe = spinner.probe
+        spinner.until(lambda: "observer" in probe.get_node_names())
+        spinner.until(
+            lambda: any(
+                name == "/impacts"
+                for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")
+            )
+        )
+        spinner.settle(0.5)
+        heard = {name for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")}
+        assert heard <= {"/impacts", "/clock", "/parameter_events"}
+
+
+def test_events_that_contradict_what_was_declared_are_a_warning(
+    ros_environment: dict[str, str],
+) -> None:
+    """A start that was declared to be certain, and is not: it is said."""
+    assert ros_environment
+    declared = {"epoch": EPOCH, "initial_deviation": "'0'"}
+    with spinning(ros_arguments({**PARAMETERS, **declared})) as spinner:
+        rig = make_rig(spinner)
+        spinner.until(lambda: rig.impacts.get_subscription_count() == 1)
+        rig.tick(EPOCH + 900_000_000)
+        rig.send(event(EPOCH + 500_000_000, 1))
+        rig.tick(EPOCH + 1_000_000_000)
+        spinner.until(lambda: any("contradict" in s.message for s in rig.diagnostics))
+        last = next(s for s in rig.diagnostics if "contradict" in s.message)
+        assert last.level == DiagnosticStatus.WARN
+        values = {each.key: each.value for each in last.values}
+        assert values["certified bound of V [J]"] == "refuted"
+        assert values["synchronized"] == "False"
+
+
+def rehearsals(
+    monkeypatch: pytest.MonkeyPatch, took: int, **parameters: object
+) -> list[tuple[int, int]]:
+    """When a node rehearses that ticks for a second at 1 kHz, and until when, ns of its clock.
+
+    Args:
+        monkeypatch: gives it a clock on which nothing but a rehearsal takes time.
+        took: how long that is, ns.
+        parameters: of the node.
+    """
+    clock, found = [0], list[tuple[int, int]]()
+
+    def rehearse() -> None:
+        found.append((clock[0], clock[0] + took))
+        clock[0] += took
+
+    told = {"use_sim_time": False, "epoch": time.time_ns(), "rate": 1000.0}
+    given = {**PARAMETERS, **told, **parameters}
+    with spinning(ros_arguments(given)):
+        node = ObserverNode()
+        monkeypatch.setattr(node._observer, "rehearse", rehearse)
+        monkeypatch.setattr(observer_node, "time", SimpleNamespace(monotonic_ns=lambda: clock[0]))
+        for k in range(1, 1001):
+            clock[0] = max(clock[0], k * 1_000_000)
+            node._on_timer()
+        node.destroy_node()
+    return found
+
+
+@pytest.mark.parametrize("took", [70_000, 200_000, 1_000_000])
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_the_last_event_is_run_again_for_a_share_of_the_time(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, took: int, share: float
+) -> None:
+    """After as many ticks as it takes to keep that share, and no more."""
+    assert ros_environment
+    found = rehearsals(monkeypatch, took, rehearsal=share)
+    begun = np.array([begin for begin, _ in found])
+    between = np.diff(begun)
+    assert len(between) > 5
+    assert took <= share * between.min()
+    assert between.max() < took / share + 2_000_000, "the next tick there is"
+
+
+@pytest.mark.parametrize(("took", "pause"), [(2_000_000, 40_000_000), (5_000_000, 250_000_000)])
+def test_what_takes_longer_than_a_tick_is_rehearsed_rarely(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, took: int, pause: int
+) -> None:
+    """For a share that is as much smaller as it takes more than a tick."""
+    assert ros_environment
+    begun = [begin for begin, _ in rehearsals(monkeypatch, took, rehearsal=0.1)]
+    between = np.diff(begun)
+    assert len(between) > 2
+    assert between.min() >= pause
+    assert between.max() < pause + took + 2_000_000
+
+
+def test_a_node_that_may_never_rehearse_does_not(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a share of 0."""
+    assert ros_environment
+    assert rehearsals(monkeypatch, 1000, rehearsal=0.0) == []
+
+
+def test_nothing_is_rehearsed_in_simulated_time(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which is as fast as its nodes are."""
+    found: list[int] = []
+    monkeypatch.setattr(rig.node._observer, "rehearse", lambda: found.append(1))
+    rig.tick(EPOCH + 30_000_000)
+    rig.send(event(EPOCH + 25_000_000, 1))
+    rig.tick(EPOCH + 60_000_000)
+    assert len(rig.states) > 6
+    assert not found
+
+
+def test_a_share_for_rehearsals_of_more_than_half_is_refused(
+    ros_environment: dict[str, str],
+) -> None:
+    """The node is there for what comes."""
+    assert ros_environment
+    wanted = r"parameter rehearsal: expected a double, 0 to 0\.5"
+    with (
+        spinning(ros_arguments({**PARAMETERS, "rehearsal": 0.6})),
+        pytest.raises(UsageError, match=wanted),
+    ):
+        ObserverNode()
+
+
+def logged(parameters: Mapping[str, object], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What a node says while it is made."""
+    found = list[str]()
+    with spinning(ros_arguments({**PARAMETERS, **parameters})) as spinner:
+        with monkeypatch.context() as patch:
+            patch.setattr(RcutilsLogger, "info", lambda _, text: found.append(text))
+            node = ObserverNode()
+        spinner.add(node)
+    return found
+
+
+def test_a_node_that_compiles_says_so_before_and_how_long_it_took(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing of the time where it was soon done; nothing at all of laws without machine code."""
+    assert ros_environment
+    clock, taken = [100.0], [0.5]
+
+    def compiling(_: ImpactFilter) -> None:
+        clock[0] += taken[0]
+
+    now = SimpleNamespace(monotonic=lambda: clock[0], monotonic_ns=time.monotonic_ns)
+    monkeypatch.setattr(observer_node, "time", now)
+    monkeypatch.setattr(ImpactFilter, "compile", compiling)
+    given = {"law": "minimum-variance", "compiled": True}
+    assert COMPILING not in logged({"compiled": True}, monkeypatch)
+    assert clock == [100.0]
+    soon = logged(given, monkeypatch)
+    assert clock == [100.5]
+    assert [text for text in soon if "compil" in text] == [COMPILING]
+    taken[0] = 30.0
+    late = logged(given, monkeypatch)
+    assert [text for text in late if "compil" in text] == [COMPILING, "compiled in 30 s"]
+
+
+def refused(parameters: Mapping[str, object]) -> str:
+    """Why there can be no node."""
+    with spinning(ros_arguments({**parameters})), pytest.raises(UsageError) as error:
+        ObserverNode()
+    return str(error.value)
+
+
+def test_a_node_without_the_compiler_ends_in_one_line(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That names what to install."""
+    assert ros_environment
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.setattr(impact_filter, "compiled_single", compiled_single.__wrapped__)
+    told = refused({**PARAMETERS, "law": "minimum-variance", "compiled": True})
+    gc.collect()  # the error held the node, and that its subscription to the clock
+    assert told.startswith("compiled needs numba")
+    assert "impact_observer[compiled]" in told
+
+
+def test_estimates_between_rehearsals_are_those_without(
+    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In real time, after each of several events, bit for bit."""
+    assert ros_environment
+    count, epoch = [0], time.time_ns()
+    rehearse = Observer.rehearse
+
+    def counted(watcher: Observer) -> None:
+        rehearse(watcher)
+        count[0] += 1
+
+    monkeypatch.setattr(Observer, "rehearse", counted)
+    given = {**PARAMETERS, "use_sim_time": False, "epoch": epoch, "rehearsal": 0.5}
+    with spinning(ros_arguments(given)) as spinner:
+        spinner.add(node := ObserverNode())
+        probe, states = spinner.probe, list[ObserverState]()
+        impacts = probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
+        many = qos_profile(Quality(depth=1000))
+        probe.create_subscription(ObserverState, "observer/state", states.append, many)
+        spinner.until(lambda: states and impacts.get_subscription_count())
+        told = [event(node._last_stamp - 5_000_000, 1, epoch=epoch)]
+        told += [event(told[0].stamp + k * 2_000_000, k + 1, epoch=epoch) for k in (1, 2)]
+
+        def heard(what: Event) -> None:
+            impacts.publish(ros_messages().event(what))
+            spinner.until(lambda: states[-1].last_sequence == what.sequence)
+            enough = count[0] + 2
+            spinner.until(lambda: count[0] >= enough)
+
+        for each in told:
+            heard(each)
+    wanted = Options("geometric", "random:1", epoch=epoch).observer(SYSTEM)
+    for each in told:
+        wanted.receive(each)
+    last = read_estimate(states[-1])[1]
+    assert_same(last, wanted.estimate(last.stamp))
+
+
+def test_a_node_that_wakes_late_tells_where_it_began(rig: Rig) -> None:
+    """Estimates older than the backlog are passed over, and counted; the first one never is."""
+    rig.tick(EPOCH + 3_000_000_000)
+    rig.spinner.until(lambda: len(rig.states) >= 21)
+    stamps = [each.stamp for each in rig.estimates()]
+    assert stamps[0] == EPOCH
+    assert stamps[1] == EPOCH + 2_810_000_000
+    assert stamps[-1] == EPOCH + 3_000_000_000
+    assert rig.figures()["estimates passed over"] == "280"

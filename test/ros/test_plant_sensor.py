@@ -1,0 +1,99 @@
+"""The plant node's sensor: the same events as offline, published when they arrive."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+
+from impact_observer_msgs.msg import ImpactEvent
+from processes import ros_arguments, running, spinning
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
+
+from impact_observer.io import interfaces
+from impact_observer.model import parse_model, read_model
+from impact_observer.plant import Plant, SensorModel, sense, simulate
+from impact_observer.ros.message_classes import message_class
+from impact_observer.ros.qos import qos_profile
+from impact_observer.stamps import NS_PER_S, grid
+
+pytestmark = pytest.mark.ros
+
+EPOCH = 7 * NS_PER_S
+SECONDS = 10
+TROUBLED = {"delay": 0.02, "jitter": 0.002, "missed": 0.1, "spurious": 2.0, "transport": 1.0}
+
+
+def stamp_of(time: object) -> int:
+    """A message's time, ns."""
+    return time.sec * NS_PER_S + time.nanosec  # type: ignore[attr-defined, no-any-return]
+
+
+def test_plant_node_tells_what_sense_tells_when_it_arrives(
+    ros_environment: dict[str, str],
+) -> None:
+    """Every event, in the order of arrival, and those too that are under way at the end."""
+    parameters = {
+        "model": "three_mass",
+        "publish_clock": True,
+        "clock_rate": 1000.0,
+        "epoch": EPOCH,
+        "realtime_factor": 5.0,
+        "duration": float(SECONDS),
+        "wait_for_subscribers": 1,
+        "seed": 5,
+        **{f"sensor.{name}": value for name, value in TROUBLED.items()},
+    }
+    events: list[ImpactEvent] = []
+    models: list[String] = []
+    shown: list[int] = []
+    truth: list[int] = []
+    with spinning() as spinner:
+        for interface, hear in (
+            (interfaces.IMPACTS, events.append),
+            (interfaces.PLANT_MODEL, models.append),
+            (interfaces.PLANT_JOINT_STATES, lambda m: truth.append(stamp_of(m.header.stamp))),
+        ):
+            spinner.probe.create_subscription(
+                message_class(interface.type),
+                interface.name,
+                hear,
+                qos_profile(interface.quality),
+            )
+        spinner.probe.create_subscription(
+            Clock, "/clock", lambda m: shown.append(stamp_of(m.clock)), 10
+        )
+        with running(
+            "impact_observer.ros.plant", ros_arguments(parameters), ros_environment
+        ) as process:
+            spinner.until(lambda: process.poll() is not None)
+            assert process.returncode == 0, process.communicate()
+        spinner.settle()
+    model, last = read_model("three_mass"), EPOCH + SECONDS * NS_PER_S
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    run = simulate(plant, grid(EPOCH, last, 1.0))
+    sensor = SensorModel(**TROUBLED)  # type: ignore[arg-type]
+    told = sense(sensor, model.system, run.switchings, epoch=EPOCH, last=last, seed=5)
+    assert [(stamp_of(e.header.stamp), e.sequence) for e in events] == [
+        (each.event.stamp, each.event.sequence) for each in told
+    ]
+    assert [[s.contact for s in e.switches] for e in events] == [
+        [s.contact for s in each.event.switches] for each in told
+    ]
+    assert told[-1].arrival > last, "something was under way at the end"
+    assert max(truth) == last
+    assert max(shown) >= last
+    assert parse_model(models[0].data, "model").provenance["sensor"] == TROUBLED
+
+
+def test_sensor_that_the_model_cannot_have_ends_the_node(ros_environment: dict[str, str]) -> None:
+    """One line, as for every parameter."""
+    arguments = ros_arguments({"model": "two_mass", "sensor.mislabelled": 0.1})
+    with (
+        running("impact_observer.ros.plant", arguments, ros_environment) as process,
+        spinning() as spinner,
+    ):
+        spinner.until(lambda: process.poll() is not None)
+        _, errors = process.communicate()
+    assert process.returncode == 2
+    assert "sensor mislabelled: 0.1 found; expected 0, or a model with 2 contacts" in errors

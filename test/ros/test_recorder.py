@@ -1,0 +1,367 @@
+"""Recording topics of the ROS graph, over real DDS."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+
+from impact_observer.errors import UsageError
+from impact_observer.events import ImpactEvent, Switch
+from impact_observer.io import BagReader, BagWriter, JointState, interfaces
+from impact_observer.io.interfaces import Quality
+from impact_observer.io.typestores import typestore
+from impact_observer.ros import recorder as recorder_module
+from impact_observer.ros.message_classes import message_class, ros_messages
+from impact_observer.ros.player import play
+from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.recorder import Recorder, record
+from impact_observer.ros.session import ros_node
+
+if TYPE_CHECKING:
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.publisher import Publisher
+
+pytestmark = pytest.mark.ros
+MAKE = ros_messages()
+PATIENCE = 20.0
+"""How long a slow machine may take, s."""
+RECORD = """
+import argparse, sys
+from impact_observer.cli import record
+parser = argparse.ArgumentParser()
+record.add_arguments(parser)
+sys.exit(record.run(parser.parse_args()))
+"""
+
+
+def advertise(node: "Node", topic: str, quality: Quality | None = None) -> "Publisher":
+    """A publisher of one of our topics."""
+    known = interfaces.interface(topic)
+    assert known is not None
+    profile = qos_profile(quality or known.quality)
+    return node.create_publisher(message_class(known.type), topic, profile)
+
+
+def event(stamp: int) -> object:
+    """A message of an event."""
+    return MAKE.event(ImpactEvent(stamp, (Switch("stop"),), stamp))
+
+
+def spin_until(executor: "SingleThreadedExecutor", done: Callable[[], bool]) -> None:
+    """Spin until something is so."""
+    latest = time.monotonic() + PATIENCE
+    while not done():
+        assert time.monotonic() < latest, "it did not come"
+        executor.spin_once(timeout_sec=0.05)
+
+
+@contextmanager
+def recording(
+    path: Path,
+    topics: list[str] | None = None,
+    *,
+    exclude: tuple[str, ...] = (),
+    use_sim_time: bool = False,
+) -> Iterator[tuple[Recorder, "SingleThreadedExecutor"]]:
+    """A recorder in this process."""
+    with (
+        ros_node("recorder", use_sim_time=use_sim_time) as (node, executor),
+        BagWriter(path) as writer,
+    ):
+        recorder = Recorder(node, writer, topics, exclude=exclude)
+        yield recorder, executor
+        recorder.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_what_is_played_is_recorded_until_a_signal(
+    tmp_path: Path, sample_bag: Path, ros_environment: dict[str, str], number: signal.Signals
+) -> None:
+    """Byte for byte, in order, with qualities; the process ends well and the bag is whole."""
+    command = [sys.executable, "-c", RECORD, "-o", str(tmp_path / "copy")]
+    with subprocess.Popen(
+        command, env=ros_environment, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            while not (tmp_path / "copy").exists():
+                assert process.poll() is None
+                time.sleep(0.05)
+            play(sample_bag, delay=PATIENCE)
+            process.send_signal(number)
+            said, _ = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    assert process.returncode == 0
+    assert "recording /impacts [impact_observer_msgs/msg/ImpactEvent]" in said
+    with BagReader(sample_bag) as original, BagReader(tmp_path / "copy") as copy:
+        for topic in original.topics.values():
+            pairs = zip(original.raw([topic.name]), copy.raw([topic.name]), strict=True)
+            for sent, taken in pairs:
+                assert taken.data[: len(sent.data)] == sent.data
+                assert len(taken.data) - len(sent.data) < 4  # DDS fills up to a multiple of 4
+            assert copy.topics[topic.name].quality == topic.quality
+            assert copy.topics[topic.name].type == topic.type
+            assert f"{topic.count} {topic.name}" in said
+        times = [each.log_time for each in copy.raw()]
+        assert times == sorted(times)
+        assert abs(time.time() - times[0] * 1e-9) < 60
+
+
+def test_latched_and_earlier_messages_are_recorded_by_a_late_recorder(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """Because the recorder asks for what all publishers of a topic offer."""
+    assert ros_environment
+    with ros_node("plant") as (plant, _):
+        model, impacts = advertise(plant, "/plant/model"), advertise(plant, "/impacts")
+        for text in ("name: first", "name: last"):
+            model.publish(MAKE.model(text))
+        for stamp in range(1, 1501):
+            impacts.publish(event(stamp))
+        with recording(tmp_path / "bag") as (recorder, executor):
+            spin_until(executor, lambda: recorder.counts.get("/impacts") == 1500)
+            spin_until(executor, lambda: recorder.counts.get("/plant/model") == 1)
+            assert recorder.missing == []
+    with BagReader(tmp_path / "bag") as bag:
+        assert [each.stamp for each in bag.events()] == list(range(1, 1501))
+        assert bag.model_text() == "name: last"
+        assert bag.topics["/impacts"].quality == interfaces.EVENTS
+        assert bag.topics["/plant/model"].quality == interfaces.LATCHED
+
+
+def test_best_effort_publishers_are_heard_too(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """A reliable subscription would never connect to them."""
+    assert ros_environment
+    poor = Quality(reliable=False)
+    with ros_node("sensor") as (sensor, _), recording(tmp_path / "bag") as (recorder, executor):
+        impacts = advertise(sensor, "/impacts", poor)
+        spin_until(executor, lambda: "/impacts" in recorder.counts)
+        spin_until(executor, lambda: impacts.get_subscription_count() > 0)
+        impacts.publish(event(1))
+        spin_until(executor, lambda: recorder.counts["/impacts"] == 1)
+    with BagReader(tmp_path / "bag") as bag:
+        found = bag.topics["/impacts"].quality
+    assert found == Quality(reliable=False, depth=2000)  # a publisher's depth cannot be seen
+
+
+def test_burst_is_not_lost(tmp_path: Path, ros_environment: dict[str, str]) -> None:
+    """Two thousand events at once, and states between them."""
+    assert ros_environment
+    state = MAKE.joint_state(JointState(1, ("a",), np.zeros(1), np.zeros(1)))
+    with ros_node("plant") as (plant, _), recording(tmp_path / "bag") as (recorder, executor):
+        impacts = advertise(plant, "/impacts")
+        states = advertise(plant, "/plant/joint_states", Quality(depth=2000))
+        spin_until(executor, lambda: len(recorder.counts.keys() & {"/impacts", states.topic}) == 2)
+        spin_until(executor, lambda: states.get_subscription_count() > 0)
+        for stamp in range(1, 2001):
+            impacts.publish(event(stamp))
+            states.publish(state)
+        spin_until(executor, lambda: recorder.counts["/impacts"] == 2000)
+        spin_until(executor, lambda: recorder.counts["/plant/joint_states"] == 2000)
+    with BagReader(tmp_path / "bag") as bag:
+        assert [each.stamp for each in bag.events()] == list(range(1, 2001))
+
+
+def test_only_the_topics_asked_for_are_recorded(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """Relative names too; one that never appears is missing."""
+    assert ros_environment
+    with (
+        ros_node("plant") as (plant, _),
+        recording(tmp_path / "bag", ["impacts", "/absent"]) as (recorder, executor),
+    ):
+        advertise(plant, "/plant/model").publish(MAKE.model("x"))
+        advertise(plant, "/impacts").publish(event(1))
+        spin_until(executor, lambda: recorder.counts.get("/impacts") == 1)
+        assert recorder.missing == ["/absent"]
+    with BagReader(tmp_path / "bag") as bag:
+        assert bag.topics.keys() == {"/impacts"}
+
+
+def test_topics_are_left_out_by_name_or_pattern(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """The others are recorded."""
+    assert ros_environment
+    exclude = ("impacts", "/observer_*/state")
+    with (
+        ros_node("plant") as (plant, _),
+        recording(tmp_path / "bag", exclude=exclude) as (recorder, executor),
+    ):
+        advertise(plant, "/impacts").publish(event(1))
+        advertise(plant, "/observer_geometric/state")
+        advertise(plant, "/observer_geometric/verdicts")
+        advertise(plant, "/plant/model").publish(MAKE.model("x"))
+        spin_until(executor, lambda: recorder.counts.get("/plant/model") == 1)
+        spin_until(executor, lambda: "/observer_geometric/verdicts" in recorder.counts)
+        for _ in range(5):
+            executor.spin_once(timeout_sec=0.1)
+        assert not recorder.counts.keys() & {"/impacts", "/observer_geometric/state"}
+
+
+def test_a_signal_amid_a_burst_leaves_a_whole_bag(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """Compressed too: nothing is missing between the first and the last, and all is told."""
+    command = [sys.executable, "-c", RECORD, "-o", str(tmp_path / "bag")]
+    command += ["--topics", "/impacts", "/absent", "/plant/model", "--compression", "zstd"]
+    with (
+        ros_node("plant") as (plant, _),
+        subprocess.Popen(
+            command, env=ros_environment, stdout=subprocess.PIPE, text=True
+        ) as process,
+    ):
+        try:
+            impacts = advertise(plant, "/impacts")
+            silent = advertise(plant, "/plant/model")
+            latest = time.monotonic() + PATIENCE
+            while not (impacts.get_subscription_count() and silent.get_subscription_count()):
+                assert time.monotonic() < latest
+                time.sleep(0.05)
+            for stamp in range(1, 1901):
+                impacts.publish(event(stamp))
+                if stamp == 900:
+                    process.send_signal(signal.SIGTERM)
+                time.sleep(0 if stamp % 20 else 0.001)
+            said, _ = process.communicate(timeout=PATIENCE)
+        finally:
+            process.kill()
+    assert process.returncode == 0
+    with BagReader(tmp_path / "bag") as bag:
+        stamps = [each.stamp for each in bag.events()]
+        assert {each.name for each in bag.topics.values()} == {"/impacts", "/plant/model"}
+    assert stamps == list(range(1, len(stamps) + 1))
+    assert len(stamps) >= 900
+    assert f"{len(stamps)} /impacts\n" in said
+    assert "0 /plant/model: was there, but said nothing\n" in said
+    assert "0 /absent: never appeared\n" in said
+
+
+def test_log_times_follow_the_simulated_clock_and_never_go_back(
+    tmp_path: Path, ros_environment: dict[str, str]
+) -> None:
+    """What comes before that clock runs is recorded at its first instant."""
+    assert ros_environment
+    with (
+        ros_node("plant") as (plant, _),
+        recording(tmp_path / "bag", ["/impacts"], use_sim_time=True) as (recorder, executor),
+    ):
+        clock, impacts = advertise(plant, "/clock"), advertise(plant, "/impacts")
+        impacts.publish(event(1))
+        for _ in range(20):
+            executor.spin_once(timeout_sec=0.02)
+        assert recorder.counts == {"/impacts": 0}
+        spin_until(executor, lambda: clock.get_subscription_count() > 0)
+        for count, now in (
+            (2, 5_000_000_000),
+            (3, 7_000_000_000),
+            (4, 2_000_000_000),
+            (5, 7_000_000_001),
+        ):
+            clock.publish(MAKE.clock(now))
+            latest = time.monotonic() + 0.3
+            spin_until(executor, lambda latest=latest: time.monotonic() > latest)  # type: ignore[misc]
+            impacts.publish(event(count))
+            spin_until(executor, lambda count=count: recorder.counts["/impacts"] == count)  # type: ignore[misc]
+    with BagReader(tmp_path / "bag") as bag:
+        assert [each.log_time for each in bag.raw()] == [
+            5_000_000_000,
+            5_000_000_000,
+            7_000_000_000,
+            7_000_000_000,
+            7_000_000_001,
+        ]
+
+
+def test_foreign_type_is_recorded_with_its_installed_definition(
+    tmp_path: Path, ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Here ``std_msgs/String`` plays the foreigner."""
+    assert ros_environment
+    definitions = []
+
+    def installed(type_name: str) -> str:
+        definitions.append(type_name)
+        return "string data\n"
+
+    fields = dict(typestore().fielddefs)
+    del fields[interfaces.STRING]
+    poor = type("Store", (), {"fielddefs": fields})()
+    monkeypatch.setattr(recorder_module, "typestore", lambda: poor)
+    monkeypatch.setattr(recorder_module, "installed_definition", installed)
+    with ros_node("plant") as (plant, _), recording(tmp_path / "bag") as (recorder, executor):
+        advertise(plant, "/plant/model").publish(MAKE.model("x"))
+        spin_until(executor, lambda: recorder.counts.get("/plant/model") == 1)
+    assert definitions == [interfaces.STRING]
+
+
+def test_type_that_cannot_be_described_is_left_out_with_one_warning(
+    tmp_path: Path,
+    ros_environment: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """That names topic and type; the others are recorded."""
+    assert ros_environment
+    fields = dict(typestore().fielddefs)
+    del fields[interfaces.STRING]
+    poor = type("Store", (), {"fielddefs": fields})()
+    monkeypatch.setattr(recorder_module, "typestore", lambda: poor)
+    monkeypatch.setattr(recorder_module, "installed_definition", lambda _: None)
+    with ros_node("plant") as (plant, _), recording(tmp_path / "bag") as (recorder, executor):
+        advertise(plant, "/plant/model").publish(MAKE.model("x"))
+        impacts = advertise(plant, "/impacts")
+        spin_until(executor, lambda: "/impacts" in recorder.counts)
+        for _ in range(10):
+            executor.spin_once(timeout_sec=0.1)
+        assert impacts.get_subscription_count() == 1
+    warnings = capfd.readouterr().err
+    assert warnings.count("/plant/model is not recorded: the definition of std_msgs/msg/Str") == 1
+    with BagReader(tmp_path / "bag") as bag:
+        assert "/plant/model" not in bag.topics
+
+
+def test_later_publisher_of_less_quality_is_warned_of_once(
+    tmp_path: Path, ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Its messages cannot reach the subscription that the first one got."""
+    assert ros_environment
+    with (
+        ros_node("plant") as (plant, _),
+        ros_node("sensor") as (sensor, _),
+        recording(tmp_path / "bag") as (recorder, executor),
+    ):
+        advertise(plant, "/impacts").publish(event(1))
+        spin_until(executor, lambda: recorder.counts.get("/impacts") == 1)
+        advertise(sensor, "/impacts", Quality(reliable=False))
+        latest = time.monotonic() + 2
+        spin_until(executor, lambda: time.monotonic() > latest)
+    assert capfd.readouterr().err.count("/impacts has a new publisher that is less reliable") == 1
+
+
+def test_wrong_use_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    """A duration or a topic that is none; a bag that is there."""
+    with pytest.raises(UsageError, match=r"duration is 0\.0; expected a positive number"):
+        record(tmp_path / "bag", duration=0.0)
+    with pytest.raises(
+        UsageError, match=r"^topic 'bad name': topic name must not contain [^\n]*$"
+    ):
+        record(tmp_path / "bag", ["/impacts", "bad name"], duration=1.0)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(UsageError, match="exists already"):
+        record(tmp_path / "bag", duration=1.0)
