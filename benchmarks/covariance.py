@@ -57,7 +57,7 @@ class Believed(NamedTuple):
         s = seconds_between(self.stamp, stamp)
         if s == 0:
             return self.belief.x, self.belief.root
-        course = law.course(seconds_between(EPOCH, self.stamp), self.belief, ())
+        course = law.predict(seconds_between(EPOCH, self.stamp), self.belief, ())
         return course.state(s), course.root(s)
 
 
@@ -111,10 +111,10 @@ def followed(
     now = Believed(EPOCH, law.begin(x[None], root, ()))
     yield now
     for stamp, contacts in sorted(told):
-        course = law.course(seconds_between(EPOCH, now.stamp), now.belief, ())
+        course = law.predict(seconds_between(EPOCH, now.stamp), now.belief, ())
         before = course.belief(seconds_between(now.stamp, stamp))
         change = ContactChange(seconds_between(EPOCH, stamp), (), contacts, ())
-        now = Believed(stamp, law.event(change, before))
+        now = Believed(stamp, law.correct(change, before))
         yield now
 
 

@@ -211,14 +211,14 @@ def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, objec
         plain.append(_ended(name, _observer(true, start, declared), events)[0])
         V, last = _ended(name, _observer(true, start, learns), events)
         learning.append(V)
-        ratios.append([each[2] for each in last.learnt] / least)
+        ratios.append([each[2] for each in last.parameters] / least)
         off = np.clip(rng.normal(size=right.family.size), -2, 2) * right.deviations
         model = right.family.system_at(right.family.given + off)
         learns = replace(declared, unknowns=Unknowns.named(model, [free]))
         V, last = _ended(name, _observer(model, start, learns), events)
         wrong.append(V)
         for (_, value, deviation), given, by in zip(
-            last.learnt, right.family.given.tolist(), off.tolist(), strict=True
+            last.parameters, right.family.given.tolist(), off.tolist(), strict=True
         ):
             true_value = given / (given + by) if "scale" in free else given
             squares.append(((value - true_value) / deviation) ** 2)

@@ -27,7 +27,7 @@ NO_COVARIANCE = frozen(np.empty((0, 0)))
 class Estimate:
     """What an observer says at a stamp; mirrors ``impact_observer_msgs/ObserverState``.
 
-    ``bound`` and ``refuted`` are not in that message: there is a topic for bounds.
+    ``bound`` and ``inconsistent`` are not in that message: there is a topic for bounds.
 
     Attributes:
         stamp: when the state holds, ns.
@@ -40,9 +40,9 @@ class Estimate:
             falls until the next one. -1 while there is only one replica.
         synchronized: whether the replicas have agreed at several events in a row.
         bound: certified upper bound of V, J; -1 where nothing is certified.
-        refuted: whether events have contradicted what was declared.
+        inconsistent: whether events have contradicted the declared model or uncertainty.
         clock_offset: estimated offset of the sensor's clock, s; 0 unless asked for.
-        learnt: what was learnt besides the state: name, value, standard deviation, SI units.
+        parameters: what is estimated besides the state: name, value, standard deviation, SI units.
         last_sequence: sequence number of the last event applied; 0 before the first.
         last_event: stamp of the last event applied, ns; 0 before the first.
     """
@@ -56,9 +56,9 @@ class Estimate:
     convergence: float = -1.0
     synchronized: bool = False
     bound: float = -1.0
-    refuted: bool = False
+    inconsistent: bool = False
     clock_offset: float = 0.0
-    learnt: tuple[tuple[str, float, float], ...] = ()
+    parameters: tuple[tuple[str, float, float], ...] = ()
     last_sequence: int = 0
     last_event: int = 0
 

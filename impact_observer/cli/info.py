@@ -229,7 +229,7 @@ def _hits(events: "Iterable[ImpactEvent]") -> "Iterator[tuple[str, Kind]]":
 
     Events are put in order ``_WINDOW`` at a time; those of one stamp are never parted.
     """
-    from impact_observer.observer.event_order import hits
+    from impact_observer.observer.event_order import impacts_of
 
     def key(event: "ImpactEvent") -> tuple[int, int, int]:
         return event.epoch, event.episode, event.stamp
@@ -242,9 +242,9 @@ def _hits(events: "Iterable[ImpactEvent]") -> "Iterator[tuple[str, Kind]]":
             cut = _WINDOW
             while cut < len(waiting) and key(waiting[cut]) == key(waiting[cut - 1]):
                 cut += 1
-            yield from (hit[1:] for hit in hits(waiting[:cut]))
+            yield from (hit[1:] for hit in impacts_of(waiting[:cut]))
             del waiting[:cut]
-    yield from (hit[1:] for hit in hits(waiting))
+    yield from (hit[1:] for hit in impacts_of(waiting))
 
 
 def _model(reader: "BagReader") -> dict[str, object] | None:

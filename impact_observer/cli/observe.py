@@ -123,7 +123,7 @@ def learnt(observer: "Observer") -> "Iterator[str]":
     unknowns = observer.law.uncertainty.unknowns
     names, first = ((), ()) if unknowns is None else (unknowns.family.names, unknowns.deviations)
     declared = dict(zip(names, first, strict=True))
-    for name, value, deviation in observer.estimate(observer.last_event).learnt:
+    for name, value, deviation in observer.estimate(observer.last_event).parameters:
         told = deviation < _HARDLY * declared.get(name, float("inf"))
         words = "learnt" if told else "hardly told by these impacts"
         yield f"{words}: {with_unit(name)} {value:.9g} +- {deviation:.2g}"

@@ -275,7 +275,7 @@ def _belief(seen: ObserverGlance, width: int, levels: str) -> list[str]:
     if seen.bound is not None:
         words = f"V <= {seen.bound:.3g} J, certified" if seen.bound >= 0 else "none certified"
         rows.append(f"bound  {words}")
-    for name, value, deviation in seen.learnt:
+    for name, value, deviation in seen.parameters:
         what, _, unit = with_unit(name).rstrip("]").partition(" [")
         number = f"{value:.2e}" if name.startswith("clock") else f"{value:.6g}"
         rows.append(f"learnt  {' '.join(filter(None, (what, number, unit)))} +- {deviation:.1e}")

@@ -21,7 +21,7 @@ from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.io.pairing import Pairing, Series
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay
-from impact_observer.observer.event_order import hits
+from impact_observer.observer.event_order import impacts_of
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Estimate, Stamps, Vector
@@ -153,7 +153,9 @@ class Comparing:
         self.pairing = Pairing()
         self._system, self._heard, self._threshold = system, heard, threshold
         self._curve = ErrorCurve(2 * system.n)
-        self._tally = ErrorTally(system, heard.told, impacts, threshold, keep or self._curve.add)
+        self._tally = ErrorTally(
+            system, heard.reported, impacts, threshold, keep or self._curve.add
+        )
 
     def proceed(self) -> None:
         """Compare what can be compared of the blocks that were added."""
@@ -310,6 +312,6 @@ def _taken_back(file: IO[bytes], width: int) -> Iterator[Series]:
 def impacts_in(events: Iterable[ImpactEvent]) -> dict[str, Stamps]:
     """Stamps of the impacts (ns), by contact; a closing is one too, what it supersedes is none."""
     by_contact: dict[str, list[int]] = {}
-    for stamp, contact, _ in hits(events):
+    for stamp, contact, _ in impacts_of(events):
         by_contact.setdefault(contact, []).append(stamp)
     return {name: np.array(stamps, dtype=np.int64) for name, stamps in sorted(by_contact.items())}

@@ -75,7 +75,7 @@ def read_film(
     estimates = []
     for prefix, topic in topics.items():
         made = outcomes_in(reader, topic, events)
-        punctual = _punctual(states[topic], made.told)
+        punctual = _punctual(states[topic], made.reported)
         estimates.append(_track(labels[prefix], punctual, heard | set(made.instants.tolist())))
     present = [each.stamps for each in states.values() if each.stamps.size]
     return Film(

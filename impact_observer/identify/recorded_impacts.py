@@ -13,7 +13,7 @@ from impact_observer.identify.least_squares import Problem
 from impact_observer.identify.motion import FlightEnd
 from impact_observer.model.family import Family
 from impact_observer.observer.episode import Episode, changes
-from impact_observer.observer.event_order import Key
+from impact_observer.observer.event_order import EventKey
 from impact_observer.stamps import seconds_between
 
 Hit: TypeAlias = tuple[int, int]
@@ -44,16 +44,16 @@ class Recording:
         return replace(self, doubted=frozenset(doubted), inserted=frozenset(inserted))
 
     @property
-    def _keys(self) -> list[Key]:
+    def _keys(self) -> list[EventKey]:
         """The events that are believed, in order."""
         kept = [
             key._replace(switches=tuple(s for s in key.switches if not self._doubts(key, s)))
             for key in self.told.keys
         ]
-        added = [Key(stamp, 0, ((contact, Kind.IMPACT),)) for stamp, contact in self.inserted]
+        added = [EventKey(stamp, 0, ((contact, Kind.IMPACT),)) for stamp, contact in self.inserted]
         return sorted([*(key for key in kept if key.switches), *added])
 
-    def _doubts(self, key: Key, switch: tuple[int, Kind]) -> bool:
+    def _doubts(self, key: EventKey, switch: tuple[int, Kind]) -> bool:
         return switch[1] is not Kind.OPEN and (key.stamp, switch[0]) in self.doubted
 
     def hits(self) -> list[tuple[int, tuple[int, ...]]]:

@@ -266,7 +266,7 @@ class Messages:
         _check_counter("ObserverState.last_sequence", estimate.last_sequence, _MAX_UINT64)
         _check_stamp("ObserverState.last_event", estimate.last_event, earliest=0)
         entries = 4 * n * n if estimate.covariance.size else 0
-        learnt = np.array([each[1:] for each in estimate.learnt]).reshape(-1, 2).T
+        learnt = np.array([each[1:] for each in estimate.parameters]).reshape(-1, 2).T
         message = self._classes(interfaces.OBSERVER_STATE)(
             header=self._header("ObserverState", estimate.stamp),
             law=estimate.law,
@@ -280,7 +280,7 @@ class Messages:
             clock_offset=_number("ObserverState.clock_offset", estimate.clock_offset),
             last_sequence=estimate.last_sequence,
             last_event=self.time(estimate.last_event),
-            parameter_name=[name for name, _, _ in estimate.learnt],
+            parameter_name=[name for name, _, _ in estimate.parameters],
             parameter=self._array("ObserverState.parameter", learnt[0], learnt.shape[1]),
             parameter_deviation=self._array(
                 "ObserverState.parameter_deviation", learnt[1], learnt.shape[1]
@@ -414,7 +414,7 @@ def read_estimate(message: EstimateMessage) -> tuple[tuple[str, ...], Estimate]:
         convergence=float(message.convergence),
         synchronized=bool(message.synchronized),
         clock_offset=float(message.clock_offset),
-        learnt=tuple(
+        parameters=tuple(
             (name, float(value), float(deviation))
             for name, value, deviation in zip(
                 message.parameter_name,

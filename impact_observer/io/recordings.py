@@ -22,7 +22,7 @@ from impact_observer.io.reader import BagReader
 from impact_observer.io.writer import BagWriter
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.model_file import ModelText, model_text
-from impact_observer.observer import Observer, replay_together
+from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import EventOutcomes, count_rulings, outcomes_of
 from impact_observer.plant import IDEAL, Run, SensorModel, sense
 from impact_observer.stamps import grid, text
@@ -257,7 +257,7 @@ def observe_bag(
         watched = _Said(
             writer, observer.system.coordinates, lambda done: progress(done, stamps.size)
         )
-        made = watched.messages(replay_together(observer, events, stamps))
+        made = watched.messages(replay_batches(observer, events, stamps))
         for log_time, topic, data in heapq.merge(as_they_are, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
     return watched.count, +(

@@ -4,20 +4,20 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
 from impact_observer.events import Contacts
-from impact_observer.observer.agreement import AGREED, SURPRISING
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.initial_state import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
 from impact_observer.observer.options import COMPILING, Options
-from impact_observer.observer.replay import replay, replay_together
+from impact_observer.observer.replay import replay, replay_batches
+from impact_observer.observer.synchronization import AGREED, LARGEST_INNOVATION
 
 __all__ = [
     "AGREED",
     "COMPILING",
     "DEFAULT_ENSEMBLE",
     "DEFAULT_HISTORY",
-    "SURPRISING",
+    "LARGEST_INNOVATION",
     "Belief",
     "ContactChange",
     "Contacts",
@@ -33,5 +33,5 @@ __all__ = [
     "law_named",
     "law_names",
     "replay",
-    "replay_together",
+    "replay_batches",
 ]

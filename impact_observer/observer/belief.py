@@ -1,4 +1,4 @@
-"""What an observer carries from one event to the next, and what a law is told of an event."""
+"""What an observer carries from one event to the next, and its prediction in between."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -16,11 +16,12 @@ _NOTHING: Mapping[int, float] = MappingProxyType({})
 
 
 class Fallback(NamedTuple):
-    """Where to begin anew if nothing is believed any more.
+    """Where a law restarts when it has rejected all of its hypotheses.
 
     Attributes:
-        x: (q, u) of a replica that never goes far astray, shape (2n,).
-        reach: the largest that each of its numbers was, or may have been at first, shape (2n,).
+        x: (q, u) of a replica whose error stays bounded, shape (2n,).
+        reach: largest magnitude of each component so far, initial deviation included, shape
+            (2n,).
     """
 
     x: Vector
@@ -28,32 +29,32 @@ class Fallback(NamedTuple):
 
 
 class Belief(NamedTuple):
-    """What a law takes for possible at one instant.
+    """Estimate and uncertainty of a law at one instant: a prior or a posterior.
 
     Attributes:
-        ensemble: the estimate, and replicas that began elsewhere.
+        ensemble: the estimate, and replicas with other initial states.
         root: a square root ``S`` of the estimate's covariance ``S S^T``, shape (2n, 2n); None for
-            a law that has none.
+            a law without covariance.
         bound: certified upper bound of V, J; None where nothing is certified.
-        refuted: whether events have contradicted what was declared: the bound came below zero.
-        innovations: of the event before it, by contact: how far the estimate's gap was from
-            zero, in standard deviations.
-        applied: whether the law took the event for what it is said to be.
-        offset: what the sensor's stamps are believed to be late by, s.
-        learnt: what was learnt besides the state: name, value, standard deviation, SI units.
-        hypotheses: for a law that carries several, the likeliest first; none for others. The
-            estimate is that of the first, the covariance that of all together.
-        fallback: where such a law begins anew; None for others.
+        inconsistent: whether events have contradicted the declared model or uncertainty: the
+            bound fell below zero.
+        innovations: of the last event, by contact: the estimate's gap in standard deviations.
+        accepted: whether the law accepted every switch of the last event as reported.
+        clock_offset: estimated delay of the sensor's stamps, s.
+        parameters: what is estimated besides the state: name, value, standard deviation, SI units.
+        hypotheses: of a law that carries several, the likeliest first; empty for others. The
+            estimate is that of the first, the covariance that of the whole mixture.
+        fallback: where such a law restarts; None for others.
     """
 
     ensemble: Ensemble
     root: Matrix | None = None
     bound: float | None = None
-    refuted: bool = False
+    inconsistent: bool = False
     innovations: Mapping[int, float] = _NOTHING
-    applied: bool = True
-    offset: float = 0.0
-    learnt: tuple[tuple[str, float, float], ...] = ()
+    accepted: bool = True
+    clock_offset: float = 0.0
+    parameters: tuple[tuple[str, float, float], ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
     fallback: Fallback | None = None
 
@@ -69,10 +70,10 @@ class Belief(NamedTuple):
 
 
 class Prediction(ABC):
-    """How a belief goes on until the next event; a function of time alone.
+    """A belief as a function of time until the next event.
 
     Attributes:
-        is_plain: whether it has neither ``root`` nor ``closed``: nothing but the state changes.
+        is_plain: whether only the state changes: it has neither ``root`` nor ``closed``.
     """
 
     is_plain: ClassVar[bool] = False
@@ -82,19 +83,19 @@ class Prediction(ABC):
         """The estimate (q, u), shape (2n,), ``s`` seconds after the start."""
 
     def states(self, s: Vector) -> Matrix:
-        """``state`` after each of ``s`` seconds, in every bit, shape (samples, 2n)."""
+        """``state`` at each of ``s`` seconds, equal in every bit, shape (samples, 2n)."""
         return np.array([self.state(at) for at in s.tolist()])
 
     @abstractmethod
     def belief(self, s: float) -> Belief:
-        """The whole belief ``s`` seconds after the start."""
+        """The whole belief ``s`` seconds after the start: the prior of an event then."""
 
     def root(self, s: float) -> Matrix | None:
-        """``Belief.root`` after ``s`` seconds, without the other replicas."""
+        """``Belief.root`` after ``s`` seconds, without propagating the other replicas."""
         del s
         return None
 
     def closed(self, s: float) -> Contacts | None:
-        """Contacts that the estimate holds closed after ``s`` seconds; None for those told."""
+        """Contacts that the estimate holds closed after ``s`` seconds; None for those reported."""
         del s
         return None

@@ -8,7 +8,7 @@ from impact_observer.errors import BagError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
-from impact_observer.observer.event_order import Key, once, readings
+from impact_observer.observer.event_order import EventKey, deduplicated, interpretations
 from impact_observer.stamps import seconds_between
 
 
@@ -27,7 +27,7 @@ class Episode(NamedTuple):
 
     start: int
     epoch: int
-    keys: list[Key]
+    keys: list[EventKey]
     foreign: Mapping[str, int]
     left_out: int
     episodes: int
@@ -38,14 +38,14 @@ class Episode(NamedTuple):
         return [*changes(self.keys, self.start)]
 
 
-def changes(keys: Sequence[Key], start: int) -> Iterator[ContactChange]:
+def changes(keys: Sequence[EventKey], start: int) -> Iterator[ContactChange]:
     """What events mean, all contacts open at first.
 
     Args:
         keys: in order, each once.
         start: since which their seconds count, ns.
     """
-    for key, (closed, reading) in zip(keys, readings(keys), strict=True):
+    for key, (closed, reading) in zip(keys, interpretations(keys), strict=True):
         t = seconds_between(start, key.stamp)
         yield ContactChange.of(t, closed, reading.switches, stamp=key.stamp, sequence=key.sequence)
 
@@ -63,11 +63,11 @@ def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
     first = min((e.sequence for e in last if e.sequence), default=0)
     start = epoch if epoch and first <= 1 else min((e.stamp for e in last), default=0)
     told = [
-        Key(event.stamp, event.sequence, tuple(sorted(kinds)))
+        EventKey(event.stamp, event.sequence, tuple(sorted(kinds)))
         for event in last
         if (kinds := {(index[s.contact], s.kind) for s in event.switches if s.contact in index})
     ]
-    keys = [key for key in once(told) if key.stamp >= start]
+    keys = [key for key in deduplicated(told) if key.stamp >= start]
     episodes = len({(e.epoch, e.episode) for e in events})
     found = Episode(start, epoch or start, keys, dict(foreign), len(told) - len(keys), episodes)
     if not any(change.hit for change in found.changes):

@@ -13,11 +13,11 @@ from typing import NamedTuple, TypeAlias
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Contacts, ImpactEvent, Kind
 
-Spoken: TypeAlias = Mapping[int, int]
+LatestSequences: TypeAlias = Mapping[int, int]
 """By index of a contact, the highest sequence number that has spoken of it."""
 
 
-class Key(NamedTuple):
+class EventKey(NamedTuple):
     """The order of events: by stamp, then by sequence, then by contact for unnumbered ones.
 
     Attributes:
@@ -31,7 +31,7 @@ class Key(NamedTuple):
     switches: tuple[tuple[int, Kind], ...]
 
 
-class Overruled(NamedTuple):
+class OverruledSwitch(NamedTuple):
     """A switch that another event has a say in.
 
     Attributes:
@@ -59,21 +59,23 @@ class Overruled(NamedTuple):
         return f"a hit, and it stays {'closed' if self.acts is Kind.CLOSE else 'open'}"
 
 
-class Reading(NamedTuple):
+class Interpretation(NamedTuple):
     """What an event means.
 
     Attributes:
-        switches: as they act, in the order of ``Key``.
+        switches: as they act, in the order of ``EventKey``.
         spoken: as it is after the event.
         overruled: those switches that another event has a say in.
     """
 
     switches: tuple[tuple[int, Kind], ...]
-    spoken: Spoken
-    overruled: tuple[Overruled, ...] = ()
+    spoken: LatestSequences
+    overruled: tuple[OverruledSwitch, ...] = ()
 
 
-def read(event: Key, closed: Contacts, spoken: Spoken, others: Sequence[Key] = ()) -> Reading:
+def interpret(
+    event: EventKey, closed: Contacts, spoken: LatestSequences, others: Sequence[EventKey] = ()
+) -> Interpretation:
     """What ``event`` means after those before it.
 
     Events without a number go by their stamp alone.
@@ -89,7 +91,7 @@ def read(event: Key, closed: Contacts, spoken: Spoken, others: Sequence[Key] = (
     for contact, _ in event.switches:
         is_stale |= 0 < event.sequence < spoken.get(contact, 0)
     if not (others or is_stale):  # as nearly always
-        return Reading(event.switches, _after(event, event.switches, spoken))
+        return Interpretation(event.switches, _after(event, event.switches, spoken))
     acting, overruled = [], []
     for contact, said in event.switches:
         found = _overruled(event.sequence, (contact, said), closed, spoken, others)
@@ -99,11 +101,11 @@ def read(event: Key, closed: Contacts, spoken: Spoken, others: Sequence[Key] = (
         if acts is not None:
             acting.append((contact, acts))
     switches = tuple(acting)
-    return Reading(switches, _after(event, switches, spoken), tuple(overruled))
+    return Interpretation(switches, _after(event, switches, spoken), tuple(overruled))
 
 
-def beside(i: int, events: Sequence[Key]) -> Sequence[Key]:
-    """Those of ``events``, in order, that stand beside the ``i``-th; see ``read``."""
+def neighbours(i: int, events: Sequence[EventKey]) -> Sequence[EventKey]:
+    """Those of ``events``, in order, that stand beside the ``i``-th; see ``interpret``."""
     stamp, first, end = events[i].stamp, i, i + 1
     while end < len(events) and events[end].stamp == stamp:
         end += 1
@@ -112,29 +114,29 @@ def beside(i: int, events: Sequence[Key]) -> Sequence[Key]:
     return [*events[first:i], *events[i + 1 : end]]
 
 
-def once(events: Iterable[Key]) -> list[Key]:
+def deduplicated(events: Iterable[EventKey]) -> list[EventKey]:
     """``events`` in order, without those that came before: by sequence, or in all."""
-    found: dict[object, Key] = {}
+    found: dict[object, EventKey] = {}
     for each in events:
         found.setdefault(each.sequence or each, each)
     return sorted(found.values())
 
 
-def readings(events: Sequence[Key]) -> Iterator[tuple[Contacts, Reading]]:
+def interpretations(events: Sequence[EventKey]) -> Iterator[tuple[Contacts, Interpretation]]:
     """What each of ``events`` means, all open at first; with the contacts closed before it.
 
     Args:
         events: in order, each once.
     """
     closed: Contacts = ()
-    spoken: Spoken = {}
+    spoken: LatestSequences = {}
     for i, event in enumerate(events):
-        reading = read(event, closed, spoken, beside(i, events))
+        reading = interpret(event, closed, spoken, neighbours(i, events))
         yield closed, reading
         closed, spoken = ContactChange.of(0.0, closed, reading.switches).closed, reading.spoken
 
 
-def hits(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]:
+def impacts_of(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]:
     """Impacts and closings as they act: stamp (ns), contact and kind, in order of stamps.
 
     Args:
@@ -148,21 +150,23 @@ def hits(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]:
         told = list(members)
         names = sorted({switch.contact for event in told for switch in event.switches})
         index = {name: i for i, name in enumerate(names)}
-        keys = once(
-            Key(
+        keys = deduplicated(
+            EventKey(
                 e.stamp,
                 e.sequence,
                 tuple(sorted({(index[s.contact], s.kind) for s in e.switches})),
             )
             for e in told
         )
-        for key, (_, reading) in zip(keys, readings(keys), strict=True):
+        for key, (_, reading) in zip(keys, interpretations(keys), strict=True):
             for contact, kind in reading.switches:
                 if kind is not Kind.OPEN:
                     yield key.stamp, names[contact], kind
 
 
-def _after(event: Key, switches: Iterable[tuple[int, Kind]], spoken: Spoken) -> Spoken:
+def _after(
+    event: EventKey, switches: Iterable[tuple[int, Kind]], spoken: LatestSequences
+) -> LatestSequences:
     """Who has spoken of which contact, once ``switches`` of ``event`` have acted."""
     if not event.sequence:
         return spoken
@@ -177,17 +181,17 @@ def _overruled(
     sequence: int,
     switch: tuple[int, Kind],
     closed: Contacts,
-    spoken: Spoken,
-    others: Sequence[Key],
-) -> Overruled | None:
+    spoken: LatestSequences,
+    others: Sequence[EventKey],
+) -> OverruledSwitch | None:
     """How another event overrules a switch of the event numbered ``sequence``; None if none."""
     contact, said = switch
     if said is Kind.IMPACT:
         for each in others:
             if (contact, Kind.CLOSE) in each.switches:
-                return Overruled(contact, said, None, each.sequence)
+                return OverruledSwitch(contact, said, None, each.sequence)
     newest = spoken.get(contact, 0)
     if not 0 < sequence < newest:
         return None
     stays = Kind.CLOSE if contact in closed else Kind.IMPACT
-    return Overruled(contact, said, None if said is Kind.OPEN else stays, newest)
+    return OverruledSwitch(contact, said, None if said is Kind.OPEN else stays, newest)

@@ -1,4 +1,4 @@
-"""What an observer made of the events of a recording, by its final verdicts."""
+"""Which events of a recording an observer applied, rejected or inserted in the end."""
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
@@ -7,68 +7,69 @@ from dataclasses import dataclass
 import numpy as np
 
 from impact_observer.events import ImpactEvent, Ruling, Verdict, final_rulings
-from impact_observer.observer.event_order import hits
+from impact_observer.observer.event_order import impacts_of
 from impact_observer.states import Stamps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventOutcomes:
-    """What an observer made of the events.
+    """The events that an observer used, by its final verdicts.
 
     Attributes:
         instants: stamps of what it applied or inserted, openings included, ns, ascending,
             shape (events,).
-        told: those of them that events told, which an estimate may be too early to know of,
-            shape (told,); an impact that was inserted has no event to wait for.
+        reported: those of ``instants`` at which an event was reported, shape (reported,). An
+            estimate may be published before it arrives; an inserted impact has no such event.
         impacts: stamp (ns) and contact of each impact among them, ascending.
-        rulings: how many switches it applied, rejected and inserted in the end, insertions that
-            it has taken back left out; None where it published no verdicts, and is taken to have
-            applied all.
+        rulings: how many switches were finally applied, rejected and inserted, without
+            insertions that were withdrawn; None where there are no verdicts. All events then
+            count as applied.
     """
 
     instants: Stamps
-    told: Stamps
+    reported: Stamps
     impacts: tuple[tuple[int, str], ...]
     rulings: Counter[Ruling] | None
 
     def until(self, stamp: int) -> int:
-        """How many impacts it had used at ``stamp`` (ns)."""
+        """How many impacts had been used at ``stamp`` (ns)."""
         return sum(at <= stamp for at, _ in self.impacts)
 
 
 def outcomes_of(
     events: Iterable[ImpactEvent], verdicts: Iterable[Verdict] | None
 ) -> EventOutcomes:
-    """What an observer made of ``events``.
+    """The outcomes of ``events``.
 
     Args:
-        events: all that there are.
-        verdicts: all that it gave; None where it published none.
+        events: all events of the recording.
+        verdicts: all verdicts of the observer; None where it published none.
     """
     every = [*events]
-    told = sorted({(stamp, contact) for stamp, contact, _ in hits(every)})
+    impacts = sorted({(stamp, contact) for stamp, contact, _ in impacts_of(every)})
     stamps = np.unique(np.array([event.stamp for event in every], dtype=np.int64))
     if verdicts is None:
-        return EventOutcomes(stamps, stamps, tuple(told), None)
+        return EventOutcomes(stamps, stamps, tuple(impacts), None)
     last = final_rulings(verdicts)
     used = {(s, contact) for (s, _, contact), r in last.items() if r is not Ruling.REJECTED}
     inserted = {(s, contact) for (s, _, contact), r in last.items() if r is Ruling.INSERTED}
     # A verdict without a contact is on the whole event.
-    impacts = {(s, c) for s, c in told if (s, c) in used or (s, "") in used} | inserted
+    applied = {(s, c) for s, c in impacts if (s, c) in used or (s, "") in used} | inserted
     instants = np.array(sorted({stamp for stamp, _ in used}), dtype=np.int64)
-    both = np.intersect1d(instants, stamps)
-    return EventOutcomes(
-        instants, both, tuple(sorted(impacts)), count_rulings(last, set(stamps.tolist()))
-    )
+    reported = np.intersect1d(instants, stamps)
+    rulings = count_rulings(last, set(stamps.tolist()))
+    return EventOutcomes(instants, reported, tuple(sorted(applied)), rulings)
 
 
 def count_rulings(
-    last: Mapping[tuple[int, int, str], Ruling], told: Collection[int]
+    last: Mapping[tuple[int, int, str], Ruling], reported: Collection[int]
 ) -> Counter[Ruling]:
-    """How many switches have each ruling in the end.
+    """How many switches have each final ruling.
 
-    An insertion that was taken back is none: its stamp is not one of those ``told`` (ns), and
-    nothing that came from the sensor was rejected.
+    A rejection at a stamp at which no event was ``reported`` (ns) withdraws an insertion, and is
+    not counted.
     """
     rejected = Ruling.REJECTED
-    return Counter(r for (stamp, _, _), r in last.items() if r is not rejected or stamp in told)
+    return Counter(
+        r for (stamp, _, _), r in last.items() if r is not rejected or stamp in reported
+    )

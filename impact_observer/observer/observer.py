@@ -13,12 +13,12 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.uncertainty import covariance_root, spread
 from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
-from impact_observer.observer.agreement import AGREED, HELD, Agreeing
 from impact_observer.observer.belief import Prediction
-from impact_observer.observer.event_order import Key, Reading, Spoken
+from impact_observer.observer.event_order import EventKey, Interpretation, LatestSequences
 from impact_observer.observer.laws.law import Law
-from impact_observer.observer.sequence_numbers import Numbering
-from impact_observer.observer.timeline import Entry, Placed, Timeline, beginning
+from impact_observer.observer.sequence_numbers import SequenceNumbers
+from impact_observer.observer.synchronization import AGREED, REQUIRED_EVENTS, SynchronizationTest
+from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
 from impact_observer.observer.verdicts import Notes, Rulings, because, judged
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between, text
 from impact_observer.states import (
@@ -95,7 +95,7 @@ class Observer:
         self._initial = np.concatenate([q, u])
         self._root = law.uncertainty.root(system.n)
         self._ensemble = ensemble
-        self._agreeing = Agreeing(system, agreed)
+        self._agreeing = SynchronizationTest(system, agreed)
         self._history = from_seconds(history)
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}
@@ -117,7 +117,7 @@ class Observer:
         self._episode: int | None = None
         self._timeline: Timeline | None = None
         self._placed = False
-        self._numbers = Numbering()
+        self._numbers = SequenceNumbers()
         self._rulings = Rulings()
         self._earliest = 0
         if self._epoch:
@@ -167,11 +167,11 @@ class Observer:
         root: Matrix,
         stamp: int,
         closed: Contacts = (),
-        spoken: Spoken | None = None,
+        spoken: LatestSequences | None = None,
     ) -> Entry:
         """Replicas at ``stamp`` (ns) about ``x``, before any other event."""
         belief = self.law.begin(spread(x, root, self._ensemble), root, closed)
-        return beginning(stamp, belief, self._agreeing.at_first(belief), closed, spoken)
+        return initial_entry(stamp, belief, self._agreeing.at_first(belief), closed, spoken)
 
     @property
     def start(self) -> int | None:
@@ -224,7 +224,7 @@ class Observer:
         self._remember(event)
         try:
             timeline = self._begun()
-            key = Key(event.stamp, event.sequence, switches)
+            key = EventKey(event.stamp, event.sequence, switches)
             if not switches:
                 self._numbers.keep(MOST_NUMBERS)  # no stamp of its own may decide what is over
                 return self._with_news(verdicts)
@@ -269,12 +269,12 @@ class Observer:
             closed=tuple([self._names[i] for i in closed]),
             convergence=agreement.convergence,
             synchronized=self.law.uses_events
-            and agreement.held >= HELD
+            and agreement.held >= REQUIRED_EVENTS
             and (root is None or self._agreeing.allows(agreement, root)),
             bound=-1.0 if bound is None else bound,
-            refuted=entry.belief.refuted,
-            clock_offset=entry.belief.offset,
-            learnt=entry.belief.learnt,
+            inconsistent=entry.belief.inconsistent,
+            clock_offset=entry.belief.clock_offset,
+            parameters=entry.belief.parameters,
             last_sequence=entry.key.sequence if applied else 0,
             last_event=entry.key.stamp if applied else 0,
         )
@@ -422,7 +422,7 @@ class Observer:
         first, *others = verdicts
         return (because(first, news), *others)
 
-    def _judged(self, verdicts: tuple[Verdict, ...], placed: Placed) -> tuple[Verdict, ...]:
+    def _judged(self, verdicts: tuple[Verdict, ...], placed: Insertion) -> tuple[Verdict, ...]:
         """``verdicts`` with what became of each switch."""
         sequence, again = placed.entry.key.sequence, placed.again
         own, others = placed.entry.overruled, placed.overrules
@@ -450,7 +450,7 @@ class Observer:
         told = [judged(each, index.get(each.contact, -1), placed, believed) for each in verdicts]
         return (*self._with_news(tuple(told)), *revised)
 
-    def _step(self, previous: Entry, event: Key, reading: Reading) -> Entry:
+    def _step(self, previous: Entry, event: EventKey, reading: Interpretation) -> Entry:
         """The entry of ``event``, from the one before it."""
         s = seconds_between(previous.since, event.stamp)
         before = self._course(previous).belief(s) if s > 0 else previous.belief
@@ -463,7 +463,7 @@ class Observer:
             sequence=event.sequence,
         )
         try:
-            belief = self.law.event(change, before)
+            belief = self.law.correct(change, before)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(event.stamp)} s: {error}") from None
         agreement = self._agreeing.after(previous.agreement, change, before, belief)
@@ -484,13 +484,13 @@ class Observer:
 
     def _course(self, entry: Entry) -> Prediction:
         """How the belief of ``entry`` goes on: one exact motion from just after it."""
-        if entry.course is None:
+        if entry.prediction is None:
             t = seconds_between(self._epoch or entry.since, entry.since)
-            entry.course = self.law.course(t, entry.belief, entry.closed)
-        return entry.course
+            entry.prediction = self.law.predict(t, entry.belief, entry.closed)
+        return entry.prediction
 
 
-def _misplaced(key: Key, timeline: Timeline) -> tuple[Ruling, str, Remark] | None:
+def _misplaced(key: EventKey, timeline: Timeline) -> tuple[Ruling, str, Remark] | None:
     """Why an event cannot be put in its place; None if it can."""
     if not timeline.reaches(key):
         reason = f"older than {text(timeline.start.stamp)} s, where the known past begins"

@@ -8,10 +8,10 @@ from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
 from impact_observer.estimation.unknown_parameters import Unknowns
 from impact_observer.model import System
 from impact_observer.model.elements import Element
-from impact_observer.observer.agreement import AGREED
 from impact_observer.observer.initial_state import initial_state
 from impact_observer.observer.laws import law_named
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
+from impact_observer.observer.synchronization import AGREED
 
 COMPILING = "machine code of what an event takes: half a minute to compile, once"
 """What users are told where an observer ``compiles``."""

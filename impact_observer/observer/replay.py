@@ -38,14 +38,14 @@ def replay(
     Raises:
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
-    for item in replay_together(observer, events, stamps):
+    for item in replay_batches(observer, events, stamps):
         if isinstance(item, Estimates):
             yield from item
         else:
             yield item
 
 
-def replay_together(
+def replay_batches(
     observer: Observer, events: Sequence[ImpactEvent], stamps: Stamps
 ) -> Iterator[Estimates | Verdict]:
     """``replay`` with the estimates between two events together, at most ``MOST`` of them."""

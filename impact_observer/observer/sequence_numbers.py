@@ -4,7 +4,7 @@ _LEAST = 64
 """Numbers that need not be forgotten."""
 
 
-class Numbering:
+class SequenceNumbers:
     """Sequence numbers with their events' stamps, back to a bounded past.
 
     Attributes:

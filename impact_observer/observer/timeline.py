@@ -11,14 +11,21 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias
 
 from impact_observer.events import Contacts, Kind
-from impact_observer.observer.agreement import Agreement
 from impact_observer.observer.belief import Belief, Prediction
-from impact_observer.observer.event_order import Key, Overruled, Reading, Spoken, beside, read
+from impact_observer.observer.event_order import (
+    EventKey,
+    Interpretation,
+    LatestSequences,
+    OverruledSwitch,
+    interpret,
+    neighbours,
+)
+from impact_observer.observer.synchronization import Synchronization
 
 _BEGINNING = -1
 """Sequence of the entry before any event, so that it comes first at its stamp."""
 
-Step: TypeAlias = "Callable[[Entry, Key, Reading], Entry]"
+Step: TypeAlias = "Callable[[Entry, EventKey, Interpretation], Entry]"
 """The entry of an event, from the entry before it, the event and what it means."""
 
 
@@ -35,17 +42,17 @@ class Entry:
         closed: indices of the contacts with ``chi = 1`` after it, ascending.
         spoken: numbers of the events that have said so.
         overruled: those of its switches that another event has a say in.
-        course: how the belief goes on, once somebody has asked for it.
+        prediction: how the belief goes on, once somebody has asked for it.
     """
 
-    key: Key
+    key: EventKey
     since: int
     belief: Belief = field(repr=False)
-    agreement: Agreement
+    agreement: Synchronization
     closed: Contacts = ()
-    spoken: Spoken = field(default_factory=dict)
-    overruled: tuple[Overruled, ...] = ()
-    course: Prediction | None = field(default=None, repr=False)
+    spoken: LatestSequences = field(default_factory=dict)
+    overruled: tuple[OverruledSwitch, ...] = ()
+    prediction: Prediction | None = field(default=None, repr=False)
 
     @property
     def event(self) -> tuple[int, int]:
@@ -53,7 +60,7 @@ class Entry:
         return self.key.stamp, self.key.sequence
 
 
-class Placed(NamedTuple):
+class Insertion(NamedTuple):
     """What an event did that was put in its place.
 
     Attributes:
@@ -65,19 +72,19 @@ class Placed(NamedTuple):
 
     entry: Entry
     again: int
-    overrules: tuple[tuple[Key, Overruled], ...] = ()
+    overrules: tuple[tuple[EventKey, OverruledSwitch], ...] = ()
     later: Sequence[Entry] = ()
 
 
-def beginning(
+def initial_entry(
     start: int,
     belief: Belief,
-    agreement: Agreement,
+    agreement: Synchronization,
     closed: Contacts = (),
-    spoken: Spoken | None = None,
+    spoken: LatestSequences | None = None,
 ) -> Entry:
     """The entry at stamp ``start`` (ns), before any event of that stamp."""
-    return Entry(Key(start, _BEGINNING, ()), start, belief, agreement, closed, spoken or {})
+    return Entry(EventKey(start, _BEGINNING, ()), start, belief, agreement, closed, spoken or {})
 
 
 class Timeline:
@@ -88,16 +95,16 @@ class Timeline:
     """
 
     def __init__(self, first: Entry) -> None:
-        """Begin with the entry of a ``beginning``."""
+        """Begin with the entry of a ``initial_entry``."""
         self.entries = [first]
 
     @property
-    def start(self) -> Key:
+    def start(self) -> EventKey:
         """The earliest instant that can still be asked for."""
         return self.entries[0].key
 
     @property
-    def newest(self) -> Key:
+    def newest(self) -> EventKey:
         """The place of the latest event."""
         return self.entries[-1].key
 
@@ -106,14 +113,14 @@ class Timeline:
         """Whether nothing has been forgotten yet."""
         return self.start.sequence == _BEGINNING
 
-    def __contains__(self, key: Key) -> bool:
+    def __contains__(self, key: EventKey) -> bool:
         """Whether the very event is there already."""
         if self.newest < key:
             return False
         at = self._place(key)
         return at > 0 and self.entries[at - 1].key == key
 
-    def _place(self, key: Key) -> int:
+    def _place(self, key: EventKey) -> int:
         """Where an event comes that is not there."""
         if self.newest < key:
             return len(self.entries)
@@ -132,7 +139,7 @@ class Timeline:
         following = self.entries[after].key.stamp if after < len(self.entries) else None
         return self.entries[after - 1], following
 
-    def reaches(self, key: Key) -> bool:
+    def reaches(self, key: EventKey) -> bool:
         """Whether there is a past to put an event into.
 
         Where the past was forgotten, an event at the very start of the rest is too late: what it
@@ -142,7 +149,7 @@ class Timeline:
         return key.stamp > start.stamp or (key.stamp == start.stamp and self.whole)
 
     def begin(self, first: Entry, step: Step) -> None:
-        """Begin elsewhere, with the entry of another ``beginning``, and redo what follows."""
+        """Begin elsewhere, with the entry of another ``initial_entry``, and redo what follows."""
         events = [entry.key for entry in self.entries[1:] if entry.key > first.key]
         self.entries = [first, *_redone(first, events, step)]
 
@@ -152,12 +159,12 @@ class Timeline:
         events = [entry.key for entry in self.entries[at:]]
         self.entries = [first, *_redone(first, events, step)]
 
-    def insert(self, key: Key, step: Step) -> Placed:
+    def insert(self, key: EventKey, step: Step) -> Insertion:
         """Put an event that it ``reaches`` in its place and redo everything after it."""
         if self.newest.stamp < key.stamp:  # as nearly all do
             entry = _next(self.entries[-1], key, (), step)
             self.entries.append(entry)
-            return Placed(entry, 0)
+            return Insertion(entry, 0)
         at = first = self._place(key)
         if not key.sequence or any(kind is Kind.CLOSE for _, kind in key.switches):
             while first > 1 and self.entries[first - 1].key.stamp == key.stamp:
@@ -168,7 +175,7 @@ class Timeline:
         fresh = _redone(self.entries[first - 1], events, step)
         self.entries[first:] = fresh
         overrules = _overrules(key, fresh) if len(fresh) > 1 else ()
-        return Placed(fresh[at - first], len(again), overrules, fresh[at - first + 1 :])
+        return Insertion(fresh[at - first], len(again), overrules, fresh[at - first + 1 :])
 
     def rehearsed(self, step: Step) -> Entry | None:
         """The latest event's entry, made again as ``insert`` made it, and put nowhere.
@@ -192,24 +199,26 @@ class Timeline:
         return over > 0
 
 
-def _redone(previous: Entry, events: Sequence[Key], step: Step) -> list[Entry]:
+def _redone(previous: Entry, events: Sequence[EventKey], step: Step) -> list[Entry]:
     """An entry for each of ``events``, one after the other."""
     entries = []
     for i, event in enumerate(events):
-        previous = _next(previous, event, beside(i, events), step)
+        previous = _next(previous, event, neighbours(i, events), step)
         entries.append(previous)
     return entries
 
 
-def _next(previous: Entry, event: Key, others: Sequence[Key], step: Step) -> Entry:
-    """The entry of ``event``, ``others`` standing beside it; see ``read``."""
-    reading = read(event, previous.closed, previous.spoken, others)
+def _next(previous: Entry, event: EventKey, others: Sequence[EventKey], step: Step) -> Entry:
+    """The entry of ``event``, ``others`` standing beside it; see ``interpret``."""
+    reading = interpret(event, previous.closed, previous.spoken, others)
     if reading.switches:
         return step(previous, event, reading)
     return replace(previous, key=event, spoken=reading.spoken, overruled=reading.overruled)
 
 
-def _overrules(key: Key, entries: Sequence[Entry]) -> tuple[tuple[Key, Overruled], ...]:
+def _overrules(
+    key: EventKey, entries: Sequence[Entry]
+) -> tuple[tuple[EventKey, OverruledSwitch], ...]:
     """The switches in ``entries`` that the event ``key`` has a say in."""
     return tuple(
         (entry.key, each)
@@ -220,7 +229,7 @@ def _overrules(key: Key, entries: Sequence[Entry]) -> tuple[tuple[Key, Overruled
     )
 
 
-def _key(entry: Entry) -> Key:
+def _key(entry: Entry) -> EventKey:
     return entry.key
 
 

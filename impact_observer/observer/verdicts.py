@@ -6,8 +6,8 @@ from typing import NamedTuple, TypeAlias
 
 from impact_observer.estimation.hypotheses import Note
 from impact_observer.events import SECOND_THOUGHT, Ruling, Verdict
-from impact_observer.observer.event_order import Key, Overruled
-from impact_observer.observer.timeline import Entry, Placed
+from impact_observer.observer.event_order import EventKey, OverruledSwitch
+from impact_observer.observer.timeline import Entry, Insertion
 
 _NEAR = 1_000
 """Between stamps of an inserted impact that need not be told apart, ns."""
@@ -30,7 +30,7 @@ Notes: TypeAlias = Mapping[Matter, Note]
 """What is believed of the latest matters."""
 
 
-def judged(verdict: Verdict, contact: int, placed: Placed, believed: Notes) -> Verdict:
+def judged(verdict: Verdict, contact: int, placed: Insertion, believed: Notes) -> Verdict:
     """``verdict`` with its innovation, and with what its event and others made of each other.
 
     Args:
@@ -58,14 +58,14 @@ def judged(verdict: Verdict, contact: int, placed: Placed, believed: Notes) -> V
     return because(verdict, reasons)._replace(innovation=innovation)
 
 
-def _overruled(each: Overruled) -> str:
+def _overruled(each: OverruledSwitch) -> str:
     """What another event made of a switch."""
     if each.is_superseded:
         return f"superseded by the CLOSE of {_event(each.by)}"
     return f"stamped after event {each.by}, which follows it: {each.effect}"
 
 
-def _overruling(key: Key, each: Overruled) -> str:
+def _overruling(key: EventKey, each: OverruledSwitch) -> str:
     """What an event made of a switch of another."""
     if each.is_superseded:
         return f"supersedes the IMPACT of {_event(key.sequence)}"
@@ -85,7 +85,7 @@ class Rulings:
         self._account: tuple[Note, ...] = ()
 
     def after(
-        self, placed: Placed, start: int, names: Sequence[str]
+        self, placed: Insertion, start: int, names: Sequence[str]
     ) -> tuple[Notes, tuple[Verdict, ...]]:
         """What is believed, and what is to be told of others, once an event is in its place.
 
@@ -115,7 +115,7 @@ class Rulings:
         return believed, tuple(verdicts)
 
     def _changed(
-        self, placed: Placed, start: int
+        self, placed: Insertion, start: int
     ) -> tuple[dict[Matter, Note], dict[Matter, Note]]:
         """What is believed that may not have been told, and what was told in its stead."""
         last = placed.later[-1] if placed.later else placed.entry
@@ -151,7 +151,7 @@ def _continued(before: tuple[Note, ...], now: tuple[Note, ...]) -> tuple[Note, .
     return ()
 
 
-def _notes(placed: Placed) -> Notes:
+def _notes(placed: Insertion) -> Notes:
     """What is believed of the latest matters once an event is in its place: by the last account.
 
     Of what that does not remember any more, by the last that does.

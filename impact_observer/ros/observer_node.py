@@ -22,7 +22,13 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import MessageError
 from impact_observer.model import Model, read_model
 from impact_observer.model.learnable import with_unit
-from impact_observer.observer import COMPILING, SURPRISING, Observer, Options, initial_state
+from impact_observer.observer import (
+    COMPILING,
+    LARGEST_INNOVATION,
+    Observer,
+    Options,
+    initial_state,
+)
 from impact_observer.ros import parameters
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import qos_profile
@@ -192,7 +198,7 @@ class ObserverNode(Node):
             self._latency = max(self._latency, latency)
         for verdict in self._beside_lag(verdicts) if late else verdicts:
             self._counts[verdict.ruling.name.lower()] += not verdict.revises
-            self._counts["surprising"] += verdict.innovation > SURPRISING
+            self._counts["surprising"] += verdict.innovation > LARGEST_INNOVATION
             self._log(verdict)
             self._verdicts.publish(self._make.verdict(verdict, latency))
 
@@ -375,10 +381,10 @@ class ObserverNode(Node):
         if self._last is None:
             return {}
         bound, differences = self._last.bound, self._last.convergence
-        without = "refuted" if self._last.refuted else "none"
+        without = "refuted" if self._last.inconsistent else "none"
         learnt = {
             with_unit(name): f"{value:.6g} +- {deviation:.2g}"
-            for name, value, deviation in self._last.learnt
+            for name, value, deviation in self._last.parameters
         }
         return {
             **learnt,
@@ -405,7 +411,7 @@ class ObserverNode(Node):
     def _events_health(self) -> tuple[bytes, str]:
         """The same as far as the events tell."""
         observer = self._observer
-        if self._last is not None and self._last.refuted:
+        if self._last is not None and self._last.inconsistent:
             return DiagnosticStatus.WARN, "events contradict the model or initial_deviation"
         fine = (Ruling.APPLIED, Ruling.INSERTED)
         refused = sum(self._counts[each.name.lower()] for each in Ruling if each not in fine)

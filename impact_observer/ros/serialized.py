@@ -73,8 +73,8 @@ class _Form:
                 estimate.last_sequence,
                 *divmod(estimate.last_event, NS_PER_S),
             )
-        if estimate.learnt and layout.learnt is not None and layout.deviations is not None:
-            _, values, deviations = zip(*estimate.learnt, strict=True)
+        if estimate.parameters and layout.learnt is not None and layout.deviations is not None:
+            _, values, deviations = zip(*estimate.parameters, strict=True)
             _numbers(data, layout.learnt, len(values))[:] = values
             _numbers(data, layout.deviations, len(deviations))[:] = deviations
         return bytes(data)
@@ -156,7 +156,7 @@ class Serialized:
         """
         if not _is_plain(estimate, len(self._names)):
             return iter(self._converted(estimate))
-        learnt = tuple([name for name, _, _ in estimate.learnt])
+        learnt = tuple([name for name, _, _ in estimate.parameters])
         shape = estimate.law, estimate.closed, estimate.covariance.size, learnt
         return (form.packed(estimate) for form in self._forms(shape))
 
@@ -165,7 +165,7 @@ class Serialized:
         law, closed, entries, learnt = shape
         zeros, told = np.zeros(len(self._names)), tuple((name, 0.0, 0.0) for name in learnt)
         covariance = np.zeros((isqrt(entries),) * 2)
-        example = Estimate(1, law, zeros, zeros, covariance, closed, learnt=told)
+        example = Estimate(1, law, zeros, zeros, covariance, closed, parameters=told)
         state, joints = self._converted(example)
         return _Form(OBSERVER_STATE, state), _Form(JOINT_STATE, joints)
 
@@ -182,7 +182,7 @@ def _is_plain(estimate: Estimate, n: int) -> bool:
     covariance = estimate.covariance
     scalars = [estimate.convergence, estimate.clock_offset]
     scalars += estimate.q.tolist() + estimate.u.tolist()
-    scalars += [number for _, *two in estimate.learnt for number in two]
+    scalars += [number for _, *two in estimate.parameters for number in two]
     return (
         0 < estimate.stamp <= MAX_STAMP
         and 0 <= estimate.last_event <= MAX_STAMP

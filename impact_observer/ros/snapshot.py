@@ -75,7 +75,7 @@ class ObserverGlance:
         synchronized: whether they have agreed; None before the first state.
         bound: certified bound of V, J; -1 where nothing is certified, None where nothing is said.
         closed: contacts that the replica holds closed.
-        learnt: what was learnt besides the state: name, value, standard deviation, SI units.
+        parameters: what is estimated besides the state: name, value, standard deviation, SI units.
         verdicts: the last ones with the latency of each, s, newest first.
         counts: verdicts so far by ruling.
         health: level (0 ok, 1 warning, 2 error) and message of its diagnostics; None before.
@@ -93,7 +93,7 @@ class ObserverGlance:
     synchronized: bool | None = None
     bound: float | None = None
     closed: tuple[str, ...] = ()
-    learnt: tuple[tuple[str, float, float], ...] = ()
+    parameters: tuple[tuple[str, float, float], ...] = ()
     verdicts: tuple[tuple[Verdict, float], ...] = ()
     counts: tuple[tuple[str, int], ...] = ()
     health: tuple[int, str] | None = None

@@ -298,7 +298,7 @@ class Listening:
             else replace(differences, now=-1.0),
             synchronized=estimate.synchronized if estimate.law else None,
             closed=estimate.closed,
-            learnt=estimate.learnt,
+            parameters=estimate.parameters,
         )
 
     def _measure(

@@ -16,7 +16,7 @@ from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagWriter
 from impact_observer.io.messages import bag_messages
-from impact_observer.observer.event_order import hits
+from impact_observer.observer.event_order import impacts_of
 
 
 def parsed(*words: str) -> argparse.Namespace:
@@ -132,7 +132,7 @@ def test_long_rows_of_events_are_counted_piece_by_piece(monkeypatch: pytest.Monk
                     events.append(ImpactEvent(stamp + 1, opened, number, episode))
     for i in draw.integers(0, len(events) - 8, 200).tolist():
         events.insert(i + 5, events.pop(i))
-    whole = [hit[1:] for hit in hits(events)]
+    whole = [hit[1:] for hit in impacts_of(events)]
     monkeypatch.setattr(info, "_WINDOW", 50)
     assert Counter(info._hits(iter(events))) == Counter(whole)
 

@@ -66,10 +66,10 @@ def test_observe_writes_the_parameters_that_it_learns(
     with BagReader(bag) as reader:
         read = (cast(EstimateMessage, each) for _, each in reader.messages("/observer/state"))
         states = [read_estimate(each)[1] for each in read]
-    names = [name for name, _, _ in states[0].learnt]
+    names = [name for name, _, _ in states[0].parameters]
     assert names == ["stiffness-scale", "restitution.stop"]
     for k, right in enumerate((1.0, 0.7)):
-        (_, _, before), (_, value, after) = states[0].learnt[k], states[-1].learnt[k]
+        (_, _, before), (_, value, after) = states[0].parameters[k], states[-1].parameters[k]
         assert after < 1e-2 * before
         assert abs(value - right) < 5 * after
     capsys.readouterr()

@@ -71,7 +71,7 @@ FILTER = ObserverGlance(
     source="here",
     convergence=EstimateHistory(-1.0),
     synchronized=True,
-    learnt=(("clock_error", 2.9e-4, 1e-5),),
+    parameters=(("clock_error", 2.9e-4, 1e-5),),
     verdicts=((Verdict(at(12.0), Ruling.APPLIED, 3, "stop", innovation=1.4), 0.0),),
     counts=(("applied", 8),),
 )

@@ -61,8 +61,8 @@ def test_replicas_that_separate_at_an_impact_keep_their_speed(data: st.DataObjec
     replicas = np.array([data.draw(vectors(2 * model.n)) for _ in range(6)])
     change = ContactChange(0.0, (), (data.draw(st.integers(0, model.m - 1)),), ())
     law = Geometric(model)
-    together = law.event(change, Belief(Ensemble.of(replicas)))
-    alone = [law.event(change, Belief(Ensemble.of(x[None]))).x for x in replicas]
+    together = law.correct(change, Belief(Ensemble.of(replicas)))
+    alone = [law.correct(change, Belief(Ensemble.of(x[None]))).x for x in replicas]
     np.testing.assert_array_equal(together.x, alone[0])
     size = 1 + max(np.max(np.abs(alone)), np.max(np.abs(replicas)))
     np.testing.assert_allclose(together.replicas, alone, rtol=0, atol=1e-10 * size)

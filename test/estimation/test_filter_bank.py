@@ -257,7 +257,7 @@ def checked(watcher: Observer, stamp: int) -> None:
     """Nothing is NaN, and there are no more hypotheses than there may be."""
     for told in (watcher.estimate(stamp), watcher.estimate(stamp + 3 * NS_PER_S)):
         assert np.all(np.isfinite(np.concatenate([told.q, told.u, told.covariance.ravel()])))
-        assert np.all(np.isfinite([each[1:] for each in told.learnt]))
+        assert np.all(np.isfinite([each[1:] for each in told.parameters]))
     assert watcher._timeline is not None
     for entry in watcher._timeline.entries:
         hypotheses = entry.belief.hypotheses

@@ -90,7 +90,7 @@ def bits(estimate: Estimate) -> tuple[object, ...]:
     """Everything that an estimate says."""
     arrays = (estimate.q, estimate.u, estimate.covariance)
     others = (estimate.stamp, estimate.law, estimate.closed, estimate.convergence)
-    more = (estimate.synchronized, estimate.bound, estimate.refuted, estimate.learnt)
+    more = (estimate.synchronized, estimate.bound, estimate.inconsistent, estimate.parameters)
     last = (estimate.clock_offset, estimate.last_sequence, estimate.last_event)
     return (*(each.tobytes() for each in arrays), *others, *more, *last)
 

@@ -84,7 +84,7 @@ def test_wrong_stiffness_is_learnt_and_its_floor_is_gone(name: str) -> None:
     floor = np.median(distances(plain, model, true)[late])
     assert floor > 1e-3
     assert np.median(distances(learning, model, true)[late]) < 1e-8 * floor
-    ((told, value, deviation),) = learning.estimate(int(true.stamps[-1])).learnt
+    ((told, value, deviation),) = learning.estimate(int(true.stamps[-1])).parameters
     assert told == "stiffness-scale"
     assert abs(value - 1 / 1.02) < 4 * deviation < 1e-7
 
@@ -100,7 +100,7 @@ def test_restitution_is_learnt_and_costs_little_where_it_was_right(wrong: float)
     )
     V = distances(watcher, model, true)
     assert np.median(V[-50:]) < 1e-15 * V[0]
-    ((_, value, deviation),) = watcher.estimate(int(true.stamps[-1])).learnt
+    ((_, value, deviation),) = watcher.estimate(int(true.stamps[-1])).parameters
     assert abs(value - 0.7) < 4 * deviation < 1e-8
     assert watcher.estimate(int(true.stamps[-1])).synchronized
 
@@ -112,7 +112,7 @@ def test_everything_at_once_is_learnt() -> None:
     wrong = bouncier(stiffer(replace(model, contacts=contacts), 1.03), 0.1)
     free = ["restitution=0.15", "gap=0.02", "stiffness-scale=0.05"]
     watcher = heard(watching(wrong, np.array([0.4, -0.3, 0.5, -0.6]), free), true.events)
-    learnt = watcher.estimate(int(true.stamps[-1])).learnt
+    learnt = watcher.estimate(int(true.stamps[-1])).parameters
     right = {"stiffness-scale": 1 / 1.03, "restitution.stop": 0.7, "gap.stop": 0.5}
     assert [name for name, _, _ in learnt] == ["stiffness-scale", "restitution.stop", "gap.stop"]
     for name, value, deviation in learnt:
@@ -130,11 +130,11 @@ def test_gaps_are_learnt_where_contacts_rest() -> None:
     at = 100
     late = watcher.estimate(int(true.stamps[at]))
     assert late.closed == ("c1", "c2")
-    for (_, value, deviation), right in zip(late.learnt, PRESSED.q_r.tolist(), strict=True):
+    for (_, value, deviation), right in zip(late.parameters, PRESSED.q_r.tolist(), strict=True):
         assert abs(value - right) < 4 * deviation < 1e-9
     np.testing.assert_allclose(late.q, true.states[at][:2], atol=1e-9)
     spread = np.sqrt(np.diag(late.covariance))[:2]
-    assert np.all(spread > 0.2 * late.learnt[0][2])
+    assert np.all(spread > 0.2 * late.parameters[0][2])
 
 
 def linearised(
@@ -184,7 +184,7 @@ def test_small_errors_are_learnt_from_as_by_least_squares() -> None:
     late = [from_seconds(each) for each in jitter * rng.normal(size=len(true.events))]
     events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
     watcher = heard(watching(model, start[:4], free, jitter, deviation=size), events)
-    found = watcher.estimate(events[-1].stamp).learnt
+    found = watcher.estimate(events[-1].stamp).parameters
     # shifts and start are such that all gaps are zero; the sum of squares, each over its own
     # deviation, is least
     t = np.array([seconds_between(EPOCH, each.stamp) for each in events])
@@ -218,7 +218,7 @@ def test_what_is_said_of_parameters_is_true_over_many_starts(free: str) -> None:
         events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
         start = true.states[0] + 0.5 * rng.normal(size=4)
         watcher = watching(wrong, start, [free], 1e-3, deviation=0.5)
-        ((_, found, claimed),) = heard(watcher, events).estimate(int(true.stamps[-1])).learnt
+        ((_, found, claimed),) = heard(watcher, events).estimate(int(true.stamps[-1])).parameters
         squares.append(((found - right) / claimed) ** 2)
     assert 0.3 < np.mean(squares) < 2.0
 
@@ -245,7 +245,7 @@ def test_a_restitution_that_cannot_be_is_never_reached() -> None:
     watcher = watching(bouncier(model, -0.3), np.array([0.3, 0.2]), ["restitution=0.5"], 0.05)
     for each in true.events[:12]:
         watcher.receive(replace(each, stamp=each.stamp + from_seconds(0.05 * rng.normal())))
-        ((_, value, _),) = watcher.estimate(each.stamp + NS_PER_S // 10).learnt
+        ((_, value, _),) = watcher.estimate(each.stamp + NS_PER_S // 10).parameters
         assert 0.0 <= value <= 1.0
 
 
@@ -350,5 +350,5 @@ def test_late_events_change_nothing_of_what_is_learnt() -> None:
         late.receive(true.events[k])
     heard(late, true.events[5:])
     stamp = int(true.stamps[-1])
-    assert inorder.estimate(stamp).learnt == late.estimate(stamp).learnt
+    assert inorder.estimate(stamp).parameters == late.estimate(stamp).parameters
     assert inorder.estimate(stamp).q.tolist() == late.estimate(stamp).q.tolist()

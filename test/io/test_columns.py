@@ -45,7 +45,7 @@ def estimate(stamp: int, closed: tuple[str, ...] = (), *, sure: bool = False) ->
                 closed=closed,
                 last_sequence=stamp % 1000,
                 last_event=stamp // 2,
-                learnt=learnt,
+                parameters=learnt,
             ),
             ("x1", "x2"),
         ),

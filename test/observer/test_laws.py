@@ -64,7 +64,7 @@ def test_two_replicas_never_part_under_any_switching(
     model = data.draw(systems(contacts=(1, 3)))
     assume(passes_eigenvalue_test(model))
     replica, t = law(model), data.draw(st.integers(0, 3)) / 2
-    states = [replica.placed(data.draw(vectors(2 * model.n))) for _ in range(2)]
+    states = [replica.admissible(data.draw(vectors(2 * model.n))) for _ in range(2)]
     last = distance(model, *states)
     tolerance = 1e-10 * (1 + last)
     closed: tuple[int, ...] = ()
@@ -79,7 +79,7 @@ def test_two_replicas_never_part_under_any_switching(
         stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
         change, closed = ContactChange(t, closed, hit, stays), stays
         try:
-            states = list(replica.event(change, Belief(Ensemble.of(np.array(states)))).replicas)
+            states = list(replica.correct(change, Belief(Ensemble.of(np.array(states)))).replicas)
         except ImpactLawError:
             assume(False)
         last = distance(model, *states)
@@ -115,7 +115,7 @@ def test_replica_never_parts_from_its_plant(law: type[ReplicaLaw], data: st.Data
     switchings = switchings_of(model, x, seconds=5.0)
     assume(switchings)
     replica, t = law(model), 0.0
-    y = replica.placed(data.draw(vectors(2 * model.n)))
+    y = replica.admissible(data.draw(vectors(2 * model.n)))
     first = last = distance(model, x, y)
     closed: tuple[int, ...] = ()
     for switching in switchings:
@@ -206,7 +206,7 @@ def test_law_that_moves_otherwise_is_asked_how(count: int) -> None:
     """For each replica, whatever the law that it derives from knows of all together."""
     model, replicas = sample("two_mass").system, np.arange(12.0).reshape(3, 4)[:count]
     law, geometric = Later(model), Geometric(model)
-    found = law.course(2.0, Belief(Ensemble.of(replicas)), ()).belief(0.3)
+    found = law.predict(2.0, Belief(Ensemble.of(replicas)), ()).belief(0.3)
     for x, moved in zip(replicas, found.replicas, strict=True):
         np.testing.assert_allclose(moved, geometric.motion(1.0, x, ()).state(0.3), rtol=1e-12)
 

@@ -190,8 +190,8 @@ def followed(model: System, law: MinimumVariance, x: Array, switchings: list[Swi
     belief, t = law.begin(x[None], law.uncertainty.root(model.n), ()), 0.0
     for each in switchings:
         now = -each.instant.until(EPOCH)
-        belief = law.course(t, belief, ()).belief(now - t)
-        belief, t = law.event(ContactChange(now, (), each.contacts, ()), belief), now
+        belief = law.predict(t, belief, ()).belief(now - t)
+        belief, t = law.correct(ContactChange(now, (), each.contacts, ()), belief), now
     return belief
 
 
@@ -234,9 +234,9 @@ def test_other_replicas_are_corrected_as_the_estimate_s_own_error() -> None:
     belief, t = law.begin(replicas, law.uncertainty.root(2), ()), 0.0
     for each in switchings:
         now = -each.instant.until(EPOCH)
-        belief = law.course(t, belief, ()).belief(now - t)
+        belief = law.predict(t, belief, ()).belief(now - t)
         np.testing.assert_allclose(belief.replicas[1], each.before, atol=1e-8)
-        belief, t = law.event(ContactChange(now, (), each.contacts, ()), belief), now
+        belief, t = law.correct(ContactChange(now, (), each.contacts, ()), belief), now
         np.testing.assert_allclose(belief.replicas[1], each.after, atol=1e-8)
     np.testing.assert_allclose(belief.x, belief.replicas[1], atol=1e-7)
 
@@ -326,12 +326,12 @@ def test_release_tells_that_the_load_was_zero() -> None:
     law = MinimumVariance(PRESSED, believing(clock_error=JITTER))
     x = np.array([[0.0, 0.0, 0.0, 0.0]])
     belief = law.begin(x, law.uncertainty.root(2), (0,))
-    before = law.course(0.0, belief, (0,)).belief(0.4)
-    told = law.event(ContactChange(0.4, (0,), (), ()), before)
+    before = law.predict(0.0, belief, (0,)).belief(0.4)
+    told = law.correct(ContactChange(0.4, (0,), (), ()), before)
     assert list(told.innovations) == [0]
     assert told.root is not None
     assert before.root is not None
-    silent = law.course(0.4, before, ()).belief(0.0)
+    silent = law.predict(0.4, before, ()).belief(0.0)
     assert silent.root is not None
     L = Phases(PRESSED).phase((0,)).loads
     row = np.concatenate([(L @ PRESSED.K)[0], (L @ PRESSED.C)[0]])
@@ -346,8 +346,8 @@ def test_release_where_the_force_jumps_tells_nothing() -> None:
         law = MinimumVariance(model, believing())
         x = np.zeros((1, 2 * model.n))
         start = law.begin(x, law.uncertainty.root(model.n), closed)
-        before = law.course(0.0, start, closed).belief(0.5)
-        told = law.event(ContactChange(0.5, closed, (), ()), before)
+        before = law.predict(0.0, start, closed).belief(0.5)
+        told = law.correct(ContactChange(0.5, closed, (), ()), before)
         assert not told.innovations
         assert told.root is not None
         assert before.root is not None
@@ -427,7 +427,7 @@ def test_grazing_impact_divides_by_nothing(speed: float) -> None:
     model = sample("two_mass").system
     law = MinimumVariance(model, believing(clock_error=JITTER))
     x = np.array([[0.1, 0.5, 0.0, -speed]])
-    belief = law.event(ContactChange(1.0, (), (0,), ()), law.begin(x, 0.1 * np.eye(4), ()))
+    belief = law.correct(ContactChange(1.0, (), (0,), ()), law.begin(x, 0.1 * np.eye(4), ()))
     assert belief.root is not None
     assert np.all(np.isfinite(belief.root))
     assert np.all(np.isfinite(belief.x))
@@ -446,7 +446,7 @@ def test_contacts_that_hit_together_share_one_instant() -> None:
     )
     law = MinimumVariance(beads, believing(clock_error=JITTER))
     start = law.begin(np.array([[0.2, -0.1, -1.0, -2.0]]), law.uncertainty.root(2), ())
-    belief = law.event(ContactChange(0.5, (), (0, 1), ()), start)
+    belief = law.correct(ContactChange(0.5, (), (0, 1), ()), start)
     assert sorted(belief.innovations) == [0, 1]
     assert belief.root is not None
     assert np.max(np.linalg.norm(beads.W.T @ belief.root[:2], axis=1)) < 0.01
@@ -486,7 +486,7 @@ def test_mean_alone_is_the_belief_s() -> None:
     law = MinimumVariance(PRESSED, believing(model_error=0.1))
     for closed in ((), (0,), (0, 1)):
         belief = law.begin(np.array([[0.3, 0.1, -1.0, 2.0]]), law.uncertainty.root(2), closed)
-        course = law.course(0.3, belief, closed)
+        course = law.predict(0.3, belief, closed)
         for s in (0.0, 0.4, 3.0):
             whole = course.belief(s)
             np.testing.assert_array_equal(course.state(s), whole.x)

@@ -177,7 +177,7 @@ def test_estimate_does_not_depend_on_who_asked_before(law: str) -> None:
 def test_rehearsal_asks_the_law_the_same_again(law: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The last event from the same state, and the motion after it; nothing before the first."""
     watcher = observer(TWO_MASS, law, random_start(2, 5), epoch=EPOCH, ensemble=3)
-    heard, courses = watcher.law.event, watcher.law.course
+    heard, courses = watcher.law.correct, watcher.law.predict
     events: list[tuple[ContactChange, bytes]] = []
     begun: list[tuple[float, bytes]] = []
 
@@ -189,8 +189,8 @@ def test_rehearsal_asks_the_law_the_same_again(law: str, monkeypatch: pytest.Mon
         begun.append((t, belief.replicas.tobytes()))
         return courses(t, belief, closed)
 
-    monkeypatch.setattr(watcher.law, "event", event_of)
-    monkeypatch.setattr(watcher.law, "course", course_of)
+    monkeypatch.setattr(watcher.law, "correct", event_of)
+    monkeypatch.setattr(watcher.law, "predict", course_of)
     watcher.rehearse()
     assert not events
     watcher.receive(event(1.0, "stop", sequence=1))
@@ -208,10 +208,10 @@ def test_estimate_that_cannot_be_made_is_told_to_who_asks_not_to_a_rehearsal() -
     """A motion that ends in an error some time after the event."""
 
     class Ending(Geometric):
-        def course(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
+        def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
             if t >= 1.0:
                 raise DynamicsError("the loads of closed contacts cannot be found")
-            return super().course(t, belief, closed)
+            return super().predict(t, belief, closed)
 
     watcher = Observer(TWO_MASS, Ending(TWO_MASS), np.zeros(2), np.ones(2), epoch=EPOCH)
     watcher.receive(event(1.0, "stop", sequence=1))

@@ -268,7 +268,7 @@ def learning(sensor: SensorModel, declared: dict[str, Any], seed: int = 0) -> tu
 def test_error_of_the_clock_is_learnt(error: float) -> None:
     """Within a factor of 3.5 of what it is."""
     watcher, end = learning(SensorModel(jitter=error), UNDECLARED, seed=1)
-    ((name, found, deviation),) = watcher.estimate(end).learnt
+    ((name, found, deviation),) = watcher.estimate(end).parameters
     assert name == "clock_error"
     assert 1 / 3.5 < found / error < 3.5
     assert deviation < 3 * error
@@ -285,7 +285,7 @@ def test_error_of_the_clock_is_learnt_in_any_run(name: str) -> None:
             watcher = watching(model, x, UNDECLARED)
             for each in heard(name, 60.0, SensorModel(jitter=error), seed):
                 watcher.receive(each.event)
-            ((_, found, _),) = watcher.estimate(int(whole.stamps[-1])).learnt
+            ((_, found, _),) = watcher.estimate(int(whole.stamps[-1])).parameters
             assert 1 / 3.5 < found / error < 3.5
 
 
@@ -307,14 +307,14 @@ def test_offset_of_the_clock_is_learnt(delay: float, jitter: float, seed: int) -
     sensor = SensorModel(clock_offset=delay, jitter=jitter)
     watcher, end = learning(sensor, {"clock_error": jitter, "clock_offset_error": 0.03}, seed)
     told = watcher.estimate(end)
-    name, value, deviation = told.learnt[-1]
+    name, value, deviation = told.parameters[-1]
     assert name == "clock_offset"
     assert value == told.clock_offset
     assert abs(value - delay) <= 4 * deviation
     assert deviation < (1e-2 if jitter else 1e-7)
     names, back = read_estimate(bag_messages().estimate(told, ("x1", "x2")))
     assert names == ("x1", "x2")
-    assert (back.clock_offset, back.learnt) == (told.clock_offset, told.learnt)
+    assert (back.clock_offset, back.parameters) == (told.clock_offset, told.parameters)
 
 
 def test_offset_is_refused_where_no_force_depends_on_time() -> None:

@@ -17,9 +17,9 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
 from impact_observer.observer import Observer
 from impact_observer.observer import observer as observer_module
-from impact_observer.observer.event_order import hits
+from impact_observer.observer.event_order import impacts_of
 from impact_observer.observer.laws import BUILT_IN
-from impact_observer.observer.sequence_numbers import Numbering
+from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ def watcher_of(law: str, events: Iterable[ImpactEvent] = (), **options: object) 
 def known(watcher: Observer, stamps: Sequence[int] = STAMPS.tolist()) -> list[object]:
     """Everything that estimates at ``stamps`` tell, by its bits, but numbers of events."""
     found = [watcher.estimate(each) for each in stamps if each >= (watcher.start or 0)]
-    told = [(e.closed, e.convergence, e.synchronized, e.bound, e.refuted) for e in found]
+    told = [(e.closed, e.convergence, e.synchronized, e.bound, e.inconsistent) for e in found]
     bits = [[x.tobytes() for x in (e.q, e.u, e.covariance)] for e in found]
     return [watcher.start, told, bits]
 
@@ -219,8 +219,8 @@ def test_impacts_that_are_counted_are_those_that_act(data: st.DataObject) -> Non
         if switch.kind is not Kind.OPEN
     ]
     again = [replace(each, episode=1) for each in events]
-    assert list(hits(data.draw(arrivals(events)))) == wanted
-    assert list(hits(data.draw(arrivals([*events, *again])))) == [*wanted, *wanted]
+    assert list(impacts_of(data.draw(arrivals(events)))) == wanted
+    assert list(impacts_of(data.draw(arrivals([*events, *again])))) == [*wanted, *wanted]
     stamps = {contact: [s for s, c, _ in wanted if c == contact] for _, contact, _ in wanted}
     assert {name: found.tolist() for name, found in impacts_in(events).items()} == stamps
 
@@ -456,7 +456,7 @@ def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
 
 def test_numbers_that_are_forgotten_are_neither_new_nor_missing() -> None:
     """Whether they come again or not."""
-    numbers = Numbering()
+    numbers = SequenceNumbers()
     for k in (*range(1, 80), 81):
         numbers.note(k, 10 * k)
         numbers.forget_before(10)  # nothing is older

@@ -6,30 +6,30 @@ import pytest
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Kind
 from impact_observer.observer import Belief
-from impact_observer.observer.agreement import Agreement
-from impact_observer.observer.event_order import Key, Reading
-from impact_observer.observer.timeline import Entry, Timeline, beginning
+from impact_observer.observer.event_order import EventKey, Interpretation
+from impact_observer.observer.synchronization import Synchronization
+from impact_observer.observer.timeline import Entry, Timeline, initial_entry
 
-NONE = Agreement(-1.0, 0.0)
+NONE = Synchronization(-1.0, 0.0)
 
 
 def first(stamp: int, x: float) -> Entry:
     """The entry of a timeline's beginning."""
-    return beginning(stamp, Belief(Ensemble.of(np.array([[x]]))), NONE)
+    return initial_entry(stamp, Belief(Ensemble.of(np.array([[x]]))), NONE)
 
 
-def step(previous: Entry, event: Key, reading: Reading) -> Entry:
+def step(previous: Entry, event: EventKey, reading: Interpretation) -> Entry:
     """A state that tells the whole way to it: digits of the events' stamps."""
     belief = Belief(Ensemble.of(previous.belief.replicas * 10 + event.stamp))
     return Entry(event, event.stamp, belief, NONE, (), reading.spoken)
 
 
-def key(stamp: int, sequence: int = 0, contact: int = 0) -> Key:
+def key(stamp: int, sequence: int = 0, contact: int = 0) -> EventKey:
     """An event's place."""
-    return Key(stamp, sequence, ((contact, Kind.IMPACT),))
+    return EventKey(stamp, sequence, ((contact, Kind.IMPACT),))
 
 
-def filled(*keys: Key) -> Timeline:
+def filled(*keys: EventKey) -> Timeline:
     """A timeline from stamp 0 on with events that come in the given order."""
     timeline = Timeline(first(0, 0.0))
     for each in keys:
@@ -105,7 +105,7 @@ def test_step_that_fails_leaves_the_past_as_it_was() -> None:
     timeline = filled(key(1), key(3))
     kept = states(timeline)
 
-    def failing(previous: Entry, event: Key, reading: Reading) -> Entry:
+    def failing(previous: Entry, event: EventKey, reading: Interpretation) -> Entry:
         if event.stamp == 3:
             raise ArithmeticError
         return step(previous, event, reading)
@@ -121,7 +121,7 @@ def test_rehearsed_entry_is_the_latest_once_more_and_is_not_kept() -> None:
     timeline = filled(key(1), key(2), key(4))
     kept, asked = [*timeline.entries], []
 
-    def counted(previous: Entry, event: Key, reading: Reading) -> Entry:
+    def counted(previous: Entry, event: EventKey, reading: Interpretation) -> Entry:
         asked.append((previous, event))
         return step(previous, event, reading)
 
@@ -135,7 +135,7 @@ def test_rehearsed_entry_is_the_latest_once_more_and_is_not_kept() -> None:
 
 def test_nothing_is_rehearsed_where_an_event_was_not_made_by_one_step_alone() -> None:
     """Before the first one, beside another of its stamp, and of one that does nothing."""
-    stale = Key(4, 1, ((0, Kind.OPEN),))
+    stale = EventKey(4, 1, ((0, Kind.OPEN),))
     timelines = [filled(), filled(key(2), key(2, 0, 1)), filled(key(2, 7), stale)]
     timelines[2].forget_before(3)
     assert [len(each.entries) for each in timelines] == [1, 3, 2]

@@ -59,7 +59,7 @@ def test_no_gap_is_ever_negative_under_any_switching(data: st.DataObject) -> Non
     law, t = Unilateral(model), 0.0
     closed: tuple[int, ...] = ()
     assume(law._joint.is_possible(()))
-    x = law.placed(data.draw(vectors(2 * model.n)))
+    x = law.admissible(data.draw(vectors(2 * model.n)))
     for wait, hit, stay in data.draw(switchings(model.m)):
         motion = law.motion(t, x, closed)
         states = motion.states(np.linspace(0.0, wait, 33))
@@ -71,7 +71,7 @@ def test_no_gap_is_ever_negative_under_any_switching(data: st.DataObject) -> Non
         stays = tuple(i for i in active if i in stay)
         assume(law._joint.is_possible(active))
         try:
-            x = law.event(ContactChange(t, closed, hit, stays), Belief(Ensemble.of(x[None]))).x
+            x = law.correct(ContactChange(t, closed, hit, stays), Belief(Ensemble.of(x[None]))).x
         except ImpactLawError:
             assume(False)
         closed = stays
@@ -100,9 +100,9 @@ def test_contact_that_separates_stops_and_one_that_closes_is_thrown_back() -> No
     """By hand for two_mass: gamma = -u2, restitution 0.7."""
     law = Unilateral(sample("two_mass").system)
     hit = ContactChange(0.0, (), (0,), ())
-    opening = law.event(hit, Belief(Ensemble.of(np.array([[0.1, 0.2, 1.0, -2.0]])))).x
+    opening = law.correct(hit, Belief(Ensemble.of(np.array([[0.1, 0.2, 1.0, -2.0]])))).x
     np.testing.assert_allclose(opening, [0.25, 0.5, 1.0, 0.0], atol=1e-15)
-    closing = law.event(hit, Belief(Ensemble.of(np.array([[0.1, 0.2, 1.0, 2.0]])))).x
+    closing = law.correct(hit, Belief(Ensemble.of(np.array([[0.1, 0.2, 1.0, 2.0]])))).x
     np.testing.assert_allclose(closing, [0.25, 0.5, 1.0, -1.4], rtol=1e-14)
 
 
@@ -112,8 +112,8 @@ def test_of_contacts_that_hit_together_one_may_separate() -> None:
     model = system(np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=corner)
     x = np.array([0.0, 0.0, -1.0, 0.5])  # c1 closes, c2 was hit just before
     both = ContactChange(1.0, (), (0, 1), ())
-    expected = Geometric(model).event(both, Belief(Ensemble.of(x[None]))).x
-    found = Unilateral(model).event(both, Belief(Ensemble.of(x[None]))).x
+    expected = Geometric(model).correct(both, Belief(Ensemble.of(x[None]))).x
+    found = Unilateral(model).correct(both, Belief(Ensemble.of(x[None]))).x
     np.testing.assert_array_equal(found, expected)
 
 
@@ -123,15 +123,15 @@ def test_replica_that_no_stop_is_in_the_way_of_is_the_geometric_one() -> None:
     x, t = np.array([0.1, 0.0, 0.3, 0.2]), 0.0
     closed: tuple[int, ...] = ()
     geometric, unilateral = Geometric(model), Unilateral(model)
-    np.testing.assert_array_equal(unilateral.placed(x), x)
+    np.testing.assert_array_equal(unilateral.admissible(x), x)
     for hit, stays in (((0,), (0,)), ((), ())):
         one = geometric.motion(t, x, closed).state(0.05)
         other = unilateral.motion(t, x, closed).state(0.05)
         np.testing.assert_allclose(other, one, rtol=0, atol=1e-15)
         change = ContactChange(t, closed, hit, stays)
         belief = Belief(Ensemble.of(one[None]))
-        x = geometric.event(change, belief).x
-        np.testing.assert_array_equal(unilateral.event(change, belief).x, x)
+        x = geometric.correct(change, belief).x
+        np.testing.assert_array_equal(unilateral.correct(change, belief).x, x)
         t, closed = t + 0.05, stays
 
 

@@ -177,7 +177,7 @@ def test_parameters_of_the_model_are_learnt_and_published(
     )
     same = options.observer(SYSTEM)
     same.receive(event(EPOCH + 25_000_000, 1))
-    learnt = same.estimate(EPOCH + 30_000_000).learnt
+    learnt = same.estimate(EPOCH + 30_000_000).parameters
     assert list(last.parameter) == [value for _, value, _ in learnt]
     assert list(last.parameter_deviation) == [deviation for _, _, deviation in learnt]
     assert figures["gap.stop [m]"].startswith("0.5")

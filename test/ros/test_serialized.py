@@ -45,7 +45,7 @@ def estimates(draw: st.DrawFn) -> tuple[tuple[str, ...], Estimate]:
         draw(NUMBERS),
         draw(st.booleans()),
         clock_offset=draw(NUMBERS),
-        learnt=tuple(draw(st.lists(st.tuples(TEXTS, NUMBERS, NUMBERS), max_size=2))),
+        parameters=tuple(draw(st.lists(st.tuples(TEXTS, NUMBERS, NUMBERS), max_size=2))),
         last_sequence=draw(st.integers(0, 2**64 - 1)),
         last_event=draw(stamps | st.just(0)),
     )

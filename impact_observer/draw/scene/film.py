@@ -13,7 +13,7 @@ from impact_observer.draw.scene.scene import Scene
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.model import System
-from impact_observer.observer.event_order import hits
+from impact_observer.observer.event_order import impacts_of
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Matrix, Stamps, Vector
 
@@ -114,7 +114,7 @@ class Contacts:
         index = {name: i for i, name in enumerate(system.contact_names)}
         stamps: dict[int, list[int]] = {}
         switches: dict[int, list[int]] = {}
-        told = [(s, index[c], k) for s, c, k in hits(events) if c in index]
+        told = [(s, index[c], k) for s, c, k in impacts_of(events) if c in index]
         opened = [
             (event.stamp, index[switch.contact], switch.kind)
             for event in events

@@ -90,10 +90,12 @@ class Geometric(ReplicaLaw):
         velocities = self._newton.velocities_held(replicas[:, n:], active, closed)
         return np.concatenate([positions, velocities], axis=1)
 
-    def struck(self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts) -> Ensemble:
+    def impact_ensemble(
+        self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
+    ) -> Ensemble:
         """At a single contact one map acts on all that approach; the others keep their speeds."""
         if len(active) > 1 or closed:
-            return super().struck(before, x, active, closed)
+            return super().impact_ensemble(before, x, active, closed)
         jump = self._jump(active[0])
         gamma = float(jump.gamma.dot(before.x))
         if gamma <= 0 and before.most(jump.gamma) <= -gamma:
@@ -111,7 +113,7 @@ class Geometric(ReplicaLaw):
         """Free flight; clutches of different replicas hold and slip at different times."""
         return None if closed else self._free
 
-    def taken(self, before: Vector, after: Vector, active: Contacts) -> float | None:
+    def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """``1/2 g_A^T L^-1 g_A``, the energy of the position jump, where no impact raises V.
 
         The plant is on the stop, so its distance from the replica loses what the jump measures.

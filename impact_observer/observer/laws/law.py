@@ -61,7 +61,7 @@ class Law(ABC):
         """
 
     @abstractmethod
-    def event(self, change: ContactChange, belief: Belief) -> Belief:
+    def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """What is believed just after an event.
 
         Args:
@@ -74,7 +74,7 @@ class Law(ABC):
         """
 
     @abstractmethod
-    def course(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
+    def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """How ``belief`` goes on until the next event.
 
         Args:

@@ -97,7 +97,7 @@ class MinimumVariance(Law):
         x = self._geometric.impact(x, closed, closed) if closed else x
         return self._belief(self._even(known), Fallback(x, np.linalg.norm(root, axis=1)))
 
-    def event(self, change: ContactChange, belief: Belief) -> Belief:
+    def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """What each hypothesis makes of the event, and which is the likeliest then."""
         if not change.hit and change.before == change.closed:
             return belief
@@ -110,7 +110,7 @@ class MinimumVariance(Law):
         anew = partial(self._anew, fallback, change.closed, 1 + belief.ensemble.others)
         return self._belief(self._bank.heard(change, hypotheses, anew) or anew(), fallback, change)
 
-    def course(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
+    def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """The likeliest account for the estimate, all of them for the next event."""
         if self._sure:
             return _Sure(self._bank.filter, t, belief, closed)
@@ -189,9 +189,9 @@ class MinimumVariance(Law):
             best.known.ensemble,
             root[:size],
             innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
-            applied=all(note.ruling is Ruling.APPLIED for note in notes),
-            offset=best.known.offset,
-            learnt=self._learnt(hypotheses, root[size:]) if self._learns else (),
+            accepted=all(note.ruling is Ruling.APPLIED for note in notes),
+            clock_offset=best.known.offset,
+            parameters=self._learnt(hypotheses, root[size:]) if self._learns else (),
             hypotheses=hypotheses,
             fallback=fallback,
         )

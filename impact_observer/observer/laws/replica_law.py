@@ -33,11 +33,11 @@ class ReplicaLaw(Law):
     def __init_subclass__(cls) -> None:
         """Who jumps or moves otherwise than what it derives from knows only what it says itself.
 
-        ``phase`` is of ``motion``, and ``taken`` of ``impact``.
+        ``phase`` is of ``motion``, and ``energy_removed`` of ``impact``.
         """
         super().__init_subclass__()
-        if "impact" in vars(cls) and "taken" not in vars(cls):
-            cls.taken = ReplicaLaw.taken  # type: ignore[method-assign]
+        if "impact" in vars(cls) and "energy_removed" not in vars(cls):
+            cls.energy_removed = ReplicaLaw.energy_removed  # type: ignore[method-assign]
         if "motion" in vars(cls) and "phase" not in vars(cls):
             cls.phase = ReplicaLaw.phase  # type: ignore[method-assign]
 
@@ -79,7 +79,7 @@ class ReplicaLaw(Law):
         """
         return self._clutches.motion(t, x, closed, fix=False)
 
-    def placed(self, x: Vector) -> Vector:
+    def admissible(self, x: Vector) -> Vector:
         """Where a replica begins that is told to begin at ``x``: there, unless a law says else."""
         return x
 
@@ -93,7 +93,7 @@ class ReplicaLaw(Law):
         del closed
         return None
 
-    def taken(self, before: Vector, after: Vector, active: Contacts) -> float | None:
+    def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """What an impact has surely taken away from V, whatever the plant's state is, J.
 
         None for a law, or for contacts, with which nothing is sure.
@@ -103,18 +103,18 @@ class ReplicaLaw(Law):
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """The replicas in their places; the bound holds but for one start in a million."""
-        replicas = np.array([self.placed(x) for x in replicas])
+        replicas = np.array([self.admissible(x) for x in replicas])
         if closed:
             replicas = self.impacts(replicas, closed, closed)
         n = self.system.n
         weighted = np.vstack([self.system.K @ root[:n], self.system.M @ root[n:]])
         largest = float(np.linalg.eigvalsh(root.T @ weighted)[-1])
         reach = float(special.chdtri(2 * n, _BEYOND))
-        certified = self.taken(replicas[0], replicas[0], ()) is not None
+        certified = self.energy_removed(replicas[0], replicas[0], ()) is not None
         bound = reach * max(largest, 0.0) / 2 if certified else None
         return Belief(Ensemble.of(replicas), bound=bound)
 
-    def event(self, change: ContactChange, belief: Belief) -> Belief:
+    def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """Every replica after its own impact."""
         if not change.hit:
             return belief
@@ -122,14 +122,16 @@ class ReplicaLaw(Law):
         x = self.impact(before.x, active, closed)
         after = Ensemble(x, before.since)
         if before.others:
-            after = self.struck(before, x, active, closed)
+            after = self.impact_ensemble(before, x, active, closed)
         bound = belief.bound
         if bound is not None:
-            taken = self.taken(before.x, x, active)
+            taken = self.energy_removed(before.x, x, active)
             bound = None if taken is None else bound - taken
-        return self._judged(Belief(after, None, bound, belief.refuted))
+        return self._judged(Belief(after, None, bound, belief.inconsistent))
 
-    def struck(self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts) -> Ensemble:
+    def impact_ensemble(
+        self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
+    ) -> Ensemble:
         """All replicas after their own impacts.
 
         Args:
@@ -149,7 +151,7 @@ class ReplicaLaw(Law):
         """
         if belief.bound is None or belief.bound >= 0:
             return belief
-        return belief._replace(bound=None, refuted=True)
+        return belief._replace(bound=None, inconsistent=True)
 
     def _others(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
         """The impacts of the other replicas; one without a solution stays apart, as it was."""
@@ -161,7 +163,7 @@ class ReplicaLaw(Law):
             each = [self._others(x[None], active, closed) for x in replicas]
             return np.concatenate(each)
 
-    def course(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
+    def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """The estimate by its own motion, the others beside it where all move alike."""
         if (phase := self.phase(closed)) is not None:
             return _Together(phase.start(t, belief.x), belief, phase)
@@ -188,7 +190,7 @@ class _Apart(Prediction):
     def belief(self, s: float) -> Belief:
         replicas = np.array([motion.state(s) for motion in self._motions])
         belief = self._belief
-        return Belief(Ensemble.of(replicas), None, belief.bound, belief.refuted)
+        return Belief(Ensemble.of(replicas), None, belief.bound, belief.inconsistent)
 
 
 class _Together(Prediction):
@@ -213,4 +215,4 @@ class _Together(Prediction):
             after = before.carried(*self._phase.flow.moved(self._first, s))
         else:
             after = Ensemble(self._first.state(s), before.since)
-        return Belief(after, None, self._belief.bound, self._belief.refuted)
+        return Belief(after, None, self._belief.bound, self._belief.inconsistent)

@@ -38,7 +38,7 @@ class Unilateral(Geometric):
         self._holds = Holds(self._clutches)
         self._joint = self._holds.joint
 
-    def placed(self, x: Vector) -> Vector:
+    def admissible(self, x: Vector) -> Vector:
         """The nearest state with no gap negative."""
         return self._on(x, ())
 
@@ -54,9 +54,11 @@ class Unilateral(Geometric):
         """One after the other: each has its own stops."""
         return ReplicaLaw.impacts(self, replicas, active, closed)
 
-    def struck(self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts) -> Ensemble:
+    def impact_ensemble(
+        self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
+    ) -> Ensemble:
         """One after the other."""
-        return ReplicaLaw.struck(self, before, x, active, closed)
+        return ReplicaLaw.impact_ensemble(self, before, x, active, closed)
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed; the other gaps never turn negative."""
@@ -67,17 +69,17 @@ class Unilateral(Geometric):
         del closed
         return None
 
-    def event(self, change: ContactChange, belief: Belief) -> Belief:
+    def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """Every replica after its own impact, or where opening contacts let it go."""
         if change.hit:
             alone = change.hit if len(change.hit) == 1 else ()
-            return super().event(change, self._told(belief, (*change.before, *alone)))
+            return super().correct(change, self._told(belief, (*change.before, *alone)))
         if self._joint.is_possible(change.before):
-            return super().event(change, belief)
+            return super().correct(change, belief)
         replicas = [self._on(x, change.closed) for x in belief.replicas]
         return belief._replace(ensemble=Ensemble.of(np.array(replicas)))
 
-    def taken(self, before: Vector, after: Vector, active: Contacts) -> float | None:
+    def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """As with geometric, where the contacts can be closed at all."""
         return (
             self.energy_of_jump(before, after, active) if self._joint.is_possible(active) else None

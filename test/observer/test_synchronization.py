@@ -16,9 +16,15 @@ from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.model import System
-from impact_observer.observer import DEFAULT_ENSEMBLE, SURPRISING, Observer, ReplicaLaw, law_named
-from impact_observer.observer.agreement import HELD
+from impact_observer.observer import (
+    DEFAULT_ENSEMBLE,
+    LARGEST_INNOVATION,
+    Observer,
+    ReplicaLaw,
+    law_named,
+)
 from impact_observer.observer.laws import BUILT_IN
+from impact_observer.observer.synchronization import REQUIRED_EVENTS
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
 
@@ -156,9 +162,9 @@ def test_convergence_never_rises() -> None:
 def test_replicas_must_agree_for_several_events() -> None:
     """Replicas that begin together are synchronized after so many events, not before."""
     watcher = started(THREE_MASS.system, "geometric", TRUTH.states[0], deviation=1e-6)
-    for count, each in enumerate(TRUTH.events[: 2 * HELD], start=1):
+    for count, each in enumerate(TRUTH.events[: 2 * REQUIRED_EVENTS], start=1):
         watcher.receive(each)
-        assert watcher.estimate(each.stamp).synchronized is (count >= HELD)
+        assert watcher.estimate(each.stamp).synchronized is (count >= REQUIRED_EVENTS)
 
 
 def test_law_that_hears_nothing_is_never_synchronized() -> None:
@@ -284,7 +290,7 @@ def test_events_that_contradict_what_was_declared_end_the_agreement() -> None:
     watcher = observer(stiffer, "minimum-variance", random_start(1), epoch=EPOCH, history=LONG)
     surprises = []
     for each in TRUTH.events:
-        surprises += [verdict.innovation > SURPRISING for verdict in watcher.receive(each)]
+        surprises += [verdict.innovation > LARGEST_INNOVATION for verdict in watcher.receive(each)]
         if surprises[-1]:
             assert not watcher.estimate(each.stamp).synchronized
     assert sum(surprises) > 5
@@ -295,7 +301,7 @@ def test_refuted_bound_is_no_agreement() -> None:
     watcher = started(THREE_MASS.system, "geometric", random_start(5), deviation=1e-6)
     heard(watcher)
     last = watcher.estimate(int(TRUTH.stamps[-1]))
-    assert last.refuted
+    assert last.inconsistent
     assert last.convergence < 1e-10
     assert not last.synchronized
 

@@ -19,11 +19,11 @@ from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.states import Matrix, Vector
 
-HELD = 3
+REQUIRED_EVENTS = 3
 """Events, one after the other, at which replicas must agree."""
 AGREED = 1e-4
 """V distance that counts as agreement, relative to the energy of the estimated motion."""
-SURPRISING = 6.0
+LARGEST_INNOVATION = 6.0
 """Innovation, in standard deviations, that what was declared does not explain."""
 _MARGIN = 2.0
 """V between plant and estimate that is reckoned with, over the largest between replicas."""
@@ -33,7 +33,7 @@ _PAIRS = 256
 """Most replicas of which every pair is looked at."""
 
 
-class Agreement(NamedTuple):
+class Synchronization(NamedTuple):
     """How well the replicas agree since an event.
 
     Attributes:
@@ -51,7 +51,7 @@ class Agreement(NamedTuple):
     held: int = 0
 
 
-class Agreeing:
+class SynchronizationTest:
     """Judges the agreement of one system's replicas.
 
     Attributes:
@@ -65,34 +65,34 @@ class Agreeing:
         self._projection = PositionProjection(system)
         self.threshold = threshold
 
-    def at_first(self, belief: Belief) -> Agreement:
+    def at_first(self, belief: Belief) -> Synchronization:
         """The agreement before any event."""
-        return Agreement(*self._measured(belief.ensemble))
+        return Synchronization(*self._measured(belief.ensemble))
 
     def after(
-        self, previous: Agreement, change: ContactChange, before: Belief, belief: Belief
-    ) -> Agreement:
+        self, previous: Synchronization, change: ContactChange, before: Belief, belief: Belief
+    ) -> Synchronization:
         """The agreement after an event, between the beliefs ``before`` and after it."""
         convergence, energy = self._measured(belief.ensemble)
         largest = max(previous.largest, energy)
         energy = max(energy, _RESTING * largest)  # NaN stays, standing first
         enough = self.threshold * energy
         if not (0 <= _MARGIN * convergence <= enough and self._explained(belief)):
-            return Agreement(convergence, energy, largest)
-        hit = bool(change.hit) and belief.applied
+            return Synchronization(convergence, energy, largest)
+        hit = bool(change.hit) and belief.accepted
         # With a covariance the innovation says it, and knows how far a stamp may be off.
         certain = self._certain(before.x, change) if hit and belief.root is None else 0.0
         agrees = max(certain, self._expected(belief)) <= enough
-        return Agreement(convergence, energy, largest, previous.held + hit if agrees else 0)
+        return Synchronization(convergence, energy, largest, previous.held + hit if agrees else 0)
 
     @staticmethod
     def _explained(belief: Belief) -> bool:
         """Whether what was declared explains the event."""
-        if belief.refuted:
+        if belief.inconsistent:
             return False
-        return not belief.innovations or max(belief.innovations.values()) <= SURPRISING
+        return not belief.innovations or max(belief.innovations.values()) <= LARGEST_INNOVATION
 
-    def allows(self, agreement: Agreement, root: Matrix) -> bool:
+    def allows(self, agreement: Synchronization, root: Matrix) -> bool:
         """Whether a covariance ``root root^T`` is still small enough for an agreement."""
         return self._spread(root) <= self.threshold * agreement.energy
 
