@@ -40,9 +40,9 @@ from impact_observer.events import ImpactEvent
 from impact_observer.identify.identifying import Identified, identify
 from impact_observer.identify.motion import FlightEnd, shoot
 from impact_observer.model import System, read_model
-from impact_observer.model.learnable import family_of
+from impact_observer.model.free_parameters import parametric_family
 from impact_observer.observer import Observer, initial_state, law_named, replay
-from impact_observer.plant import Plant, Run, SensorModel, sense, simulate
+from impact_observer.plant import Plant, Run, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 from impact_observer.states import Estimate
 
@@ -69,7 +69,9 @@ def recorded(name: str) -> Run:
 def told(name: str, sensor: SensorModel, seed: int) -> list[ImpactEvent]:
     """What a sensor tells of it."""
     run, model = recorded(name), read_model(name).system
-    sensed = sense(sensor, model, run.switchings, epoch=EPOCH, last=int(run.stamps[-1]), seed=seed)
+    sensed = simulate_sensor(
+        sensor, model, run.switchings, epoch=EPOCH, last=int(run.stamps[-1]), seed=seed
+    )
     return sorted((each.event for each in sensed), key=lambda each: each.stamp)
 
 
@@ -97,7 +99,7 @@ def errors(found: Identified, model: System) -> np.ndarray:
 def exact(name: str) -> dict[str, object]:
     """The first table."""
     model = read_model(name).system
-    found = identify(family_of(wrong(model), FREE), told(name, SensorModel(), 0))
+    found = identify(parametric_family(wrong(model), FREE), told(name, SensorModel(), 0))
     error = errors(found, model)
     return {
         "model": name,
@@ -110,7 +112,7 @@ def exact(name: str) -> dict[str, object]:
 def jittered(name: str, seeds: int) -> dict[str, object]:
     """The second table."""
     model = read_model(name).system
-    family = family_of(wrong(model), FREE)
+    family = parametric_family(wrong(model), FREE)
     weights, sizes = [], []
     for seed in track(range(seeds), f"{name}: jitter", console=Console(stderr=True)):
         events = told(name, SensorModel(jitter=JITTER), seed)
@@ -133,7 +135,7 @@ def jittered(name: str, seeds: int) -> dict[str, object]:
 def spurious(name: str, jitter: float, seeds: int) -> dict[str, object]:
     """The third table."""
     model = read_model(name).system
-    family = family_of(wrong(model), FREE)
+    family = parametric_family(wrong(model), FREE)
     rate = INVENTED * len(recorded(name).events) / END
     sizes, failed = [], 0
     for seed in track(range(seeds), f"{name}: spurious", console=Console(stderr=True)):
@@ -162,7 +164,7 @@ def floors(name: str) -> Iterator[dict[str, object]]:
     model = read_model(name).system
     off = replace(model, K=1.02 * model.K)
     events = told(name, SensorModel(), 0)
-    found = identify(family_of(off, ["stiffness-scale"]), events)
+    found = identify(parametric_family(off, ["stiffness-scale"]), events)
     exact = Uncertainty(clock_error=0.0)
     learning = replace(exact, unknowns=Unknowns.named(off, ["stiffness-scale=0.03"]))
     for law in LAWS:
@@ -213,12 +215,12 @@ def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, objec
         learning.append(V)
         ratios.append([each[2] for each in last.parameters] / least)
         off = np.clip(rng.normal(size=right.family.size), -2, 2) * right.deviations
-        model = right.family.system_at(right.family.given + off)
+        model = right.family.system_at(right.family.nominal + off)
         learns = replace(declared, unknowns=Unknowns.named(model, [free]))
         V, last = _ended(name, _observer(model, start, learns), events)
         wrong.append(V)
         for (_, value, deviation), given, by in zip(
-            last.parameters, right.family.given.tolist(), off.tolist(), strict=True
+            last.parameters, right.family.nominal.tolist(), off.tolist(), strict=True
         ):
             true_value = given / (given + by) if "scale" in free else given
             squares.append(((value - true_value) / deviation) ** 2)
@@ -243,7 +245,7 @@ def _least(name: str, unknowns: Unknowns, jitter: float) -> np.ndarray:
     index = {contact: i for i, contact in enumerate(true.contact_names)}
     hits = [(index[each.switches[0].contact],) for each in events]
     moments = [FlightEnd(at, hit, hit) for at, hit in zip(t.tolist(), hits, strict=True)]
-    start = np.append(run.states[0], unknowns.family.given)
+    start = np.append(run.states[0], unknowns.family.nominal)
     shot = shoot(unknowns.family, start, moments, t, 0.0)
     known = [np.ones(2 * true.n), unknowns.deviations, np.full(t.size, jitter)]
     scale = np.concatenate(known)

@@ -57,12 +57,12 @@ from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.plant import (
     Plant,
     Run,
-    Sensed,
-    Sensing,
+    SensorMessage,
     SensorModel,
+    SensorSimulation,
     Switching,
-    sense,
     simulate,
+    simulate_sensor,
 )
 from impact_observer.stamps import NS_PER_S, from_seconds, grid, seconds_between
 from impact_observer.states import Matrix, Vector
@@ -153,24 +153,24 @@ class Case:
     start: Vector
     run: Run
 
-    def told(self, scenario: Scenario, seed: int) -> tuple[Sensed, ...]:
+    def told(self, scenario: Scenario, seed: int) -> tuple[SensorMessage, ...]:
         """All that the sensor tells, in the order of arrival."""
         last, switchings = int(self.run.stamps[-1]), self.run.switchings
         rate = scenario.spurious * len(self.run.impacts) / seconds_between(EPOCH, last)
         sensor = replace(scenario.sensor, spurious=rate)
-        return sense(sensor, self.system, switchings, epoch=EPOCH, last=last, seed=seed)
+        return simulate_sensor(sensor, self.system, switchings, epoch=EPOCH, last=last, seed=seed)
 
     def felt(self, scenario: Scenario, seed: int) -> list[tuple[int, Switching, bool]]:
         """Stamps of all that has happened, on a clock that is not late, and whether it was told.
 
         What one trouble draws changes no draw of another: the rest is as in ``told``.
         """
-        sensing = Sensing(scenario.sensor, self.system, epoch=EPOCH, seed=seed)
+        sensing = SensorSimulation(scenario.sensor, self.system, epoch=EPOCH, seed=seed)
         delay = from_seconds(scenario.sensor.delay)
         found = []
         for each in self.run.switchings:
             if each.switches:
-                sensing.feel(each)
+                sensing.detect(each)
                 heard = [sensed.event.stamp for sensed in sensing.due(each.instant.stamp + delay)]
                 stamp = heard[0] - delay if heard else each.instant.stamp
                 found.append((max(stamp, EPOCH), each, bool(heard)))
@@ -268,7 +268,7 @@ def _energy(system: System, x: Vector) -> float:
 
 
 def flags(
-    observer: Observer, case: Case, told: Sequence[Sensed], samples: np.ndarray
+    observer: Observer, case: Case, told: Sequence[SensorMessage], samples: np.ndarray
 ) -> tuple[int, int]:
     """At how many samples an observer was ``synchronized``, and at how many of them wrongly.
 

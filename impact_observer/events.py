@@ -103,7 +103,7 @@ SECOND_THOUGHT = "on second thought: "
 """How the reason of a verdict begins that takes back an earlier one."""
 
 
-SETTLING = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
+DECIDING = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
 """Rulings of which the last on a switch counts."""
 
 
@@ -115,6 +115,6 @@ def final_rulings(verdicts: Iterable[Verdict]) -> dict[tuple[int, int, str], Rul
     """
     last: dict[tuple[int, int, str], Ruling] = {}
     for each in verdicts:
-        if each.ruling in SETTLING:
+        if each.ruling in DECIDING:
             last[each.stamp, each.sequence, each.contact] = each.ruling
     return last

@@ -31,7 +31,7 @@ def shared(relative: str) -> Path:
     raise UsageError(f"{relative}: not among the package's shared files; reinstall the package")
 
 
-def read_declared(source: str | Path, folder: str, wanted: str) -> tuple[Path, str]:
+def read_file_or_sample(source: str | Path, folder: str, wanted: str) -> tuple[Path, str]:
     """A file's path and text; or those of a sample, by its name.
 
     Args:

@@ -8,7 +8,7 @@ from systems import EPOCH, system
 
 from impact_observer.events import Kind, Switch
 from impact_observer.model import System
-from impact_observer.plant import Sensed, SensorModel, Switching, sense
+from impact_observer.plant import SensorMessage, SensorModel, Switching, simulate_sensor
 from impact_observer.stamps import NS_PER_S, Instant
 
 THREE = system(
@@ -60,8 +60,8 @@ def impacts(count: int, every: float = 1.0, model: System = THREE) -> list[Switc
 
 def heard(
     sensor: SensorModel, told: Sequence[Switching], *, model: System = THREE, seconds: float = 0.0
-) -> list[Sensed]:
+) -> list[SensorMessage]:
     """What a sensor tells, in the order of sequence numbers, of a run of ``seconds`` at least."""
     last = max([EPOCH + round(seconds * NS_PER_S), *(each.instant.stamp for each in told)])
-    found = sense(sensor, model, told, epoch=EPOCH, last=last, seed=1)
+    found = simulate_sensor(sensor, model, told, epoch=EPOCH, last=last, seed=1)
     return sorted(found, key=lambda each: each.event.sequence)

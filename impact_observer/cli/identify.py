@@ -97,7 +97,7 @@ def identify(
 
     Args:
         bag: has impacts.
-        free: parameters to learn; see ``parameters.family_of``.
+        free: parameters to learn; see ``parameters.parametric_family``.
         model: a model file or a sample's name; None for the model that the bag carries.
         clock_error: standard deviation of the stamps, s; None where the fit tells.
         horizon: seconds of the recording that count; None for all.
@@ -121,14 +121,14 @@ def identify(
     from impact_observer.identify import fit_check, identifying
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import events_in, text_of_model
-    from impact_observer.model.learnable import family_of
+    from impact_observer.model.free_parameters import parametric_family
 
     _check_usage(free, output, plot, check=check, clock=clock_error)
     with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
         parsed, document = _parsed(given)
         events = events_in(reader)
-    family = family_of(parsed.system, free, parsed.elements)
+    family = parametric_family(parsed.system, free, parsed.elements)
     with Progress(sys.stderr if json else None) as progress:
         try:
             found = identifying.identify(

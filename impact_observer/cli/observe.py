@@ -116,7 +116,7 @@ def observe(
 
 def learnt(observer: "Observer") -> "Iterator[str]":
     """What an observer has learnt besides the state, when it has heard everything."""
-    from impact_observer.model.learnable import with_unit
+    from impact_observer.model.free_parameters import with_unit
 
     if not observer.last_event:
         return

@@ -159,9 +159,9 @@ def simulate(
         progress.show(f"writing {output}")
         how = described(integrator, step)
         told = write_run(output, read, done, seed=seed, integrator=how, sensor=sensor)
-        sensed = f", {told} events of a sensor with {', '.join(sensor.troubles)}"
+        sensed = f", {told} events of a sensor with {', '.join(sensor.faults)}"
         progress.line(
             f"{output}: {read.system.name}, {duration:g} s, {len(done.impacts)} impacts,"
-            f" {stamps.size} true states{sensed if sensor.troubles else ''}"
+            f" {stamps.size} true states{sensed if sensor.faults else ''}"
         )
     return 0

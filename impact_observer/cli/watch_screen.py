@@ -13,7 +13,7 @@ from rich.text import Text
 
 from impact_observer.cli.blocks import BLOCKS, bars, decades, known
 from impact_observer.events import Verdict
-from impact_observer.model.learnable import with_unit
+from impact_observer.model.free_parameters import with_unit
 from impact_observer.ros.snapshot import EstimateHistory, Glance, Line, ObserverGlance, TopicRate
 from impact_observer.stamps import seconds_between
 

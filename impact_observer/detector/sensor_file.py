@@ -8,7 +8,7 @@ from impact_observer.detector.source import Source
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import Section, Value
 from impact_observer.model.model_file import load_yaml
-from impact_observer.resources import read_declared
+from impact_observer.resources import read_file_or_sample
 
 _KEYS = tuple(each.name for each in fields(Source) if each.name != "origin")
 _TEXTS = ("contact", "topic", "kind", "field", "direction", "stamp")
@@ -20,7 +20,7 @@ def read_sources(path: str | Path) -> tuple[Source, ...]:
     Raises:
         UsageError: one line that names the file, the key and what is wanted.
     """
-    found, text = read_declared(path, "config/detector", "a file of sensors, or a sample")
+    found, text = read_file_or_sample(path, "config/detector", "a file of sensors, or a sample")
     return parse_sources(text, str(found))
 
 

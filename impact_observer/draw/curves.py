@@ -17,7 +17,7 @@ from impact_observer.io.interfaces import Interface
 from impact_observer.io.messages import EstimateMessage
 from impact_observer.io.reader import BagReader
 from impact_observer.model import System
-from impact_observer.model.learnable import with_unit
+from impact_observer.model.free_parameters import with_unit
 from impact_observer.stamps import NS_PER_S
 
 _BOUNDED = ("geometric", "unilateral")

@@ -6,7 +6,10 @@ finds the instant at which a phase ends.
 
 from impact_observer.dynamics.contact.clutch import Clutches
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
-from impact_observer.dynamics.contact.persistent_contact import Resting, resting
+from impact_observer.dynamics.contact.persistent_contact import (
+    PersistentContacts,
+    persistent_contacts,
+)
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow.flow import Flow, Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
@@ -23,13 +26,13 @@ __all__ = [
     "Flow",
     "ImpactLaw",
     "Motion",
+    "PersistentContacts",
     "Phase",
     "Phases",
     "PositionProjection",
-    "Resting",
     "Search",
     "Watched",
     "flow_of",
-    "resting",
+    "persistent_contacts",
     "sizes",
 ]

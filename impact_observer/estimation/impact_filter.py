@@ -28,7 +28,7 @@ from impact_observer.estimation.square_root import lengths, product, triangular
 from impact_observer.estimation.unknown_parameters import Unknowns
 from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.model.family import Family
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 _SHORT = 1e-8
@@ -79,7 +79,7 @@ class ImpactFilter:
             unknowns: parameters of ``system`` that are learnt; None for none.
         """
         self.system = system
-        unknowns = unknowns or Unknowns(Family(system, ()), np.empty(0))
+        unknowns = unknowns or Unknowns(ParametricFamily(system, ()), np.empty(0))
         self._unknowns = unknowns
         self.members = Members(unknowns.family)
         self.phases = self.members.given.moving.phases

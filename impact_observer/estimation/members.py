@@ -14,7 +14,7 @@ from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRates
 from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.model.family import Family
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 _FAR = 0.5
@@ -126,7 +126,7 @@ class Members:
         high: most, shape (p,).
     """
 
-    def __init__(self, family: Family) -> None:
+    def __init__(self, family: ParametricFamily) -> None:
         """Prepare nothing but the given member."""
         self.family = family
         self.moving = sum(each.moves for each in family.parameters)
@@ -141,7 +141,7 @@ class Members:
         self.gap_rows = lru_cache(KEPT)(self._gap_rows)
         self._at = lru_cache(KEPT)(self._member)
         self._moving = lru_cache(KEPT)(self._motion)
-        self.given = self.at(family.given)
+        self.given = self.at(family.nominal)
 
     def at(self, values: Vector) -> Member:
         """The member whose parameters are ``values``, shape (p,), all within their bounds."""
@@ -149,7 +149,7 @@ class Members:
 
     def unmoved(self, member: Member) -> Member:
         """One that differs from ``member`` by restitutions only: the given ones."""
-        values = np.where(self._still, self.family.given, member.values)
+        values = np.where(self._still, self.family.nominal, member.values)
         return self.at(values) if self.family.size else member
 
     def motion(self, values: Vector) -> MovingSystem:
@@ -158,7 +158,7 @@ class Members:
 
     def _massive(self, values: Vector) -> MovingSystem:
         """A motion with the masses of the member with ``values``."""
-        heavy = np.where(self._weighs, values, self.family.given)
+        heavy = np.where(self._weighs, values, self.family.nominal)
         return self.motion(heavy)
 
     def bounces(self, contacts: Contacts) -> NDArray[np.bool_]:
@@ -247,12 +247,12 @@ class Members:
 
     def _member(self, values: tuple[float, ...]) -> Member:
         theta, moving = np.array(values), self._moving(values[: self.moving])
-        same = np.array_equal(theta[self.moving :], self.family.given[self.moving :])
+        same = np.array_equal(theta[self.moving :], self.family.nominal[self.moving :])
         return Member(moving.system if same else self.family.system_at(theta), theta, moving)
 
     def _motion(self, values: tuple[float, ...]) -> MovingSystem:
         """How the system moves with the first parameters as they are, the others as given."""
-        theta = np.array(self.family.given)
+        theta = np.array(self.family.nominal)
         theta[: self.moving] = values
-        same = np.array_equal(theta, self.family.given)
+        same = np.array_equal(theta, self.family.nominal)
         return MovingSystem(self.family.system if same else self.family.system_at(theta))

@@ -8,8 +8,8 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.model import System
 from impact_observer.model.elements import Element
-from impact_observer.model.family import Family
-from impact_observer.model.learnable import OFFSET, family_of
+from impact_observer.model.free_parameters import OFFSET, parametric_family
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Vector, frozen
 
 DEVIATIONS = (1e-12, 1.0)
@@ -34,7 +34,7 @@ class Unknowns:
         drift: of these, what parameters go astray by in a minute, at random: 0 for constants.
     """
 
-    family: Family
+    family: ParametricFamily
     deviations: Vector
     drift: float = 0.0
 
@@ -93,14 +93,14 @@ class Unknowns:
             names.append(name)
             if sign:
                 declared[name] = _number(text, number)
-        found = family_of(system, names, elements, clock=False).parameters
+        found = parametric_family(system, names, elements, clock=False).parameters
         parameters = tuple(sorted(found, key=lambda each: not each.moves))
         deviations = []
         for each in parameters:
             usual = RESTITUTION if np.any(each.effect.eps) else SHARE * each.size
             kind = each.name.partition(".")[0]
             deviations.append(declared.get(each.name, declared.get(kind, usual)))
-        return cls(Family(system, parameters), np.array(deviations), drift)
+        return cls(ParametricFamily(system, parameters), np.array(deviations), drift)
 
 
 def _number(text: str, number: str) -> float:

@@ -20,7 +20,7 @@ from impact_observer.identify.least_squares import (
 from impact_observer.identify.plausibility import first_word, judged
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.model import System
-from impact_observer.model.family import Family
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector, frozen
@@ -77,7 +77,7 @@ class Identified:
         converged: whether the steps came to an end at something that explains the stamps.
     """
 
-    family: Family
+    family: ParametricFamily
     recording: Recording
     values: Vector
     covariance: Matrix
@@ -128,7 +128,7 @@ class Identified:
 
 
 def identify(
-    family: Family,
+    family: ParametricFamily,
     events: list[ImpactEvent],
     *,
     clock: float | None = None,
@@ -177,7 +177,10 @@ def identify(
 
 
 def _judged(
-    recording: Recording, family: Family, clock: float | None, progress: Callable[[str], None]
+    recording: Recording,
+    family: ParametricFamily,
+    clock: float | None,
+    progress: Callable[[str], None],
 ) -> tuple[Recording, Problem, Solution]:
     """What is believed when fit and judgement agree, and the fit."""
     problem, solution = _fit(recording.problem(family), robust=True)

@@ -27,7 +27,7 @@ from scipy import linalg, optimize
 
 from impact_observer.errors import IdentificationError
 from impact_observer.identify.motion import FlightEnd, Shot, shoot
-from impact_observer.model.family import Family
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 RANK = 1e-9
@@ -60,7 +60,7 @@ class Problem(NamedTuple):
         start: where the initial state holds, s since the epoch.
     """
 
-    family: Family
+    family: ParametricFamily
     moments: Sequence[FlightEnd]
     start: float
 
@@ -112,7 +112,7 @@ class Solution(NamedTuple):
 def start_of(problem: Problem) -> Vector:
     """Where to begin: the given parameters, and the initial state of the least gaps."""
     n = problem.family.system.n
-    y = np.concatenate([np.zeros(2 * n), problem.family.given])
+    y = np.concatenate([np.zeros(2 * n), problem.family.nominal])
     shot = problem.shot(y)
     y[: 2 * n] = linalg.lstsq(shot.by_start[:, : 2 * n], -shot.gaps, cond=RANK)[0]
     return y
@@ -157,7 +157,7 @@ def _least_gaps(
     )
     back = held * np.hstack([np.zeros((family.size, 2 * n)), np.diag(1 / family.sizes)])
 
-    start = np.concatenate([np.zeros(2 * n), family.given])
+    start = np.concatenate([np.zeros(2 * n), family.nominal])
     shot = lru_cache(1)(lambda y: problem.shot(np.frombuffer(y), stamps))
     usual = float(np.median(np.abs(problem.shot(y, stamps).gaps)))
     found = optimize.least_squares(

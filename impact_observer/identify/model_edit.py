@@ -6,7 +6,7 @@ from typing import TypeAlias
 import numpy as np
 
 from impact_observer.model.elements import labels
-from impact_observer.model.family import Family
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Vector
 
 Place: TypeAlias = tuple[str | int, ...]
@@ -15,7 +15,9 @@ Change: TypeAlias = tuple[Place, object]
 _MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
 
 
-def changes(document: Mapping[str, object], family: Family, values: Vector) -> dict[Place, object]:
+def changes(
+    document: Mapping[str, object], family: ParametricFamily, values: Vector
+) -> dict[Place, object]:
     """New values by where they stand; a matrix of a file of its own comes into the model.
 
     Args:
@@ -30,7 +32,9 @@ def changes(document: Mapping[str, object], family: Family, values: Vector) -> d
     return dict(_of_matrices(family, values, told))
 
 
-def _of_matrices(family: Family, values: Vector, told: Mapping[str, float]) -> Iterator[Change]:
+def _of_matrices(
+    family: ParametricFamily, values: Vector, told: Mapping[str, float]
+) -> Iterator[Change]:
     system = family.system_at(values)
     for name, part in _MATRICES.items():
         if f"{name}-scale" in told:

@@ -19,7 +19,7 @@ import numpy as np
 from scipy import linalg
 
 from impact_observer.events import Contacts
-from impact_observer.model.family import Family, Numbers
+from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 
@@ -64,7 +64,7 @@ class Shot(NamedTuple):
 
 
 def shoot(
-    family: Family, start: Vector, moments: Sequence[FlightEnd], t: Vector, t0: float
+    family: ParametricFamily, start: Vector, moments: Sequence[FlightEnd], t: Vector, t0: float
 ) -> Shot:
     """Switch the motion at the instants ``t`` and look at the gaps.
 
@@ -115,7 +115,7 @@ def shoot(
 class _Now:
     """The equations of motion where the parameters have certain values."""
 
-    def __init__(self, family: Family, numbers: Numbers) -> None:
+    def __init__(self, family: ParametricFamily, numbers: Coefficients) -> None:
         self.numbers = numbers
         self._changes = [each.effect for each in family.parameters]
         self._system = family.system
@@ -174,7 +174,7 @@ class _Now:
             self._generators[held] = F
         return self._generators[held]
 
-    def _forces(self, numbers: Numbers, *, force: bool) -> Matrix:
+    def _forces(self, numbers: Coefficients, *, force: bool) -> Matrix:
         """``-K q - C u + f`` as a matrix on ``z``; without ``f`` for a change."""
         n, forcing = self._system.n, self._system.forcing
         found = np.zeros((n, self._size))
@@ -187,7 +187,7 @@ class _Now:
             found[:, -1] = forcing.constant
         return found
 
-    def _turning(self, change: Numbers, held: Contacts) -> Matrix:
+    def _turning(self, change: Coefficients, held: Contacts) -> Matrix:
         """The derivative of ``F`` with a parameter."""
         n, R = self._system.n, self.kept(held)
         found = np.zeros((self._size, self._size))

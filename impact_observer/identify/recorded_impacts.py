@@ -11,7 +11,7 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Kind
 from impact_observer.identify.least_squares import Problem
 from impact_observer.identify.motion import FlightEnd
-from impact_observer.model.family import Family
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import Episode, changes
 from impact_observer.observer.event_order import EventKey
 from impact_observer.stamps import seconds_between
@@ -63,7 +63,7 @@ class Recording:
     def _touches(self) -> Iterator[ContactChange]:
         return changes(self._keys, self.told.epoch)
 
-    def problem(self, family: Family) -> Problem:
+    def problem(self, family: ParametricFamily) -> Problem:
         """What a motion has to explain.
 
         Raises:

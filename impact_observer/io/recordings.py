@@ -13,7 +13,7 @@ import numpy as np
 
 from impact_observer import __version__
 from impact_observer.errors import BagError, UsageError
-from impact_observer.events import SETTLING, ImpactEvent, Ruling, Verdict, final_rulings
+from impact_observer.events import DECIDING, ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.io import interfaces
 from impact_observer.io.estimate_messages import in_log_order, messages_of
@@ -24,7 +24,7 @@ from impact_observer.model import Model, System, parse_model
 from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import EventOutcomes, count_rulings, outcomes_of
-from impact_observer.plant import IDEAL, Run, SensorModel, sense
+from impact_observer.plant import IDEAL, Run, SensorModel, simulate_sensor
 from impact_observer.stamps import grid, text
 from impact_observer.states import Estimates, Stamps
 
@@ -44,8 +44,8 @@ def carried_text(
         "seed": seed,
         "integrator": integrator,
     }
-    if sensor.troubles:
-        provenance["sensor"] = sensor.troubles
+    if sensor.faults:
+        provenance["sensor"] = sensor.faults
     return model.text(provenance)
 
 
@@ -98,7 +98,9 @@ def write_run(
     """
     make, names = bag_messages(), model.system.coordinates
     n, last = model.system.n, int(run.stamps[-1])
-    told = sense(sensor, model.system, run.switchings, epoch=run.epoch, last=last, seed=seed)
+    told = simulate_sensor(
+        sensor, model.system, run.switchings, epoch=run.epoch, last=last, seed=seed
+    )
     with all_or_nothing(path) as writer:
         for each in _CARRIED:
             writer.declare(each.topic)
@@ -293,7 +295,7 @@ class _Said:
                 topic = interfaces.OBSERVER_VERDICTS.topic
                 yield log_time, topic, serialize(topic, make.verdict(item))
                 self.settled |= final_rulings([item])
-                self.told[item.ruling] += item.ruling not in SETTLING
+                self.told[item.ruling] += item.ruling not in DECIDING
                 continue
             told = messages_of(item, self._names, serialize)
             yield from islice(told, 2)  # of the first estimate

@@ -18,7 +18,7 @@ from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.system import LARGEST_STATE, Contact, System
-from impact_observer.resources import read_declared
+from impact_observer.resources import read_file_or_sample
 from impact_observer.states import Matrix, Vector, frozen
 
 _MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "forcing", "contacts")
@@ -153,7 +153,7 @@ def model_text(source: str | Path) -> ModelText:
     Raises:
         UsageError: there is no such file.
     """
-    path, text = read_declared(source, "config", "a model file, or a sample model")
+    path, text = read_file_or_sample(source, "config", "a model file, or a sample model")
     return ModelText(text, str(path), path.parent)
 
 

@@ -144,7 +144,7 @@ class System:
         scale = np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)
         return tuple(np.flatnonzero(self.gap(q) < -_INSIDE * scale).tolist())
 
-    def touched(self, q: Vector) -> tuple[int, ...]:
+    def closed_at(self, q: Vector) -> tuple[int, ...]:
         """Indices of the contacts whose stop ``q``, shape (n,), touches or is inside of."""
         scale = np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)
         return tuple(np.flatnonzero(self.gap(q) <= _INSIDE * scale).tolist())

@@ -2,7 +2,13 @@
 
 from impact_observer.plant.event_driven import Plant
 from impact_observer.plant.master import Master, make_plant
-from impact_observer.plant.sensor import IDEAL, Sensed, Sensing, SensorModel, sense
+from impact_observer.plant.sensor import (
+    IDEAL,
+    SensorMessage,
+    SensorModel,
+    SensorSimulation,
+    simulate_sensor,
+)
 from impact_observer.plant.simulation import Run, simulate
 from impact_observer.plant.switching import Switching, event_of
 from impact_observer.plant.time_stepping import TimeSteppingPlant
@@ -12,13 +18,13 @@ __all__ = [
     "Master",
     "Plant",
     "Run",
-    "Sensed",
-    "Sensing",
+    "SensorMessage",
     "SensorModel",
+    "SensorSimulation",
     "Switching",
     "TimeSteppingPlant",
     "event_of",
     "make_plant",
-    "sense",
     "simulate",
+    "simulate_sensor",
 ]

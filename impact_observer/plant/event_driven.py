@@ -12,12 +12,12 @@ from impact_observer.dynamics import (
     Phases,
     Search,
     Watched,
-    resting,
+    persistent_contacts,
 )
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.model import System
 from impact_observer.plant.switching import Switching, switches
-from impact_observer.plant.zeno import Accumulation, Rest
+from impact_observer.plant.zeno import AccumulationDetector, ZenoCutoff
 from impact_observer.stamps import Instant, seconds_between, text
 from impact_observer.states import Stamps, Vector
 
@@ -51,13 +51,13 @@ class Plant:
         self.epoch = epoch
         self._law = ImpactLaw(system)
         self._phases = Phases(system)
-        self._rest = Rest(self._phases)
-        self._accumulation = Accumulation(self._rest.shortest)
+        self._rest = ZenoCutoff(self._phases)
+        self._accumulation = AccumulationDetector(self._rest.shortest)
         self._hasty = 0
         self._searcher = lru_cache(KEPT)(self._search_of)
         start, x = Instant(epoch), np.concatenate([q, u])
         self._begin(start, x, closed=(), held=())
-        if touching := system.touched(q):
+        if touching := system.closed_at(q):
             switching = self._impact(start, x, touching)
             closing = np.any(system.contact_speed(u)[list(touching)] < 0)
             if closing or switching.closed:
@@ -152,7 +152,7 @@ class Plant:
         try:
             velocity = self._law.velocity_after(u, contacts)
             if lately := self._accumulation.hit(instant, contacts, self._energy(u)):
-                near = {*contacts, *(i for i in self.system.touched(x[:n]) if i in lately)}
+                near = {*contacts, *(i for i in self.system.closed_at(x[:n]) if i in lately)}
                 plastic = self._law.plastic.velocity_after(u, tuple(sorted(near)))
                 if self._accumulation.negligible(self._energy(u) - self._energy(plastic)):
                     velocity, contacts = plastic, tuple(sorted(near))
@@ -177,7 +177,7 @@ class Plant:
         """What becomes of the contacts at ``rest`` after an impact of ``contacts``, or none."""
         if rest:
             after = self._phases.stopped(after, rest)
-        still = resting(self._phases, (), self._time(instant), after, rest)
+        still = persistent_contacts(self._phases, (), self._time(instant), after, rest)
         return Switching(
             instant=instant,
             contacts=contacts,

@@ -88,7 +88,7 @@ class SensorModel:
             trouble.check(getattr(self, trouble.name))
 
     @property
-    def troubles(self) -> dict[str, float | bool]:
+    def faults(self) -> dict[str, float | bool]:
         """What is wrong, by name; empty for an ideal sensor."""
         values = ((field.name, getattr(self, field.name)) for field in fields(self))
         return {name: value if value is True else float(value) for name, value in values if value}
@@ -111,7 +111,7 @@ IDEAL = SensorModel()
 """A sensor with which nothing is wrong."""
 
 
-class Sensed(NamedTuple):
+class SensorMessage(NamedTuple):
     """A message of a sensor.
 
     Attributes:
@@ -123,7 +123,7 @@ class Sensed(NamedTuple):
     arrival: int
 
 
-class Sensing:
+class SensorSimulation:
     """A sensor at work: told what the contacts do, it says what arrives, and when.
 
     Memory is bounded by the messages that are under way.
@@ -184,7 +184,7 @@ class Sensing:
         soonest = min(arrival, self._next_spurious)
         return None if math.isinf(soonest) else int(soonest)
 
-    def feel(self, switching: Switching) -> None:
+    def detect(self, switching: Switching) -> None:
         """Tell what the contacts do next; what arrives then or later has not been asked for."""
         if not switching.switches:
             return
@@ -200,7 +200,7 @@ class Sensing:
         if switches := tuple(dict.fromkeys(filter(None, told))):
             self._send(stamp, switches, marks)
 
-    def due(self, now: int) -> list[Sensed]:
+    def due(self, now: int) -> list[SensorMessage]:
         """What arrives up to ``now`` (ns) and was not told before, in the order of arrival.
 
         All that the contacts do up to ``now`` must have been felt.
@@ -209,7 +209,7 @@ class Sensing:
         arrived = []
         while self._under_way and self._under_way[0][0] <= now:
             arrival, _, event = heapq.heappop(self._under_way)
-            arrived.append(Sensed(event, arrival))
+            arrived.append(SensorMessage(event, arrival))
         return arrived
 
     def _told(self, stamp: int, i: int, kind: Kind, approach: float) -> Switch | None:
@@ -286,7 +286,7 @@ class _Marks:
         return self._jitter.standard_normal(), self._transport.standard_exponential()
 
 
-def sense(
+def simulate_sensor(
     sensor: SensorModel,
     system: System,
     switchings: Iterable[Switching],
@@ -295,7 +295,7 @@ def sense(
     last: int,
     seed: int = 0,
     episode: int = 0,
-) -> tuple[Sensed, ...]:
+) -> tuple[SensorMessage, ...]:
     """What ``sensor`` tells of a whole run.
 
     Args:
@@ -313,9 +313,9 @@ def sense(
     Raises:
         UsageError: the sensor cannot be one of ``system``.
     """
-    sensing = Sensing(sensor, system, epoch=epoch, last=last, seed=seed, episode=episode)
+    sensing = SensorSimulation(sensor, system, epoch=epoch, last=last, seed=seed, episode=episode)
     for switching in switchings:
-        sensing.feel(switching)
+        sensing.detect(switching)
     sensed = sensing.due(last)
     while (stamp := sensing.next_stamp) is not None:
         sensed += sensing.due(stamp)

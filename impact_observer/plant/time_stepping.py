@@ -152,7 +152,7 @@ class TimeSteppingPlant:
         """States after each ``part``, in [0, 1), of the step that begins at ``place``."""
         q, u, end = place.done.q, place.done.u, place.coming
         part = part[:, None]
-        if set(end.touched) <= set(self.closed):
+        if set(end.closed) <= set(self.closed):
             position = q + self._scheme.h * part * (u + part / 2 * (end.u - u))
             return np.hstack([position, u + part * (end.u - u)])
         return np.hstack([q + part * (end.q - q), u + part * (end.free - u)])
@@ -160,9 +160,9 @@ class TimeSteppingPlant:
     def _switching(self, place: _Place) -> Switching | None:
         """What switches at ``place``, by the rule above."""
         done, coming, was_closed = place.done, place.coming, set(self.closed)
-        touched = was_closed.union(done.touched)
-        hit, hit_next = touched > was_closed, not touched.issuperset(coming.touched)
-        staying = was_closed.union(coming.touched) if hit_next else set(coming.touched)
+        touched = was_closed.union(done.closed)
+        hit, hit_next = touched > was_closed, not touched.issuperset(coming.closed)
+        staying = was_closed.union(coming.closed) if hit_next else set(coming.closed)
         closed = tuple(sorted(touched & staying))
         if not hit and closed == self.closed:
             return None

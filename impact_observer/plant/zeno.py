@@ -38,7 +38,7 @@ NEGLIGIBLE = 1e-14
 _TINY = np.finfo(np.float64).tiny
 
 
-class Rest:
+class ZenoCutoff:
     """Judges which contacts of one system come to rest.
 
     Attributes:
@@ -125,7 +125,7 @@ class Rest:
         return fall
 
 
-class Accumulation:
+class AccumulationDetector:
     """Notices contacts that hit again and again within the shortest flight."""
 
     def __init__(self, shortest: float) -> None:

@@ -21,7 +21,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import MessageError
 from impact_observer.model import Model, read_model
-from impact_observer.model.learnable import with_unit
+from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import (
     COMPILING,
     LARGEST_INNOVATION,

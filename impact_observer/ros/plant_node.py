@@ -17,7 +17,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState
 from impact_observer.io.recordings import carried_text
 from impact_observer.model import read_model
-from impact_observer.plant import Master, Sensing, SensorModel, make_plant
+from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
 from impact_observer.ros import parameters
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import qos_profile
@@ -151,7 +151,7 @@ class PlantNode(Node):
         )
         self._plant.next_switching(epoch + _LOOK_AHEAD)
         self._end = epoch + self._duration if self._duration else MAX_STAMP
-        self._sensing = Sensing(
+        self._sensing = SensorSimulation(
             self._sensor,
             self._model.system,
             epoch=epoch,
@@ -186,7 +186,7 @@ class PlantNode(Node):
         last = min(now, self._end)
         while (switching := self._plant.next_switching(last)) is not None:
             self._publish_present(switching.instant.stamp - 1)
-            self._sensing.feel(switching)
+            self._sensing.detect(switching)
             self._plant.cross(switching)
         self._publish_present(now)
         shown = last if self._sensing.next_stamp is None else now

@@ -8,7 +8,7 @@ from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Ruling
 from impact_observer.io.pairing import Series
 from impact_observer.model import Model, parse_model
-from impact_observer.plant import Plant, Run, sense, simulate
+from impact_observer.plant import Plant, Run, simulate, simulate_sensor
 from impact_observer.stamps import from_seconds, grid
 from impact_observer.sweep.plan import Case, Rig
 
@@ -93,7 +93,7 @@ def compared(case: Case) -> tuple[Comparison, int]:
         ImpactObserverError: plant or observer cannot go on.
     """
     run, system = plant_run(case.rig), _parsed(case.rig.text).system
-    sensed = sense(
+    sensed = simulate_sensor(
         case.sensor,
         system,
         run.switchings,

@@ -9,7 +9,7 @@ import numpy as np
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model import Model
-from impact_observer.model.learnable import family_of
+from impact_observer.model.free_parameters import parametric_family
 
 
 class Off(NamedTuple):
@@ -59,7 +59,7 @@ def replicas_of(model: Model, off: Mapping[str, Sequence[float]]) -> tuple[Repli
 def _replicas(model: Model, off: Mapping[str, Sequence[float]]) -> Iterator[Replica]:
     """At least one parameter may be off."""
     try:
-        family = family_of(model.system, [*off], model.elements)
+        family = parametric_family(model.system, [*off], model.elements)
     except UsageError as error:
         raise UsageError(f"off: {error}") from None
     # Of a kind all members have the value that is given for the kind.

@@ -15,7 +15,7 @@ from impact_observer.compare.comparison import SETTLED
 from impact_observer.errors import UsageError
 from impact_observer.model import parse_model
 from impact_observer.observer import Options
-from impact_observer.plant import Sensing, SensorModel
+from impact_observer.plant import SensorModel, SensorSimulation
 from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import from_seconds, grid
 from impact_observer.sweep.model_variants import Replica
@@ -127,7 +127,7 @@ class Sweep:
             )
         system = parse_model(rig.text, "plant").system
         for sensor in self.sensors:
-            Sensing(sensor, system, epoch=rig.epoch)
+            SensorSimulation(sensor, system, epoch=rig.epoch)
         believed = parse_model(self.replicas[0].text, "replica").system
         for case in self._each(self.sensors[:1], self.replicas[:1], 1):
             case.options.observer(believed)
@@ -197,7 +197,7 @@ class Sweep:
             "rate": self.rig.rate,
             "epoch": self.rig.epoch,
             "laws": [*self.laws],
-            "sensors": [each.troubles for each in self.sensors],
+            "sensors": [each.faults for each in self.sensors],
             "off": [{off.name: off.value for off in each.off} for each in self.replicas],
             "replicas": [each.text for each in self.replicas],
             "runs": self.runs,

@@ -9,7 +9,7 @@ from impact_observer.cli.main import main
 from impact_observer.io.interfaces import IMPACTS
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
-from impact_observer.plant import Plant, SensorModel, sense, simulate
+from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import grid
 
@@ -43,7 +43,7 @@ def options(troubles: dict[str, Any]) -> list[str]:
 def test_bag_holds_what_the_sensor_tells_when_it_arrives(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Events are those of ``sense`` for the seed; log times are arrivals, truth stays true."""
+    """Events are those of ``simulate_sensor`` for the seed; log times are those of arrival."""
     bag = tmp_path / "bag"
     arguments = ["simulate", "three_mass", "--duration", "10", "--seed", "5", "-o", str(bag)]
     assert main([*arguments, *options(TROUBLED)]) == 0
@@ -56,7 +56,7 @@ def test_bag_holds_what_the_sensor_tells_when_it_arrives(
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, LAST, 100.0))
     sensor = SensorModel(**TROUBLED)
-    told = sense(sensor, model.system, run.switchings, epoch=EPOCH, last=LAST, seed=5)
+    told = simulate_sensor(sensor, model.system, run.switchings, epoch=EPOCH, last=LAST, seed=5)
     assert events == [each.event for each in told]
     assert arrivals == [each.arrival for each in told]
     assert arrivals != [each.stamp for each in events]

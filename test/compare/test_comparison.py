@@ -18,7 +18,7 @@ from impact_observer.io.pairing import HOLD, Pairing, Series
 from impact_observer.model import read_model
 from impact_observer.observer import Options
 from impact_observer.observer.event_outcomes import outcomes_of
-from impact_observer.plant import Plant, Run, SensorModel, sense, simulate
+from impact_observer.plant import Plant, Run, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import NS_PER_S, grid
 from impact_observer.states import Stamps
 
@@ -162,7 +162,7 @@ def test_a_sensor_that_jitters_is_seen_in_the_windows_of_an_observer(
     sampled = run_of(rate)
     sensor = SensorModel(delay=delay, jitter=delay / 2)
     last = int(sampled.stamps[-1])
-    heard = sense(sensor, SYSTEM, sampled.switchings, epoch=EPOCH, last=last, seed=2)
+    heard = simulate_sensor(sensor, SYSTEM, sampled.switchings, epoch=EPOCH, last=last, seed=2)
     events = [each.event for each in heard]
     observer = Options("geometric", "random:1", clock_error=0.0, ensemble=1).observer(SYSTEM)
     found = compare_law(observer, events, lambda: [Series(sampled.stamps, sampled.states)])

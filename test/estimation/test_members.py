@@ -33,7 +33,7 @@ def members(model: System, *wanted: str) -> Members:
 
 def slopes(all_: Members, of: Callable[[Array], Array]) -> Array:
     """Central differences with each parameter, shape (k, p)."""
-    given = np.array(all_.family.given)
+    given = np.array(all_.family.nominal)
     steps = STEP * np.eye(given.size)
     return np.column_stack([(of(given + s) - of(given - s)) / (2 * STEP) for s in steps])
 
@@ -74,7 +74,7 @@ def test_gaps_change_by_those_that_are_learnt() -> None:
 def test_an_impact_is_that_of_the_system_with_these_parameters(pressed: tuple[int, ...]) -> None:
     """Positions and velocities are mirrored alike."""
     all_ = members(PRESSED)
-    theta = all_.family.given + 0.01 * np.arange(1, all_.family.size + 1)
+    theta = all_.family.nominal + 0.01 * np.arange(1, all_.family.size + 1)
     x = np.array([0.3, -0.2, 0.5, 0.4])
     found, model = all_.jumped(theta, x, pressed), all_.family.system_at(theta)
     mirror = Mirror.of(model, ImpactLaw(model).jump(pressed), pressed)
@@ -86,7 +86,7 @@ def test_members_that_only_bounce_otherwise_share_their_motion() -> None:
     """Phases are prepared once for all restitutions and gaps."""
     all_ = members(PRESSED, "gap", "restitution", "stiffness-scale")
     assert all_.family.names[0] == "stiffness-scale"
-    given = np.array(all_.family.given)
+    given = np.array(all_.family.nominal)
     other = all_.at(given + np.array([0.0, 0.01, 0.02, 0.03, 0.04]))
     assert other.moving is all_.given.moving
     assert other.system.eps.tolist() != PRESSED.eps.tolist()

@@ -19,7 +19,7 @@ from impact_observer.estimation.unknown_parameters import MOST_DRIFT, Unknowns
 from impact_observer.events import ImpactEvent
 from impact_observer.identify.motion import FlightEnd, shoot
 from impact_observer.model import System
-from impact_observer.model.family import Family
+from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer import Observer, Options, law_named
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
@@ -138,7 +138,7 @@ def test_gaps_are_learnt_where_contacts_rest() -> None:
 
 
 def linearised(
-    family: Family, t: float, x: Array, s: float, closed: tuple[int, ...] = ()
+    family: ParametricFamily, t: float, x: Array, s: float, closed: tuple[int, ...] = ()
 ) -> tuple[Array, Array]:
     """Derivatives of the state after ``s`` seconds with state and parameters, by differences."""
 
@@ -147,7 +147,7 @@ def linearised(
         phase = phases.phase(closed)
         return phase.start(t, x).state(s), phase.transition(s)
 
-    given, h = np.array(family.given), 1e-5
+    given, h = np.array(family.nominal), 1e-5
     turn = [
         (after(given + h * e)[0] - after(given - h * e)[0]) / (2 * h) for e in np.eye(given.size)
     ]
@@ -163,7 +163,7 @@ def test_small_errors_go_on_by_the_derivatives_of_the_motion(closed: tuple[int, 
     root = 1e-5 * np.tril(rng.normal(size=(7, 7)))
     x = np.array([0.1, 0.05, 0.0, -0.4])
     differences = 1e-5 * rng.normal(size=(7, 2))
-    known = GaussianState(x, told.family.given, root, differences, closed, parameters=3)
+    known = GaussianState(x, told.family.nominal, root, differences, closed, parameters=3)
     found = filter_.course(0.3, known).known(0.8)
     Phi, turn = linearised(told.family, 0.3, x, 0.8, closed)
     whole = np.block([[Phi, turn], [np.zeros((3, 4)), np.eye(3)]])
@@ -171,7 +171,7 @@ def test_small_errors_go_on_by_the_derivatives_of_the_motion(closed: tuple[int, 
     size = np.sqrt(np.outer(np.diag(P), np.diag(P))) + 1e-20
     assert np.max(np.abs(found.root @ found.root.T - P) / size) < 1e-3
     np.testing.assert_allclose(found.differences, whole @ differences, atol=2e-9)
-    np.testing.assert_array_equal(found.slow, told.family.given)
+    np.testing.assert_array_equal(found.slow, told.family.nominal)
 
 
 def test_small_errors_are_learnt_from_as_by_least_squares() -> None:
@@ -180,7 +180,7 @@ def test_small_errors_are_learnt_from_as_by_least_squares() -> None:
     free = [f"{name}={size}" for name in ("stiffness-scale", "restitution", "gap")]
     told = Unknowns.named(model, free)
     rng = np.random.default_rng(8)
-    start = np.concatenate([true.states[0] + size * rng.normal(size=4), told.family.given])
+    start = np.concatenate([true.states[0] + size * rng.normal(size=4), told.family.nominal])
     late = [from_seconds(each) for each in jitter * rng.normal(size=len(true.events))]
     events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
     watcher = heard(watching(model, start[:4], free, jitter, deviation=size), events)
@@ -211,9 +211,9 @@ def test_what_is_said_of_parameters_is_true_over_many_starts(free: str) -> None:
     squares = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        value = float(family.given[0]) + float(deviation) * np.clip(rng.normal(), -2, 2)
+        value = float(family.nominal[0]) + float(deviation) * np.clip(rng.normal(), -2, 2)
         wrong = family.system_at(np.array([value]))
-        right = 1 / value if name == "stiffness-scale" else float(family.given[0])
+        right = 1 / value if name == "stiffness-scale" else float(family.nominal[0])
         late = [from_seconds(each) for each in 1e-3 * rng.normal(size=len(true.events))]
         events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
         start = true.states[0] + 0.5 * rng.normal(size=4)
@@ -231,7 +231,7 @@ def test_a_parameter_that_drifts_is_known_less_as_time_goes_by() -> None:
         for drift in (0.0, 0.4):
             told = Unknowns.named(model, [f"{free}=0.02"], drift=drift)
             root = np.diag([1e-3] * 4 + [0.005])
-            known = GaussianState(x, told.family.given, root, np.empty((5, 0)), (), parameters=1)
+            known = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
             found = ImpactFilter(model, 0.0, told).course(0.0, known).known(s)
             wanted = np.hypot(0.005, 0.02 * drift * np.sqrt(s / 60.0))
             assert np.linalg.norm(found.root[4]) == pytest.approx(wanted)
@@ -308,7 +308,7 @@ def test_a_contact_that_rests_says_nothing_of_its_restitution() -> None:
     told = Unknowns.named(model, ["restitution=0.1"])
     filter_ = ImpactFilter(model, 0.0, told)
     x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
-    known = GaussianState(x, told.family.given, root, np.empty((5, 0)), (), parameters=1)
+    known = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
     change = ContactChange(1.0, (), (0,), (0,))
     after = filter_.after(change, filter_.heard(change, filter_.prior(change, known, 1e-4)))
     assert after.closed == (0,)
@@ -324,7 +324,9 @@ def test_an_estimate_that_is_made_less_sure_knows_parameters_as_at_first_at_leas
     filter_ = ImpactFilter(model, 0.0, told)
     rng = np.random.default_rng(4)
     root = np.vstack([rng.normal(size=(4, 6)), 1e-3 * np.eye(2, 6)])
-    known = GaussianState(np.ones(4), told.family.given, root, np.empty((6, 0)), (), parameters=2)
+    known = GaussianState(
+        np.ones(4), told.family.nominal, root, np.empty((6, 0)), (), parameters=2
+    )
     wider = filter_.wider(known, 50.0)
     np.testing.assert_allclose(wider.root[:4], 50.0 * root[:4])
     np.testing.assert_allclose(np.linalg.norm(wider.root[4:], axis=1), [0.05, 0.02])

@@ -17,9 +17,9 @@ from impact_observer.identify.least_squares import least
 from impact_observer.identify.model_edit import changes
 from impact_observer.model import Forcing, System, parse_model
 from impact_observer.model.force_samples import Samples
-from impact_observer.model.learnable import family_of
+from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.model_file import edited, load_yaml
-from impact_observer.plant import Run, SensorModel, sense
+from impact_observer.plant import Run, SensorModel, simulate_sensor
 from impact_observer.stamps import from_seconds
 
 Array = NDArray[np.float64]
@@ -38,7 +38,9 @@ def told(name: str, seed: int = 0, **troubles: float) -> list[ImpactEvent]:
     made, model = recorded(name), sample(name).system
     last = int(made.stamps[-1])
     sensor = SensorModel(**troubles)  # type: ignore[arg-type]
-    sensed = sense(sensor, model, made.switchings, epoch=made.epoch, last=last, seed=seed)
+    sensed = simulate_sensor(
+        sensor, model, made.switchings, epoch=made.epoch, last=last, seed=seed
+    )
     return sorted((each.event for each in sensed), key=lambda each: each.stamp)
 
 
@@ -66,7 +68,7 @@ def truth(found: Identified, model: System, stiffness: float = 1.03) -> Array:
 def test_exact_times_give_every_parameter(name: str) -> None:
     """To a part in ten millions: stamps are rounded to 1 ns, and it finds that out."""
     model = sample(name)
-    found = identify(family_of(wrong(model.system), FREE), told(name))
+    found = identify(parametric_family(wrong(model.system), FREE), told(name))
     assert found.converged
     assert not found.unknown
     np.testing.assert_allclose(found.values, truth(found, model.system), rtol=1e-7)
@@ -79,7 +81,7 @@ def test_exact_times_give_every_parameter(name: str) -> None:
 def test_errors_under_jitter_are_as_large_as_is_said() -> None:
     """The squares of 30 normalised errors; their sum is that of the right number, nearly."""
     model = sample("two_mass").system
-    family = family_of(wrong(model), FREE)
+    family = parametric_family(wrong(model), FREE)
     weight, freedom, sizes = 0.0, 0, []
     for seed in range(10):
         found = identify(family, told("two_mass", seed, jitter=1e-3), clock=1e-3, believe=True)
@@ -99,7 +101,7 @@ def test_invented_impacts_are_found_out() -> None:
     events = told("two_mass", 3, spurious=0.08)
     events = [each for each in events if each.stamp < EPOCH + from_seconds(25.0)]
     true = {each.stamp for each in recorded("two_mass").events}
-    found = identify(family_of(wrong(model), FREE), events)
+    found = identify(parametric_family(wrong(model), FREE), events)
     assert {stamp for stamp, _ in found.recording.doubted} == {
         each.stamp for each in events if each.stamp not in true
     }
@@ -116,8 +118,10 @@ def test_what_moves_no_impact_is_named() -> None:
     with pytest.raises(
         IdentificationError, match=r"\+1 mass-scale \+1 damping-scale \+1 stiffness-scale: "
     ):
-        identify(family_of(free_fall, scales), list(made.events))
-    alone = identify(family_of(free_fall, ["restitution", "stiffness-scale"]), list(made.events))
+        identify(parametric_family(free_fall, scales), list(made.events))
+    alone = identify(
+        parametric_family(free_fall, ["restitution", "stiffness-scale"]), list(made.events)
+    )
     np.testing.assert_allclose(alone.values, [0.9, 1.0], rtol=1e-6)
 
 
@@ -126,13 +130,13 @@ def test_a_motion_without_a_scale_is_refused() -> None:
     same = system(np.eye(1), [[0.1]], [[4.0]], contacts=[([1.0], 0.0, 0.9)])
     made = run(same, [1.0], [0.0], seconds=12.0, rate=1.0)
     with pytest.raises(IdentificationError, match="size of the motion"):
-        identify(family_of(same, ["restitution"]), list(made.events))
+        identify(parametric_family(same, ["restitution"]), list(made.events))
 
 
 def test_a_clock_without_a_known_force_has_no_offset() -> None:
     """And beside a phase it has none that can be told from it."""
     model = sample("two_mass").system
-    family = family_of(model, ["clock-offset", "forcing-phase"])
+    family = parametric_family(model, ["clock-offset", "forcing-phase"])
     with pytest.raises(IdentificationError, match="clock-offset"):
         identify(family, told("two_mass"))
 
@@ -140,7 +144,7 @@ def test_a_clock_without_a_known_force_has_no_offset() -> None:
 def test_clock_offset_and_amplitude_are_learnt() -> None:
     """The stamps of a clock that is 20 ms ahead."""
     model = sample("three_mass").system
-    family = family_of(model, ["clock-offset", "forcing-amplitude.2"])
+    family = parametric_family(model, ["clock-offset", "forcing-amplitude.2"])
     found = identify(family, told("three_mass", clock_offset=0.02))
     np.testing.assert_allclose(found.values, [0.02, 1.0], rtol=1e-6)
 
@@ -149,17 +153,17 @@ def test_too_few_impacts_are_refused() -> None:
     """With both numbers."""
     model = sample("two_mass").system
     with pytest.raises(IdentificationError, match="3 impacts for 7 unknowns"):
-        identify(family_of(model, FREE), told("two_mass")[:3])
+        identify(parametric_family(model, FREE), told("two_mass")[:3])
 
 
 def test_check_tells_right_from_wrong() -> None:
     """By the declared clock error, or by shifts that are like their neighbours."""
     model = sample("three_mass").system
     events = told("three_mass", jitter=1e-3)
-    right = checked(identify(family_of(model, ()), events, clock=1e-3, believe=True))
+    right = checked(identify(parametric_family(model, ()), events, clock=1e-3, believe=True))
     assert right.fits
     off = replace(model, K=1.02 * model.K)
-    bad = checked(identify(family_of(off, ()), events, clock=1e-3, believe=True))
+    bad = checked(identify(parametric_family(off, ()), events, clock=1e-3, believe=True))
     assert not bad.fits
     assert bad.worst in {"left", "right"}
 
@@ -215,8 +219,8 @@ def test_a_written_model_reads_as_what_was_learnt(text: str, free: tuple[str, ..
     document = load_yaml(text)
     assert isinstance(document, dict)
     model = parse_model(text, "rig")
-    family = family_of(model.system, free, model.elements)
-    values = family.given + 0.07 * np.arange(1, family.size + 1) / family.size
+    family = parametric_family(model.system, free, model.elements)
+    values = family.nominal + 0.07 * np.arange(1, family.size + 1) / family.size
     written = edited(text, changes(document, family, values))
     wanted, found = family.system_at(values), parse_model(written, "rig").system
     for part in ("M", "C", "K", "q_r", "eps"):
@@ -229,7 +233,7 @@ def test_a_written_model_reads_as_what_was_learnt(text: str, free: tuple[str, ..
 def test_the_picture_shows_every_contact() -> None:
     """A row of marks each, and the clock's error."""
     model = sample("three_mass").system
-    found = identify(family_of(model, ["restitution"]), told("three_mass"))
+    found = identify(parametric_family(model, ["restitution"]), told("three_mass"))
     axes = identification_figure(found, title="three").axes[0]
     legend = axes.get_legend()
     assert legend is not None
@@ -242,7 +246,7 @@ def test_lasting_contacts_are_part_of_the_motion() -> None:
     model = system(1.0, 0.5, 4.0, contacts=[([-1.0], 0.5, 0.0)], force=push)
     made = run(model, [0.0], [0.5], seconds=60.0, rate=1.0)
     off = replace(model, K=1.03 * model.K)
-    found = identify(family_of(off, ["stiffness-scale"]), list(made.events))
+    found = identify(parametric_family(off, ["stiffness-scale"]), list(made.events))
     np.testing.assert_allclose(found.values, [1 / 1.03], rtol=1e-6)
 
 
@@ -252,7 +256,7 @@ def test_impacts_that_accumulate_are_part_of_the_recording() -> None:
     model = sample("bouncing_ball")
     made = run(model.system, *model.initial_state(), seconds=12.0, rate=1.0)
     ball = replace(model.system.contacts[0], restitution=0.8)
-    family = family_of(replace(model.system, contacts=(ball,)), ["restitution"])
+    family = parametric_family(replace(model.system, contacts=(ball,)), ["restitution"])
     found = identify(family, list(made.events))
     assert found.converged
     np.testing.assert_allclose(found.values, [0.9], rtol=1e-9)
@@ -266,7 +270,7 @@ def test_stamps_without_an_epoch_begin_with_the_first() -> None:
         events.append(event(t, "c1", sequence=k + 1, epoch=0))
         t += flight
         flight *= 0.9
-    family = family_of(
+    family = parametric_family(
         replace(ball, contacts=(replace(ball.contacts[0], restitution=0.8),)), ["restitution"]
     )
     found = identify(family, events)
@@ -282,13 +286,13 @@ def test_a_sampled_forcing_is_refused() -> None:
     values = np.column_stack([np.zeros(time.size), 4 * np.cos(2.5 * time)])
     sampled = replace(model, forcing=Forcing.of_samples(Samples(time, values, "linear")))
     with pytest.raises(UsageError, match="sampled, which identify cannot take"):
-        identify(family_of(sampled, ["restitution"]), told("two_mass"))
+        identify(parametric_family(sampled, ["restitution"]), told("two_mass"))
 
 
 def test_what_is_told_too_weakly_is_named_after_the_fit() -> None:
     """A value that may be wrong by all of itself is none; what is told well stays."""
     model = sample("two_mass").system
-    family = family_of(model, ["restitution", "damping-scale"])
+    family = parametric_family(model, ["restitution", "damping-scale"])
     found = identify(family, told("two_mass")[:12], clock=0.3, believe=True)
     restitution, damping = found.errors
     assert 2 * restitution < 1.0 < damping
@@ -312,7 +316,7 @@ def test_a_parameter_at_its_bound_ends_there() -> None:
             for e, s in zip(made.events, late.tolist(), strict=True)
         ]
         contacts = (replace(model.contacts[0], gap=0.303, restitution=0.95),)
-        family = family_of(replace(model, contacts=contacts), ["restitution", "gap"])
+        family = parametric_family(replace(model, contacts=contacts), ["restitution", "gap"])
         found = identify(family, events, clock=1e-3, believe=True)
         assert found.converged
         restitution, gap = found.values

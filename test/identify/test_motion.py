@@ -13,8 +13,8 @@ from impact_observer.dynamics import Phases
 from impact_observer.errors import UsageError
 from impact_observer.identify.motion import FlightEnd, shoot
 from impact_observer.model import System
-from impact_observer.model.family import Family, Numbers
-from impact_observer.model.learnable import family_of
+from impact_observer.model.free_parameters import parametric_family
+from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.stamps import seconds_between
 
 Array = NDArray[np.float64]
@@ -37,7 +37,9 @@ def moments_of(model: System, x: Array, seconds: float) -> list[FlightEnd]:
     ]
 
 
-def assert_derivatives(family: Family, start: Array, moments: list[FlightEnd], t: Array) -> None:
+def assert_derivatives(
+    family: ParametricFamily, start: Array, moments: list[FlightEnd], t: Array
+) -> None:
     """Differences of 1e-6 agree with the derivatives."""
     shot, step = shoot(family, start, moments, t, 0.0), 1e-6
 
@@ -66,7 +68,7 @@ def test_derivatives_are_those_of_differences(model: System, data: st.DataObject
     kinds = [k for k in EVERYTHING if k != "damping-scale" or np.any(model.C)]
     kinds = [k for k in kinds if k != "stiffness-scale" or np.any(model.K)]
     kinds += OF_FORCING[:2] if model.forcing.frequency.size else ()
-    family = family_of(model, kinds)
+    family = parametric_family(model, kinds)
     m, phases = model.m, Phases(model)
     some = st.sets(st.integers(0, m - 1)).map(lambda found: tuple(sorted(found)))
     moments, t = [], 0.0
@@ -76,13 +78,13 @@ def test_derivatives_are_those_of_differences(model: System, data: st.DataObject
         pressed = phases.independent(hit)
         held = phases.independent(data.draw(some))
         moments.append(FlightEnd(t, hit, pressed, held))
-    start = np.concatenate([np.linspace(-0.5, 0.5, 2 * model.n), family.given])
+    start = np.concatenate([np.linspace(-0.5, 0.5, 2 * model.n), family.nominal])
     assert_derivatives(family, start, moments, np.array([each.t for each in moments]))
 
 
 def test_clock_offset_is_a_phase_of_every_harmonic() -> None:
     """Its derivative too."""
-    family = family_of(sample("three_mass").system, ["clock-offset"])
+    family = parametric_family(sample("three_mass").system, ["clock-offset"])
     moments = moments_of(family.system, np.zeros(6), 5.0)
     t = np.array([each.t for each in moments])
     assert t.size > 2
@@ -96,7 +98,7 @@ def test_gaps_of_the_true_motion_vanish(name: str) -> None:
     x = np.concatenate(model.initial_state())
     moments = moments_of(model.system, x, 30.0)
     t = np.array([each.t for each in moments])
-    shot = shoot(Family(model.system, ()), x, moments, t, 0.0)
+    shot = shoot(ParametricFamily(model.system, ()), x, moments, t, 0.0)
     np.testing.assert_allclose(shot.gaps, 0.0, atol=1e-12)
 
 
@@ -108,7 +110,7 @@ def test_gaps_of_a_motion_with_lasting_contact_vanish() -> None:
     moments = moments_of(model, x, 20.0)
     assert any(each.held for each in moments)
     t = np.array([each.t for each in moments])
-    shot = shoot(Family(model, ()), x, moments, t, 0.0)
+    shot = shoot(ParametricFamily(model, ()), x, moments, t, 0.0)
     np.testing.assert_allclose(shot.gaps, 0.0, atol=1e-10)
 
 
@@ -118,7 +120,7 @@ def test_bouncing_ball_answers_as_the_closed_form() -> None:
     ball = system(1.0, 0.0, 0.0, contacts=[([1.0], 0.0, e)], force=forcing(1, -a))
     first = np.sqrt(2 * h / a)
     second = first * (1 + 2 * e)
-    family = family_of(ball, ["restitution"])
+    family = parametric_family(ball, ["restitution"])
     moments = [FlightEnd(t, (0,), (0,)) for t in (first, second)]
     shot = shoot(family, np.array([h, 0.0, e]), moments, np.array([first, second]), 0.0)
     np.testing.assert_allclose(shot.gaps, 0.0, atol=1e-14)
@@ -136,11 +138,11 @@ def test_bouncing_ball_answers_as_the_closed_form() -> None:
 def test_a_family_has_the_given_system_and_others() -> None:
     """Each parameter changes what it is named after."""
     model = sample("three_mass").system
-    family = family_of(model, [*EVERYTHING, *OF_FORCING[:2]])
-    same = family.system_at(family.given)
+    family = parametric_family(model, [*EVERYTHING, *OF_FORCING[:2]])
+    same = family.system_at(family.nominal)
     for part in ("M", "C", "K", "q_r", "eps"):
         np.testing.assert_array_equal(getattr(same, part), getattr(model, part))
-    moved = dict(zip(family.names, family.given, strict=True))
+    moved = dict(zip(family.names, family.nominal, strict=True))
     moved.update({"stiffness-scale": 1.1, "gap.left": 0.3, "forcing-phase.1": 0.2})
     other = family.system_at(np.array(list(moved.values())))
     np.testing.assert_allclose(other.K, 1.1 * model.K)
@@ -160,13 +162,15 @@ def test_what_cannot_be_free_is_refused_by_name() -> None:
         (["stiffness.ground-x1"], "has none"),
     ):
         with pytest.raises(UsageError, match=found):
-            family_of(model.system, wanted)
+            parametric_family(model.system, wanted)
 
 
 def test_an_effect_has_the_shapes_of_the_system() -> None:
     """And is nothing but what is named."""
     model = replace(chain(2), name="chain")
-    change = Numbers.change(model, K=np.eye(2))
+    change = Coefficients.change(model, K=np.eye(2))
     assert change.M.shape == (2, 2)
     assert not np.any(change.M)
-    np.testing.assert_array_equal(Numbers.of(model).plus(2.0, change).K, model.K + 2 * np.eye(2))
+    np.testing.assert_array_equal(
+        Coefficients.of(model).plus(2.0, change).K, model.K + 2 * np.eye(2)
+    )

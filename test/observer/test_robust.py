@@ -17,7 +17,7 @@ from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
 from impact_observer.observer import AGREED, Observer
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
-from impact_observer.plant import Run, Sensed, SensorModel, sense
+from impact_observer.plant import Run, SensorMessage, SensorModel, simulate_sensor
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -46,11 +46,13 @@ def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
     return model, np.concatenate(start), run(model, *start, seconds=seconds, rate=20.0)
 
 
-def heard(name: str, seconds: float, sensor: SensorModel, seed: int = 0) -> tuple[Sensed, ...]:
+def heard(
+    name: str, seconds: float, sensor: SensorModel, seed: int = 0
+) -> tuple[SensorMessage, ...]:
     """What a sensor tells of it."""
     model, _, whole = truth(name, seconds)
     last = int(whole.stamps[-1])
-    return sense(sensor, model, whole.switchings, epoch=EPOCH, last=last, seed=seed)
+    return simulate_sensor(sensor, model, whole.switchings, epoch=EPOCH, last=last, seed=seed)
 
 
 def watching(model: System, x: Array, declared: dict[str, Any], **options: int) -> Observer:

@@ -58,7 +58,7 @@ def test_no_gap_is_ever_negative_under_any_switching(data: st.DataObject) -> Non
     model = data.draw(systems(contacts=(1, 4), common_restitution=True))
     law, t = Unilateral(model), 0.0
     closed: tuple[int, ...] = ()
-    assume(law._joint.is_possible(()))
+    assume(law._unilateral.is_possible(()))
     x = law.admissible(data.draw(vectors(2 * model.n)))
     for wait, hit, stay in data.draw(switchings(model.m)):
         motion = law.motion(t, x, closed)
@@ -69,7 +69,7 @@ def test_no_gap_is_ever_negative_under_any_switching(data: st.DataObject) -> Non
         x, t = motion.state(wait), t + wait
         active = tuple(sorted({*closed, *hit}))
         stays = tuple(i for i in active if i in stay)
-        assume(law._joint.is_possible(active))
+        assume(law._unilateral.is_possible(active))
         try:
             x = law.correct(ContactChange(t, closed, hit, stays), Belief(Ensemble.of(x[None]))).x
         except ImpactLawError:

@@ -15,13 +15,13 @@ from impact_observer.errors import UsageError
 from impact_observer.events import Kind, Switch
 from impact_observer.plant import (
     IDEAL,
-    Sensed,
+    SensorMessage,
     SensorModel,
     Switching,
     event_of,
     make_plant,
-    sense,
     simulate,
+    simulate_sensor,
 )
 from impact_observer.sensor_faults import SENSOR_FAULTS, SensorFault
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, Instant, grid
@@ -58,7 +58,9 @@ def test_ideal_sensor_tells_what_the_run_has(name: str) -> None:
     found = simulate(plant, grid(EPOCH, EPOCH + 6 * NS_PER_S, 10.0))
     last = int(found.stamps[-1])
     for seed in (0, 3):
-        told = sense(IDEAL, model.system, found.switchings, epoch=EPOCH, last=last, seed=seed)
+        told = simulate_sensor(
+            IDEAL, model.system, found.switchings, epoch=EPOCH, last=last, seed=seed
+        )
         assert tuple(each.event for each in told) == found.events
         assert all(each.arrival == each.event.stamp for each in told)
     assert found.epoch == EPOCH
@@ -77,8 +79,8 @@ def test_the_table_of_troubles_is_the_sensor() -> None:
         for end in ends:
             value: dict[str, Any] = {each.name: end}
             assert getattr(SensorModel(**value), each.name) == end
-    assert IDEAL.troubles == {}
-    assert SensorModel(**FULL).troubles == FULL
+    assert IDEAL.faults == {}
+    assert SensorModel(**FULL).faults == FULL
 
 
 @pytest.mark.parametrize("trouble", [pytest.param(each, id=each.name) for each in SENSOR_FAULTS])
@@ -99,7 +101,7 @@ def test_sensor_that_needs_more_contacts_is_refused(sensor: SensorModel, contact
     """No other contact can be named where there is one, none spurious where there is none."""
     model = system(1, 0, 1, contacts=[([1], 1.0, 0.5)] * contacts)
     with pytest.raises(UsageError, match=f"or more: test has {contacts}"):
-        sense(sensor, model, [], epoch=EPOCH, last=EPOCH)
+        simulate_sensor(sensor, model, [], epoch=EPOCH, last=EPOCH)
 
 
 def test_delay_makes_stamp_and_arrival_late() -> None:
@@ -156,7 +158,7 @@ def test_clock_that_would_show_less_than_zero_is_refused() -> None:
     """At the epoch already; the line names a later epoch as the remedy."""
     sensor = SensorModel(clock_offset=-EPOCH / NS_PER_S)
     with pytest.raises(UsageError, match=r"clock_offset: .* stamps start above zero"):
-        sense(sensor, THREE, impacts(1), epoch=EPOCH, last=EPOCH + NS_PER_S)
+        simulate_sensor(sensor, THREE, impacts(1), epoch=EPOCH, last=EPOCH + NS_PER_S)
 
 
 @pytest.mark.parametrize("offset", [-0.999999999 * EPOCH / NS_PER_S, 3600.0])
@@ -166,7 +168,7 @@ def test_stamps_stay_where_messages_can_carry_them(offset: float, quantisation: 
     start = EPOCH if offset < 0 else MAX_STAMP - 10 * NS_PER_S
     told = dataclasses.replace(impacts(1)[0], instant=Instant(start + NS_PER_S))
     sensor = SensorModel(clock_offset=offset, quantisation=quantisation)
-    (found,) = sense(sensor, THREE, [told], epoch=start, last=told.instant.stamp)
+    (found,) = simulate_sensor(sensor, THREE, [told], epoch=start, last=told.instant.stamp)
     tick = max(round(quantisation * NS_PER_S), 1)
     assert tick <= found.event.stamp <= MAX_STAMP
     assert found.event.stamp % tick == 0
@@ -280,7 +282,9 @@ def test_transport_is_exponential_and_leaves_the_stamp() -> None:
     way = np.array([each.arrival - each.event.stamp for each in found]) / NS_PER_S
     assert stats.kstest(way / 0.6, "expon").pvalue > LEAST
     assert np.all(errors(sensor, told) == 0)
-    arrived = sense(sensor, THREE, told, epoch=EPOCH, last=told[-1].instant.stamp, seed=1)
+    arrived = simulate_sensor(
+        sensor, THREE, told, epoch=EPOCH, last=told[-1].instant.stamp, seed=1
+    )
     assert sorted(arrived, key=lambda each: each.arrival) == list(arrived)
     assert [each.event.sequence for each in arrived] != [each.event.sequence for each in found]
 
@@ -295,7 +299,7 @@ LASTING = [
 """A contact that hits, closes, is thrown off, closes and lets go."""
 
 
-def kinds(found: Sequence[Sensed]) -> list[list[tuple[str, Kind]]]:
+def kinds(found: Sequence[SensorMessage]) -> list[list[tuple[str, Kind]]]:
     """Contacts and kinds of every event."""
     return [[(s.contact, s.kind) for s in each.event.switches] for each in found]
 

@@ -12,7 +12,14 @@ from sensing import FULL, THREE, impacts, switching
 from systems import EPOCH, examples
 
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.plant import IDEAL, Sensed, Sensing, SensorModel, Switching, sense
+from impact_observer.plant import (
+    IDEAL,
+    SensorMessage,
+    SensorModel,
+    SensorSimulation,
+    Switching,
+    simulate_sensor,
+)
 from impact_observer.stamps import NS_PER_S
 
 
@@ -54,13 +61,13 @@ def test_streaming_gives_the_events_of_the_whole_run(
 ) -> None:
     """Whenever it is asked; nothing arrives before it is due, nothing is due unseen."""
     last = last_of(told)
-    whole = sense(sensor, THREE, told, epoch=EPOCH, last=last, seed=seed)
-    sensing = Sensing(sensor, THREE, epoch=EPOCH, last=last, seed=seed)
-    now, left, found = EPOCH - 1, list(told), list[Sensed]()
+    whole = simulate_sensor(sensor, THREE, told, epoch=EPOCH, last=last, seed=seed)
+    sensing = SensorSimulation(sensor, THREE, epoch=EPOCH, last=last, seed=seed)
+    now, left, found = EPOCH - 1, list(told), list[SensorMessage]()
     for wait in [*waits, 10**6]:
         now += wait * 10_000_000
         while left and left[0].instant.stamp <= now:
-            sensing.feel(left.pop(0))
+            sensing.detect(left.pop(0))
         expected = sensing.next_stamp
         arrived = sensing.due(now)
         assert all(expected is not None and expected <= each.arrival <= now for each in arrived)
@@ -75,7 +82,9 @@ def test_events_are_what_every_sensor_tells(
     told: list[Switching], sensor: SensorModel, seed: int
 ) -> None:
     """Numbered without gaps, arriving in order, stamped above zero; no OPEN without CLOSE."""
-    found = sense(sensor, THREE, told, epoch=EPOCH, last=last_of(told), seed=seed, episode=2)
+    found = simulate_sensor(
+        sensor, THREE, told, epoch=EPOCH, last=last_of(told), seed=seed, episode=2
+    )
     assert [each.arrival for each in found] == sorted(each.arrival for each in found)
     counted = sorted(found, key=lambda each: each.event.sequence)
     assert [each.event.sequence for each in counted] == list(range(1, len(found) + 1))
@@ -89,12 +98,14 @@ def test_events_are_what_every_sensor_tells(
         assert not (sensor.impacts_only and change)
 
 
-def said(each: Sensed) -> tuple[int, tuple[Switch, ...], int]:
+def said(each: SensorMessage) -> tuple[int, tuple[Switch, ...], int]:
     """A message but for its number."""
     return each.event.stamp, each.event.switches, each.arrival
 
 
-def unchanged(*kept: Callable[[Sensed], object]) -> Callable[[list[Sensed], list[Sensed]], bool]:
+def unchanged(
+    *kept: Callable[[SensorMessage], object],
+) -> Callable[[list[SensorMessage], list[SensorMessage]], bool]:
     """Whether two runs agree, event by event, in what is ``kept``."""
     return lambda without, with_it: (
         [tuple(k(e) for k in kept) for e in without]
@@ -102,7 +113,7 @@ def unchanged(*kept: Callable[[Sensed], object]) -> Callable[[list[Sensed], list
     )
 
 
-def fewer(without: list[Sensed], with_it: list[Sensed]) -> bool:
+def fewer(without: list[SensorMessage], with_it: list[SensorMessage]) -> bool:
     """Whether a trouble took switches away, and changed nothing else."""
     left, there = (
         Counter((e.event.stamp, e.arrival, switch) for e in found for switch in e.event.switches)
@@ -111,7 +122,7 @@ def fewer(without: list[Sensed], with_it: list[Sensed]) -> bool:
     return not left - there
 
 
-def impacts_in(found: list[Sensed]) -> list[Sensed]:
+def impacts_in(found: list[SensorMessage]) -> list[SensorMessage]:
     """The same without OPEN, and with CLOSE as IMPACT."""
     events = [
         dataclasses.replace(
@@ -125,27 +136,27 @@ def impacts_in(found: list[Sensed]) -> list[Sensed]:
     return [each._replace(event=event) for each, event in zip(found, events, strict=True)]
 
 
-def switches_of(each: Sensed) -> object:
+def switches_of(each: SensorMessage) -> object:
     """The switches of a message."""
     return each.event.switches
 
 
-def arrival_of(each: Sensed) -> object:
+def arrival_of(each: SensorMessage) -> object:
     """When a message is heard."""
     return each.arrival
 
 
-def event_alone(each: Sensed) -> ImpactEvent:
+def event_alone(each: SensorMessage) -> ImpactEvent:
     """What a message says."""
     return each.event
 
 
-def count_of(each: Sensed) -> object:
+def count_of(each: SensorMessage) -> object:
     """Its number and stamp."""
     return each.event.sequence, each.event.stamp
 
 
-CHANGES: dict[str, Callable[[list[Sensed], list[Sensed]], bool]] = {
+CHANGES: dict[str, Callable[[list[SensorMessage], list[SensorMessage]], bool]] = {
     "delay": unchanged(switches_of),
     "jitter": unchanged(switches_of, arrival_of),
     "quantisation": unchanged(switches_of, arrival_of),
@@ -175,7 +186,7 @@ def test_a_trouble_changes_no_draw_of_another(
     last = last_of(told)
     found = [
         sorted(
-            sense(each, THREE, told, epoch=EPOCH, last=last, seed=seed),
+            simulate_sensor(each, THREE, told, epoch=EPOCH, last=last, seed=seed),
             key=lambda sensed: sensed.event.sequence,
         )
         for each in (without, with_it)
@@ -189,7 +200,7 @@ def test_every_episode_has_its_own_draws() -> None:
     last = told[-1].instant.stamp
 
     def stamps(seed: int, episode: int) -> list[int]:
-        found = sense(
+        found = simulate_sensor(
             SensorModel(jitter=0.01),
             THREE,
             told,

@@ -12,7 +12,7 @@ from std_msgs.msg import String
 
 from impact_observer.io import interfaces
 from impact_observer.model import parse_model, read_model
-from impact_observer.plant import Plant, SensorModel, sense, simulate
+from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 from impact_observer.stamps import NS_PER_S, grid
@@ -73,7 +73,7 @@ def test_plant_node_tells_what_sense_tells_when_it_arrives(
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, last, 1.0))
     sensor = SensorModel(**TROUBLED)  # type: ignore[arg-type]
-    told = sense(sensor, model.system, run.switchings, epoch=EPOCH, last=last, seed=5)
+    told = simulate_sensor(sensor, model.system, run.switchings, epoch=EPOCH, last=last, seed=5)
     assert [(stamp_of(e.header.stamp), e.sequence) for e in events] == [
         (each.event.stamp, each.event.sequence) for each in told
     ]

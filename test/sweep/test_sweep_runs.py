@@ -16,7 +16,7 @@ from impact_observer.compare import comparison
 from impact_observer.errors import DynamicsError, UsageError
 from impact_observer.model import Model, parse_model, read_model
 from impact_observer.observer import Observer, Options, initial_state, law_named, replay
-from impact_observer.plant import Plant, SensorModel, sense, simulate
+from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import grid
 from impact_observer.sweep import case_runs
 from impact_observer.sweep.case_runs import Outcome, run_case
@@ -109,7 +109,9 @@ def test_figures_are_those_of_a_single_run(stiffness: float) -> None:
     stamps = grid(EPOCH, EPOCH + 9_000_000_000, 20.0)
     run = simulate(Plant(system, *model.initial_state(), epoch=EPOCH), stamps)
     sensor = SensorModel(missed=0.4)
-    told = sense(sensor, system, run.switchings, epoch=EPOCH, last=int(stamps[-1]), seed=1)
+    told = simulate_sensor(
+        sensor, system, run.switchings, epoch=EPOCH, last=int(stamps[-1]), seed=1
+    )
     assert 0 < len(told) < len(run.events)
     wrong = replace(system, K=stiffness * system.K)
     start = initial_state("random:1", system)

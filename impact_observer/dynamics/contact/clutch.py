@@ -14,7 +14,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.contact.persistent_contact import Resting, resting
+from impact_observer.dynamics.contact.persistent_contact import (
+    PersistentContacts,
+    persistent_contacts,
+)
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
@@ -70,7 +73,7 @@ class Part:
         phase: the phase.
         motion: in it, of (p, u).
         slipping: contacts with ``chi = 1`` that slip, as indices.
-        stopped: open contacts whose gaps are held at zero, as indices; see ``holds.py``.
+        stopped: open contacts whose gaps are held at zero, as indices; see ``sweeping.py``.
     """
 
     start: float
@@ -180,14 +183,18 @@ class _ClutchMotion(Piecewise):
             return found
         # What falls too slowly to be told from what rests may not go below zero either.
         still = tuple(i for i in slow if i not in released)
-        return self._begun(start, x, Resting(still, self._clutches.phases.independent(still)))
+        return self._begun(
+            start, x, PersistentContacts(still, self._clutches.phases.independent(still))
+        )
 
     def _part(self, start: float, x: Vector, slow: tuple[int, ...]) -> Part:
         """The phase from ``start`` on, ``slow`` contacts having ``gamma = 0``."""
         phases = self._clutches.phases
-        return self._begun(start, x, resting(phases, self._fixed, self.t + start, x, slow))
+        return self._begun(
+            start, x, persistent_contacts(phases, self._fixed, self.t + start, x, slow)
+        )
 
-    def _begun(self, start: float, x: Vector, still: Resting) -> Part:
+    def _begun(self, start: float, x: Vector, still: PersistentContacts) -> Part:
         """The phase from ``start`` on in which contacts are ``still``."""
         phase = self._clutches.phases.phase(still.held, self._fixed)
         slipping = tuple(i for i in self._closed if i not in still.closed)

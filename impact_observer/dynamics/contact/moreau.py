@@ -66,7 +66,7 @@ class TimeStep:
         u: velocities at its end, shape (n,).
         free: the velocities that it would have ended with without impulses, shape (n,).
         impulses: ``P`` of all contacts, shape (m,), Ns.
-        touched: contacts that closed, or were closed, as indices: active ones that were hit or
+        closed: contacts that closed, or were closed, as indices: active ones that were hit or
             whose speed is as low as the law allows. Their impulse may be zero, where others
             carry it.
     """
@@ -75,7 +75,7 @@ class TimeStep:
     u: Vector
     free: Vector
     impulses: Vector
-    touched: tuple[int, ...]
+    closed: tuple[int, ...]
 
 
 class MoreauScheme:

@@ -22,7 +22,7 @@ _ZERO = 1e-11
 """Acceleration that counts as none, relative to the largest term of its sum."""
 
 
-class Resting(NamedTuple):
+class PersistentContacts(NamedTuple):
     """What becomes of contacts that rest on their stops.
 
     Attributes:
@@ -34,9 +34,9 @@ class Resting(NamedTuple):
     held: tuple[int, ...]
 
 
-def resting(
+def persistent_contacts(
     phases: Phases, fixed: tuple[int, ...], t: float, x: Vector, contacts: tuple[int, ...]
-) -> Resting:
+) -> PersistentContacts:
     """Decide which of ``contacts`` stay closed.
 
     Args:
@@ -50,7 +50,7 @@ def resting(
         DynamicsError: the loads cannot be found.
     """
     if not contacts:
-        return Resting((), ())
+        return PersistentContacts((), ())
     unloaded, at = phases.unloaded(fixed), np.array([t])
     equations = unloaded.equations
     n = equations.n
@@ -80,7 +80,7 @@ def resting(
         if not undecided:
             break
     closed = tuple(sorted([*pressing, *undecided]))
-    return Resting(closed, phases.independent((*pressing, *undecided)))
+    return PersistentContacts(closed, phases.independent((*pressing, *undecided)))
 
 
 def _least(

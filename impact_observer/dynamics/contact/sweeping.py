@@ -21,7 +21,10 @@ from scipy import linalg
 
 from impact_observer.dynamics.contact.clutch import Clutches, Part, Piecewise
 from impact_observer.dynamics.contact.complementarity import complementary
-from impact_observer.dynamics.contact.persistent_contact import Resting, resting
+from impact_observer.dynamics.contact.persistent_contact import (
+    PersistentContacts,
+    persistent_contacts,
+)
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
@@ -58,7 +61,7 @@ class _Support(NamedTuple):
     stopping: tuple[int, ...]
 
 
-class _Free(NamedTuple):
+class _Independent(NamedTuple):
     """Contacts that are independent of the active ones, and what those leave of them.
 
     Attributes:
@@ -70,7 +73,7 @@ class _Free(NamedTuple):
     directions: Matrix
 
 
-class JointProjection:
+class UnilateralProjection:
     """The nearest position, in the metric of ``K``, with ``g_A = 0`` and no gap negative.
 
     A quadratic programme: ``complementarity.py`` tells which gaps it leaves at zero, and
@@ -161,14 +164,14 @@ class JointProjection:
             pressed = tuple(i for i, r in zip(contacts, reactions, strict=True) if r > 0)
         return self._checked(values, rounding, active, pressed, free.contacts)
 
-    def _left(self, active: tuple[int, ...], others: tuple[int, ...]) -> _Free:
+    def _left(self, active: tuple[int, ...], others: tuple[int, ...]) -> _Independent:
         """Those of ``others`` that ``active`` ones do not determine."""
         D = self._directions
         basis = linalg.qr(D[:, list(self._phases.independent(active))], mode="economic")[0]
         contacts = [i for i in others if self._is_free(active, i)]
         directions = D[:, contacts] - basis @ (basis.T @ D[:, contacts])
         directions -= basis @ (basis.T @ directions)
-        return _Free(tuple(contacts), frozen(directions))
+        return _Independent(tuple(contacts), frozen(directions))
 
     def _is_free(self, active: tuple[int, ...], i: int) -> bool:
         return len(self._phases.independent((*active, i))) > len(self._phases.independent(active))
@@ -208,13 +211,13 @@ class JointProjection:
         return _Support(first, (), first)
 
 
-class Holds:
+class SweepingProcess:
     """Motions of one system whose gaps stay nonnegative."""
 
     def __init__(self, clutches: Clutches) -> None:
         """Take the clutches that contacts with ``chi = 1`` are."""
         self.clutches = clutches
-        self.joint = JointProjection(clutches.phases)
+        self.projection = UnilateralProjection(clutches.phases)
         self.search = lru_cache(KEPT)(self._search)
         self.opened = lru_cache(KEPT)(self._open)
 
@@ -230,7 +233,7 @@ class Holds:
                 gap negative.
             closed: indices of contacts.
         """
-        return _HoldMotion(self, t, x, closed)
+        return _SweepingMotion(self, t, x, closed)
 
     def stopped(
         self,
@@ -262,7 +265,9 @@ class Holds:
         for k in range(_ORDERS):
             values = system.W.T @ u
             fixed = (*closed, *pressed)
-            support = self.joint.support(values, _ZERO * phases.length * size, fixed, undecided)
+            support = self.projection.support(
+                values, _ZERO * phases.length * size, fixed, undecided
+            )
             if support is None:
                 break
             pressed, undecided = (*pressed, *support.pressed), support.undecided
@@ -312,28 +317,30 @@ class Holds:
         return Search(phase, watched, clutches.window, least=_LEAST)
 
 
-class _HoldMotion(Piecewise):
-    def __init__(self, holds: Holds, t: float, x: Vector, closed: tuple[int, ...]) -> None:
-        self._holds = holds
-        system = holds.clutches.system
-        possible = holds.joint.is_possible(closed)
+class _SweepingMotion(Piecewise):
+    def __init__(
+        self, process: SweepingProcess, t: float, x: Vector, closed: tuple[int, ...]
+    ) -> None:
+        self._process = process
+        system = process.clutches.system
+        possible = process.projection.is_possible(closed)
         self._kept = tuple(i for i in range(system.m) if possible and i not in closed)
-        super().__init__(holds.clutches, t, x, closed)
+        super().__init__(process.clutches, t, x, closed)
 
     def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
         return self._part(0.0, x, slow, self._touching(x))
 
     def _search(self, part: Part) -> Search:
-        return self._holds.search((part.phase, part.slipping, part.stopped), self._open(part))
+        return self._process.search((part.phase, part.slipping, part.stopped), self._open(part))
 
     def _open(self, part: Part) -> tuple[int, ...]:
-        return self._holds.opened(self._closed, part.stopped, self._kept)
+        return self._process.opened(self._closed, part.stopped, self._kept)
 
     def _touching(self, x: Vector) -> tuple[int, ...]:
         """Open contacts without any gap."""
         q, u = np.split(x, 2)
         reach = np.abs(q) + np.abs(u) * self._clutches.phases.scales.timescale
-        gap, most = self._clutches.system.gap(q), _TOUCH * self._holds.joint.rounding(reach)
+        gap, most = self._clutches.system.gap(q), _TOUCH * self._process.projection.rounding(reach)
         return tuple(i for i in self._kept if gap[i] <= most[i])
 
     def _next(self, part: Part, crossing: Crossing) -> Part:
@@ -357,9 +364,9 @@ class _HoldMotion(Piecewise):
             return found
         # What falls too slowly to be told from what rests may not go below zero either.
         still = tuple(i for i in slow if i not in released)
-        resting_ = Resting(still, self._clutches.phases.independent(still))
+        resting_ = PersistentContacts(still, self._clutches.phases.independent(still))
         stopped = tuple(sorted({*part.stopped, *struck} - let_go))
-        return self._begun(start, x, resting_, self._holds.independent(self._closed, stopped))
+        return self._begun(start, x, resting_, self._process.independent(self._closed, stopped))
 
     def _part(
         self, start: float, x: Vector, slow: tuple[int, ...], touching: tuple[int, ...]
@@ -373,16 +380,18 @@ class _HoldMotion(Piecewise):
             touching: open ones with ``g = 0``.
         """
         phases, t, closed = self._clutches.phases, self.t + start, self._closed
-        still = resting(phases, closed, t, x, slow)
+        still = persistent_contacts(phases, closed, t, x, slow)
         stopped: tuple[int, ...] = ()
         if touching:
             phase = phases.phase(still.held, closed)
-            stopped = self._holds.stopped(t, x, phase, closed=closed, touching=touching)
+            stopped = self._process.stopped(t, x, phase, closed=closed, touching=touching)
         if stopped:
-            still = resting(phases, (*closed, *stopped), t, x, slow)
+            still = persistent_contacts(phases, (*closed, *stopped), t, x, slow)
         return self._begun(start, x, still, stopped)
 
-    def _begun(self, start: float, x: Vector, still: Resting, stopped: tuple[int, ...]) -> Part:
+    def _begun(
+        self, start: float, x: Vector, still: PersistentContacts, stopped: tuple[int, ...]
+    ) -> Part:
         """The phase from ``start`` on in which closed contacts are ``still``, others stopped."""
         phase = self._clutches.phases.phase(still.held, (*self._closed, *stopped))
         slipping = tuple(i for i in self._closed if i not in still.closed)

@@ -25,7 +25,7 @@ from scipy import linalg
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow.few import Factor, Product, product_with
 from impact_observer.dynamics.flow.flow import Equations, Flow, Functions, Motion
-from impact_observer.dynamics.flow.reduced_coordinates import Free
+from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
 from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.dynamics.flow.spectral import flow_of
 from impact_observer.dynamics.flow.waves import Aging, View, Waves
@@ -271,7 +271,7 @@ class Phases:
         """Flow of the coordinates that the held contacts leave free."""
         equations, *_, scales = self.unloaded(fixed)
         W = self.system.W[:, list(held)]
-        free = Free.of(W, equations.M)
+        free = ReducedCoordinates.of(W, equations.M)
         inverse, inner = np.zeros((free.free.size, self.system.n)), None
         if free.free.size:
             M = _symmetric(free.restricted(equations.M))
@@ -315,7 +315,11 @@ class _HeldFlow(Flow):
     """A flow in fewer coordinates, seen in all of them."""
 
     def __init__(
-        self, inner: Flow | None, free: Free, inverse: Matrix, static: tuple[Matrix, Matrix]
+        self,
+        inner: Flow | None,
+        free: ReducedCoordinates,
+        inverse: Matrix,
+        static: tuple[Matrix, Matrix],
     ) -> None:
         """Take the flow in the free coordinates; None where nothing is free.
 
@@ -370,7 +374,9 @@ class _HeldFlow(Flow):
 
 
 class _HeldMotion(Motion):
-    def __init__(self, t: float, inner: Motion | None, free: Free, rest: Vector) -> None:
+    def __init__(
+        self, t: float, inner: Motion | None, free: ReducedCoordinates, rest: Vector
+    ) -> None:
         self.t = t
         self.inner = inner
         self.rest = rest

@@ -13,7 +13,7 @@ from scipy import linalg
 from impact_observer.states import Matrix
 
 
-class Free(NamedTuple):
+class ReducedCoordinates(NamedTuple):
     """Motions with ``W^T u = 0``.
 
     Attributes:
@@ -27,7 +27,7 @@ class Free(NamedTuple):
     ties: Matrix
 
     @classmethod
-    def of(cls, W: Matrix, M: Matrix) -> "Free":
+    def of(cls, W: Matrix, M: Matrix) -> "ReducedCoordinates":
         """What contacts ``W``, shape (n, p), independent of each other, leave free.
 
         Those follow that would move with the least mass.

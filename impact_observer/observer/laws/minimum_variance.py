@@ -161,10 +161,10 @@ class MinimumVariance(Law):
         known = GaussianState.of(replicas, whole, closed)
         if declared is None:
             return known
-        p, given = declared.family.size, np.append(replicas[0], declared.family.given)
+        p, given = declared.family.size, np.append(replicas[0], declared.family.nominal)
         others = spread(given, whole[: given.size, : root.shape[1] + p], len(replicas))
         slow, differences = known.slow.copy(), known.differences.copy()
-        slow[:p] = declared.family.given
+        slow[:p] = declared.family.nominal
         differences[given.size - p : given.size] = (others[1:] - given)[:, given.size - p :].T
         return known._replace(slow=slow, differences=differences, parameters=p)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from impact_observer.dynamics import Motion, Phase
 from impact_observer.dynamics.contact.complementarity import complementary
-from impact_observer.dynamics.contact.sweeping import Holds
+from impact_observer.dynamics.contact.sweeping import SweepingProcess
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.uncertainty import Uncertainty
@@ -23,11 +23,11 @@ class Unilateral(Geometric):
 
     Its gaps are never negative: at an event one joint K-projection puts the replica onto
     ``{g_A = 0, g >= 0}``, its initial state onto ``{g >= 0}``, and in between a gap that would
-    turn negative is held at zero (``dynamics.holds``). And a contact that impacts alone is not
-    separating, nor is one that was closed: ``u-`` goes M-orthogonally onto ``{gamma <= 0}`` before
-    Newton's law. The plant is in all of these convex sets, and a projection onto them brings the
-    replica closer. Where several contacts hit at once one of them may be separating: thrown back
-    by an impact before, at the same instant.
+    turn negative is held at zero (``dynamics/contact/sweeping.py``). And a contact that impacts
+    alone is not separating, nor is one that was closed: ``u-`` goes M-orthogonally onto
+    ``{gamma <= 0}`` before Newton's law. The plant is in all of these convex sets, and a
+    projection onto them brings the replica closer. Where several contacts hit at once one of them
+    may be separating: thrown back by an impact before, at the same instant.
     """
 
     name: ClassVar[str] = "unilateral"
@@ -35,8 +35,8 @@ class Unilateral(Geometric):
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare both projections."""
         super().__init__(system, uncertainty)
-        self._holds = Holds(self._clutches)
-        self._joint = self._holds.joint
+        self._sweeping = SweepingProcess(self._clutches)
+        self._unilateral = self._sweeping.projection
 
     def admissible(self, x: Vector) -> Vector:
         """The nearest state with no gap negative."""
@@ -62,7 +62,7 @@ class Unilateral(Geometric):
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed; the other gaps never turn negative."""
-        return self._holds.motion(t, x, closed)
+        return self._sweeping.motion(t, x, closed)
 
     def phase(self, closed: Contacts) -> Phase | None:
         """None: the stops of different replicas hold at different times."""
@@ -74,7 +74,7 @@ class Unilateral(Geometric):
         if change.hit:
             alone = change.hit if len(change.hit) == 1 else ()
             return super().correct(change, self._told(belief, (*change.before, *alone)))
-        if self._joint.is_possible(change.before):
+        if self._unilateral.is_possible(change.before):
             return super().correct(change, belief)
         replicas = [self._on(x, change.closed) for x in belief.replicas]
         return belief._replace(ensemble=Ensemble.of(np.array(replicas)))
@@ -82,7 +82,9 @@ class Unilateral(Geometric):
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """As with geometric, where the contacts can be closed at all."""
         return (
-            self.energy_of_jump(before, after, active) if self._joint.is_possible(active) else None
+            self.energy_of_jump(before, after, active)
+            if self._unilateral.is_possible(active)
+            else None
         )
 
     def _told(self, belief: Belief, contacts: Contacts) -> Belief:
@@ -99,7 +101,7 @@ class Unilateral(Geometric):
     def _on(self, x: Vector, active: Contacts) -> Vector:
         """The nearest state with ``g = 0`` on ``active`` and no gap negative."""
         n = self.system.n
-        return np.concatenate([self._joint.position_after(x[:n], active), x[n:]])
+        return np.concatenate([self._unilateral.position_after(x[:n], active), x[n:]])
 
     def _closing(self, u: Vector, active: Contacts) -> Vector:
         """The nearest velocities, shape (n,), with which no ``active`` contact separates."""

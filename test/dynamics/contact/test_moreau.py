@@ -101,7 +101,7 @@ def test_energy_is_conserved_without_damping_and_with_full_restitution() -> None
     found = walk(
         MoreauScheme(model, 0.01), np.array([0.0, 0.1, 0.05]), np.array([2.0, -3.0, 1.0]), 2000
     )
-    assert sum(bool(step.touched) for _, _, step in found) > 50
+    assert sum(bool(step.closed) for _, _, step in found) > 50
     total = [energy(model, q, u) for q, u, _ in found]
     np.testing.assert_allclose(total, total[0], rtol=1e-12)
 
@@ -126,7 +126,7 @@ def test_every_step_is_complementary(data: st.DataObject) -> None:
         assert np.all(step.impulses[predicted > 1e-5 * distance] == 0)
         assert np.all(spare[predicted <= 0] >= -1e-8 * speed[predicted <= 0])
         assert np.all(np.abs(spare[step.impulses > 0]) <= 1e-8 * speed[step.impulses > 0])
-        assert set(np.flatnonzero(step.impulses)) <= set(step.touched)
+        assert set(np.flatnonzero(step.impulses)) <= set(step.closed)
         mean, force = (u + step.u) / 2, (model.forcing(k * h) + model.forcing((k + 1) * h)) / 2
         middle = q + h / 2 * mean
         left = model.M @ (step.u - u) + h * (model.C @ mean + model.K @ middle - force)
@@ -181,8 +181,8 @@ def test_contacts_that_depend_on_each_other_share_the_impulse() -> None:
     one, two = (MoreauScheme(model, 0.01).step(0, q, u) for model in (once, twice))
     np.testing.assert_allclose(two.u, one.u, atol=1e-12)
     np.testing.assert_allclose(twice.W @ two.impulses, once.W @ one.impulses, rtol=1e-11)
-    assert one.touched == (0, 1)
-    assert two.touched == (0, 1, 2, 3)
+    assert one.closed == (0, 1)
+    assert two.closed == (0, 1, 2, 3)
 
 
 def test_body_that_is_pressed_stays_where_it_is() -> None:
@@ -193,7 +193,7 @@ def test_body_that_is_pressed_stays_where_it_is() -> None:
         assert abs(q[0]) < 1e-15
         assert abs(u[0]) < 1e-15
         assert step.impulses[0] == pytest.approx(9.81e-3, rel=1e-12)
-        assert step.touched == (0,)
+        assert step.closed == (0,)
 
 
 def test_body_beside_its_stop_is_not_pressed() -> None:
@@ -202,7 +202,7 @@ def test_body_beside_its_stop_is_not_pressed() -> None:
         [[1, 0.3], [0.3, 1.7]], np.zeros((2, 2)), np.zeros((2, 2)), contacts=[([0.1, 0.7], 0, 0.5)]
     )
     for _, _, step in walk(MoreauScheme(model, 1e-3), np.zeros(2), np.array([-0.7, 0.1]), 100):
-        assert step.touched == (0,)
+        assert step.closed == (0,)
         assert step.impulses[0] == 0
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from systems import Harmonic, examples, forcing, system
 
-from impact_observer.dynamics import Phases, Resting, resting
+from impact_observer.dynamics import PersistentContacts, Phases, persistent_contacts
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
@@ -87,9 +87,9 @@ def decided(model: System, x: Array) -> set[tuple[int, ...]]:
     return found
 
 
-def decide(model: System, x: ArrayLike, t: float = 0.0) -> Resting:
+def decide(model: System, x: ArrayLike, t: float = 0.0) -> PersistentContacts:
     """What becomes of all contacts of a system."""
-    return resting(Phases(model), (), t, np.asarray(x, float), tuple(range(model.m)))
+    return persistent_contacts(Phases(model), (), t, np.asarray(x, float), tuple(range(model.m)))
 
 
 def assert_decision(model: System, x: Array) -> None:
@@ -223,7 +223,7 @@ def test_one_contact_leaves_and_others_stay() -> None:
 
 def test_no_contact_is_no_question() -> None:
     """Nor does it look at the motion."""
-    assert resting(Phases(pushed()), (), 0.0, np.zeros(2), ()) == ((), ())
+    assert persistent_contacts(Phases(pushed()), (), 0.0, np.zeros(2), ()) == ((), ())
 
 
 @pytest.mark.parametrize("mass", [1e-6, 1.0, 1e6])

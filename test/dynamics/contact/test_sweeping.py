@@ -23,7 +23,7 @@ from systems import (
 )
 
 from impact_observer.dynamics import Clutches, ImpactLaw, Motion, PositionProjection
-from impact_observer.dynamics.contact.sweeping import Holds, JointProjection
+from impact_observer.dynamics.contact.sweeping import SweepingProcess, UnilateralProjection
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
@@ -33,14 +33,14 @@ PIECES = 24
 SPRING = np.array([[4.0, -4.0], [-4.0, 4.0]])
 
 
-def holds(model: System) -> Holds:
+def holds(model: System) -> SweepingProcess:
     """The holds of ``model``."""
-    return Holds(Clutches(model))
+    return SweepingProcess(Clutches(model))
 
 
-def joint(model: System) -> JointProjection:
+def joint(model: System) -> UnilateralProjection:
     """The joint projection of ``model``."""
-    return holds(model).joint
+    return holds(model).projection
 
 
 def nearest(model: System, q: Array, fixed: list[int]) -> Array:
@@ -169,9 +169,9 @@ class Held(NamedTuple):
 def started(model: System, t: float, x: Array, closed: tuple[int, ...]) -> Held | None:
     """The motion from the nearest possible state on; None where there is none."""
     n, stops = model.n, holds(model)
-    if not stops.joint.is_possible(closed):
+    if not stops.projection.is_possible(closed):
         return None
-    position = stops.joint.position_after(x[:n], closed)
+    position = stops.projection.position_after(x[:n], closed)
     velocity = ImpactLaw(model).velocity_held(x[n:], closed, closed)
     start = np.concatenate([position, velocity])
     return Held(model, start, closed, stops.motion(t, start, closed))

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from impact_observer.dynamics.flow.few import Factor, product_with
-from impact_observer.dynamics.flow.reduced_coordinates import Free
+from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
 
 Array = NDArray[np.float64]
 SIZES = pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_a_matrix_is_restricted_as_by_products_with_shapes(p: int) -> None:
     """Contacts see every coordinate here; no matrix is symmetric."""
     rng = np.random.default_rng(p)
     A, W = rng.normal(size=(4, 4)), rng.normal(size=(4, p))
-    free = Free.of(W, positive(4, 1))
+    free = ReducedCoordinates.of(W, positive(4, 1))
     np.testing.assert_allclose(free.seen(A), free.shapes.T @ A, atol=1e-12)
     expected = free.shapes.T @ A @ free.shapes
     np.testing.assert_allclose(free.restricted(A), expected, atol=1e-11)

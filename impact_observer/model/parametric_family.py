@@ -10,7 +10,7 @@ from impact_observer.states import Matrix, Vector, frozen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Numbers:
+class Coefficients:
     """All numbers of a system that can be learnt, or their change with a parameter.
 
     Attributes:
@@ -32,20 +32,20 @@ class Numbers:
     phase: Vector
 
     @classmethod
-    def of(cls, system: System) -> "Numbers":
+    def of(cls, system: System) -> "Coefficients":
         """Those of ``system``."""
         h = system.forcing.frequency.size
         return cls(system.M, system.C, system.K, system.q_r, system.eps, np.ones(h), np.zeros(h))
 
     @classmethod
-    def change(cls, system: System, **parts: Matrix) -> "Numbers":
+    def change(cls, system: System, **parts: Matrix) -> "Coefficients":
         """Nothing but ``parts``, by name."""
         zero = {name: np.zeros_like(getattr(cls.of(system), name)) for name in cls.__slots__}
         return cls(**{**zero, **parts})
 
-    def plus(self, factor: float, other: "Numbers") -> "Numbers":
+    def plus(self, factor: float, other: "Coefficients") -> "Coefficients":
         """These and ``factor`` times the others."""
-        return Numbers(
+        return Coefficients(
             *(getattr(self, name) + factor * getattr(other, name) for name in self.__slots__)
         )
 
@@ -70,7 +70,7 @@ class ModelParameter:
     high: float
     size: float
     unit: str
-    effect: Numbers
+    effect: Coefficients
 
     @property
     def moves(self) -> bool:
@@ -80,7 +80,7 @@ class ModelParameter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Family:
+class ParametricFamily:
     """A system and the parameters in which it may be wrong.
 
     Attributes:
@@ -91,11 +91,11 @@ class Family:
 
     system: System
     parameters: tuple[ModelParameter, ...]
-    numbers: Numbers = field(init=False)
+    numbers: Coefficients = field(init=False)
 
     def __post_init__(self) -> None:
         """Take the system's numbers."""
-        object.__setattr__(self, "numbers", Numbers.of(self.system))
+        object.__setattr__(self, "numbers", Coefficients.of(self.system))
 
     @property
     def size(self) -> int:
@@ -108,7 +108,7 @@ class Family:
         return tuple(each.name for each in self.parameters)
 
     @property
-    def given(self) -> Vector:
+    def nominal(self) -> Vector:
         """What the model says, shape (p,)."""
         return frozen([each.value for each in self.parameters])
 
@@ -125,7 +125,7 @@ class Family:
             frozen([each.high for each in self.parameters]),
         )
 
-    def at(self, values: Vector) -> Numbers:
+    def at(self, values: Vector) -> Coefficients:
         """The numbers where the parameters have ``values``, shape (p,)."""
         found = self.numbers
         for each, value in zip(self.parameters, values, strict=True):
@@ -153,12 +153,12 @@ class Family:
         Raises:
             ModelError: it is none.
         """
-        return system_of(self.system, self.at(values))
+        return system_with(self.system, self.at(values))
 
 
-def system_of(system: System, numbers: Numbers) -> System:
+def system_with(system: System, numbers: Coefficients) -> System:
     """``system`` with other ``numbers``."""
-    cosine, sine = turned(system.forcing, numbers)
+    cosine, sine = rotated_harmonics(system.forcing, numbers)
     return replace(
         system,
         M=numbers.M,
@@ -174,7 +174,7 @@ def system_of(system: System, numbers: Numbers) -> System:
     )
 
 
-def turned(forcing: Forcing, numbers: Numbers) -> tuple[Matrix, Matrix]:
+def rotated_harmonics(forcing: Forcing, numbers: Coefficients) -> tuple[Matrix, Matrix]:
     """Cosine and sine parts of harmonics that are ahead by a phase, shape (h, n) each, N."""
     cos = (numbers.amplitude * np.cos(numbers.phase))[:, None]
     sin = (numbers.amplitude * np.sin(numbers.phase))[:, None]

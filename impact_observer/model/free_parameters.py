@@ -7,7 +7,7 @@ import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.model.elements import Element
-from impact_observer.model.family import Family, ModelParameter, Numbers
+from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
 from impact_observer.model.system import System
 
 OFFSET = "clock-offset"
@@ -32,13 +32,13 @@ _LONGEST = 0.1
 """Most that a clock may be off, s."""
 
 
-def family_of(
+def parametric_family(
     system: System,
     wanted: Sequence[str],
     elements: Sequence[Element] = (),
     *,
     clock: bool = True,
-) -> Family:
+) -> ParametricFamily:
     """The family of ``system`` whose members differ in the ``wanted`` parameters.
 
     Args:
@@ -66,7 +66,7 @@ def family_of(
     for one, other in combinations(sorted({name.partition(".")[0] for name in names}), 2):
         if other == f"{one}-scale":
             raise UsageError(f"parameter {other!r}: stands beside {one}; free one of them")
-    return Family(system, tuple(known[name] for name in names))
+    return ParametricFamily(system, tuple(known[name] for name in names))
 
 
 def with_unit(name: str) -> str:
@@ -80,21 +80,21 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
     """Every parameter that ``system`` has."""
     for i, contact in enumerate(system.contacts):
         unit = np.eye(system.m)[i]
-        effect = Numbers.change(system, eps=unit)
+        effect = Coefficients.change(system, eps=unit)
         name = f"restitution.{contact.name}"
         yield ModelParameter(name, contact.restitution, 0.0, 1.0, 1.0, "", effect)
-        effect = Numbers.change(system, gap=unit)
+        effect = Coefficients.change(system, gap=unit)
         size = abs(contact.gap) or 1.0
         yield ModelParameter(
             f"gap.{contact.name}", contact.gap, -np.inf, np.inf, size, "m", effect
         )
     for kind, part in _SCALES.items():
         if np.any(whole := getattr(system, part)):
-            effect = Numbers.change(system, **{part: whole})
+            effect = Coefficients.change(system, **{part: whole})
             low, high = 1 / _LARGEST_RATIO, _LARGEST_RATIO
             yield ModelParameter(f"{kind}-scale", 1.0, low, high, 1.0, "", effect)
     for each in elements:
-        effect = Numbers.change(system, **{_SCALES[each.kind]: each.matrix})
+        effect = Coefficients.change(system, **{_SCALES[each.kind]: each.matrix})
         low, high = (each.value / _LARGEST_RATIO if each.kind == "mass" else 0.0), np.inf
         name, unit = f"{each.kind}.{each.label}", UNITS[each.kind]
         yield ModelParameter(name, each.value, low, high, each.value, unit, effect)
@@ -106,11 +106,11 @@ def _of_forcing(system: System) -> Iterator[ModelParameter]:
     h = system.forcing.frequency.size
     for k in range(h):
         unit = np.eye(h)[k]
-        effect = Numbers.change(system, amplitude=unit)
+        effect = Coefficients.change(system, amplitude=unit)
         low, high = 1 / _LARGEST_RATIO, _LARGEST_RATIO
         yield ModelParameter(f"forcing-amplitude.{k + 1}", 1.0, low, high, 1.0, "", effect)
-        effect = Numbers.change(system, phase=unit)
+        effect = Coefficients.change(system, phase=unit)
         yield ModelParameter(f"forcing-phase.{k + 1}", 0.0, -np.inf, np.inf, np.pi, "rad", effect)
     # Stamps that are late by an offset tell of a forcing that is behind by it.
-    effect = Numbers.change(system, phase=-system.forcing.frequency)
+    effect = Coefficients.change(system, phase=-system.forcing.frequency)
     yield ModelParameter(OFFSET, 0.0, -_LONGEST, _LONGEST, _LONGEST, "s", effect)
