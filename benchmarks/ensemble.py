@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.harness import Benchmark, Contest, DisagreementError, Figures, Goal
 from benchmarks.impacts import EPOCH, each_received, impacts
 from impact_observer.model import read_model
-from impact_observer.observer import Options
+from impact_observer.observer import Options, make_observer
 
 REPLICAS = 100_000
 SECONDS = 300.0
@@ -23,8 +23,8 @@ PEER = "one product"
 def prepare(_: Path) -> Contest:
     """An ensemble that goes on from event to event, round after round."""
     system = read_model("three_mass").system
-    observer = Options(ensemble=REPLICAS, epoch=EPOCH, history=1.0).observer(system)
-    alone = Options(ensemble=1, epoch=EPOCH).observer(system)
+    observer = make_observer(system, Options(ensemble=REPLICAS, epoch=EPOCH, history=1.0))
+    alone = make_observer(system, Options(ensemble=1, epoch=EPOCH))
     told = iter(impacts("three_mass", SECONDS))
     for event in islice(told, TURN):
         for each in (observer, alone):

@@ -9,7 +9,7 @@ from benchmarks.harness import Benchmark, Contest, DisagreementError, Figures, G
 from benchmarks.impacts import each_received, impacts
 from impact_observer.errors import UsageError
 from impact_observer.model import read_model
-from impact_observer.observer import Observer, Options
+from impact_observer.observer import Observer, Options, make_observer
 
 SECONDS = 600.0
 """Of two_mass, which hits three times in four seconds."""
@@ -24,7 +24,7 @@ ALONE, TOGETHER = "alone", "ten replicas"
 
 
 def _observer(law: str = "geometric", history: float = FOREVER) -> Observer:
-    return Options(law=law, history=history).observer(read_model("two_mass").system)
+    return make_observer(read_model("two_mass").system, Options(law=law, history=history))
 
 
 def prepare(_: Path, law: str, compiled: bool) -> Contest:
@@ -39,14 +39,14 @@ def prepare(_: Path, law: str, compiled: bool) -> Contest:
         compiled=compiled,
     )
     try:
-        believing.observer(system)
+        make_observer(system, believing)
     except UsageError as error:
         raise SkippedError(str(error)) from None
 
     def ours(_: Path) -> Figures:
         found = {}
         for name, ensemble in ((ALONE, 1), (TOGETHER, 10)):
-            observer = replace(believing, ensemble=ensemble).observer(system)
+            observer = make_observer(system, replace(believing, ensemble=ensemble))
             found[name] = statistics.median(each_received(observer, events)[FIRST:])
         return found
 

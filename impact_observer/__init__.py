@@ -1,9 +1,61 @@
 """Know the whole state of an impacting mechanical system from its impact times alone.
 
 Rooms, each importing only from those before it: ``model``, ``dynamics``, ``plant`` and
-``observer``, ``analysis``, ``bag``, ``nodes``, ``cli``. The modules beside this file are the
-vocabulary that all rooms share: errors, stamps, events, states. The first five rooms need
-numpy and scipy only.
+``estimation``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
+``identify``, ``observability``, ``check`` and ``sweep``, then ``ros`` and ``cli``. The modules
+beside this file are the vocabulary that all rooms share: errors, stamps, events, states, options.
+The first five rooms need numpy and scipy only.
+
+The names below are imported when they are first used, so that ``--help`` stays quick.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from impact_observer.model import Model, System, parse_model, read_model
+    from impact_observer.observer import Observer, law_named, make_observer, replay
+    from impact_observer.options import Options
+    from impact_observer.plant import Plant, simulate
+    from impact_observer.stamps import grid
+
 __version__ = "0.1.0"
+
+_HOME = {
+    "Model": "model",
+    "Observer": "observer",
+    "Options": "options",
+    "Plant": "plant",
+    "System": "model",
+    "grid": "stamps",
+    "law_named": "observer",
+    "make_observer": "observer",
+    "parse_model": "model",
+    "read_model": "model",
+    "replay": "observer",
+    "simulate": "plant",
+}
+"""Where each public name is defined."""
+
+__all__ = [
+    "Model",
+    "Observer",
+    "Options",
+    "Plant",
+    "System",
+    "__version__",
+    "grid",
+    "law_named",
+    "make_observer",
+    "parse_model",
+    "read_model",
+    "replay",
+    "simulate",
+]
+
+
+def __getattr__(name: str) -> object:
+    """A public name, imported from its room."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,64 +1,19 @@
-"""What can be wrong with a sensor of impacts, cheap to import where it can be chosen."""
+"""What can be wrong with a sensor of impacts: one table for commands, nodes and sweeps."""
 
-import math
-from typing import NamedTuple
-
-from impact_observer.errors import UsageError
-
-
-class SensorFault(NamedTuple):
-    """One thing that can be wrong; 0 or False is an ideal sensor.
-
-    Attributes:
-        name: a field of ``plant.Sensor``.
-        meaning: one line, without the unit.
-        unit: SI unit; empty for none.
-        low: least value allowed.
-        high: largest value allowed; 0 for a trouble that is there or not.
-    """
-
-    name: str
-    meaning: str
-    unit: str = ""
-    low: float = 0.0
-    high: float = 0.0
-
-    @property
-    def ideal(self) -> float | bool:
-        """The value of an ideal sensor."""
-        return False if self.high == 0 else 0.0
-
-    @property
-    def limits(self) -> str:
-        """The values allowed, in words."""
-        if self.high == 0:
-            return "true or false"
-        return f"{self.low:g} to {self.high:g} {self.unit}".rstrip()
-
-    def check(self, value: float | bool) -> None:
-        """Raise unless ``value`` is one of those allowed.
-
-        Raises:
-            UsageError: naming the trouble, the value and what is expected.
-        """
-        flag = self.high == 0
-        fits = isinstance(value, bool) == flag and math.isfinite(value)
-        if not fits or not (flag or self.low <= value <= self.high):
-            raise UsageError(f"sensor {self.name}: {value} found; expected {self.limits}")
-
+from impact_observer.options import Option
 
 SENSOR_FAULTS = (
-    SensorFault("delay", "by which it notices, stamps and sends late", "s", high=10.0),
-    SensorFault("jitter", "standard deviation of its stamps", "s", high=1.0),
-    SensorFault("quantisation", "stamps are rounded to a multiple", "s", high=1.0),
-    SensorFault("dead_time", "a contact is not felt so long after it was", "s", high=10.0),
-    SensorFault("missed", "probability that an impact is not felt", high=1.0),
-    SensorFault("spurious", "impacts that it invents, of any contact", "1/s", high=1e4),
-    SensorFault("mislabelled", "probability that another contact is named", high=1.0),
-    SensorFault("clock_offset", "by which its clock is ahead", "s", low=-3600.0, high=3600.0),
-    SensorFault("clock_drift", "by which its clock is too fast", "s/s", low=-0.1, high=0.1),
-    SensorFault("threshold", "approach speed below which nothing is felt", "m/s", high=1e6),
-    SensorFault("impacts_only", "CLOSE is told as IMPACT, OPEN never"),
-    SensorFault("transport", "mean of an exponential time on the way", "s", high=10.0),
+    Option("delay", 0.0, "constant delay of detection, stamp and message", "s", 0.0, 10.0),
+    Option("jitter", 0.0, "standard deviation of the stamps", "s", 0.0, 1.0),
+    Option("quantisation", 0.0, "stamps are rounded to a multiple of this", "s", 0.0, 1.0),
+    Option("dead_time", 0.0, "after a detection the contact is blind so long", "s", 0.0, 10.0),
+    Option("missed", 0.0, "probability that an impact is not detected", "", 0.0, 1.0),
+    Option("spurious", 0.0, "rate of false positives, of any contact", "1/s", 0.0, 1e4),
+    Option("mislabelled", 0.0, "probability that another contact is named", "", 0.0, 1.0),
+    Option("clock_offset", 0.0, "how far the sensor's clock is ahead", "s", -3600.0, 3600.0),
+    Option("clock_drift", 0.0, "relative rate error of the sensor's clock", "s/s", -0.1, 0.1),
+    Option("threshold", 0.0, "approach speed below which nothing is detected", "m/s", 0.0, 1e6),
+    Option("impacts_only", False, "CLOSE is reported as IMPACT, OPEN never"),
+    Option("transport", 0.0, "mean of an exponential transport time of events", "s", 0.0, 10.0),
 )
-"""In the order of ``plant.Sensor``."""
+"""In the order of the fields of ``plant.SensorModel``; the defaults are an ideal sensor."""

@@ -11,11 +11,12 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.ros.parameters import DETECTOR, Parameter
+from impact_observer.options import Option
+from impact_observer.ros.parameters import DETECTOR
 
 PARAMETERS = (
     *DETECTOR,
-    Parameter("use_sim_time", False, "follow /clock, of a simulation or a bag"),
+    Option("use_sim_time", False, "follow /clock, of a simulation or a bag"),
 )
 
 
@@ -40,7 +41,7 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def _argument(parameter: Parameter) -> DeclareLaunchArgument:
+def _argument(parameter: Option) -> DeclareLaunchArgument:
     """A parameter as an argument; empty means: as params_file or the node has it."""
     return DeclareLaunchArgument(
         parameter.name, default_value="", description=parameter.description

@@ -13,9 +13,10 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.ros.parameters import MONITOR, OBSERVER, Parameter
+from impact_observer.options import Option
+from impact_observer.ros.parameters import MONITOR, OBSERVER
 
-SIM_TIME = Parameter("use_sim_time", False, "follow /clock, of a simulation or a bag")
+SIM_TIME = Option("use_sim_time", False, "follow /clock, of a simulation or a bag")
 PARAMETERS = (*OBSERVER, SIM_TIME)
 
 
@@ -47,7 +48,7 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def _argument(parameter: Parameter) -> DeclareLaunchArgument:
+def _argument(parameter: Option) -> DeclareLaunchArgument:
     """A parameter as an argument; empty means: as params_file or the node has it."""
     return DeclareLaunchArgument(
         parameter.name, default_value="", description=parameter.description
@@ -79,7 +80,7 @@ def _nodes(context: LaunchContext) -> list[Node]:
 
 
 def _parameters(
-    context: LaunchContext, table: tuple[Parameter, ...]
+    context: LaunchContext, table: tuple[Option, ...]
 ) -> list[str | dict[str, ParameterValue]]:
     """The file, if there is one, and what beats it."""
     given = context.launch_configurations

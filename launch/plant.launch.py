@@ -11,9 +11,10 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.ros.parameters import PLANT, Parameter
+from impact_observer.options import Option
+from impact_observer.ros.parameters import PLANT
 
-PARAMETERS = (*PLANT, Parameter("use_sim_time", False, "follow a /clock that is not the plant's"))
+PARAMETERS = (*PLANT, Option("use_sim_time", False, "follow a /clock that is not the plant's"))
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -34,7 +35,7 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def _argument(parameter: Parameter) -> DeclareLaunchArgument:
+def _argument(parameter: Option) -> DeclareLaunchArgument:
     """A parameter as an argument; empty means: as params_file or the node has it."""
     return DeclareLaunchArgument(
         parameter.name, default_value="", description=parameter.description

@@ -15,13 +15,14 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.ros.parameters import VIEWER, Parameter
+from impact_observer.options import Option
+from impact_observer.ros.parameters import VIEWER
 
 RVIZ = "rviz2"
 LAYOUT = Path(__file__).resolve().parents[1] / "layouts" / "view.rviz"
 PARAMETERS = (
     *VIEWER,
-    Parameter("use_sim_time", False, "follow /clock, of a simulation or a bag"),
+    Option("use_sim_time", False, "follow /clock, of a simulation or a bag"),
 )
 
 
@@ -50,7 +51,7 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def _argument(parameter: Parameter) -> DeclareLaunchArgument:
+def _argument(parameter: Option) -> DeclareLaunchArgument:
     """A parameter as an argument; empty means: as params_file or the node has it."""
     return DeclareLaunchArgument(
         parameter.name, default_value="", description=parameter.description

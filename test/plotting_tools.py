@@ -18,7 +18,7 @@ from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import carried_text
 from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
-from impact_observer.observer import Options, replay
+from impact_observer.observer import Options, make_observer, replay
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S, grid
 from impact_observer.states import Estimate
@@ -197,7 +197,7 @@ def everything(
         for event in run.events:
             writer.write("/impacts", event.stamp, make.event(event))
         for name, law in laws.items():
-            observer = Options(law=law, initial="random:1").observer(system)
+            observer = make_observer(system, Options(law=law, initial_state="random:1"))
             truths = dict(zip(run.stamps.tolist(), run.states, strict=True))
             monitor, bound = name.replace("observer", "monitor"), -1.0
             for item in replay(observer, run.events, run.stamps):

@@ -20,7 +20,7 @@ from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
 from impact_observer.model import read_model
-from impact_observer.observer import Options
+from impact_observer.observer import Options, make_observer
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Plant, simulate
 from impact_observer.resources import shared
@@ -180,7 +180,7 @@ def test_events_that_arrive_late_and_out_of_order_change_nothing() -> None:
     for name in ("transport", "two_mass"):
         with BagReader(BAGS / name) as reader:
             events = list(reader.events())
-        observer = Options(initial="random:1").observer(read_model("two_mass").system)
+        observer = make_observer(read_model("two_mass").system, Options(initial_state="random:1"))
         for event in events:
             observer.receive(event)
         ends.append(([e.sequence for e in events], observer.estimate(31_000_000_000)))

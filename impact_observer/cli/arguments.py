@@ -1,95 +1,125 @@
-"""Types of command line arguments: a value that cannot be used is an error of one line."""
+"""Arguments that several subcommands share; a value of no use is an error of one line."""
 
 import argparse
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-if TYPE_CHECKING:
-    from impact_observer.observer import Options
+from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
+
+CONVERGENCE = ("ensemble", "agreed")
+"""Options on whether an estimate has converged; only ``observe`` offers them."""
+_ELSEWHERE = ("law", "history")
+"""Chosen by arguments of the subcommands themselves, or of no use with a bag."""
 
 
 def add_observer_arguments(
-    parser: "argparse._ActionsContainer", *, simulated: bool = False
+    parser: "argparse._ActionsContainer", *, simulated: bool = False, convergence: bool = False
 ) -> None:
-    """What users choose of observers; ``observer_options`` reads it.
-
-    Defaults are those of ``observer.Options``, which knows the mathematics and is not imported
-    for a ``--help``.
+    """Add the rows of ``OBSERVER_OPTIONS`` as arguments; ``observer_options`` reads them.
 
     Args:
         parser: of the subcommand, or a group of it.
-        simulated: the command has a sensor with options of the same names, runs with seeds, and
-            no bag.
+        simulated: the command simulates: its sensor has options of the same names, its initial
+            state is random, and its epoch is 1 s.
+        convergence: whether to add the options of ``CONVERGENCE`` too.
     """
-    start = "q1,..,qn,u1,..,un, random:SEED or zero"
-    parser.add_argument(
-        "--initial",
-        metavar="STATE",
-        help=f"{start} (default: random, of each run)" if simulated else f"{start} (default)",
-    )
-    parser.add_argument(
-        "--deviation",
-        metavar="D",
-        help="standard deviations of the initial state: one number, or 2n (default 1)",
-    )
-    parser.add_argument(
-        "--clock-error",
-        metavar="S",
-        type=not_negative,
-        help="standard deviation of the impacts' stamps, s, at most 0.1; 0 for 1 ns"
-        " (default: learnt from them)",
-    )
-    parser.add_argument(
-        "--clock-offset-error",
-        metavar="S",
-        type=not_negative,
-        help="minimum-variance: standard deviation of what all stamps are late by, s, at most 0.1;"
-        " it is estimated (default 0: none)",
-    )
-    for name, meaning in (
-        ("missed", "of an impact that it is not heard (default 0.1)"),
-        ("spurious", "of an event that nothing has happened (default 0.1)"),
-        ("mislabelled", "of an impact that it was another contact's (default 0.01)"),
-    ):
-        parser.add_argument(
-            f"--observer-{name}" if simulated else f"--{name}",
-            dest=name,
-            metavar="P",
-            type=not_negative,
-            help=f"minimum-variance: probability {meaning}",
+    defaults = {"initial_state": "random, of each run", "epoch": "1 s"} if simulated else {}
+    for each in OBSERVER_OPTIONS:
+        if each.name in _ELSEWHERE or (each.name in CONVERGENCE and not convergence):
+            continue
+        clash = simulated and each.name in {"missed", "spurious", "mislabelled"}
+        add_option(
+            parser,
+            each,
+            flag=f"--observer-{each.name}" if clash else each.long_flag,
+            default=defaults.get(each.name),
         )
+
+
+def add_option(
+    parser: "argparse._ActionsContainer",
+    option: Option,
+    *,
+    flag: str = "",
+    default: str | None = None,
+) -> None:
+    """Add one option as an argument; where it is not given the value is None.
+
+    Args:
+        parser: of the subcommand, or a group of it.
+        option: the row.
+        flag: if not the row's own.
+        default: what ``--help`` calls the default, if not the row's.
+    """
+    if option.type == "bool":
+        text = option.meaning
+        parser.add_argument(
+            flag or option.long_flag,
+            dest=option.name,
+            action="store_true",
+            default=None,
+            help=text,
+        )
+        return
+    unit = "s" if option.unit == "ns" else option.unit
+    shown = option.default if option.default not in ("", ()) else "none"
     parser.add_argument(
-        "--model-error",
-        metavar="A",
-        type=not_negative,
-        help="of the model's accelerations, as white noise, m/s^1.5 (default 0)",
+        flag or option.long_flag,
+        dest=option.name,
+        metavar=metavar(option),
+        type=value_of(option),
+        help=f"{option.meaning}{unit and f' [{unit}]'} (default {default or shown})",
     )
-    parser.add_argument(
-        "--estimate-parameters",
-        metavar="NAME[=D],...",
-        type=_names,
-        help="minimum-variance: parameters of the model, as of identify --free, that are learnt"
-        " with the state, perhaps with standard deviations: restitution=0.1,stiffness-scale=0.03",
-    )
-    parser.add_argument(
-        "--parameter-drift",
-        metavar="R",
-        type=not_negative,
-        help="by what share of their deviations these go astray in a minute (default 0)",
-    )
-    parser.add_argument(
-        "--compiled",
-        action="store_true",
-        default=None,
-        help="minimum-variance: machine code for what an event takes, by numba: half a minute"
-        " once, then a second at each start",
-    )
-    parser.add_argument(
-        "--epoch",
-        metavar="S",
-        type=stamp,
-        help=f"stamp of t = 0 (default{' 1' if simulated else ': as in the bag'})",
-    )
+
+
+def metavar(option: Option) -> str:
+    """What stands for the value of an option in ``--help``: its unit in capitals, or P or N."""
+    if option.metavar:
+        return option.metavar
+    units = {"1/s": "HZ", "ns": "S", "": "N" if option.type == "int" else "P"}
+    return units.get(option.unit, option.unit.upper())
+
+
+def value_of(option: Option) -> Callable[[str], Value]:
+    """The argparse type of an option: reads a value and checks its range."""
+
+    def value(text: str) -> Value:
+        if option.unit == "ns":
+            return stamp(text)
+        try:
+            found = parsed(option, text)
+            option.check(found)
+        except ValueError:
+            expected = f"{option.limits} {option.unit}".rstrip() or option.metavar
+            raise argparse.ArgumentTypeError(f"{text} found; expected {expected}") from None
+        return found
+
+    return value
+
+
+def parsed(option: Option, text: str) -> Value:
+    """The value in ``text``, of the option's type, not checked yet.
+
+    Raises:
+        ValueError: it is not of that type.
+    """
+    if option.type == "bool":
+        words = {"true": True, "yes": True, "false": False, "no": False}
+        if text.lower() not in words:
+            raise ValueError(text)
+        return words[text.lower()]
+    if option.type == "string[]":
+        return names(text)
+    if option.type == "string":
+        return text
+    return int(text) if option.type == "int" else float(text)
+
+
+def observer_options(args: argparse.Namespace, law: str) -> Options:
+    """The options of an observer with ``law``, as far as they were given."""
+    rows = {each.name for each in OBSERVER_OPTIONS} - {"law"}
+    given = {name: value for name, value in vars(args).items() if name in rows}
+    return Options(law, **{name: value for name, value in given.items() if value is not None})
 
 
 def add_model(
@@ -108,30 +138,6 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
         default="",
         help="of the rig that is meant, in a bag of several, such as /rig_a (default: any)",
     )
-
-
-def add_ensemble_arguments(parser: argparse.ArgumentParser) -> None:
-    """The same of what tells whether an estimate has converged."""
-    parser.add_argument(
-        "--ensemble", metavar="N", type=count, help="replicas run together (default 10)"
-    )
-    parser.add_argument(
-        "--agreed",
-        metavar="R",
-        type=positive,
-        help="V distance that counts as synchronized, over the motion's energy (default 1e-4)",
-    )
-
-
-def observer_options(args: argparse.Namespace, law: str) -> "Options":
-    """The options of an observer with ``law``, as far as they were given."""
-    from dataclasses import fields
-
-    from impact_observer.observer import Options
-
-    names = {field.name for field in fields(Options)} - {"law"}
-    given = {name: value for name, value in vars(args).items() if name in names}
-    return Options(law, **{name: value for name, value in given.items() if value is not None})
 
 
 def positive(text: str) -> float:
@@ -177,12 +183,12 @@ def seed(text: str) -> int:
     return int(text)
 
 
-def _names(text: str) -> tuple[str, ...]:
+def names(text: str) -> tuple[str, ...]:
     """Names with commas between them, one at least."""
-    names = tuple(name.strip() for name in text.split(","))
-    if not all(names):
+    found = tuple(name.strip() for name in text.split(","))
+    if not all(found):
         raise argparse.ArgumentTypeError(f"{text!r} found; expected NAME,NAME,...")
-    return names
+    return found
 
 
 def _number(text: str) -> float:

@@ -27,7 +27,7 @@ from impact_observer.errors import UsageError
 if TYPE_CHECKING:
     from impact_observer.compare.bag_comparison import BagComparison, Choice
     from impact_observer.compare.comparison import Comparison
-    from impact_observer.observer import Options
+    from impact_observer.options import Options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,8 +74,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
+    from impact_observer.observer import options_of_laws
+
     laws = () if args.laws is None else laws_in(args.laws)
-    options = observer_options(args, "").of_laws(laws)
+    options = options_of_laws(observer_options(args, ""), laws)
     if not options and observer_options(args, "") != observer_options(argparse.Namespace(), ""):
         raise UsageError("laws: none named, but how to run observers; name some with --laws")
     return compare(
@@ -218,7 +220,7 @@ def _compare_one(
     from impact_observer.compare.bag_comparison import compare_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
-    from impact_observer.observer import COMPILING
+    from impact_observer.observer import COMPILING, make_observer, needs_compiling
 
     with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"{bag}: reading")
@@ -228,9 +230,9 @@ def _compare_one(
             progress.step(f"{bag}: {what}", done, total)
 
         alone = [replace(each, ensemble=1) for each in observers]
-        if any(each.compiles for each in alone):
+        if any(map(needs_compiling, alone)):
             progress.show(COMPILING)
-        made = [each.observer(read.system, read.elements) for each in alone]
+        made = [make_observer(read.system, each, read.elements) for each in alone]
         return compare_bag(reader, read.system, made, choice=choice, progress=show)
 
 

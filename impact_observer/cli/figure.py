@@ -115,13 +115,13 @@ def figure(
     from impact_observer.compare.error_pictures import lyapunov_figure
     from impact_observer.draw.pictures import check_picture, save
     from impact_observer.model import read_model
-    from impact_observer.observer import Options
+    from impact_observer.observer import Options, make_observer
 
     check_picture(output)
     read = read_model(model)
     # The ensemble is left out: no estimate depends on it.
     observers = [
-        Options(law, initial, clock_error=0.0, ensemble=1, epoch=EPOCH).observer(read.system)
+        make_observer(read.system, Options(law, initial, clock_error=0.0, ensemble=1, epoch=EPOCH))
         for law in laws
     ]
     with Progress(sys.stderr) as progress:

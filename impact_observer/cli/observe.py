@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
-    add_ensemble_arguments,
     add_model,
     add_namespace,
     add_observer_arguments,
@@ -16,7 +15,8 @@ from impact_observer.cli.arguments import (
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from impact_observer.observer import Observer, Options
+    from impact_observer.observer import Observer
+    from impact_observer.options import Options
 
 _HARDLY = 0.9
 """Standard deviation of a parameter, over what was declared, from which on it was not learnt."""
@@ -30,8 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--law", metavar="LAW", default="geometric", help="of the observer (default geometric)"
     )
-    add_observer_arguments(parser)
-    add_ensemble_arguments(parser)
+    add_observer_arguments(parser, convergence=True)
     parser.add_argument(
         "--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)"
     )
@@ -84,14 +83,14 @@ def observe(
     from impact_observer.events import Ruling
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of, observe_bag
-    from impact_observer.observer import COMPILING, Options
+    from impact_observer.observer import COMPILING, Options, make_observer, needs_compiling
 
     chosen = options or Options()
     with BagReader(bag, namespace) as reader, Progress() as progress:
         read = model_of(reader, model)
-        if chosen.compiles:
+        if needs_compiling(chosen):
             progress.show(COMPILING)
-        system, observer = read.system, chosen.observer(read.system, read.elements)
+        system, observer = read.system, make_observer(read.system, chosen, read.elements)
 
         def show(done: int, total: int) -> None:
             progress.step(chosen.law, done, total)

@@ -1,14 +1,13 @@
 """Run a plant without ROS: its impacts and its true states go into a bag."""
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import positive, seed, stamp
+from impact_observer.cli.arguments import add_option, positive, seed, stamp
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU, described
-from impact_observer.sensor_faults import SENSOR_FAULTS, SensorFault
+from impact_observer.sensor_faults import SENSOR_FAULTS
 
 if TYPE_CHECKING:
     from impact_observer.plant import SensorModel
@@ -52,39 +51,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_sensor_arguments(parser: argparse.ArgumentParser) -> None:
-    """An option for every trouble; all are off unless asked for."""
-    group = parser.add_argument_group("sensor", "what is wrong with it; nothing unless told")
+    """Add an option for every fault of the sensor; all are off by default."""
+    group = parser.add_argument_group("sensor", "its faults; none by default")
     for each in SENSOR_FAULTS:
-        option = f"--{each.name.replace('_', '-')}"
-        if isinstance(each.ideal, bool):
-            group.add_argument(option, action="store_true", help=each.meaning)
-            continue
-        metavar = {"": "P", "1/s": "HZ"}.get(each.unit, each.unit.upper())
-        unit = each.unit and f", {each.unit}"
-        text = f"{each.meaning}{unit}, {each.low:g} to {each.high:g}"
-        group.add_argument(
-            option, metavar=metavar, type=_allowed(each), default=each.ideal, help=text
-        )
-
-
-def _allowed(trouble: SensorFault) -> Callable[[str], float]:
-    """The type of an argument that is a value of ``trouble``."""
-
-    def value(text: str) -> float:
-        try:
-            found = float(text)
-            trouble.check(found)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text} found; expected {trouble.limits}") from None
-        return found
-
-    return value
+        add_option(group, each)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
     from impact_observer.plant import SensorModel
 
+    given = {each.name: getattr(args, each.name) for each in SENSOR_FAULTS}
     return simulate(
         args.model,
         args.output,
@@ -94,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
         epoch=args.epoch,
         integrator=args.integrator,
         step=args.step,
-        sensor=SensorModel(**{each.name: getattr(args, each.name) for each in SENSOR_FAULTS}),
+        sensor=SensorModel(**{name: value for name, value in given.items() if value is not None}),
     )
 
 

@@ -20,13 +20,16 @@ from typing import TYPE_CHECKING
 from impact_observer.cli.arguments import (
     add_observer_arguments,
     count,
+    metavar,
     observer_options,
+    parsed,
     positive,
     seed,
 )
 from impact_observer.compare.comparison import SETTLED
 from impact_observer.errors import SweepError, UsageError
-from impact_observer.sensor_faults import SENSOR_FAULTS, SensorFault
+from impact_observer.options import Option, Value
+from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.sweep.engines import one_thread, run_cases
 from impact_observer.sweep.summary_tables import figures, print_groups
 
@@ -107,17 +110,15 @@ def _add_output_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_swept_arguments(parser: argparse.ArgumentParser) -> None:
-    """An option for every trouble of the sensor, and one for the observer's model."""
-    group = parser.add_argument_group("swept", "values with commas; nothing is wrong unless told")
+    """Add an option for every fault of the sensor, and one for the observer's model."""
+    group = parser.add_argument_group("swept", "values with commas; no fault by default")
     for each in SWEPT:
-        unit = each.unit and f", {each.unit}"
-        metavar = {"": "P", "1/s": "HZ"}.get(each.unit, each.unit.upper())
         group.add_argument(
-            f"--{each.name.replace('_', '-')}",
+            each.long_flag,
             dest=SENSOR + each.name,
-            metavar="BOOL,..." if isinstance(each.ideal, bool) else f"{metavar},...",
+            metavar="BOOL,..." if each.type == "bool" else f"{metavar(each)},...",
             type=_values_of(each),
-            help=f"{each.meaning}{unit}",
+            help=each.summary,
         )
     group.add_argument(
         "--off",
@@ -129,21 +130,21 @@ def _add_swept_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _values_of(trouble: SensorFault) -> "Callable[[str], tuple[float | bool, ...]]":
-    """The type of an argument that has values of ``trouble``, with commas."""
-    words: dict[str, bool] = {"true": True, "yes": True, "false": False, "no": False}
+def _values_of(fault: Option) -> "Callable[[str], tuple[Value, ...]]":
+    """The type of an argument that lists values of ``fault`` with commas."""
 
-    def value(text: str) -> float | bool:
-        found = words[text.lower()] if isinstance(trouble.ideal, bool) else float(text)
-        trouble.check(found)
+    def value(text: str) -> Value:
+        found = parsed(fault, text.strip())
+        fault.check(found)
         return found
 
-    def values(text: str) -> tuple[float | bool, ...]:
+    def values(text: str) -> tuple[Value, ...]:
         try:
-            return tuple(dict.fromkeys(value(part.strip()) for part in text.split(",")))
-        except (ValueError, KeyError):
+            return tuple(dict.fromkeys(map(value, text.split(","))))
+        except ValueError:
+            expected = f"{fault.limits} {fault.unit}".rstrip()
             raise argparse.ArgumentTypeError(
-                f"{text} found; expected values with commas, each {trouble.limits}"
+                f"{text} found; expected values with commas, each {expected}"
             ) from None
 
     return values
@@ -183,7 +184,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     from impact_observer.cli.compare import laws_in
     from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
-    from impact_observer.observer import COMPILING
+    from impact_observer.observer import COMPILING, needs_compiling, options_of_laws
     from impact_observer.sweep.model_variants import replicas_of
     from impact_observer.sweep.plan import RANDOM, Rig, Sweep, sensors_of
 
@@ -193,7 +194,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     epoch = EPOCH if args.epoch is None else args.epoch
     options, laws = observer_options(args, ""), laws_in(args.laws)
     with Progress(sys.stderr if args.json else None) as progress:
-        if any(each.compiles for each in options.of_laws(laws)):
+        if any(map(needs_compiling, options_of_laws(options, laws))):
             progress.show(COMPILING)
         return Sweep(
             rig=Rig(replace(model, provenance={}).text(), args.duration, args.rate, epoch),
@@ -202,7 +203,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
             replicas=replicas_of(model, named_once(args.off)),
             runs=args.runs,
             seed=args.seed,
-            options=replace(options, initial=args.initial or RANDOM, law="geometric"),
+            options=replace(options, initial_state=args.initial_state or RANDOM, law="geometric"),
             threshold=args.settled,
         )
 

@@ -7,10 +7,16 @@ from impact_observer.events import Contacts
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.initial_state import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
+from impact_observer.observer.make_observer import (
+    COMPILING,
+    make_observer,
+    needs_compiling,
+    options_of_laws,
+)
 from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
-from impact_observer.observer.options import COMPILING, Options
 from impact_observer.observer.replay import replay, replay_batches
 from impact_observer.observer.synchronization import AGREED, LARGEST_INNOVATION
+from impact_observer.options import Options
 
 __all__ = [
     "AGREED",
@@ -32,6 +38,9 @@ __all__ = [
     "initial_state",
     "law_named",
     "law_names",
+    "make_observer",
+    "needs_compiling",
+    "options_of_laws",
     "replay",
     "replay_batches",
 ]

@@ -84,8 +84,8 @@ class SensorModel:
         Raises:
             UsageError: one is not a number, or out of its range in ``SENSOR_FAULTS``.
         """
-        for trouble in SENSOR_FAULTS:
-            trouble.check(getattr(self, trouble.name))
+        for fault in SENSOR_FAULTS:
+            fault.check(getattr(self, fault.name), "sensor")
 
     @property
     def faults(self) -> dict[str, float | bool]:

@@ -28,6 +28,8 @@ from impact_observer.observer import (
     Observer,
     Options,
     initial_state,
+    make_observer,
+    needs_compiling,
 )
 from impact_observer.ros import parameters
 from impact_observer.ros.message_classes import message_class, ros_messages
@@ -69,38 +71,19 @@ class ObserverNode(Node):
     def __init__(self) -> None:
         super().__init__("observer")
         values = parameters.declare(self, parameters.OBSERVER)
-        lag, history = values.number("lag"), values.number("history")
-        if lag > history:
+        options, lag = values.options(), values.number("lag")
+        if lag > options.history:
             found = f"parameter lag: {lag:g} found"
-            raise UsageError(f"{found}; expected at most history, {history:g}")
+            raise UsageError(f"{found}; expected at most history, {options.history:g}")
         model = read_model(values.text("model"))
         system = model.system
-        clock_error = values.number("clock_error")
-        self._initial = initial_state(values.text("initial_state"), system)
-        options = Options(
-            law=values.text("law"),
-            initial=values.text("initial_state"),
-            deviation=values.text("initial_deviation"),
-            clock_error=None if clock_error < 0 else clock_error,
-            clock_offset_error=values.number("clock_offset_error"),
-            missed=values.number("missed"),
-            spurious=values.number("spurious"),
-            mislabelled=values.number("mislabelled"),
-            model_error=values.number("model_error"),
-            ensemble=values.integer("ensemble"),
-            agreed=values.number("agreed"),
-            epoch=values.integer("epoch"),
-            history=history,
-            estimate_parameters=values.texts("estimate_parameters"),
-            parameter_drift=values.number("parameter_drift"),
-            compiled=values.flag("compiled"),
-        )
+        self._initial = initial_state(options.initial_state, system)
         self._observer = self._made(options, model)
         self._serialized = Serialized(system.coordinates)
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
         self._future = from_seconds(values.number("future"))
-        self._rehearsal = values.number("rehearsal")
+        self._rehearsal = 0.0
         self._next_rehearsal = 0
         self._make = ros_messages()
         self._states = self._publisher(interfaces.OBSERVER_STATES)
@@ -139,12 +122,12 @@ class ObserverNode(Node):
 
     def _made(self, options: Options, model: Model) -> Observer:
         """The observer; what takes long is told."""
-        if not options.compiles:
-            return options.observer(model.system, model.elements)
+        if not needs_compiling(options):
+            return make_observer(model.system, options, model.elements)
         self.get_logger().info(COMPILING)
         begun = time.monotonic()
         with interruptible():
-            made = options.observer(model.system, model.elements)
+            made = make_observer(model.system, options, model.elements)
         if (took := time.monotonic() - begun) > _LONG:
             self.get_logger().info(f"compiled in {took:.0f} s")
         return made

@@ -6,7 +6,7 @@ Imports no ROS, so that a launch file may read it and a test may compare.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from impact_observer.ros.parameters import Value
+from impact_observer.options import Value
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Ruling
 from impact_observer.io.pairing import Series
 from impact_observer.model import Model, parse_model
+from impact_observer.observer import make_observer
 from impact_observer.plant import Plant, Run, simulate, simulate_sensor
 from impact_observer.stamps import from_seconds, grid
 from impact_observer.sweep.plan import Case, Rig
@@ -102,7 +103,7 @@ def compared(case: Case) -> tuple[Comparison, int]:
         seed=case.seed,
     )
     events = sorted((each.event for each in sensed), key=lambda each: (each.stamp, each.sequence))
-    observer = case.options.observer(_parsed(case.replica.text).system)
+    observer = make_observer(_parsed(case.replica.text).system, case.options)
     comparison, _ = compare_run(
         observer,
         events,

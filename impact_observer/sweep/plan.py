@@ -14,7 +14,7 @@ from impact_observer import __version__
 from impact_observer.compare.comparison import SETTLED
 from impact_observer.errors import UsageError
 from impact_observer.model import parse_model
-from impact_observer.observer import Options
+from impact_observer.observer import Options, make_observer, options_of_laws
 from impact_observer.plant import SensorModel, SensorSimulation
 from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import from_seconds, grid
@@ -82,7 +82,7 @@ class Case:
             "law": self.options.law,
             "run": self.run,
             "seed": self.seed,
-            "initial": self.options.initial,
+            "initial": self.options.initial_state,
             **{SENSOR + k: v if isinstance(v, bool) else float(v) for k, v in values.items()},
             **{OFF + each.name: each.value for each in self.replica.off},
         }
@@ -109,7 +109,7 @@ class Sweep:
     replicas: tuple[Replica, ...]
     runs: int = 20
     seed: int = 0
-    options: Options = Options(initial=RANDOM)  # noqa: RUF009 (it is immutable)
+    options: Options = Options(initial_state=RANDOM)  # noqa: RUF009 (it is immutable)
     threshold: float = SETTLED
 
     def __post_init__(self) -> None:
@@ -130,7 +130,7 @@ class Sweep:
             SensorSimulation(sensor, system, epoch=rig.epoch)
         believed = parse_model(self.replicas[0].text, "replica").system
         for case in self._each(self.sensors[:1], self.replicas[:1], 1):
-            case.options.observer(believed)
+            make_observer(believed, case.options)
 
     @property
     def size(self) -> int:
@@ -144,14 +144,14 @@ class Sweep:
     def _each(
         self, sensors: Sequence[SensorModel], replicas: Sequence[Replica], runs: int
     ) -> Iterator[Case]:
-        told = self.options.of_laws(self.laws)
+        told = options_of_laws(self.options, self.laws)
         combinations = product(told, sensors, replicas, range(runs))
         for number, (own, sensor, replica, run) in enumerate(combinations):
             seed = self.seed + run
-            initial = self.options.initial
+            initial = self.options.initial_state
             options = replace(
                 own,
-                initial=f"random:{seed}" if initial == RANDOM else initial,
+                initial_state=f"random:{seed}" if initial == RANDOM else initial,
                 ensemble=1,  # no estimate depends on it
                 epoch=self.rig.epoch,
             )

@@ -12,7 +12,7 @@ from impact_observer.check.event_checks import EventCheck
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.recordings import observe_bag, system_of
-from impact_observer.observer import Options
+from impact_observer.observer import Options, make_observer
 
 
 @pytest.fixture(autouse=True)
@@ -33,7 +33,9 @@ def observed() -> bool:
     """Whether an observer applies anything of ``bag``; it is told the epoch where needed."""
     with BagReader(Path("bag")) as reader:
         epoch = 0 if any(event.epoch for event in reader.events()) else S
-        observer = Options("kinematic", epoch=epoch, ensemble=1).observer(system_of(reader, None))
+        observer = make_observer(
+            system_of(reader, None), Options("kinematic", epoch=epoch, ensemble=1)
+        )
         _, rulings = observe_bag(reader, observer, Path("out"), epoch=epoch)
     return rulings[Ruling.APPLIED] > 0
 

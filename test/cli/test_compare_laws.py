@@ -9,7 +9,7 @@ from impact_observer.cli.main import main
 from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import model_of
-from impact_observer.observer import Options, law_names
+from impact_observer.observer import Options, law_names, make_observer
 from impact_observer.resources import shared
 
 
@@ -45,7 +45,9 @@ def test_laws_run_on_a_bag_equal_those_observed_into_bags(
     bags = [observed(plant_bag, tmp_path / law, law) for law in law_names()]
     with BagReader(plant_bag) as reader:
         system = model_of(reader).system
-        observers = [Options(law, "random:1", ensemble=1).observer(system) for law in law_names()]
+        observers = [
+            make_observer(system, Options(law, "random:1", ensemble=1)) for law in law_names()
+        ]
         made = compare_bag(reader, system, observers).comparisons
     for bag in bags:
         with BagReader(bag) as reader:

@@ -75,7 +75,7 @@ def test_observe_writes_the_parameters_that_it_learns(
     capsys.readouterr()
     other = ["observe", str(run_bag), *FREE, "-o", str(run_bag.parent / "none")]
     assert main(other) == 2
-    assert "the law geometric learns none" in capsys.readouterr().err
+    assert "the law geometric estimates none" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -340,7 +340,7 @@ def test_what_cannot_be_swept_is_one_line_and_exit_code_2(
     [
         (["--jitter", "0,late"], "0,late found; expected values with commas, each 0 to 1 s"),
         (["--jitter", "0,2"], "each 0 to 1 s"),
-        (["--impacts-only", "perhaps"], "each true or false"),
+        (["--impacts-only", "perhaps"], "each true | false"),
         (["--off", "gap"], "expected NAME=V,V"),
         (["--jobs", "2", "--scheduler", "tcp://a:1"], "not allowed with"),
         (["--runs", "0"], "1 or more"),

@@ -16,7 +16,7 @@ from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.io.pairing import HOLD, Pairing, Series
 from impact_observer.model import read_model
-from impact_observer.observer import Options
+from impact_observer.observer import Options, make_observer
 from impact_observer.observer.event_outcomes import outcomes_of
 from impact_observer.plant import Plant, Run, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import NS_PER_S, grid
@@ -164,7 +164,7 @@ def test_a_sensor_that_jitters_is_seen_in_the_windows_of_an_observer(
     last = int(sampled.stamps[-1])
     heard = simulate_sensor(sensor, SYSTEM, sampled.switchings, epoch=EPOCH, last=last, seed=2)
     events = [each.event for each in heard]
-    observer = Options("geometric", "random:1", clock_error=0.0, ensemble=1).observer(SYSTEM)
+    observer = make_observer(SYSTEM, Options("geometric", "random:1", clock_error=0.0, ensemble=1))
     found = compare_law(observer, events, lambda: [Series(sampled.stamps, sampled.states)])
     samples = 0
     for true, told in zip(sampled.events, events, strict=False):

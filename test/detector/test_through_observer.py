@@ -9,7 +9,7 @@ from systems import Harmonic, forcing, system
 
 from impact_observer.detector import Detector
 from impact_observer.events import ImpactEvent, Kind
-from impact_observer.observer import Options
+from impact_observer.observer import Options, make_observer
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import grid
 
@@ -47,8 +47,8 @@ def test_a_switch_is_as_good_as_an_ideal_sensor(eps: float, law: str) -> None:
     told += [d.event for d in detector.advance(START + 8000 * MS)]
     kinds = {event.switches[0].kind for event in told}
     assert kinds == ({Kind.IMPACT} if eps else set(Kind))
-    options = Options(law=law, initial="random:1", ensemble=1, epoch=START)
-    ideal, real = options.observer(model), options.observer(model)
+    options = Options(law=law, initial_state="random:1", ensemble=1, epoch=START)
+    ideal, real = make_observer(model, options), make_observer(model, options)
     for event in run.events:
         ideal.receive(event)
     for event in told:

@@ -40,7 +40,7 @@ from impact_observer.estimation.likelihood import Likelihood
 from impact_observer.estimation.single import Contact, Fit, State, single
 from impact_observer.events import ImpactEvent, Kind, Switch, Verdict
 from impact_observer.model import System
-from impact_observer.observer import COMPILING, Observer, Options
+from impact_observer.observer import COMPILING, Observer, Options, make_observer, needs_compiling
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.plant import Run
@@ -284,8 +284,8 @@ def test_observer_says_the_same(moving: tuple[System, Run], doubt: float) -> Non
     events = [*whole.events[:3], *whole.events[4:8], whole.events[3], *whole.events[8:]]
     options = Options(
         law="minimum-variance",
-        initial="random:1",
-        deviation="0.5",
+        initial_state="random:1",
+        initial_deviation="0.5",
         clock_error=0.0,
         missed=doubt,
         spurious=doubt,
@@ -293,7 +293,7 @@ def test_observer_says_the_same(moving: tuple[System, Run], doubt: float) -> Non
         epoch=EPOCH,
         history=1e3,
     )
-    plain, fast = (replace(options, compiled=each).observer(model) for each in (False, True))
+    plain, fast = (make_observer(model, replace(options, compiled=each)) for each in (False, True))
     usual = counted(fast)
     wanted, found = told_by(plain, events), told_by(fast, events)
     assert sum(usual) >= 3
@@ -349,9 +349,9 @@ def test_whoever_asks_for_machine_code_gets_it_of_laws_that_have_some(
     model = sample("two_mass").system
     for wanted in (False, True):
         options = Options(law, compiled=wanted)
-        watcher = options.observer(model)
-        assert options.compiles == (wanted and law == "minimum-variance")
-        assert len(made) == options.compiles
+        watcher = make_observer(model, options)
+        assert needs_compiling(options) == (wanted and law == "minimum-variance")
+        assert len(made) == needs_compiling(options)
         assert watcher.receive(ImpactEvent(EPOCH, (Switch("stop"),), 1, 0, EPOCH))
 
 
@@ -378,9 +378,9 @@ def test_a_compiler_that_cannot_be_loaded_is_told_like_one_that_is_missing(
 def test_a_compiler_that_is_missing_is_named_with_its_extra() -> None:
     """By one line, of the law that needs it only."""
     model = sample("two_mass").system
-    Options("geometric", compiled=True).observer(model)
+    make_observer(model, Options("geometric", compiled=True))
     with pytest.raises(UsageError) as error:
-        Options("minimum-variance", compiled=True).observer(model)
+        make_observer(model, Options("minimum-variance", compiled=True))
     assert len(str(error.value).splitlines()) == 1
     assert "numba" in str(error.value)
     assert "pip install impact_observer[compiled]" in str(error.value)

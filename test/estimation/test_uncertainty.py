@@ -16,7 +16,7 @@ from impact_observer.estimation.uncertainty import (
     spread,
 )
 from impact_observer.estimation.unknown_parameters import MOST_DRIFT
-from impact_observer.observer import Options
+from impact_observer.observer import Options, make_observer
 from impact_observer.ros.parameters import OBSERVER
 
 SYSTEM = sample("two_mass").system
@@ -60,13 +60,13 @@ def test_options_name_what_cannot_be_used() -> None:
     """The law, the initial state, the size of a deviation, an ensemble of none."""
     for options, message in (
         (Options(law="none"), "law 'none': not installed"),
-        (Options(initial="1,2"), "initial state '1,2': 2 numbers, expected 4"),
-        (Options(deviation="1,2"), "deviation '1,2'"),
+        (Options(initial_state="1,2"), "initial state '1,2': 2 numbers, expected 4"),
+        (Options(initial_deviation="1,2"), "deviation '1,2'"),
         (Options(ensemble=0), "ensemble: 0 found; expected a positive number"),
         (Options(agreed=0.0), "agreed: 0 found"),
     ):
         with pytest.raises(UsageError, match=message):
-            options.observer(SYSTEM)
+            make_observer(SYSTEM, options)
 
 
 def test_covariance_has_a_root() -> None:

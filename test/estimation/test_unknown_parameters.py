@@ -20,7 +20,7 @@ from impact_observer.events import ImpactEvent
 from impact_observer.identify.motion import FlightEnd, shoot
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
-from impact_observer.observer import Observer, Options, law_named
+from impact_observer.observer import Observer, Options, law_named, make_observer, options_of_laws
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 
@@ -282,22 +282,22 @@ def test_parameters_that_cannot_be_learnt_are_refused_by_name(
     """In one line."""
     options = Options("minimum-variance", estimate_parameters=wanted)
     with pytest.raises(UsageError, match=said):
-        options.observer(sample("two_mass").system)
+        make_observer(sample("two_mass").system, options)
 
 
 def test_a_law_that_learns_nothing_refuses_parameters() -> None:
     """Rather than leave them as they are without a word."""
     options = Options("geometric", estimate_parameters=("restitution",))
-    with pytest.raises(UsageError, match="the law geometric learns none"):
-        options.observer(sample("two_mass").system)
+    with pytest.raises(UsageError, match="the law geometric estimates none"):
+        make_observer(sample("two_mass").system, options)
 
 
 def test_a_drift_of_nothing_is_refused() -> None:
     """It would be ignored; laws that learn nothing beside one that does have none."""
     with pytest.raises(UsageError, match="but no estimate_parameters to"):
-        Options("minimum-variance", parameter_drift=0.1).observer(sample("two_mass").system)
+        make_observer(sample("two_mass").system, Options("minimum-variance", parameter_drift=0.1))
     learning = Options(estimate_parameters=("restitution",), parameter_drift=0.1)
-    both = learning.of_laws(["geometric", "minimum-variance"])
+    both = options_of_laws(learning, ["geometric", "minimum-variance"])
     assert [each.parameter_drift for each in both] == [0.0, 0.1]
     assert [each.estimate_parameters for each in both] == [(), ("restitution",)]
 

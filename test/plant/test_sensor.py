@@ -13,6 +13,7 @@ from systems import EPOCH, forcing, run, sample, system
 
 from impact_observer.errors import UsageError
 from impact_observer.events import Kind, Switch
+from impact_observer.options import Option
 from impact_observer.plant import (
     IDEAL,
     SensorMessage,
@@ -23,7 +24,7 @@ from impact_observer.plant import (
     simulate,
     simulate_sensor,
 )
-from impact_observer.sensor_faults import SENSOR_FAULTS, SensorFault
+from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, Instant, grid
 
 MANY = 2_000
@@ -73,8 +74,8 @@ def test_the_table_of_troubles_is_the_sensor() -> None:
         f.name for f in dataclasses.fields(SensorModel)
     ]
     for each in SENSOR_FAULTS:
-        assert getattr(IDEAL, each.name) == each.ideal
-        assert type(getattr(IDEAL, each.name)) is type(each.ideal)
+        assert getattr(IDEAL, each.name) == each.default
+        assert type(getattr(IDEAL, each.name)) is type(each.default)
         ends = [False, True] if each.name in FLAGS else [each.low, each.high]
         for end in ends:
             value: dict[str, Any] = {each.name: end}
@@ -84,10 +85,10 @@ def test_the_table_of_troubles_is_the_sensor() -> None:
 
 
 @pytest.mark.parametrize("trouble", [pytest.param(each, id=each.name) for each in SENSOR_FAULTS])
-def test_value_out_of_range_is_named(trouble: SensorFault) -> None:
+def test_value_out_of_range_is_named(trouble: Option) -> None:
     """One line: the trouble, what was found, what is expected."""
-    wrong: list[Any] = [math.nan, math.inf, trouble.low - 1]
-    wrong += [0.5] if trouble.name in FLAGS else [True, trouble.high * 1.01]
+    wrong: list[Any] = [math.nan, math.inf, (trouble.low or 0.0) - 1]
+    wrong += [0.5] if trouble.name in FLAGS else [True, (trouble.high or 0.0) * 1.01]
     for value in wrong:
         with pytest.raises(UsageError, match=f"sensor {trouble.name}: .* found; expected ") as e:
             SensorModel(**{trouble.name: value})

@@ -33,7 +33,14 @@ from impact_observer.events import Kind, Remark, Ruling, Switch
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
 from impact_observer.io.messages import read_estimate
 from impact_observer.model import read_model
-from impact_observer.observer import COMPILING, Observer, Options, initial_state, law_named
+from impact_observer.observer import (
+    COMPILING,
+    Observer,
+    Options,
+    initial_state,
+    law_named,
+    make_observer,
+)
 from impact_observer.ros import observer_node
 from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_node import ObserverNode
@@ -175,7 +182,7 @@ def test_parameters_of_the_model_are_learnt_and_published(
     options = Options(
         "minimum-variance", "random:1", estimate_parameters=("gap=0.01", "restitution")
     )
-    same = options.observer(SYSTEM)
+    same = make_observer(SYSTEM, options)
     same.receive(event(EPOCH + 25_000_000, 1))
     learnt = same.estimate(EPOCH + 30_000_000).parameters
     assert list(last.parameter) == [value for _, value, _ in learnt]
@@ -738,7 +745,7 @@ def test_estimates_between_rehearsals_are_those_without(
 
         for each in told:
             heard(each)
-    wanted = Options("geometric", "random:1", epoch=epoch).observer(SYSTEM)
+    wanted = make_observer(SYSTEM, Options("geometric", "random:1", epoch=epoch))
     for each in told:
         wanted.receive(each)
     last = read_estimate(states[-1])[1]

@@ -64,7 +64,7 @@ def test_cases_are_every_combination_and_share_the_seeds_of_their_runs() -> None
     cases = [*sweep.cases()]
     assert len(cases) == sweep.size == 2 * 2 * 3
     assert [case.number for case in cases] == [*range(12)]
-    assert {(case.run, case.seed, case.options.initial) for case in cases} == {
+    assert {(case.run, case.seed, case.options.initial_state) for case in cases} == {
         (0, 0, "random:0"),
         (1, 1, "random:1"),
         (2, 2, "random:2"),
@@ -73,8 +73,10 @@ def test_cases_are_every_combination_and_share_the_seeds_of_their_runs() -> None
     whole = swept(troubles={"jitter": [0, 1], "impacts_only": [True]})
     kinds = [(type(v), v) for c in whole.cases() for k, v in c.labels.items() if "sensor_" in k]
     assert {kind for kind, value in kinds if value is not True} == {float}
-    fixed = replace(sweep, seed=7, options=Options(initial="zero"))
-    assert {(c.seed, c.options.initial) for c in fixed.cases()} == {(s, "zero") for s in (7, 8, 9)}
+    fixed = replace(sweep, seed=7, options=Options(initial_state="zero"))
+    assert {(c.seed, c.options.initial_state) for c in fixed.cases()} == {
+        (s, "zero") for s in (7, 8, 9)
+    }
 
 
 def test_a_case_is_a_value_that_can_be_sent_elsewhere() -> None:
@@ -262,7 +264,7 @@ def test_the_description_tells_sweeps_apart() -> None:
         replace(sweep, runs=3),
         replace(sweep, seed=3),
         replace(sweep, threshold=0.1),
-        replace(sweep, options=Options(initial="zero")),
+        replace(sweep, options=Options(initial_state="zero")),
         replace(sweep, options=replace(sweep.options, missed=0.2)),
         *(
             replace(sweep, rig=rig)

@@ -1,0 +1,124 @@
+"""Writes docs/parameters.md and config/nodes/*.yaml from the tables of options: ./dev docs."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from impact_observer.options import OBSERVER_OPTIONS, Option, Value
+from impact_observer.ros.parameters import TABLES
+from impact_observer.sensor_faults import SENSOR_FAULTS
+
+ROOT = Path(__file__).resolve().parents[1]
+_SIM_TIME = Option("use_sim_time", False, "follow /clock, of a simulation or a bag")
+_SAMPLES: dict[str, Value] = {"model": "two_mass", "sources": "switch"}
+"""What stands in the samples for options that have no default."""
+_COLUMN = 34
+"""Where the comments of a sample begin."""
+_PAGE = """\
+# Options and parameters
+
+Made by `./dev docs` from the tables in the code (`impact_observer/options.py`,
+`sensor_faults.py`, `ros/parameters.py`). Nodes read their parameters once, at the start.
+A double needs its point: `-p rate:=100.0`.
+
+## Options of observers
+
+The commands `observe`, `compare --laws` and `sweep` take them as arguments, the node `observer` as
+parameters. `--epoch` is in seconds, the parameter in nanoseconds. In `sweep`, where the simulated
+sensor has options of the same names, those of observers are `--observer-missed` and so on.
+
+{observer}
+
+## Faults of a simulated sensor
+
+Arguments of `simulate`, lists of values in `sweep`, and parameters `sensor.*` of the node `plant`.
+Each fault draws from a random stream of its own, so that adding one changes nothing of the others.
+
+{faults}
+"""
+
+
+def cell(value: Value) -> str:
+    """A default as YAML writes it; empty for none."""
+    if value in {"", ()}:
+        return ""
+    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
+
+
+def row(*cells: str) -> str:
+    """A row of a table."""
+    escaped = [each.replace("|", "\\|") for each in cells]
+    return f"| {' | '.join(escaped)} |"
+
+
+def arguments(table: Sequence[Option]) -> str:
+    """A table of options for the command line."""
+    head = row("argument", "parameter", "default", "unit", "allowed", "meaning")
+    lines = [head, "|---" * 6 + "|"]
+    for each in table:
+        flag = "" if each.name == "history" else f"`{each.long_flag}`"
+        name = f"`{each.name}`"
+        lines.append(row(flag, name, cell(each.default), each.unit, each.limits, each.meaning))
+    return "\n".join(lines)
+
+
+def parameters(table: Sequence[Option]) -> str:
+    """A table of a node's parameters."""
+    head = row("parameter", "type", "default", "unit", "allowed", "meaning")
+    lines = [head, "|---" * 6 + "|"]
+    lines += [
+        row(f"`{p.name}`", p.type, cell(p.default), p.unit, p.limits, p.meaning) for p in table
+    ]
+    return "\n".join(lines)
+
+
+def page() -> str:
+    """docs/parameters.md."""
+    parts = [
+        _PAGE.format(observer=arguments(OBSERVER_OPTIONS), faults=arguments(SENSOR_FAULTS)),
+        *(f"## Node `{node}`\n\n{parameters(table)}\n" for node, table in TABLES.items()),
+    ]
+    return "\n".join(parts)
+
+
+def sample(node: str) -> str:
+    """The YAML sample of a node: every parameter at its default."""
+    lines = [
+        f"# Parameters of the node `{node}`, at their defaults, made by ./dev docs.",
+        f"#   ros2 run impact_observer {node} --ros-args --params-file {node}.yaml",
+        f"#   ros2 launch impact_observer {node}.launch.py params_file:={node}.yaml",
+        "# A double needs its point: 100.0, not 100.",
+        "",
+        "/**: # whatever the node's name and namespace",
+        "  ros__parameters:",
+    ]
+    for each in (*TABLES[node], _SIM_TIME):
+        entry = f"    {each.name}: {_yaml(_SAMPLES.get(each.name, each.default))}"
+        lines.append(f"{entry:<{_COLUMN}} # {each.summary}")
+    return "\n".join(lines) + "\n"
+
+
+def _yaml(value: Value) -> str:
+    """A value as YAML; an empty list of strings needs one empty string, for ROS."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return '[""]'
+    if isinstance(value, float):
+        text = repr(value)
+        return text if "." in text else text.replace("e", ".0e")
+    if isinstance(value, str) and (not value or value[0].isdigit()):
+        return f'"{value}"'
+    return str(value)
+
+
+def files() -> dict[Path, str]:
+    """All that is made, by file."""
+    samples = sorted((ROOT / "config" / "nodes").glob("*.yaml"))
+    return {ROOT / "docs" / "parameters.md": page()} | {
+        path: sample(path.stem) for path in samples
+    }
+
+
+if __name__ == "__main__":
+    for path, text in files().items():
+        path.write_text(text, encoding="utf-8")

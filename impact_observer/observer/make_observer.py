@@ -1,0 +1,100 @@
+"""An observer of a system, made of options as users write them."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from impact_observer.errors import UsageError
+from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
+from impact_observer.estimation.unknown_parameters import Unknowns
+from impact_observer.model import System
+from impact_observer.model.elements import Element
+from impact_observer.observer.initial_state import initial_state
+from impact_observer.observer.laws import law_named
+from impact_observer.observer.observer import Observer
+from impact_observer.options import Options
+
+COMPILING = "compiling the update of minimum-variance: half a minute, once"
+"""What users read while something is compiled."""
+
+
+def make_observer(
+    system: System, options: Options | None = None, elements: Sequence[Element] = ()
+) -> Observer:
+    """An observer of ``system`` that has received no event yet.
+
+    Args:
+        system: the model that plant and replicas share.
+        options: everything else; None for the defaults.
+        elements: what the system was assembled of: their parameters can be estimated one by one.
+
+    Raises:
+        UsageError: an option cannot be used, by its name; or numba is not installed.
+    """
+    options = options or Options()
+    law = law_named(options.law)
+    uncertainty = Uncertainty(
+        deviation_of(options.initial_deviation, system),
+        None if options.clock_error < 0 else options.clock_error,
+        options.clock_offset_error,
+        options.model_error,
+        options.missed,
+        options.spurious,
+        options.mislabelled,
+        _unknown_parameters(system, options, elements),
+    )
+    chosen = law(system, uncertainty)
+    if options.compiled:
+        chosen.compile()
+    return Observer(
+        system,
+        chosen,
+        *initial_state(options.initial_state, system),
+        epoch=options.epoch,
+        history=options.history,
+        ensemble=options.ensemble,
+        agreed=options.agreed,
+    )
+
+
+def _unknown_parameters(
+    system: System, options: Options, elements: Sequence[Element]
+) -> Unknowns | None:
+    """The parameters that are estimated with the state; None for none."""
+    if not options.estimate_parameters:
+        if options.parameter_drift:
+            raise UsageError(
+                f"parameter_drift: {options.parameter_drift:g} found, but no estimate_parameters"
+                " to drift; expected some, or no drift"
+            )
+        return None
+    wanted, drift = options.estimate_parameters, options.parameter_drift
+    unknowns = Unknowns.named(system, wanted, elements, drift)
+    if not law_named(options.law).learns:
+        raise UsageError(
+            f"estimate_parameters: the law {options.law} estimates none; expected"
+            " minimum-variance, or leave them out"
+        )
+    return unknowns
+
+
+def needs_compiling(options: Options) -> bool:
+    """Whether making the observer compiles something, or reads what was compiled.
+
+    Raises:
+        UsageError: its law is not installed.
+    """
+    return options.compiled and law_named(options.law).compiles
+
+
+def options_of_laws(options: Options, laws: Sequence[str]) -> list[Options]:
+    """The options for each law: if some law can estimate parameters, the others go without.
+
+    Raises:
+        UsageError: a law is not installed.
+    """
+    learns = [law_named(law).learns for law in laws]
+    plain = replace(options, estimate_parameters=(), parameter_drift=0.0)
+    return [
+        replace(options if each or not any(learns) else plain, law=law)
+        for law, each in zip(laws, learns, strict=True)
+    ]

@@ -1,0 +1,230 @@
+"""What users may choose: name, type, default, unit, range and meaning, each once.
+
+Command lines, node parameters, launch files, the YAML samples in ``config/nodes`` and
+``docs/parameters.md`` are made from these rows. The module is cheap to import.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import List, TypeAlias, TypeVar  # noqa: UP035
+
+from impact_observer.errors import UsageError
+
+Value: TypeAlias = bool | int | float | str | tuple[str, ...]
+_Default = TypeVar("_Default", bound=Value)
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """One option.
+
+    Attributes:
+        name: of the field, the node parameter and, with hyphens, the flag.
+        default: gives the type too; an empty string where the option is required.
+        meaning: one line, without the unit.
+        unit: SI unit; empty for none.
+        low: least value allowed, numbers only.
+        high: largest value allowed, numbers only.
+        choices: the values allowed, strings only; empty for any.
+        required: whether the empty default is refused.
+        flag: on the command line, where it differs from ``name``.
+        metavar: stands for the value in ``--help``.
+    """
+
+    name: str
+    default: Value
+    meaning: str
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+    required: bool = False
+    flag: str = ""
+    metavar: str = ""
+
+    @property
+    def type(self) -> str:
+        """``bool``, ``int``, ``double``, ``string`` or ``string[]``, as ROS calls them."""
+        names = {bool: "bool", int: "int", float: "double", str: "string", tuple: "string[]"}
+        return names[type(self.default)]
+
+    @property
+    def value_type(self) -> object:
+        """The type as launch files name it."""
+        # launch_ros knows lists of strings by this name only
+        return List[str] if isinstance(self.default, tuple) else type(self.default)  # noqa: UP006
+
+    @property
+    def limits(self) -> str:
+        """The values allowed, in words; empty for any."""
+        if self.choices:
+            return " | ".join(self.choices)
+        if self.type == "bool":
+            return "true | false"
+        if self.low is None:
+            return "required" if self.required else ""
+        if self.high is None:
+            return f">= {self.low:g}"
+        return f"{self.low:g} to {self.high:g}"
+
+    @property
+    def summary(self) -> str:
+        """The meaning with its unit."""
+        return f"{self.meaning} [{self.unit}]" if self.unit else self.meaning
+
+    @property
+    def description(self) -> str:
+        """The summary, what is allowed and the default, for launch files."""
+        allowed = f"; {self.limits}" if self.limits else ""
+        default = f"; the node's default: {self.default}" if self.default not in ("", ()) else ""
+        return f"{self.summary}{allowed}{default}"
+
+    @property
+    def long_flag(self) -> str:
+        """The flag of the command line, such as ``--clock-error``."""
+        return f"--{(self.flag or self.name).replace('_', '-')}"
+
+    def check(self, value: Value, kind: str = "parameter") -> None:
+        """Raise unless ``value`` is of the option's type and one of those allowed.
+
+        Args:
+            value: to be checked.
+            kind: what the error line calls the option.
+
+        Raises:
+            UsageError: naming the option, the value and what is expected.
+        """
+        if self.required and value == "":
+            raise UsageError(f"{kind} {self.name}: is not set; expected {self.meaning}")
+        if not self._allows(value):
+            expected = f"{self.limits} {self.unit}".rstrip()
+            raise UsageError(f"{kind} {self.name}: {value} found; expected {expected}")
+
+    def _allows(self, value: Value) -> bool:
+        """Whether the value is of the right type and within its range."""
+        if isinstance(value, bool) or isinstance(self.default, bool):
+            return isinstance(value, bool) and isinstance(self.default, bool)
+        if isinstance(value, (int, float)):
+            low = -math.inf if self.low is None else self.low
+            high = math.inf if self.high is None else self.high
+            return math.isfinite(value) and low <= value <= high
+        return not self.choices or value in self.choices
+
+
+def option(
+    default: _Default,
+    meaning: str,
+    unit: str = "",
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    flag: str = "",
+    metavar: str = "",
+) -> _Default:
+    """A field of a dataclass of options; the arguments are the attributes of its ``Option``."""
+    row = Option("", default, meaning, unit, low=low, high=high, flag=flag, metavar=metavar)
+    return field(default=default, metadata={"option": row})
+
+
+def rows_of(options: type) -> tuple[Option, ...]:
+    """The rows of a dataclass whose fields are made by ``option``."""
+    return tuple(replace(each.metadata["option"], name=each.name) for each in fields(options))
+
+
+@dataclass(frozen=True)
+class Options:
+    """Everything about an observer but its system; ``observer.make_observer`` makes one of it.
+
+    Each field is a row of the table ``OBSERVER_OPTIONS``.
+    """
+
+    law: str = option("geometric", "law by which events correct the replicas")
+    initial_state: str = option(
+        "zero", "q1,..,qn,u1,..,un, random:SEED or zero", flag="initial", metavar="STATE"
+    )
+    initial_deviation: str = option(
+        "1",
+        "standard deviations of the initial state: one number, or 2n",
+        flag="deviation",
+        metavar="D",
+    )
+    clock_error: float = option(
+        -1.0,
+        "standard deviation of the events' stamps beyond their rounding to 1 ns; negative: learned"
+        " from the events",
+        "s",
+        low=-1.0,
+        high=0.1,
+    )
+    clock_offset_error: float = option(
+        0.0,
+        "standard deviation of a constant delay of all stamps, which is estimated; 0: no delay",
+        "s",
+        low=0.0,
+        high=0.1,
+    )
+    missed: float = option(
+        0.1, "minimum-variance: probability that an impact is not reported", low=0.0, high=0.9
+    )
+    spurious: float = option(
+        0.1, "minimum-variance: probability that an event is a false positive", low=0.0, high=0.9
+    )
+    mislabelled: float = option(
+        0.01,
+        "minimum-variance: probability that an impact is reported for another contact",
+        low=0.0,
+        high=0.9,
+    )
+    model_error: float = option(
+        0.0,
+        "process noise: white noise of the model's accelerations",
+        "m/s^1.5",
+        low=0.0,
+        high=1e6,
+    )
+    estimate_parameters: tuple[str, ...] = option(
+        (),
+        "minimum-variance: parameters of the model to estimate with the state, as identify --free"
+        " names them, optionally with standard deviations, such as restitution=0.1",
+        metavar="NAME[=D],...",
+    )
+    parameter_drift: float = option(
+        0.0,
+        "random walk of these parameters in a minute, as a share of their standard deviations",
+        low=0.0,
+        high=1e3,
+    )
+    ensemble: int = option(
+        10, "replicas run together; their distances show convergence", low=1, high=1_000_000
+    )
+    agreed: float = option(
+        1e-4,
+        "V distance of the replicas that counts as synchronized, over the energy of the motion",
+        low=1e-30,
+        high=1.0,
+    )
+    epoch: int = option(0, "stamp of t = 0 of the forcing; 0: read from the events", "ns", low=0)
+    history: float = option(
+        10.0, "how late an event may arrive and still be applied", "s", low=0.001
+    )
+    compiled: bool = option(
+        False,
+        "minimum-variance: compile the update by numba; takes half a minute once, then a second at"
+        " each start",
+    )
+
+
+OBSERVER_OPTIONS = rows_of(Options)
+
+
+def named(table: Sequence[Option], name: str) -> Option:
+    """The row of that name.
+
+    Raises:
+        KeyError: there is none.
+    """
+    found = next((each for each in table if each.name == name), None)
+    if found is None:
+        raise KeyError(name)
+    return found
