@@ -1,8 +1,9 @@
-"""Writes docs/parameters.md and config/nodes/*.yaml from the tables of options: ./dev docs."""
+"""Writes what docs and YAML samples take from the code: ./dev docs."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
+from docs import rooms
 from impact_observer.options import OBSERVER_OPTIONS, Option, Value
 from impact_observer.ros.parameters import TABLES
 from impact_observer.sensor_faults import SENSOR_FAULTS
@@ -11,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 _SIM_TIME = Option("use_sim_time", False, "follow /clock, of a simulation or a bag")
 _SAMPLES: dict[str, Value] = {"model": "two_mass", "sources": "switch"}
 """What stands in the samples for options that have no default."""
+_BEGIN, _END = "<!-- rooms, by ./dev docs -->", "<!-- end of rooms -->"
 _COLUMN = 34
 """Where the comments of a sample begin."""
 _PAGE = """\
@@ -113,9 +115,15 @@ def _yaml(value: Value) -> str:
 
 def files() -> dict[Path, str]:
     """All that is made, by file."""
-    samples = sorted((ROOT / "config" / "nodes").glob("*.yaml"))
-    return {ROOT / "docs" / "parameters.md": page()} | {
-        path: sample(path.stem) for path in samples
+    docs, samples = ROOT / "docs", sorted((ROOT / "config" / "nodes").glob("*.yaml"))
+    house = (docs / "house.md").read_text(encoding="utf-8")
+    before, _, rest = house.partition(_BEGIN)
+    after = rest.partition(_END)[2]
+    return {
+        docs / "parameters.md": page(),
+        docs / "house.md": f"{before}{_BEGIN}\n{rooms.table()}\n{_END}{after}",
+        docs / "images" / "rooms.svg": rooms.picture(),
+        **{path: sample(path.stem) for path in samples},
     }
 
 

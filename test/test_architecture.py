@@ -8,24 +8,14 @@ from pathlib import Path
 
 import pytest
 
+from docs.rooms import ROOMS
+
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "impact_observer"
 TESTS = ROOT / "test"
 
-ROOMS = (
-    ("model",),
-    ("dynamics",),
-    ("plant", "estimation"),
-    ("observer",),
-    ("io",),
-    ("detector", "draw"),
-    ("compare", "identify", "observability", "check"),
-    ("sweep",),
-    ("ros",),
-    ("cli",),
-)
-"""Rooms from left to right; the modules beside them are the vocabulary, level 0."""
-LEVELS = {room: level for level, rooms in enumerate(ROOMS, 1) for room in rooms}
+LEVELS = {room.name: level for level, rooms in enumerate(ROOMS, 1) for room in rooms}
+"""The modules beside the rooms are the vocabulary, level 0."""
 CORE = ("model", "dynamics", "plant", "estimation", "observer")
 ALLOWED = {"numpy", "scipy", *sys.stdlib_module_names} - {"argparse"}
 ENTRANCE = {"__init__.py", "__main__.py"}
