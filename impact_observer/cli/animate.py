@@ -20,62 +20,34 @@ if TYPE_CHECKING:
 FPS = 25.0
 """Pictures a second."""
 LONGEST = 60.0
-"""How long a film may become without being asked to, s."""
+"""Longest film without --duration, s."""
 MOST_PICTURES = 20_000
 _RANGES = {"speed": (1e-6, 1e6), "fps": (1e-3, 1e3), "start": (0.0, 1e9), "duration": (0.0, 1e9)}
-"""What numbers may be, so that all stamps are 64 bits long."""
+"""Ranges of the numbers; stamps then fit into 64 bits."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with truth or estimates")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="FILE",
-        type=Path,
-        required=True,
-        help="the film: an MP4, GIF or HTML; one that is there is replaced",
-    )
-    parser.add_argument(
-        "--speed",
-        metavar="X",
-        type=positive,
-        default=1.0,
-        help="recorded seconds a second of the film (default 1)",
-    )
-    parser.add_argument(
-        "--start",
-        metavar="S",
-        type=not_negative,
-        default=0.0,
-        help="where to begin, s since the epoch (default 0)",
-    )
-    parser.add_argument(
-        "--duration",
-        metavar="S",
-        type=positive,
-        help=f"how much to show, s (default: all, but no film longer than {LONGEST:g} s)",
-    )
-    parser.add_argument(
-        "--fps",
-        metavar="N",
-        type=positive,
-        default=FPS,
-        help=f"pictures a second of the film (default {FPS:g})",
-    )
+    add = parser.add_argument
+    add("bag", metavar="BAG", type=Path, help="a bag with truth or estimates")
+    film = "the film: an MP4, GIF or HTML; one that is there is replaced"
+    add("-o", "--output", metavar="FILE", type=Path, required=True, help=film)
+    speed = "recorded seconds a second of the film (default 1)"
+    add("--speed", metavar="X", type=positive, default=1.0, help=speed)
+    start = "where to begin, s since the epoch (default 0)"
+    add("--start", metavar="S", type=not_negative, default=0.0, help=start)
+    duration = f"how much to show, s (default: all, but no film longer than {LONGEST:g} s)"
+    add("--duration", metavar="S", type=positive, help=duration)
+    fps = f"pictures a second of the film (default {FPS:g})"
+    add("--fps", metavar="N", type=positive, default=FPS, help=fps)
     add_namespace(parser)
-    parser.add_argument(
-        "--observers",
-        metavar="PREFIX,...",
-        help="estimates to show, by prefix of their topics (default: all)",
-    )
+    observers = "estimates to show, by prefix of their topics (default: all)"
+    add("--observers", metavar="PREFIX,...", type=lambda text: text.split(","), help=observers)
     add_model(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
-    observers = None if args.observers is None else args.observers.split(",")
     return animate(
         args.bag,
         args.output,
@@ -83,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         start=args.start,
         duration=args.duration,
         fps=args.fps,
-        observers=observers,
+        observers=args.observers,
         model=args.model,
         namespace=args.namespace,
     )
@@ -105,14 +77,14 @@ def animate(
 
     Args:
         bag: with truth, estimates, or both.
-        output: the film; its ending says the format.
+        output: the film; its suffix says the format.
         speed: recorded seconds a second of the film.
         start: s since the epoch.
         duration: recorded seconds to show; None for all, up to a minute of film.
         fps: pictures a second of the film.
         observers: prefixes of the estimates' topics; None for all.
         model: a model file or a sample's name; None for the model in the bag.
-        namespace: of the rig that is meant; empty for the only one.
+        namespace: of the rig; empty if there is only one.
 
     Returns:
         0.
@@ -123,33 +95,34 @@ def animate(
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.film_files import writer_for
-    from impact_observer.draw.film_from_bag import Stretch, read_film
-    from impact_observer.draw.scene.animation import MovingArtists
+    from impact_observer.draw.film_from_bag import read_film
+    from impact_observer.draw.scene.animation import FilmPictures
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import system_of
     from impact_observer.stamps import seconds_between
 
+    span = LONGEST * speed if duration is None else duration
     _check(speed=speed, fps=fps, start=start, duration=duration or 0.0)
     write = writer_for(output, fps)
-    stretch = Stretch(start, LONGEST * speed if duration is None else duration)
     with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"reading {bag}")
-        film = read_film(reader, system_of(reader, model), stretch, observers)
-        left = _left_out(reader, film) if duration is None else ""
+        system = system_of(reader, model)
+        film = read_film(reader, system, start=start, duration=span, observers=observers)
+        rest = _rest(reader, film) if duration is None else ""
         count = film.count(fps, speed)
         if count > MOST_PICTURES:
             raise UsageError(
                 f"{count} pictures: too many for a film; expected at most {MOST_PICTURES},"
                 " with a shorter --duration, a lower --fps or a higher --speed"
             )
-        stamps = film.stamps(fps, speed).tolist()
-        moving = MovingArtists(film, title=_title(film, speed), speed=speed)
-        with write(output, moving.size) as add:
-            for done, stamp in enumerate(stamps, start=1):
-                add(moving.picture(stamp))
-                progress.step(f"drawing {output}", done, len(stamps))
-    shown = seconds_between(film.start, film.end)
-    print(f"film: {output}, {len(stamps)} pictures of {shown:.2f} s{left}")
+        pictures = FilmPictures(film, title=_title(film, speed), speed=speed)
+        with write(output, pictures.size) as add:
+            for done, stamp in enumerate(film.stamps(fps, speed).tolist(), start=1):
+                add(pictures.picture(stamp))
+                progress.step(f"drawing {output}", done, count)
+    print(
+        f"film: {output}, {count} pictures of {seconds_between(film.start, film.end):.2f} s{rest}"
+    )
     return 0
 
 
@@ -166,16 +139,16 @@ def _check(**given: float) -> None:
 
 
 def _title(film: "Film", speed: float) -> str:
-    """What is shown, in a line."""
-    name = film.scene.system.name
+    """The title of the film: what it shows, and how fast."""
     what = "plant and estimates" if film.truth and film.estimates else "plant"
     if film.truth is None:
         what = "estimate" if len(film.estimates) == 1 else "estimates"
-    return f"{name}: {what}" + ("" if speed == 1 else f", {speed:g} times as fast")
+    fast = "" if speed == 1 else f", {speed:g} times as fast"
+    return f"{film.scene.system.name}: {what}{fast}"
 
 
-def _left_out(reader: "BagReader", film: "Film") -> str:
-    """A hint where the film ends before the bag does."""
+def _rest(reader: "BagReader", film: "Film") -> str:
+    """A hint if the film ends before the bag does."""
     from impact_observer.stamps import seconds_between
 
     rest = seconds_between(film.end, reader.end)

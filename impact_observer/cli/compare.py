@@ -114,7 +114,7 @@ class Output:
         Raises:
             UsageError: a name does not end as it must, or a folder does not exist.
         """
-        from impact_observer.draw.pictures import check_picture
+        from impact_observer.draw.pictures import check_output
 
         for path, endings in (
             (self.plot, (".png", ".svg", ".pdf")),
@@ -122,7 +122,7 @@ class Output:
             (self.csv, (".csv",)),
         ):
             if path is not None:
-                check_picture(path, endings)
+                check_output(path, endings)
 
 
 def laws_in(text: str) -> tuple[str, ...]:

@@ -113,11 +113,11 @@ def figure(
     from impact_observer.compare import error_tables
     from impact_observer.compare.comparison import impacts_in
     from impact_observer.compare.error_pictures import lyapunov_figure
-    from impact_observer.draw.pictures import check_picture, save
+    from impact_observer.draw.pictures import check_output, save
     from impact_observer.model import read_model
     from impact_observer.observer import Options, make_observer
 
-    check_picture(output)
+    check_output(output)
     read = read_model(model)
     # The ensemble is left out: no estimate depends on it.
     observers = [

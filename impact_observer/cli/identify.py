@@ -182,9 +182,9 @@ def _check_usage(
         found = "exists already" if output.exists() else "its folder does not exist"
         raise UsageError(f"{output}: {found}; expected the name of a file to make")
     if plot is not None:
-        from impact_observer.draw.pictures import check_picture
+        from impact_observer.draw.pictures import check_output
 
-        check_picture(plot)
+        check_output(plot)
 
 
 def _parsed(given: "ModelText") -> tuple["Model", dict[str, object]]:

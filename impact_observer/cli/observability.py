@@ -96,9 +96,9 @@ def observe(
     from impact_observer.observability.rank import TOLERANCE, observability
 
     if plot is not None:
-        from impact_observer.draw.pictures import check_picture
+        from impact_observer.draw.pictures import check_output
 
-        check_picture(plot)
+        check_output(plot)
     with BagReader(bag, namespace) as reader:
         system = system_of(reader, model)
         events = events_in(reader)

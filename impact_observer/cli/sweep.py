@@ -248,10 +248,10 @@ class Show:
             if self.against is not None:
                 raise UsageError(f"--against {self.against}: there is no picture; add --plot FILE")
             return
-        from impact_observer.draw.pictures import check_picture
+        from impact_observer.draw.pictures import check_output
         from impact_observer.sweep.summary_picture import against_of
 
-        check_picture(self.plot)
+        check_output(self.plot)
         against_of(sweep, self.against)
 
 
@@ -282,12 +282,12 @@ def sweep(
         KeyboardInterrupt: as it came; the file has what was finished.
     """
     from impact_observer.cli.progress import Progress
-    from impact_observer.draw.pictures import check_picture
+    from impact_observer.draw.pictures import check_output
     from impact_observer.sweep.case_runs import plant_run
     from impact_observer.sweep.summary import groups_of
 
     shown = show or Show()
-    check_picture(output, (".parquet",))
+    check_output(output, (".parquet",))
     shown.check(wanted)
     outcomes = _files().read_outcomes(output, wanted)
     with Progress(sys.stderr if shown.json else None) as progress:

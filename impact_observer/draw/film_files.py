@@ -1,4 +1,8 @@
-"""Films as files: MP4 by ffmpeg, GIF, or one HTML page with everything in it."""
+"""Film files: MP4 by ffmpeg, GIF, or one HTML page that contains all pictures.
+
+The writers of matplotlib.animation are not used: they render the whole figure for each picture,
+and those for GIF and HTML keep all pictures in memory.
+"""
 
 import base64
 import html
@@ -17,55 +21,53 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import GifImagePlugin, Image
 
+from impact_observer.draw.pictures import check_output
 from impact_observer.errors import UsageError
 
 Picture: TypeAlias = NDArray[np.uint8]
 """Red, green, blue and opacity, shape (height, width, 4)."""
-Add: TypeAlias = Callable[[Picture], None]
-Writer: TypeAlias = Callable[[Path, tuple[int, int]], AbstractContextManager[Add]]
-"""What opens a film for pictures of one width and height, pixels."""
+Writer: TypeAlias = Callable[
+    [Path, tuple[int, int]], AbstractContextManager[Callable[[Picture], None]]
+]
+"""Opens a film of a width and height, pixels, and gives the function that adds a picture."""
 
 _HUES = ((0xB9, 0xCF, 0xE0), (0xD5, 0x5E, 0x00), (0x00, 0x72, 0xB2))
-"""Of bodies, of stops that are hit and of curves, beside greys."""
-_LAST = 1.2
-"""How long a GIF stands before it begins again, s."""
+"""Colours of bodies, of highlighted stops and of curves, beside greys."""
+_LAST = 1200
+"""How long a GIF shows its last picture before it starts again, ms."""
+_FFMPEG = (
+    "-y -loglevel error -f rawvideo -pix_fmt rgba -s {0}x{1} -r {fps:.6f} -i - -an"
+    " -c:v libx264 -crf 20 -pix_fmt yuv420p -movflags +faststart"
+)
+"""Options of ffmpeg: raw pictures on its standard input become H.264 that every browser shows."""
 
 
 def writer_for(path: Path, fps: float) -> Writer:
-    """What writes a film to ``path``; its ending says which.
+    """The writer of a film, chosen by the suffix of ``path``.
 
     Args:
-        path: where the film will be.
+        path: the file to be written.
         fps: pictures a second.
 
     Raises:
-        UsageError: another ending, no such folder, no ffmpeg, or too many pictures a second.
+        UsageError: another suffix, no such folder, no ffmpeg, or too many pictures a second.
     """
-    ending = path.suffix.lower()
-    writers: dict[str, Writer] = {
-        ".mp4": partial(_mp4, fps=fps),
-        ".gif": partial(_gif, fps=fps),
-        ".html": partial(_html, fps=fps),
-    }
-    if ending not in writers:
-        raise UsageError(f"{path}: expected a film's name that ends in {', '.join(writers)}")
-    if not path.absolute().parent.is_dir():
-        raise UsageError(f"{path}: no folder {path.parent}; make it first")
-    if path.is_dir():
-        raise UsageError(f"{path}: is a folder; expected the name of a file")
-    fastest = 50.0 if ending == ".gif" else 120.0
-    if fps > fastest:
-        raise UsageError(f"{fps:g} pictures a second: a {ending[1:]} shows at most {fastest:g}")
-    if ending == ".mp4":
+    suffix = path.suffix.lower()
+    writers = {".mp4": _mp4, ".gif": _gif, ".html": _html}
+    check_output(path, tuple(writers))
+    most = 50.0 if suffix == ".gif" else 120.0
+    if fps > most:
+        raise UsageError(f"{fps:g} pictures a second: a {suffix[1:]} shows at most {most:g}")
+    if suffix == ".mp4":
         _ffmpeg()
-    return writers[ending]
+    return partial(writers[suffix], fps=fps)
 
 
 def _ffmpeg() -> str:
-    """Where ffmpeg is.
+    """The path of ffmpeg.
 
     Raises:
-        UsageError: it is neither on the PATH nor in the package that the extra brings.
+        UsageError: it is neither on the PATH nor in the package of the extra ``mp4``.
     """
     if (found := shutil.which("ffmpeg")) is not None:
         return found
@@ -82,7 +84,7 @@ def _ffmpeg() -> str:
 
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
-    """A file beside ``path`` that takes its place when all went well."""
+    """A temporary file that replaces ``path`` at the end, if nothing was raised."""
     try:
         with tempfile.TemporaryDirectory(dir=path.absolute().parent, prefix=".film") as folder:
             made = Path(folder) / path.name
@@ -93,64 +95,45 @@ def _replacing(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _mp4(path: Path, size: tuple[int, int], *, fps: float) -> Iterator[Add]:
-    """H.264 as every browser and slide shows it."""
-    raw = ["-f", "rawvideo", "-pix_fmt", "rgba", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:.6f}"]
-    coded = ["-c:v", "libx264", "-crf", "20", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-    with _replacing(path) as made, tempfile.TemporaryFile() as said:
-        command = [
-            _ffmpeg(),
-            "-y",
-            "-loglevel",
-            "error",
-            *raw,
-            "-i",
-            "-",
-            "-an",
-            *coded,
-            str(made),
-        ]
+def _mp4(path: Path, size: tuple[int, int], *, fps: float) -> Iterator[Callable[[Picture], None]]:
+    """An MP4, encoded while it is drawn."""
+    with _replacing(path) as made, tempfile.TemporaryFile() as log:
+        command = [_ffmpeg(), *_FFMPEG.format(*size, fps=fps).split(), str(made)]
         process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=log
         )
-        stream = process.stdin
-        assert stream is not None
+        pipe = process.stdin
+        assert pipe is not None
         try:
-            yield lambda picture: _sent(stream, picture)
-            stream.close()
+            yield lambda picture: _send(pipe, picture)
+            pipe.close()
             failed = process.wait() != 0
         except BrokenPipeError:
             failed = True
         finally:
-            if process.poll() is None:
-                process.kill()
+            process.kill()
             process.wait()
         if failed:
-            said.seek(0)
-            lines = said.read().decode(errors="replace").strip().splitlines() or [
-                "no reason given"
-            ]
-            raise UsageError(f"{path}: ffmpeg failed: {lines[-1]}")
+            log.seek(0)
+            lines = log.read().decode(errors="replace").strip().splitlines()
+            raise UsageError(f"{path}: ffmpeg failed: {lines[-1] if lines else 'no reason given'}")
 
 
-def _sent(stream: IO[bytes], picture: Picture) -> None:
-    stream.write(picture.tobytes())
+def _send(pipe: IO[bytes], picture: Picture) -> None:
+    pipe.write(picture.tobytes())
 
 
 @contextmanager
-def _gif(path: Path, size: tuple[int, int], *, fps: float) -> Iterator[Add]:
-    """A GIF that begins again and again, written while it is drawn."""
+def _gif(path: Path, size: tuple[int, int], *, fps: float) -> Iterator[Callable[[Picture], None]]:
+    """A GIF that repeats for ever, written while it is drawn."""
     with _replacing(path) as made, made.open("wb") as file:
         gif = _Gif(file, size, fps)
         yield gif.add
-        gif.end()
+        gif.finish()
 
 
 class _Gif:
-    """Writes a GIF picture by picture, of each what differs from the one before.
-
-    Pillow alone would keep all of them in memory.
-    """
+    """Writes a GIF picture by picture; of each only the rectangle that changed."""
 
     def __init__(self, file: IO[bytes], size: tuple[int, int], fps: float) -> None:
         colours = bytes(_palette().getpalette() or ()).ljust(3 * 256, b"\0")
@@ -160,32 +143,32 @@ class _Gif:
         self._waiting: tuple[Image.Image, tuple[int, int]] | None = None
         screen = struct.pack("<HHBBB", *size, 0b1111_0111, 0, 0)
         file.write(b"GIF89a" + screen + colours[: 3 * 256])
-        file.write(b"\x21\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00")  # for ever
+        file.write(b"\x21\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00")  # repeats for ever
 
     def add(self, picture: Picture) -> None:
-        """Write the picture before, now that this one is there."""
+        """Write the previous picture, whose duration is only now certain, and keep this one."""
         image = _few_colours(picture)
         pixels = np.asarray(image)
         box = (0, 0, *image.size) if self._last is None else _changed(self._last, pixels)
-        self._write(self._shown())
+        self._write(self._duration())
         self._last, self._waiting = pixels, (image.crop(box), box[:2])
         self._count += 1
 
-    def end(self) -> None:
-        """Write the last picture, which stands longer."""
-        self._write(max(self._shown(), round(_LAST * 1000)))
+    def finish(self) -> None:
+        """Write the last picture, which stays longer."""
+        self._write(max(self._duration(), _LAST))
         self._file.write(b";")
 
-    def _shown(self) -> int:
-        """How long the picture that waits is shown, ms: time goes in hundredths of a second."""
+    def _duration(self) -> int:
+        """How long the waiting picture is shown, ms; the format counts hundredths of a second."""
         before, after = (round(k * 100 / self._fps) for k in (self._count - 1, self._count))
         return 10 * (after - before)
 
     def _write(self, duration: int) -> None:
-        """Write the picture that waits."""
+        """Write the waiting picture, if there is one."""
         if self._waiting is not None:
-            image, place = self._waiting
-            for data in GifImagePlugin.getdata(image, place, duration=duration, disposal=1):
+            image, corner = self._waiting
+            for data in GifImagePlugin.getdata(image, corner, duration=duration, disposal=1):
                 self._file.write(data)
 
 
@@ -198,8 +181,8 @@ def _changed(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[int, 
 
 
 @contextmanager
-def _html(path: Path, size: tuple[int, int], *, fps: float) -> Iterator[Add]:
-    """A page with all pictures in it, and buttons."""
+def _html(path: Path, size: tuple[int, int], *, fps: float) -> Iterator[Callable[[Picture], None]]:
+    """A page with all pictures in it, and controls."""
     page = _PAGE.replace("FPS", f"{fps:g}").replace("WIDTH", str(size[0]))
     head, tail = page.split("PICTURES")
     head = head.replace("NAME", html.escape(path.stem))
@@ -207,27 +190,27 @@ def _html(path: Path, size: tuple[int, int], *, fps: float) -> Iterator[Add]:
         file.write(head)
 
         def add(picture: Picture) -> None:
-            held = io.BytesIO()
-            _few_colours(picture).save(held, "PNG")
-            file.write(f'"{base64.b64encode(held.getvalue()).decode()}",\n')
+            png = io.BytesIO()
+            _few_colours(picture).save(png, "PNG")
+            file.write(f'"{base64.b64encode(png.getvalue()).decode()}",\n')
 
         yield add
         file.write(tail)
 
 
 def _few_colours(picture: Picture) -> Image.Image:
-    """The picture with the palette of all films, so that pictures differ in what moves only."""
+    """The picture in the palette of all films: pictures then differ only where something moves."""
     image = Image.fromarray(np.ascontiguousarray(picture[..., :3]))
     return image.quantize(palette=_palette(), dither=Image.Dither.NONE)
 
 
 @cache
 def _palette() -> Image.Image:
-    """Greys, and every colour of bodies, stops and curves on its way to white and to black."""
+    """Greys, and shades of every hue of bodies, stops and curves towards white and black."""
     greys = np.repeat(np.linspace(0, 255, 24)[:, None], 3, axis=1)
-    ways = np.linspace(0, 1, 9)[2:-1, None]  # nothing so near to white that white becomes it
-    tints = [255 + ways * (np.array(hue) - 255) for hue in _HUES]
-    shades = [ways * np.array(hue) for hue in _HUES]
+    shares = np.linspace(0, 1, 9)[2:-1, None]  # none so near white that it would replace white
+    tints = [255 + shares * (np.array(hue) - 255) for hue in _HUES]
+    shades = [shares * np.array(hue) for hue in _HUES]
     colours = np.vstack([greys, *tints, *shades, _HUES])
     image = Image.new("P", (1, 1))
     image.putpalette(np.rint(colours).astype(np.uint8).tobytes())

@@ -1,4 +1,4 @@
-"""Pictures: readable in grey and for colour-blind people, units on every axis."""
+"""The common style of pictures: readable in grey and for colour-blind people."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -18,10 +18,10 @@ from impact_observer.states import Vector
 mpl.use("Agg", force=False)
 
 Style: TypeAlias = dict[str, Any]
-"""What matplotlib calls the properties of a line."""
+"""Properties of a matplotlib line."""
 
-# The paper's own two as in its Figure 2: grey and black. Blue and vermilion are those of Okabe and
-# Ito, for eyes that see no red or no green; in grey the dashes and the marks tell them apart.
+# The two laws of the paper as in its Figure 2: grey and black. Blue and vermilion are those of
+# Okabe and Ito, for people who see no red or no green; in grey, dashes and markers differ.
 STYLES: Mapping[str, Style] = {
     "open-loop": {"color": "0.45", "linewidth": 1.1, "linestyle": ":"},
     "kinematic": {"color": "0.58", "linewidth": 2.0, "linestyle": "-"},
@@ -29,18 +29,18 @@ STYLES: Mapping[str, Style] = {
     "unilateral": {"color": "#0072B2", "linewidth": 1.3, "linestyle": "--", "marker": "o"},
     "minimum-variance": {"color": "#D55E00", "linewidth": 1.1, "linestyle": "-", "marker": "D"},
 }
-"""How the built-in laws are drawn."""
+"""Line styles of the built-in laws."""
 _OTHER_DASHES = ("-.", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)), (0, (8, 2)))
 _OTHER_MARKERS = "sv*Xph"
 _ROW_MARKERS = "|^x<>d+v"
 MOST_ROWS = len(_ROW_MARKERS)
-"""Most rows of marks that are told apart."""
+"""Number of rows of marks that differ."""
 _ROW = 0.05
-"""Height of a row of impacts, of that of the axes."""
+"""Height of a row of marks, over that of the axes."""
 
 
 def styles(laws: Sequence[str]) -> list[Style]:
-    """A style for each curve; where a law comes again, marks tell its curves apart.
+    """A style for each curve; curves of the same law differ in their markers.
 
     Args:
         laws: name of each curve's law.
@@ -64,8 +64,8 @@ def mark_rows(axes: Axes, rows: Mapping[str, Vector]) -> None:
     """Rows of marks along the upper edge of logarithmic axes, above all curves.
 
     Args:
-        axes: with everything else in it.
-        rows: where the marks stand, s, by label; at most ``MOST_ROWS``.
+        axes: with all curves in them.
+        rows: positions of the marks, s, by label; at most ``MOST_ROWS``.
     """
     below, above = axes.get_ylim()
     room = _ROW * (len(rows) + 0.1)
@@ -86,17 +86,17 @@ def mark_rows(axes: Axes, rows: Mapping[str, Vector]) -> None:
 
 
 def save(figure: Figure, path: Path, *, about: str = "") -> None:
-    """Write ``figure`` to ``path``; the ending says how: PNG, SVG or PDF.
+    """Write ``figure`` to ``path`` as PNG, SVG or PDF, by the suffix.
 
     Args:
         figure: what to write.
-        path: where; a picture that is there is replaced.
-        about: what it shows, kept in the file beside the picture itself.
+        path: where; an existing file is replaced.
+        about: title in the metadata of the file.
 
     Raises:
-        UsageError: another ending, or a folder that does not exist.
+        UsageError: another suffix, or a folder that does not exist.
     """
-    check_picture(path)
+    check_output(path)
     try:
         figure.savefig(path, dpi=150, metadata={"Title": about} if about else None)
     except OSError as error:
@@ -104,22 +104,24 @@ def save(figure: Figure, path: Path, *, about: str = "") -> None:
 
 
 def svg(figure: Figure) -> str:
-    """``figure`` as SVG, to be put into a page."""
+    """``figure`` as SVG, for use within HTML."""
     file = StringIO()
-    # Names that do not depend on chance: the same figure makes the same text.
+    # Fixed salt instead of random ids: equal figures make equal text.
     with mpl.rc_context({"svg.hashsalt": "impact_observer"}):
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     text = file.getvalue()
     return text[text.index("<svg") :]
 
 
-def check_picture(path: Path, endings: Sequence[str] = (".png", ".svg", ".pdf")) -> None:
-    """Raise unless a picture can be written to ``path``.
+def check_output(path: Path, suffixes: Sequence[str] = (".png", ".svg", ".pdf")) -> None:
+    """Raise unless a file can be written to ``path``; by default a picture.
 
     Raises:
-        UsageError: its ending is none of ``endings``, or its folder does not exist.
+        UsageError: it has none of the ``suffixes``, its folder does not exist, or it is a folder.
     """
-    if path.suffix.lower() not in endings:
-        raise UsageError(f"{path}: expected a name that ends in {', '.join(endings)}")
+    if path.suffix.lower() not in suffixes:
+        raise UsageError(f"{path}: expected a name that ends in {', '.join(suffixes)}")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"{path}: no folder {path.parent}; make it first")
+    if path.is_dir():
+        raise UsageError(f"{path}: is a folder; expected the name of a file")

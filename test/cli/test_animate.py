@@ -154,7 +154,7 @@ def test_longer_bags_are_cut_and_that_is_said(
 @pytest.mark.parametrize(
     "case",
     [
-        (["-o", "film.avi"], "expected a film's name that ends in .mp4, .gif, .html"),
+        (["-o", "film.avi"], "expected a name that ends in .mp4, .gif, .html"),
         (["-o", "no/such/film.gif"], "make it first"),
         (["--fps", "100", "-o", "film.gif"], "a gif shows at most 50"),
         (["--observers", "observer_b", "-o", "film.gif"], "observer /observer_b: not in"),

@@ -8,8 +8,8 @@ import pytest
 from systems import chain, system
 
 from impact_observer.cli.main import main
-from impact_observer.cli.urdf import described
 from impact_observer.draw.scene.scene import Scene
+from impact_observer.draw.urdf import urdf_text
 from impact_observer.model import read_model
 
 
@@ -57,7 +57,7 @@ def test_joint_states_move_it_as_the_scene(name: str, capsys: pytest.CaptureFixt
 def test_it_is_a_urdf_as_parsers_want_it() -> None:
     """Every joint has a parent, a child and limits; every link but the first hangs on one."""
     scene = Scene.of(read_model("three_mass").system)
-    robot = ET.fromstring(described(scene))
+    robot = ET.fromstring(urdf_text(scene))
     assert (robot.tag, robot.attrib["name"]) == ("robot", "three_mass")
     links = [link.attrib["name"] for link in robot.findall("link")]
     assert len(set(links)) == len(links)
@@ -80,7 +80,7 @@ def test_rod_of_a_bumper_moves_with_its_body() -> None:
     contacts = [([-1.0, 1.0], 0.3, 0.5)]
     model = system(np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=contacts)
     scene = Scene.of(model)
-    robot = ET.fromstring(described(scene))
+    robot = ET.fromstring(urdf_text(scene))
     left = next(link for link in robot.findall("link") if link.attrib["name"] == "x1")
     right_end = max(
         numbers(visual.find("origin"), "xyz")[0]
@@ -96,7 +96,7 @@ def test_rod_of_a_bumper_moves_with_its_body() -> None:
 def test_prefix_row_and_frame_let_plant_and_estimate_stand_side_by_side() -> None:
     """Joints keep their names: they are those of the joint states."""
     scene = Scene.of(read_model("two_mass").system)
-    robot = ET.fromstring(described(scene, prefix="estimate_", frame="map", row=1))
+    robot = ET.fromstring(urdf_text(scene, prefix="estimate_", frame="map", row=1))
     links = [link.attrib["name"] for link in robot.findall("link")]
     assert links == ["map", "estimate_x1", "estimate_x2", "estimate_stop"]
     joints = robot.findall("joint")
@@ -114,7 +114,7 @@ def test_stop_with_the_name_of_a_body_gets_another() -> None:
     both = type(model)(
         model.name, model.coordinates, model.M, model.C, model.K, model.forcing, (twin,)
     )
-    robot = ET.fromstring(described(Scene.of(both)))
+    robot = ET.fromstring(urdf_text(Scene.of(both)))
     links = [link.attrib["name"] for link in robot.findall("link")]
     assert links == ["world", "x1", "x1_stop"]
 

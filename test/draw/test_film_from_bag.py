@@ -6,19 +6,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from impact_observer.draw.film_from_bag import MOST_ESTIMATES, Stretch, read_film
+from impact_observer.draw.film_from_bag import MOST_ESTIMATES, read_film
+from impact_observer.draw.scene.film import Film
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
 from impact_observer.io import BagReader, BagWriter, JointState
 from impact_observer.io.messages import bag_messages
-from impact_observer.io.recordings import system_of
 from impact_observer.model import read_model
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate, Vector
 
-WHOLE = Stretch(0.0, 60.0)
 SYSTEM = read_model("two_mass").system
 EPOCH = NS_PER_S
+
+
+def film_of(reader: BagReader, *observers: str) -> Film:
+    """The whole bag as a film, with all observers or some."""
+    return read_film(reader, SYSTEM, start=0.0, duration=60.0, observers=observers or None)
 
 
 def bag_of(folder: Path, write: Callable[[BagWriter, int, Vector], None]) -> Path:
@@ -43,20 +47,20 @@ def write_joint_states(topic: str) -> Callable[..., None]:
 def test_film_of_a_bag_has_plant_and_estimates(sample_bag: Path) -> None:
     """With the law for a name, V at the samples, and the impacts."""
     with BagReader(sample_bag) as reader:
-        film = read_film(reader, system_of(reader, None), WHOLE)
+        film = film_of(reader)
     assert film.truth is not None
     assert [each.label for each in film.tracks] == ["plant", "geometric"]
     assert film.truth.stamps.size == film.estimates[0].stamps.size == 51
     assert (film.start, film.end, film.epoch) == (EPOCH, EPOCH + NS_PER_S // 2, EPOCH)
     assert film.distances[0].V.tolist() == [0.0] * 51
     assert film.contacts.hits[0].size == 11
-    assert film.truth.cuts.tolist() == film.contacts.hits[0].tolist()
+    assert film.truth.jumps.tolist() == film.contacts.hits[0].tolist()
 
 
 def test_only_the_stretch_is_kept(sample_bag: Path) -> None:
     """From its first to its last stamp, both in it."""
     with BagReader(sample_bag) as reader:
-        film = read_film(reader, SYSTEM, Stretch(0.1, 0.2))
+        film = read_film(reader, SYSTEM, start=0.1, duration=0.2)
     assert film.truth is not None
     for track in film.tracks:
         assert track.stamps.size == 21
@@ -67,7 +71,7 @@ def test_only_the_stretch_is_kept(sample_bag: Path) -> None:
 def test_stretch_without_states_is_one_line(sample_bag: Path) -> None:
     """It says the stretch."""
     with BagReader(sample_bag) as reader, pytest.raises(BagError) as error:
-        read_film(reader, SYSTEM, Stretch(100.0, 1.0))
+        read_film(reader, SYSTEM, start=100.0, duration=1.0)
     assert "no states between 101.000000000 and 102.000000000 s" in str(error.value)
 
 
@@ -77,7 +81,7 @@ def test_plant_alone_and_estimate_alone_are_films(tmp_path: Path) -> None:
         folder = tmp_path / str(truth)
         folder.mkdir()
         with BagReader(bag_of(folder, write_joint_states(topic))) as reader:
-            film = read_film(reader, SYSTEM, WHOLE)
+            film = film_of(reader)
         assert (film.truth is not None) is truth
         assert [each.label for each in film.tracks] == ["plant" if truth else "observer_rig"]
         assert film.distances == ()
@@ -94,7 +98,7 @@ def test_bag_without_states_is_one_line(tmp_path: Path) -> None:
 
     said = "nothing that moves; expected true states on /plant"
     with BagReader(bag_of(tmp_path, write)) as reader, pytest.raises(BagError, match=said):
-        read_film(reader, SYSTEM, WHOLE)
+        film_of(reader)
 
 
 def test_observers_of_one_law_are_told_apart_by_their_topics(tmp_path: Path) -> None:
@@ -108,15 +112,15 @@ def test_observers_of_one_law_are_told_apart_by_their_topics(tmp_path: Path) -> 
             writer.write(f"/{owner}/state", stamp, make.estimate(estimate, names))
 
     with BagReader(bag_of(tmp_path, write)) as reader:
-        film = read_film(reader, SYSTEM, WHOLE)
+        film = film_of(reader)
         labels = [each.label for each in film.estimates]
         assert labels == ["geometric (observer_a)", "geometric (observer_b)", "kinematic"]
-        chosen = read_film(reader, SYSTEM, WHOLE, ["observer_c", "/observer_a", "observer_c"])
+        chosen = film_of(reader, "observer_c", "/observer_a", "observer_c")
         assert [each.label for each in chosen.estimates] == ["kinematic", "geometric"]
         with pytest.raises(
             UsageError, match=r"observer /observer_d: not in .*; it has /observer_a"
         ):
-            read_film(reader, SYSTEM, WHOLE, ["observer_d"])
+            film_of(reader, "observer_d")
 
 
 def test_too_many_observers_are_refused(tmp_path: Path) -> None:
@@ -128,13 +132,13 @@ def test_too_many_observers_are_refused(tmp_path: Path) -> None:
 
     with BagReader(bag_of(tmp_path, write)) as reader:
         with pytest.raises(UsageError, match="7 observers: too many; name at most 6"):
-            read_film(reader, SYSTEM, WHOLE)
+            film_of(reader)
         names = [f"observer_{i}" for i in range(MOST_ESTIMATES)]
-        assert len(read_film(reader, SYSTEM, WHOLE, names).estimates) == MOST_ESTIMATES
+        assert len(film_of(reader, *names).estimates) == MOST_ESTIMATES
 
 
 def test_estimate_jumps_where_its_observer_inserted_an_impact(tmp_path: Path) -> None:
-    """An impact that nobody heard is a jump all the same."""
+    """An impact that nobody received is a jump all the same."""
     make, names = bag_messages(), SYSTEM.coordinates
 
     def write(writer: BagWriter, stamp: int, q: Vector) -> None:
@@ -145,41 +149,43 @@ def test_estimate_jumps_where_its_observer_inserted_an_impact(tmp_path: Path) ->
             writer.write("/observer/verdicts", stamp, make.verdict(missed))
 
     with BagReader(bag_of(tmp_path, write)) as reader:
-        (track,) = read_film(reader, SYSTEM, WHOLE).estimates
-    assert track.cuts.tolist() == [EPOCH + 197_000_000]
+        (track,) = film_of(reader).estimates
+    assert track.jumps.tolist() == [EPOCH + 197_000_000]
 
 
 def test_inserted_impact_makes_no_earlier_estimate_late(tmp_path: Path) -> None:
     """Nobody told the observer of it, so no estimate waits for it."""
     make, names = bag_messages(), SYSTEM.coordinates
-    heard = EPOCH + 50_000_000
+    received = EPOCH + 50_000_000
 
     def write(writer: BagWriter, stamp: int, q: Vector) -> None:
-        last = heard if stamp >= heard else 0
+        last = received if stamp >= received else 0
         estimate = Estimate(stamp, "minimum-variance", q, np.zeros(2), last_event=last)
         writer.write("/observer/state", stamp, make.estimate(estimate, names))
         if stamp == EPOCH:
-            event = ImpactEvent(heard, (Switch("stop"),), 1, 0, EPOCH)
+            event = ImpactEvent(received, (Switch("stop"),), 1, 0, EPOCH)
             writer.write("/impacts", stamp, make.event(event))
         if stamp == EPOCH + 200_000_000:
             missed = Verdict(stamp - 3_000_000, Ruling.INSERTED, 0, "stop", "missed")
-            for verdict in (Verdict(heard, Ruling.APPLIED, 1, "stop"), missed):
+            for verdict in (Verdict(received, Ruling.APPLIED, 1, "stop"), missed):
                 writer.write("/observer/verdicts", stamp, make.verdict(verdict))
 
     with BagReader(bag_of(tmp_path, write)) as reader:
-        (track,) = read_film(reader, SYSTEM, WHOLE).estimates
+        (track,) = film_of(reader).estimates
     assert track.stamps.size == 51
-    assert track.cuts.tolist() == [heard, EPOCH + 197_000_000]
+    assert track.jumps.tolist() == [received, EPOCH + 197_000_000]
 
 
 def test_estimates_that_came_before_their_event_are_left_out(tmp_path: Path) -> None:
     """A live observer may hear of an impact late; until then it is on the wrong side of it."""
     make, names = bag_messages(), SYSTEM.coordinates
-    hit, heard = EPOCH + 195_000_000, EPOCH + 230_000_000
+    hit, received = EPOCH + 195_000_000, EPOCH + 230_000_000
 
     def write(writer: BagWriter, stamp: int, q: Vector) -> None:
-        last = hit if stamp >= heard else 0 if stamp < EPOCH + 50_000_000 else EPOCH + 50_000_000
-        jumped = q - 1.0 if stamp >= heard else q
+        last = (
+            hit if stamp >= received else 0 if stamp < EPOCH + 50_000_000 else EPOCH + 50_000_000
+        )
+        jumped = q - 1.0 if stamp >= received else q
         estimate = Estimate(stamp, "geometric", jumped, np.zeros(2), last_event=last)
         if stamp == EPOCH:
             for i, instant in enumerate((EPOCH + 50_000_000, hit), start=1):
@@ -188,7 +194,7 @@ def test_estimates_that_came_before_their_event_are_left_out(tmp_path: Path) -> 
         writer.write("/observer/state", stamp, make.estimate(estimate, names))
 
     with BagReader(bag_of(tmp_path, write)) as reader:
-        (track,) = read_film(reader, SYSTEM, WHOLE).estimates
+        (track,) = film_of(reader).estimates
     left_out = {EPOCH + k * 10_000_000 for k in (20, 21, 22)}
     assert track.stamps.size == 51 - len(left_out)
     assert not left_out & set(track.stamps.tolist())

@@ -1,1 +1,1 @@
-"""Plant and estimates seen moving: where all is drawn, films, shapes of any tool."""
+"""Moving drawings of plant and estimates: positions, shapes, films."""

@@ -1,6 +1,7 @@
-"""Moving pictures: plant and estimates in one scale above each other, V over time below.
+"""The pictures of a film: plant and estimates above each other at one scale, V over time below.
 
-What does not move is drawn once; every picture is that background with what moves drawn over it.
+The background is drawn once; only moving artists are drawn for each picture, which takes a quarter
+of the time of a whole figure.
 """
 
 from typing import Any
@@ -31,47 +32,47 @@ from impact_observer.stamps import NS_PER_S
 
 DPI = 100
 """Pixels an inch."""
-_GLOW = 0.3
-"""How long a stop that was hit glows, s of the film."""
+_HIGHLIGHT = 0.3
+"""How long a stop is highlighted after an impact, s of the film."""
 _PLANT = "#B9CFE0"
 _LEFT, _TITLE = 0.95, 0.42
-"""Room left of the axes of V, and for the title, inches."""
+"""Margins on the left of the axes of V, and for the title, inches."""
 _LEGEND, _DISTANCE, _AXIS, _NOTHING = 0.35, 1.75, 0.62, 0.25
-"""Heights of the legend of V, of its axes, of what is below, and of what replaces them, inches."""
+"""Heights of V's legend, axes and ticks, and of the margin without them, inches."""
 
 
-class MovingArtists:
-    """A film as a sequence of pictures.
+class FilmPictures:
+    """Draws a film picture by picture.
 
     Attributes:
-        size: width and height of a picture, pixels, both even as encoders of films want them.
+        size: width and height of a picture, pixels, both even as video encoders require.
     """
 
     def __init__(self, film: Film, *, title: str, speed: float = 1.0) -> None:
-        """Draw all that does not move.
+        """Draw the background.
 
         Args:
             film: what to show.
-            title: of the whole.
+            title: of the film.
             speed: recorded seconds a second of the film.
         """
         self._film = film
-        self._glow = round(_GLOW * speed * NS_PER_S)
-        row = row_height(film.scene)
+        self._highlight = round(_HIGHLIGHT * speed * NS_PER_S)
+        height = row_height(film.scene)
         lower = _LEGEND + _DISTANCE + _AXIS if film.distances else _NOTHING
-        inches = (WIDTH, _TITLE + row * len(film.tracks) + lower)
+        inches = (WIDTH, _TITLE + height * len(film.tracks) + lower)
         self.size = (_even(inches[0]), _even(inches[1]))
         with mpl.rc_context({"font.size": LARGE, "hatch.linewidth": 0.7}):
             figure = Figure(figsize=(self.size[0] / DPI, self.size[1] / DPI), dpi=DPI)
             self._canvas = _canvas(figure)
-            self._rows = _rows(figure, film, row)
-            self._below = _Below(figure, film) if film.distances else None
+            self._rows = _rows(figure, film, height)
+            self._distances = _DistancePlot(figure, film) if film.distances else None
             self._clock = _write(figure, film, title)
             self._artists: list[Artist] = [self._clock]
-            for row_drawn in self._rows:
-                self._artists += row_drawn.artists
-            if self._below is not None:
-                self._artists += self._below.artists
+            for row in self._rows:
+                self._artists += row.artists
+            if self._distances is not None:
+                self._artists += self._distances.artists
             for artist in self._artists:
                 artist.set_animated(True)
             self._canvas.draw()
@@ -83,9 +84,9 @@ class MovingArtists:
         self._canvas.restore_region(self._background)
         truth = None if film.truth is None else film.truth.at(stamp)
         for row in self._rows:
-            row.show(stamp, truth, self._glow)
-        if self._below is not None:
-            self._below.show(stamp)
+            row.show(stamp, truth, self._highlight)
+        if self._distances is not None:
+            self._distances.show(stamp)
         self._clock.set_text(f"t = {(stamp - film.epoch) / NS_PER_S:7.3f} s")
         renderer = self._canvas.get_renderer()
         for artist in self._artists:
@@ -95,23 +96,23 @@ class MovingArtists:
 
 
 def _canvas(figure: Figure) -> Any:  # noqa: ANN401 (matplotlib's is hardly typed)
-    """What a figure is drawn on."""
+    """The canvas of a figure."""
     return FigureCanvasAgg(figure)
 
 
 def _even(inches: float) -> int:
-    """The nearest even number of pixels."""
+    """The nearest even number of pixels to a length."""
     return round(inches * DPI / 2) * 2
 
 
 def _rows(figure: Figure, film: Film, height: float) -> list[SceneRow]:
-    """The tracks below each other, each of some height, inches."""
+    """One row for each track, of the given height, inches."""
     whole = float(figure.get_figheight())
     rows = []
-    for k, (track, look) in enumerate(zip(film.tracks, _looks(film), strict=True)):
+    for k, (track, style) in enumerate(zip(film.tracks, _track_styles(film), strict=True)):
         bottom = whole - _TITLE - (k + 1) * height
         axes = figure.add_axes((0.0, bottom / whole, 1.0, height / whole))
-        rows.append(SceneRow(axes, film, track, look))
+        rows.append(SceneRow(axes, film, track, style))
     draw_scale(rows[0].axes, film.scene)
     if film.truth is not None and film.estimates:
         write_note(rows[1].axes, film.scene, "dashed: the plant")
@@ -119,7 +120,7 @@ def _rows(figure: Figure, film: Film, height: float) -> list[SceneRow]:
 
 
 def _write(figure: Figure, film: Film, title: str) -> Any:  # noqa: ANN401 (a text that moves)
-    """The title, what is left out, and the text that will be the time."""
+    """Write the title and what is left out; return the text that will be the time."""
     top = 1 - 0.14 / float(figure.get_figheight())
     figure.text(0.026, top, title, weight="bold", va="top")
     if film.scene.omitted:
@@ -128,8 +129,8 @@ def _write(figure: Figure, film: Film, title: str) -> Any:  # noqa: ANN401 (a te
     return figure.text(0.974, top, "", ha="right", va="top", family="monospace")
 
 
-class _Below:
-    """V over time, with what is still to come under a veil."""
+class _DistancePlot:
+    """V over time, with the future under a veil."""
 
     def __init__(self, figure: Figure, film: Film) -> None:
         self._film = film
@@ -141,7 +142,7 @@ class _Below:
         self._curves = []
         for track, each, style in zip(film.estimates, film.distances, found, strict=True):
             t = film.seconds(each.stamps)
-            # Zero has no logarithm: a gap says that the estimate is exact there.
+            # Zero has no logarithm: it becomes a gap.
             V = np.where(each.V > 0, each.V, np.nan)
             plain = {k: v for k, v in style.items() if not k.startswith("marker")}
             axes.semilogy(t, V, label=track.label, **plain)
@@ -184,7 +185,7 @@ class _Below:
 
 
 def _mark_hits(axes: Axes, film: Film) -> None:
-    """A row of marks a contact above the curves; one for very many contacts."""
+    """A row of marks for each contact, or one for all of many contacts."""
     names = film.scene.system.contact_names
     rows = {f"impacts at {names[i]}": film.seconds(each) for i, each in film.contacts.hits.items()}
     if len(rows) > min(MOST_ROWS, 3):
@@ -192,8 +193,8 @@ def _mark_hits(axes: Axes, film: Film) -> None:
     mark_rows(axes, rows)
 
 
-def _looks(film: Film) -> list[DrawStyle]:
-    """Blue for the plant; for estimates white, with edges of the colour of their curves."""
+def _track_styles(film: Film) -> list[DrawStyle]:
+    """Blue for the plant; for estimates white with edges in the colour of their curves."""
     found = styles([each.law for each in film.estimates])
-    looks = [DrawStyle("white", each["color"], max(each["linewidth"], 1.3)) for each in found]
-    return looks if film.truth is None else [DrawStyle(_PLANT, "black", 1.3), *looks]
+    estimates = [DrawStyle("white", each["color"], max(each["linewidth"], 1.3)) for each in found]
+    return estimates if film.truth is None else [DrawStyle(_PLANT, "black", 1.3), *estimates]

@@ -1,7 +1,8 @@
-"""How far apart the bodies of a scene stand, so that nothing overlaps and motion is seen."""
+"""The distances between the bodies of a scene: nothing overlaps, and motion is visible."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,53 +10,50 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 _EQUAL = 1e-9
-"""Relative difference of two factors of a direction that is rounding."""
+"""Relative difference of two factors of a direction that counts as rounding."""
 _BODY, _THICKNESS, _SPRING = 0.45, 0.3, 1.1
-"""Half a body over the typical motion; a plate's thickness, and the least length of a spring, over
-half a body."""
+"""Half a body's width over the typical motion; over that half width, the thickness of a plate and
+the least length of a spring."""
 _LEAST = 0.08
-"""Least half of a body, over all motion."""
+"""Least half width of a body, over the range of all motion."""
 _BEYOND = 1.2
-"""How far bodies are taken to move, over the distance of the farthest stop."""
+"""Assumed motion of bodies, over the distance of the farthest stop."""
 _FAR = 8.0
-"""How much farther than all motion a stop may be, over the motion, and still be drawn in place."""
+"""Largest distance of a stop that is drawn in place, over the range of all motion."""
 
 
-@dataclass(frozen=True, slots=True)
-class Single:
+class WallContact(NamedTuple):
     """A contact of one body.
 
     Attributes:
         contact: its index.
         slot: the body's place in the row.
         side: +1 where the stop is on its right, -1 on its left.
-        change: displacement of the body at which ``g = 0``, m.
+        travel: displacement of the body at which ``g = 0``, m.
     """
 
     contact: int
     slot: int
     side: int
-    change: float
+    travel: float
 
 
-@dataclass(frozen=True, slots=True)
-class Pair:
+class BumperContact(NamedTuple):
     """A contact between neighbours.
 
     Attributes:
         contact: its index.
         slot: the left body's place in the row.
-        gap: displacement of left minus right at which ``g = 0``, m.
+        travel: displacement of left minus right at which ``g = 0``, m.
     """
 
     contact: int
     slot: int
-    gap: float
+    travel: float
 
 
-@dataclass(frozen=True, slots=True)
-class Measures:
-    """Lengths of a scene, m, and what kind each contact is.
+class Arrangement(NamedTuple):
+    """Lengths of a scene, m, and how each contact is drawn.
 
     Attributes:
         half: half the width of a body.
@@ -64,8 +62,8 @@ class Measures:
         pitch: from one home to the next.
         start: left end of the picture, from the first home.
         end: right end of the picture, from the last home.
-        singles: contacts that are walls.
-        pairs: contacts that are bumpers.
+        walls: contacts of one body.
+        bumpers: contacts between neighbours.
         others: indices of all other contacts.
     """
 
@@ -75,16 +73,16 @@ class Measures:
     pitch: float
     start: float
     end: float
-    singles: tuple[Single, ...]
-    pairs: tuple[Pair, ...]
+    walls: tuple[WallContact, ...]
+    bumpers: tuple[BumperContact, ...]
     others: tuple[int, ...]
 
 
-def ordered(system: System, shown: int) -> tuple[int, ...]:
+def body_order(system: System, shown: int) -> tuple[int, ...]:
     """The coordinates from the left to the right, the first ``shown`` of them.
 
-    They keep their order, but where a contact compares two of them the one that it stops from the
-    left stands on the left; where contacts contradict each other they have no say.
+    The order is that of the model, but the body that a contact stops from the left stands on the
+    left of the other body. Contacts that contradict each other are ignored.
     """
     before = {j: set[int]() for j in range(shown)}
     for direction in system.W.T:
@@ -99,35 +97,35 @@ def ordered(system: System, shown: int) -> tuple[int, ...]:
     return tuple(row)
 
 
-def measured(
+def arranged(
     system: System, order: Sequence[int], positions: Matrix, reach: float = 0.0
-) -> Measures:
-    """Lengths at which nothing overlaps in the states that are known.
+) -> Arrangement:
+    """Lengths at which nothing overlaps in the given states.
 
     Args:
         system: what is drawn.
         order: coordinates from the left.
-        positions: coordinates, shape (samples, n), m; fewer than two for somewhat farther than
-            the stops.
-        reach: how far each body may move instead, m; 0 for as above.
+        positions: coordinates, shape (samples, n), m; if all are equal, or there are fewer than
+            two, bodies are assumed to move somewhat farther than the stops.
+        reach: how far each body may move instead, m; 0 to use ``positions``.
     """
-    singles, pairs = _contacts(system, order)
+    walls, bumpers = _contacts(system, order)
     states = positions[:, list(order)]
     if reach > 0:
-        states = _imagined(reach, len(order))
+        states = _opposed(reach, len(order))
     elif len(states) < 2 or not np.any(np.ptp(states, axis=0)):
-        stops = [abs(each.change) for each in singles] + [abs(each.gap) for each in pairs]
+        stops = [abs(each.travel) for each in chain(walls, bumpers)]
         farthest = float(max([*stops, *np.abs(states).flat], default=0.0))
-        states = _imagined(_BEYOND * farthest or 1.0, len(order))
+        states = _opposed(_BEYOND * farthest or 1.0, len(order))
     low, high = states.min(axis=0, initial=0.0), states.max(axis=0, initial=0.0)
-    # Of most of the time: a transient must not make all that follows look like rest.
+    # The rms amplitude: after a large transient, small motion is still to be seen.
     typical = 2 * float(np.sqrt(np.var(states, axis=0).max()))
     far = _FAR * float(np.max(high - low))
-    near = tuple(each for each in singles if abs(each.change) <= far)
-    close = tuple(each for each in pairs if abs(each.gap) <= far)
+    walls = tuple(each for each in walls if abs(each.travel) <= far)
+    bumpers = tuple(each for each in bumpers if abs(each.travel) <= far)
     half = max(_BODY * typical, _LEAST * float(np.max(high - low)))
     thickness, spring = _THICKNESS * half, _SPRING * half
-    right, left = _plates(near, len(order), thickness)
+    right, left = _plates(walls, len(order), thickness)
     gaps = np.max(
         [
             np.max(states[:, :-1] - states[:, 1:], axis=0, initial=0.0),
@@ -137,46 +135,48 @@ def measured(
         ],
         axis=0,
     )
-    drawn = [each.contact for each in near] + [each.contact for each in close]
-    return Measures(
+    drawn = {each.contact for each in chain(walls, bumpers)}
+    return Arrangement(
         half=half,
         thickness=thickness,
         spring=spring,
-        pitch=2 * half + spring + max([*gaps, *(each.gap for each in close)], default=0.0),
+        pitch=2 * half + spring + max([*gaps, *(each.travel for each in bumpers)], default=0.0),
         start=float(min(low[0], left[0])) - half - spring - thickness,
         end=float(max(high[-1], right[-1])) + half + spring + thickness,
-        singles=near,
-        pairs=close,
+        walls=walls,
+        bumpers=bumpers,
         others=tuple(i for i in range(system.m) if i not in drawn),
     )
 
 
-def _imagined(reach: float, bodies: int) -> Matrix:
-    """Neighbours that move apart and together by ``reach``, m."""
+def _opposed(reach: float, bodies: int) -> Matrix:
+    """Two states in which neighbours are displaced by ``reach`` in opposite directions, m."""
     return reach * np.array([[1.0], [-1.0]]) * (-1.0) ** np.arange(bodies)
 
 
-def _contacts(system: System, order: Sequence[int]) -> tuple[tuple[Single, ...], tuple[Pair, ...]]:
+def _contacts(
+    system: System, order: Sequence[int]
+) -> tuple[tuple[WallContact, ...], tuple[BumperContact, ...]]:
     """Contacts of single bodies and of neighbours among those that are drawn."""
     slots = {coordinate: slot for slot, coordinate in enumerate(order)}
-    singles, pairs = [], []
+    walls, bumpers = [], []
     for i, contact in enumerate(system.contacts):
         moved = np.flatnonzero(contact.direction).tolist()
         pair = _pair(contact.direction)
         if len(moved) == 1 and moved[0] in slots:
             factor = float(contact.direction[moved[0]])
             side = 1 if factor < 0 else -1
-            singles.append(Single(i, slots[moved[0]], side, -contact.gap / factor))
+            walls.append(WallContact(i, slots[moved[0]], side, -contact.gap / factor))
         elif pair is not None and set(pair) <= set(slots):
             left, right = slots[pair[0]], slots[pair[1]]
             if right == left + 1:
                 factor = float(contact.direction[pair[1]])
-                pairs.append(Pair(i, left, contact.gap / factor))
-    return tuple(singles), tuple(pairs)
+                bumpers.append(BumperContact(i, left, contact.gap / factor))
+    return tuple(walls), tuple(bumpers)
 
 
 def _pair(direction: Vector) -> tuple[int, int] | None:
-    """Coordinates on the left and on the right of a stop between two; None if it is none."""
+    """The left and the right coordinate of a stop between two; None for another contact."""
     moved = np.flatnonzero(direction).tolist()
     if len(moved) != 2 or abs(direction.sum()) > _EQUAL * np.abs(direction).max():
         return None
@@ -184,16 +184,16 @@ def _pair(direction: Vector) -> tuple[int, int] | None:
     return left, right
 
 
-def _plates(walls: Sequence[Single], bodies: int, thickness: float) -> tuple[Vector, Vector]:
-    """How far walls go on the right of each body and on the left, from where its face is at home.
+def _plates(walls: Sequence[WallContact], bodies: int, thickness: float) -> tuple[Vector, Vector]:
+    """Outer edges of the walls beside each body, from its face at ``q = 0``.
 
     Returns:
-        Right and left edges, each of shape (bodies,), m; infinitely far inward where is no wall.
+        Right and left edges, each of shape (bodies,), m; without a wall -inf and inf.
     """
     right, left = np.full(bodies, -np.inf), np.full(bodies, np.inf)
     for each in walls:
         if each.side > 0:
-            right[each.slot] = max(right[each.slot], each.change + thickness)
+            right[each.slot] = max(right[each.slot], each.travel + thickness)
         else:
-            left[each.slot] = min(left[each.slot], each.change - thickness)
+            left[each.slot] = min(left[each.slot], each.travel - thickness)
     return right, left

@@ -1,7 +1,7 @@
-"""What is seen when: tracks of a plant and its estimates, cut at impacts, and closed contacts.
+"""The content of a film: tracks of a plant and its estimates, and their contacts over time.
 
-Between two samples a track goes straight. Where an impact lies between them it stays at the
-earlier sample until the impact, and is at the later one from then on: a jump is no motion.
+Between two samples a track is interpolated linearly. If an impact lies between them, it holds the
+earlier sample before the impact and the later one after it, as the velocity jumps there.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,20 +18,20 @@ from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Matrix, Stamps, Vector
 
 _MOST_POSITIONS = 20_000
-"""Most samples of a track that the scene is measured by."""
+"""Most samples of a track from which the scene is made."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """How one plant or estimate moves; make it by ``Track.of``.
+    """The motion of the plant or of an estimate; made by ``Track.of``.
 
     Attributes:
-        label: what it is called.
+        label: its name in the film.
         law: name of an estimate's law; empty for a plant.
-        stamps: ascending, each once, ns, shape (samples,).
+        stamps: strictly ascending, ns, shape (samples,).
         q: coordinates, shape (samples, n).
         u: velocities, shape (samples, n).
-        cuts: stamps of its jumps, ascending, ns.
+        jumps: stamps of its impacts, ascending, ns.
     """
 
     label: str
@@ -39,25 +39,25 @@ class Track:
     stamps: Stamps
     q: Matrix
     u: Matrix
-    cuts: Stamps
+    jumps: Stamps
 
     @classmethod
     def of(
-        cls, label: str, law: str, states: tuple[Stamps, Matrix, Matrix], cuts: Iterable[int]
+        cls, label: str, law: str, states: tuple[Stamps, Matrix, Matrix], jumps: Iterable[int]
     ) -> "Track":
-        """The track of states in any order; of those with one stamp the last one counts.
+        """The track of states in any order; of equal stamps the last one counts.
 
         Args:
-            label: what it is called.
+            label: its name in the film.
             law: name of an estimate's law; empty for a plant.
             states: stamps (ns), coordinates and velocities.
-            cuts: stamps of jumps, ns.
+            jumps: stamps of its impacts, ns.
         """
         stamps, q, u = states
-        found, from_behind = np.unique(stamps[::-1], return_index=True)
-        last = stamps.size - 1 - from_behind
-        jumps = np.array(sorted(set(cuts)), dtype=np.int64)
-        return cls(label, law, found, q[last], u[last], jumps)
+        unique, from_end = np.unique(stamps[::-1], return_index=True)
+        last = stamps.size - 1 - from_end
+        at = np.array(sorted(set(jumps)), dtype=np.int64)
+        return cls(label, law, unique, q[last], u[last], at)
 
     def at(self, stamp: int) -> Vector | None:
         """Coordinates at ``stamp``, ns, shape (n,); None before the first and after the last."""
@@ -69,16 +69,16 @@ class Track:
             return np.asarray(self.q[i])
         end = int(self.stamps[i + 1])
         # A sample at the stamp of an impact is the state after it.
-        first, behind = np.searchsorted(self.cuts, [start, end], side="right")
-        if first == behind:
+        first, after = np.searchsorted(self.jumps, [start, end], side="right")
+        if first == after:
             part = (stamp - start) / (end - start)
             return np.asarray(self.q[i] + part * (self.q[i + 1] - self.q[i]))
-        return np.asarray(self.q[i + 1 if stamp >= self.cuts[behind - 1] else i])
+        return np.asarray(self.q[i + 1 if stamp >= self.jumps[after - 1] else i])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distance:
-    """``V`` of an estimate where it has the stamps of the truth.
+    """``V`` of an estimate at the stamps that it shares with the truth.
 
     Attributes:
         stamps: ns, shape (samples,).
@@ -90,15 +90,15 @@ class Distance:
 
     @classmethod
     def between(cls, system: System, truth: Track, estimate: Track) -> "Distance":
-        """That of an estimate from the truth; no samples where they have no stamp in common."""
+        """``V`` of the difference of estimate and truth; empty if they share no stamp."""
         common, i, j = np.intersect1d(truth.stamps, estimate.stamps, True, return_indices=True)
         q, u = estimate.q[j] - truth.q[i], estimate.u[j] - truth.u[i]
         return cls(common, np.asarray(distance(system, q, u)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contacts:
-    """When contacts are hit, and when they stay closed.
+class ContactHistory:
+    """Impacts and persistent contact over time.
 
     Attributes:
         hits: by index of a contact, stamps of its impacts and closings, ascending, ns.
@@ -109,52 +109,50 @@ class Contacts:
     closed: Mapping[int, Stamps]
 
     @classmethod
-    def of(cls, system: System, events: Sequence[ImpactEvent]) -> "Contacts":
-        """What a stream of events says of the contacts of a system; others are left out."""
+    def of(cls, system: System, events: Sequence[ImpactEvent]) -> "ContactHistory":
+        """The history in a stream of events; contacts that the system has not are left out."""
         index = {name: i for i, name in enumerate(system.contact_names)}
         stamps: dict[int, list[int]] = {}
         switches: dict[int, list[int]] = {}
-        told = [(s, index[c], k) for s, c, k in impacts_of(events) if c in index]
-        opened = [
+        closing = [(s, index[c], k) for s, c, k in impacts_of(events) if c in index]
+        opening = [
             (event.stamp, index[switch.contact], switch.kind)
             for event in events
             for switch in event.switches
             if switch.kind is Kind.OPEN and switch.contact in index
         ]
-        for stamp, contact, kind in sorted([*told, *opened]):
+        for stamp, contact, kind in sorted([*closing, *opening]):
             if kind is not Kind.OPEN:
                 stamps.setdefault(contact, []).append(stamp)
-            turns = switches.setdefault(contact, [])
-            # An impact of a closed contact says nothing new, nor an opening of an open one.
-            if (kind is Kind.OPEN) if len(turns) % 2 else (kind is Kind.CLOSE):
-                turns.append(stamp)
+            changes = switches.setdefault(contact, [])
+            # Closing a closed contact or opening an open one changes nothing.
+            if kind is (Kind.OPEN if len(changes) % 2 else Kind.CLOSE):
+                changes.append(stamp)
         return cls(_arrays(stamps), _arrays(switches))
 
     def is_closed(self, contact: int, stamp: int) -> bool:
         """Whether a contact stays closed at ``stamp``, ns."""
-        turns = self.closed.get(contact)
-        return turns is not None and bool(np.searchsorted(turns, stamp, side="right") % 2)
+        changes = self.closed.get(contact, ())
+        return bool(np.searchsorted(changes, stamp, side="right") % 2)
 
-    def glow(self, contact: int, stamp: int, lasting: int) -> float:
-        """1 at a hit, fading to 0 within ``lasting``, ns."""
-        found = self.hits.get(contact)
-        last = -1 if found is None else int(np.searchsorted(found, stamp, side="right")) - 1
-        if found is None or last < 0:
-            return 0.0
-        return max(1.0 - (stamp - int(found[last])) / lasting, 0.0)
+    def highlight(self, contact: int, stamp: int, duration: int) -> float:
+        """1 at an impact, fading to 0 within ``duration``, ns."""
+        found = self.hits.get(contact, np.empty(0, np.int64))
+        last = int(np.searchsorted(found, stamp, side="right")) - 1
+        return max(1.0 - (stamp - int(found[last])) / duration, 0.0) if last >= 0 else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Film:
-    """All that is shown.
+    """The content of a film.
 
     Attributes:
-        scene: what stands where, the same for every track.
-        truth: the plant's track; None where it is not known.
+        scene: positions of everything, the same for every track.
+        truth: the plant's track; None if there is none.
         estimates: the estimates' tracks.
         distances: V of each estimate, as many; none without truth.
-        contacts: when stops are hit or closed.
-        epoch: stamp from which time is counted, ns.
+        contacts: impacts and persistent contact over time.
+        epoch: stamp of ``t = 0``, ns.
         start: stamp of the first picture, ns.
         end: stamp of the last picture, ns.
     """
@@ -163,7 +161,7 @@ class Film:
     truth: Track | None
     estimates: tuple[Track, ...]
     distances: tuple[Distance, ...]
-    contacts: Contacts
+    contacts: ContactHistory
     epoch: int
     start: int
     end: int
@@ -174,7 +172,7 @@ class Film:
         return self.estimates if self.truth is None else (self.truth, *self.estimates)
 
     def stamps(self, fps: float, speed: float) -> Stamps:
-        """When the pictures are taken, ns, the first at the start.
+        """Stamps of the pictures, ns, the first at the start.
 
         Args:
             fps: pictures a second of the film.
@@ -184,7 +182,7 @@ class Film:
         return np.asarray(self.start + np.rint(steps).astype(np.int64))
 
     def count(self, fps: float, speed: float) -> int:
-        """How many pictures these are."""
+        """Number of pictures."""
         return int((self.end - self.start) / (NS_PER_S * speed / fps) + 1e-9) + 1
 
     def seconds(self, stamps: Stamps) -> Vector:

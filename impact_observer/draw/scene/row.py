@@ -1,7 +1,7 @@
-"""One row of a moving picture: the bodies of a plant or an estimate, springs and stops.
+"""One row of a film: the bodies, springs and stops of the plant or an estimate.
 
-A stop that is hit or closed is vermilion, after Okabe and Ito; in grey it is dark, while others
-are light. A star marks a hit.
+A stop is vermilion, after Okabe and Ito, during an impact or persistent contact; in grey it is
+darker than the others. A star marks an impact.
 """
 
 from dataclasses import dataclass
@@ -33,14 +33,14 @@ from impact_observer.states import Vector
 WIDTH = 9.6
 """Width of the pictures, inches."""
 SIDE = 0.25
-"""Room beside the scene, inches."""
+"""Margin beside the scene, inches."""
 LARGE, NAMED = 10.0, 7.0
-"""Sizes of letters, points."""
+"""Font sizes of titles and of names, points."""
 _LIT = "#D55E00"
 _HEIGHT, _CLOSEST = 0.75, 0.36
-"""A body's height and the least of it, inches."""
+"""Largest and least height of a body, inches."""
 _LABEL, _BELOW_FLOOR = 0.36, 0.22
-"""Room for a row's name above it, and for the names of its stops below it, inches."""
+"""Room for the label above a row, and for the names of stops below it, inches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +48,9 @@ class DrawStyle:
     """How a track is drawn.
 
     Attributes:
-        fill: of its bodies.
-        line: of its bodies' edges, which are never dashed: the plant behind an estimate is.
-        width: of them.
+        fill: colour of bodies.
+        line: colour of their edges, which are solid; dashed is the plant behind an estimate.
+        width: of the edges, points.
     """
 
     fill: str
@@ -61,15 +61,16 @@ class DrawStyle:
 class SceneRow:
     """One track: bodies, couplings, stops."""
 
-    def __init__(self, axes: Axes, film: Film, track: Track, look: DrawStyle) -> None:
+    def __init__(self, axes: Axes, film: Film, track: Track, style: DrawStyle) -> None:
+        """Draw what does not move, and make the artists that do."""
         self.axes, self._film, self._track = axes, film, track
         scene = film.scene
         _prepare(axes, scene)
         self._scene = scene
         _draw_still(axes, scene, track.label)
         width, size = 2 * scene.half, _name_size(axes, scene)
-        line: Style = {"edgecolor": look.line, "linewidth": look.width}
-        self._bodies = [_box(axes, width, facecolor=look.fill, **line) for _ in scene.order]
+        line: Style = {"edgecolor": style.line, "linewidth": style.width}
+        self._bodies = [_box(axes, width, facecolor=style.fill, **line) for _ in scene.order]
         self._names = [
             axes.text(0, 0.5, name, ha="center", va="center", size=size[0], rotation=size[1])
             for name in scene.names
@@ -101,13 +102,13 @@ class SceneRow:
         ]
         self.artists: list[Artist] = [*self._moving, *self._lit, self._bursts, self._absent]
 
-    def show(self, stamp: int, truth: Vector | None, glow: int) -> None:
-        """Move everything to where it is at ``stamp``, ns.
+    def show(self, stamp: int, truth: Vector | None, highlight: int) -> None:
+        """Move everything to its position at ``stamp``, ns.
 
         Args:
             stamp: of the picture.
-            truth: coordinates of the plant; None where they are not known.
-            glow: how long a stop glows that was hit, ns.
+            truth: coordinates of the plant; None without truth at this stamp.
+            highlight: how long a stop is highlighted after an impact, ns.
         """
         q, scene = self._track.at(stamp), self._scene
         for artist in self._moving:
@@ -127,15 +128,15 @@ class SceneRow:
         for patches, shapes in ((self._pins, pins), (self._pads, pads)):
             for patch, (_, box) in zip(patches, shapes(scene, frame), strict=True):
                 patch.set_bounds(*box)
-        self._light(stamp, frame, glow)
+        self._highlight(stamp, frame, highlight)
 
-    def _light(self, stamp: int, frame: Frame, glow: int) -> None:
-        """Light what is closed, or was hit a moment ago."""
+    def _highlight(self, stamp: int, frame: Frame, duration: int) -> None:
+        """Highlight stops in persistent contact, or shortly after an impact."""
         contacts, bursts = self._film.contacts, []
         for patch in self._lit:
             patch.set_visible(False)
         for contact, box in plates(self._scene, frame):
-            bright = contacts.glow(contact, stamp, glow)
+            bright = contacts.highlight(contact, stamp, duration)
             closed = contacts.is_closed(contact, stamp)
             patch = self._lit[contact]
             patch.set_visible(closed or bright > 0)
@@ -147,31 +148,31 @@ class SceneRow:
 
 
 def row_height(scene: Scene) -> float:
-    """How high a row is, inches."""
+    """Height of a row, inches."""
     return _body_height(scene) * (_top(scene) - _bottom(scene))
 
 
 def _top(scene: Scene) -> float:
-    """How high a row goes, in heights of a body."""
+    """Upper end of a row, in heights of a body."""
     drawn = lane_height(scene.lanes) + 0.15 if scene.lanes else 1.0
     return drawn + _LABEL / _body_height(scene)
 
 
 def _bottom(scene: Scene) -> float:
-    """How low a row goes, in heights of a body."""
+    """Lower end of a row, in heights of a body."""
     drawn = bar_height(scene.bar_lanes - 1) - 0.15 if scene.bar_lanes else 0.0
     return drawn - _BELOW_FLOOR / _body_height(scene)
 
 
 def _body_height(scene: Scene) -> float:
-    """Height of a body, inches: about its width, as far as there is room."""
+    """Height of a body, inches: about its width, within limits."""
     start, end = scene.extent
     width = 2 * scene.half / (end - start) * (WIDTH - 2 * SIDE)
     return min(max(width, _CLOSEST), _HEIGHT)
 
 
 def _prepare(axes: Axes, scene: Scene) -> None:
-    """The same scale for every row, and nothing but the scene."""
+    """Set limits that make the scale equal in every row, and hide the axes."""
     start, end = scene.extent
     margin = (end - start) * SIDE / (WIDTH - 2 * SIDE)
     axes.set_xlim(start - margin, end + margin)
@@ -180,7 +181,7 @@ def _prepare(axes: Axes, scene: Scene) -> None:
 
 
 def draw_scale(axes: Axes, scene: Scene) -> None:
-    """A length to measure by, in the upper right corner."""
+    """Draw a scale bar in the upper right corner."""
     start, end = scene.extent
     length = _round_length((end - start) / 8)
     height = _top(scene) - 0.12 / _body_height(scene)
@@ -192,27 +193,27 @@ def draw_scale(axes: Axes, scene: Scene) -> None:
 
 
 def write_note(axes: Axes, scene: Scene, text: str) -> None:
-    """A small line in the upper right corner."""
+    """Write a small line in the upper right corner."""
     x, y = scene.extent[1], _top(scene) - 0.05
     axes.text(x, y, text, ha="right", va="top", size=NAMED + 1, color="0.25")
 
 
 def _box(axes: Axes, width: float, **style: Any) -> Rectangle:  # noqa: ANN401 (matplotlib's)
-    """A box as high as a body, to be moved."""
+    """A box as high as a body, to be placed later."""
     box = Rectangle((0, 0), width, 1, **style)
     axes.add_patch(box)
     return box
 
 
 def _lines(axes: Axes, width: float) -> LineCollection:
-    """Strokes that are to be drawn anew."""
+    """Lines whose points are set later."""
     lines = LineCollection([], colors="0.15", linewidths=width)
     axes.add_collection(lines)
     return lines
 
 
 def _name_size(axes: Axes, scene: Scene) -> tuple[float, float]:
-    """Size and rotation of the names, so that they stay within the bodies."""
+    """Font size and rotation of the names, so that they stay within the bodies."""
     start, end = axes.get_xlim()
     points = 2 * scene.half / (end - start) * WIDTH * 72
     longest = max(map(len, scene.names))
@@ -224,7 +225,7 @@ def _name_size(axes: Axes, scene: Scene) -> tuple[float, float]:
 
 
 def _draw_still(axes: Axes, scene: Scene, label: str) -> None:
-    """The floor, the walls, the plates, and what they are called."""
+    """Draw the floor, the walls and the plates, with their names."""
     start, end = scene.extent
     axes.plot([start, end], [0, 0], color="0.6", linewidth=0.9, zorder=1)
     for home in scene.homes:
@@ -243,7 +244,7 @@ def _draw_still(axes: Axes, scene: Scene, label: str) -> None:
 
 
 def _hatch(axes: Axes, box: Box) -> None:
-    """A box that does not move."""
+    """Draw a hatched box that does not move."""
     style: Style = {"facecolor": "white", "edgecolor": "0.35", "hatch": "/////", "linewidth": 0.9}
     axes.add_patch(Rectangle((box.left, box.bottom), box.width, box.height, zorder=2, **style))
 

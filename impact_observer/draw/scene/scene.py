@@ -2,9 +2,9 @@
 
 A coordinate is a box, home at its place in the row and displaced by ``q``. A contact of one
 coordinate is a wall that the box's face touches exactly when ``g = 0``; one that compares two
-neighbours is a bumper between them, which spans the room between their faces exactly then. Any
-other contact is a bar with a pin: its distance from the plate is ``g``. Along the line everything
-is in metres (rad where a coordinate is an angle), across it in heights of a body.
+neighbours is a bumper between them, which fills the room between their faces exactly then. Any
+other contact is a bar with a pin, whose distance from the plate is ``g``. Along the line all is
+in metres (rad where a coordinate is an angle), across it in heights of a body.
 """
 
 from collections.abc import Iterable, Sequence
@@ -14,19 +14,19 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from impact_observer.draw.scene.arrangement import Measures, measured, ordered
+from impact_observer.draw.scene.arrangement import Arrangement, arranged, body_order
 from impact_observer.errors import UsageError
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
 
 MOST_BODIES = 24
-"""Most bodies that are drawn: more are not told apart."""
+"""Most bodies that are drawn: more could not be distinguished."""
 MOST_LANES = 3
 """Most couplings above each other over the bodies."""
 _GROUND = 0.6
-"""How far from a body between others its ground is, over the pitch."""
+"""Distance from a body between others to its ground, over the pitch."""
 _ZERO = 1e-9
-"""Entries of a matrix below this, relative to the largest, are rounding."""
+"""Entries of a matrix below this, relative to the largest, count as rounding."""
 
 
 class SceneJoint(Enum):
@@ -37,12 +37,12 @@ class SceneJoint(Enum):
     DAMPER = "damper"
     """Damping alone."""
     LINK = "link"
-    """What no spring or damper between two bodies does: a coupling of the other sign."""
+    """A coupling of the opposite sign, which no spring or damper between two bodies has."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """A stop that one body meets.
+    """A stop that one body hits.
 
     Attributes:
         contact: its index.
@@ -74,7 +74,7 @@ class Bumper:
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """Any other contact, as a pin that comes down to a plate.
+    """Any other contact: a pin that moves towards a plate.
 
     Attributes:
         contact: its index.
@@ -94,7 +94,7 @@ class Coupling:
     """A spring, a damper or a link, drawn from its left to its right end.
 
     Attributes:
-        joint: which of them.
+        joint: what it is.
         left: place of the body at its left end; None for the ground.
         right: place of the body at its right end; None for the ground.
         ground: where the ground is, m; 0 where there is none.
@@ -110,7 +110,7 @@ class Coupling:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """Where everything that moves is in one state, m along the line.
+    """Positions of everything that moves, m along the line.
 
     Attributes:
         bodies: middles of the boxes, shape (bodies,).
@@ -129,7 +129,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What stands where, of a system; make it by ``Scene.of``.
+    """Positions of everything of a system; made by ``Scene.of``.
 
     Attributes:
         system: what is drawn.
@@ -142,7 +142,7 @@ class Scene:
         bars: other contacts.
         couplings: springs, dampers, links.
         extent: left and right end of the picture, m.
-        omitted: what is left out, a line each.
+        omitted: what is not drawn, a line each.
     """
 
     system: System
@@ -159,44 +159,44 @@ class Scene:
 
     @classmethod
     def of(cls, system: System, positions: ArrayLike = (), reach: float = 0.0) -> "Scene":
-        """The scene of a system and of the states that will be seen in it.
+        """The scene of a system, with room for given states.
 
         No two boxes or walls overlap in any of these states as long as they obey the stops.
 
         Args:
             system: what to draw.
-            positions: coordinates, shape (samples, n), m; with fewer than two, it is taken to
-                move somewhat farther than its stops are.
-            reach: how far each coordinate is taken to move instead, m; 0 for as above.
+            positions: coordinates, shape (samples, n), m; with fewer than two, coordinates are
+                assumed to move somewhat farther than the stops.
+            reach: how far each coordinate may move instead, m; 0 to use ``positions``.
 
         Raises:
             UsageError: positions of another shape, or not finite.
         """
-        known = np.asarray(positions, dtype=np.float64)
-        known = known.reshape(-1, system.n) if known.size == 0 else known
-        if known.ndim != 2 or known.shape[1] != system.n or not np.isfinite(known).all():
+        states = np.asarray(positions, dtype=np.float64)
+        states = states.reshape(-1, system.n) if states.size == 0 else states
+        if states.ndim != 2 or states.shape[1] != system.n or not np.isfinite(states).all():
             raise UsageError(
-                f"positions: shape {known.shape}; expected (samples, {system.n}), all finite"
+                f"positions: shape {states.shape}; expected (samples, {system.n}), all finite"
             )
         shown = min(system.n, MOST_BODIES)
-        order = ordered(system, shown)
-        measures = measured(system, order, known, reach)
-        homes = frozen(np.arange(shown) * measures.pitch)
-        walls = tuple(_walls(measures, homes))
+        order = body_order(system, shown)
+        row = arranged(system, order, states, reach)
+        homes = frozen(np.arange(shown) * row.pitch)
+        walls = tuple(_walls(row, homes))
         bumpers = tuple(
-            Bumper(each.contact, each.slot, measures.pitch - 2 * measures.half - each.gap)
-            for each in measures.pairs
+            Bumper(each.contact, each.slot, row.pitch - 2 * row.half - each.travel)
+            for each in row.bumpers
         )
-        couplings, left_out = _couplings(system, order, homes, measures)
-        extent = _extent(homes, measures, couplings)
-        bars = tuple(_bars(system, homes, order, measures, extent[1]))
+        couplings, left_out = _couplings(system, order, homes, row)
+        extent = _extent(homes, row, couplings)
+        bars = tuple(_bars(system, homes, order, row, extent[1]))
         drawn = len(walls) + len(bumpers) + len(bars)
         return cls(
             system=system,
             order=order,
             homes=homes,
-            half=measures.half,
-            thickness=measures.thickness,
+            half=row.half,
+            thickness=row.thickness,
             walls=walls,
             bumpers=bumpers,
             bars=bars,
@@ -212,16 +212,16 @@ class Scene:
 
     @property
     def lanes(self) -> int:
-        """How many lanes of couplings there are above the bodies."""
+        """Number of lanes of couplings above the bodies."""
         return max((each.lane for each in self.couplings), default=0)
 
     @property
     def bar_lanes(self) -> int:
-        """How many lanes of bars there are below the bodies."""
+        """Number of lanes of bars below the bodies."""
         return max((each.lane + 1 for each in self.bars), default=0)
 
     def frame(self, q: Vector) -> Frame:
-        """Where everything is at ``q``, shape (n,), m."""
+        """Positions at ``q``, shape (n,), m."""
         bodies = self.homes + np.asarray(q, dtype=np.float64)[list(self.order)]
         gaps = self.system.gap(q)
         faces = [bodies[each.slot] + self.half for each in self.bumpers]
@@ -240,7 +240,7 @@ class Scene:
         )
 
     def _ends(self, coupling: Coupling, bodies: Vector) -> tuple[float, float]:
-        """Where a coupling begins and ends: at faces, or on top of the bodies' middles."""
+        """The ends of a coupling: at faces, or above the bodies' middles."""
         inset = 0.0 if coupling.lane else self.half
         left, right = (
             coupling.ground if slot is None else float(bodies[slot]) - side * inset
@@ -249,48 +249,46 @@ class Scene:
         return left, right
 
 
-def _walls(measures: Measures, homes: Vector) -> Iterable[Wall]:
-    """Each at the face of its body when the body touches it."""
-    for each in measures.singles:
-        face = float(homes[each.slot]) + each.side * measures.half + each.change
+def _walls(row: Arrangement, homes: Vector) -> Iterable[Wall]:
+    """Each where the face of its body is at ``g = 0``."""
+    for each in row.walls:
+        face = float(homes[each.slot]) + each.side * row.half + each.travel
         yield Wall(each.contact, each.slot, each.side, face)
 
 
-def _extent(
-    homes: Vector, measures: Measures, couplings: Sequence[Coupling]
-) -> tuple[float, float]:
-    """Left and right end of the picture: no room for springs to a wall where there is none."""
+def _extent(homes: Vector, row: Arrangement, couplings: Sequence[Coupling]) -> tuple[float, float]:
+    """Left and right end of the picture, with room for springs to a wall only where needed."""
     outer = [each for each in couplings if not each.lane]
-    left = 0.0 if any(each.left is None for each in outer) else measures.spring
-    right = 0.0 if any(each.right is None for each in outer) else measures.spring
-    return measures.start + left, float(homes[-1]) + measures.end - right
+    left = 0.0 if any(each.left is None for each in outer) else row.spring
+    right = 0.0 if any(each.right is None for each in outer) else row.spring
+    return row.start + left, float(homes[-1]) + row.end - right
 
 
 def _bars(
-    system: System, homes: Vector, order: Sequence[int], measures: Measures, end: float
+    system: System, homes: Vector, order: Sequence[int], row: Arrangement, end: float
 ) -> Iterable[Bar]:
-    """One each, below the body that moves the contact most; lanes where they would overlap."""
+    """Bars below the bodies that move the contacts most, in lanes where they would overlap."""
     ends: list[float] = []
-    span = measures.pitch - 2 * measures.thickness
-    for contact in measures.others:
+    span = row.pitch - 2 * row.thickness
+    for contact in row.others:
         weights = np.abs(system.contacts[contact].direction[list(order)])
         if not weights.any():
             continue
-        beneath = float(homes[int(np.argmax(weights))]) - measures.half
-        # The pin, which is as wide as a plate, is to be seen at its farthest too.
-        plate = min(beneath, end - span - measures.thickness)
+        beneath = float(homes[int(np.argmax(weights))]) - row.half
+        # At its farthest the pin, as wide as a plate, must still be within the picture.
+        plate = min(beneath, end - span - row.thickness)
         lane = next((k for k, taken in enumerate(ends) if taken <= plate), len(ends))
-        ends[lane : lane + 1] = [plate + measures.pitch * (1 - _ZERO)]
+        ends[lane : lane + 1] = [plate + row.pitch * (1 - _ZERO)]
         yield Bar(contact, plate, span, lane)
 
 
 def _couplings(
-    system: System, order: Sequence[int], homes: Vector, measures: Measures
+    system: System, order: Sequence[int], homes: Vector, row: Arrangement
 ) -> tuple[tuple[Coupling, ...], int]:
-    """All that have a lane, and how many have none.
+    """The couplings that have a lane, and the number of those that have none.
 
-    Neighbours, and the outer bodies and the walls beside them, are coupled between their faces.
-    Others take the lowest lane above the bodies that is free, the short and strong ones first.
+    Couplings of neighbours, and of the outer bodies to the ground, lie between faces. Others take
+    the lowest free lane above the bodies, short and strong ones first.
     """
     last = len(order) - 1
     found = sorted(_joined(system, order), key=_length)
@@ -298,9 +296,9 @@ def _couplings(
     drawn, left_out = [], 0
     for joint, first, second, _ in found:
         if first < 0 and second == 0:
-            drawn.append(Coupling(joint, None, 0, measures.start + measures.thickness, 0))
+            drawn.append(Coupling(joint, None, 0, row.start + row.thickness, 0))
         elif first < 0 and second == last:
-            ground = float(homes[-1]) + measures.end - measures.thickness
+            ground = float(homes[-1]) + row.end - row.thickness
             drawn.append(Coupling(joint, last, None, ground, 0))
         elif first == second - 1:
             drawn.append(Coupling(joint, first, second, 0.0, 0))
@@ -312,7 +310,7 @@ def _couplings(
                 left_out += 1
                 continue
             lanes[lane].append((begin, second))
-            ground = float(homes[second]) - _GROUND * measures.pitch if grounded else 0.0
+            ground = float(homes[second]) - _GROUND * row.pitch if grounded else 0.0
             left = None if grounded else first
             drawn.append(Coupling(joint, left, second, ground, lane + 1))
     return tuple(drawn), left_out
@@ -324,7 +322,7 @@ def _free(taken: Iterable[tuple[float, float]], begin: float, end: float) -> boo
 
 
 def _joined(system: System, order: Sequence[int]) -> list[tuple[SceneJoint, int, int, float]]:
-    """What is coupled: joint, places in the row (the ground is -1 where alone), strength."""
+    """All couplings: joint, the two places in the row (-1 for the ground), strength."""
     slots = list(order)
     stiffness, damping = (
         _parts(matrix, slots) for matrix in (system.K, (system.C + system.C.T) / 2)
@@ -343,7 +341,7 @@ def _joined(system: System, order: Sequence[int]) -> list[tuple[SceneJoint, int,
 
 
 def _length(joined: tuple[SceneJoint, int, int, float]) -> tuple[float, float]:
-    """By what couplings are sorted: the short ones first, of those the strong ones."""
+    """The sorting key of couplings: short ones first, of those the strong ones."""
     _, first, second, strength = joined
     return (_GROUND if first < 0 else second - first), -strength
 
@@ -356,7 +354,7 @@ def _parts(matrix: Matrix, slots: Sequence[int]) -> Matrix:
         slots: coordinates of the bodies that are drawn.
 
     Returns:
-        Shape (bodies + 1, bodies); what is rounding is zero.
+        Shape (bodies + 1, bodies), with rounding set to zero.
     """
     between = -matrix[np.ix_(slots, slots)]
     ground = matrix.sum(axis=1)[slots]
@@ -370,10 +368,10 @@ def _omitted(system: System, bodies: int, contacts: int, couplings: int) -> Iter
     """What is not drawn, in words.
 
     Args:
-        system: what there is to draw.
-        bodies: how many of them are drawn.
-        contacts: how many of them are drawn.
-        couplings: how many between these bodies are not.
+        system: the whole.
+        bodies: number of bodies drawn.
+        contacts: number of contacts drawn.
+        couplings: number of couplings between these bodies that are not drawn.
     """
     if bodies < system.n:
         yield f"the first {bodies} of {system.n} bodies"

@@ -1,4 +1,4 @@
-"""Shapes of a scene on a plane: metres along the line, heights of a body across it."""
+"""Shapes of a scene in a plane: metres along the line, heights of a body across it."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -10,18 +10,18 @@ from impact_observer.draw.scene.scene import Frame, Scene, SceneJoint
 from impact_observer.states import Matrix
 
 SPRING_HEIGHT, ROD_HEIGHT, STOP_HEIGHT = 0.72, 0.24, 0.46
-"""Middle of springs between faces and of a bumper's rod, top of a stop, in heights of a body."""
+"""Heights of springs between faces, of a bumper's rod, of a wall's top, over a body's height."""
 ROWS = 2.2
-"""From one row of bodies to the next where they stand side by side, in heights of a body."""
+"""Distance of rows of bodies that stand side by side, over a body's height."""
 _PAD, _PIN, _WIDE = 0.14, 0.11, 0.1
-"""Half the heights of a bumper's pad, of a bar's pin, and of a spring's teeth."""
+"""Half the heights of a bumper's pad, of a bar's pin, and of a spring's teeth, over a body's."""
 _LANE, _FIRST_LANE = 0.3, 1.26
 _BAR, _FIRST_BAR = 0.34, -0.36
 _TEETH = 11
 _ENDS = 0.1
 """Part of a spring at each end that is straight."""
 _CUP = 0.55
-"""Where a damper's cup begins and its piston is in the middle, over the length."""
+"""Where a damper's cup begins, over the length."""
 
 
 class Box(NamedTuple):
@@ -41,17 +41,17 @@ class Box(NamedTuple):
 
 
 def lane_height(lane: int) -> float:
-    """Where couplings of a lane are drawn, in heights of a body."""
+    """The height of the couplings of a lane, over a body's."""
     return _FIRST_LANE + _LANE * (lane - 1) if lane else SPRING_HEIGHT
 
 
 def bar_height(lane: int) -> float:
-    """Where the middle of a bar is drawn, in heights of a body."""
+    """The height of the middle of a bar, over a body's."""
     return _FIRST_BAR - _BAR * lane
 
 
 def plates(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
-    """What each contact is hit on, with its index: a wall, a bumper's pad, the plate of a bar."""
+    """Index and stop of each contact: a wall, a bumper's pad, the plate of a bar."""
     thickness = scene.thickness
     for each in scene.walls:
         left = each.face - (thickness if each.side < 0 else 0.0)
@@ -63,20 +63,20 @@ def plates(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
 
 
 def pads(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
-    """The ends of bumpers, with the index of the contact."""
+    """Index of the contact and pad of each bumper."""
     width = scene.thickness / 2
     for each, (_, end) in zip(scene.bumpers, frame.bumpers.tolist(), strict=True):
         yield each.contact, Box(end - width, ROD_HEIGHT - _PAD, width, 2 * _PAD)
 
 
 def pins(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
-    """The pins of bars, with the index of the contact: the left face is where the gap ends."""
+    """Index of the contact and pin of each bar; the gap ends at the left face of the pin."""
     for bar, pin in zip(scene.bars, frame.pins.tolist(), strict=True):
         yield bar.contact, Box(pin, bar_height(bar.lane) - _PIN, scene.thickness, 2 * _PIN)
 
 
 def grounds(scene: Scene) -> Iterator[Box]:
-    """What springs to the ground end in."""
+    """The blocks in which springs to the ground end."""
     for each in scene.couplings:
         if each.left is None or each.right is None:
             left = each.ground - (scene.thickness if each.left is None else 0.0)
@@ -87,12 +87,9 @@ def grounds(scene: Scene) -> Iterator[Box]:
 
 
 def rails(scene: Scene) -> Matrix:
-    """What pins of bars go along, as pairs of points, shape (strokes, 2, 2)."""
+    """The lines on which pins of bars move, as pairs of points, shape (strokes, 2, 2)."""
     ends = [
-        [
-            [bar.plate, bar_height(bar.lane) - _PIN],
-            [bar.plate + bar.span, bar_height(bar.lane) - _PIN],
-        ]
+        [[x, bar_height(bar.lane) - _PIN] for x in (bar.plate, bar.plate + bar.span)]
         for bar in scene.bars
     ]
     return np.reshape(ends, (-1, 2, 2))
@@ -121,14 +118,14 @@ def couplings(scene: Scene, frame: Frame) -> Matrix:
 
 
 def strokes(joint: SceneJoint, start: float, end: float, height: float, width: float) -> Matrix:
-    """A coupling as pairs of points (along, across), shape (strokes, 2, 2).
+    """One coupling as pairs of points (along, across), shape (strokes, 2, 2).
 
     Args:
-        joint: what is drawn: a zigzag, a dashpot, or a line.
+        joint: a spring is a zigzag, a damper a dashpot, a link a line.
         start: left end, m.
         end: right end, m.
-        height: of its middle, across the line.
-        width: across, of its teeth or its cup, from the middle to each side.
+        height: of its middle.
+        width: of its teeth or its cup, from the middle to each side.
     """
     if joint is SceneJoint.SPRING:
         shape = _path(_zigzag())
@@ -162,5 +159,5 @@ def _dashpot() -> NDArray[np.float64]:
 
 
 def _path(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The strokes from corner to corner, shape (corners - 1, 2, 2)."""
+    """Strokes from corner to corner, shape (corners - 1, 2, 2)."""
     return np.stack([corners[:-1], corners[1:]], axis=1)

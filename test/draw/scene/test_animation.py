@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from systems import EPOCH, Array, chain, run, sample, system
 
 from impact_observer.draw.scene import row
-from impact_observer.draw.scene.animation import DPI, MovingArtists
-from impact_observer.draw.scene.film import Contacts, Distance, Film, Track, scene_of
+from impact_observer.draw.scene.animation import DPI, FilmPictures
+from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
 from impact_observer.draw.scene.row import LARGE
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
@@ -40,7 +40,7 @@ def film() -> Film:
         truth=truth,
         estimates=estimates,
         distances=tuple(Distance.between(model, truth, each) for each in estimates),
-        contacts=Contacts.of(model, ran.events),
+        contacts=ContactHistory.of(model, ran.events),
         epoch=EPOCH,
         start=EPOCH,
         end=EPOCH + 4 * NS_PER_S,
@@ -57,7 +57,7 @@ def still(model: System, q: Array, **changes: object) -> Film:
         truth=truth,
         estimates=(),
         distances=(),
-        contacts=Contacts({}, {}),
+        contacts=ContactHistory({}, {}),
         epoch=EPOCH,
         start=EPOCH,
         end=EPOCH + NS_PER_S,
@@ -78,7 +78,7 @@ def lit(picture: Picture) -> int:
 
 def test_pictures_have_an_even_number_of_pixels() -> None:
     """As encoders of films want them."""
-    moving = MovingArtists(film(), title="two_mass")
+    moving = FilmPictures(film(), title="two_mass")
     picture = moving.picture(EPOCH)
     assert picture.shape == (moving.size[1], moving.size[0], 4)
     assert picture.dtype == np.uint8
@@ -87,7 +87,7 @@ def test_pictures_have_an_even_number_of_pixels() -> None:
 
 def test_a_picture_depends_on_its_stamp_only() -> None:
     """Not on those that were taken before it."""
-    moving = MovingArtists(film(), title="two_mass")
+    moving = FilmPictures(film(), title="two_mass")
     first = moving.picture(EPOCH + 900 * MS)
     assert not np.array_equal(moving.picture(EPOCH + 2500 * MS), first)
     np.testing.assert_array_equal(moving.picture(EPOCH + 900 * MS), first)
@@ -98,7 +98,7 @@ def test_plant_is_drawn_where_its_frame_says(q: list[float]) -> None:
     """Left and right edges of the blue boxes, to a pixel."""
     shown = still(sample("two_mass").system, np.array(q))
     scene = shown.scene
-    moving = MovingArtists(shown, title="")
+    moving = FilmPictures(shown, title="")
     row = moving._rows[0].axes
     edges = [(x - scene.half, x + scene.half) for x in scene.frame(np.array(q)).bodies]
     expected = [round(float(row.transData.transform((x, 0))[0])) for pair in edges for x in pair]
@@ -111,13 +111,13 @@ def test_plant_is_drawn_where_its_frame_says(q: list[float]) -> None:
 def test_stop_lights_up_when_it_is_hit_and_goes_out() -> None:
     """In every row; slow films let it glow as long to the eye."""
     shown = film()
-    moving = MovingArtists(shown, title="")
+    moving = FilmPictures(shown, title="")
     hit = int(shown.contacts.hits[0][0])
     before, at = lit(moving.picture(hit - 10 * MS)), lit(moving.picture(hit + MS))
     after = lit(moving.picture(hit + 400 * MS))
     assert before == after == 0
     assert at > 300
-    slow = MovingArtists(shown, title="", speed=0.1)
+    slow = FilmPictures(shown, title="", speed=0.1)
     assert lit(slow.picture(hit + 60 * MS)) == 0
     assert lit(slow.picture(hit + MS // 10)) > 300
 
@@ -129,8 +129,8 @@ def test_stop_stays_lit_while_it_is_closed() -> None:
     events = [
         ImpactEvent(stamp, (Switch("stop", kind),), i) for i, (stamp, kind) in enumerate(told, 1)
     ]
-    shown = still(model, np.array([0.0, 0.5]), contacts=Contacts.of(model, events))
-    moving = MovingArtists(shown, title="")
+    shown = still(model, np.array([0.0, 0.5]), contacts=ContactHistory.of(model, events))
+    moving = FilmPictures(shown, title="")
     bright = [lit(moving.picture(EPOCH + t * MS)) > 100 for t in (50, 110, 700, 790, 810)]
     assert bright == [False, True, True, True, False]
 
@@ -144,8 +144,8 @@ def test_lit_stops_are_dark_in_grey_and_others_are_light() -> None:
 
 def test_axes_of_v_carry_units_and_a_cursor() -> None:
     """What is still to come lies under a veil."""
-    moving = MovingArtists(film(), title="")
-    below = moving._below
+    moving = FilmPictures(film(), title="")
+    below = moving._distances
     assert below is not None
     axes = below._cursor.axes
     assert axes is not None
@@ -161,7 +161,7 @@ def test_axes_of_v_carry_units_and_a_cursor() -> None:
 
 def test_rows_have_one_scale_and_names() -> None:
     """Plant on top; a length to measure by is in the first row."""
-    moving = MovingArtists(film(), title="two_mass")
+    moving = FilmPictures(film(), title="two_mass")
     limits = {row.axes.get_xlim() for row in moving._rows}
     assert len(limits) == 1
     texts = [[text.get_text() for text in row.axes.texts] for row in moving._rows]
@@ -178,7 +178,7 @@ def test_estimate_without_a_state_says_so() -> None:
     late = shown.estimates[0]
     kept = late.stamps >= EPOCH + NS_PER_S
     late = Track.of("late", "geometric", (late.stamps[kept], late.q[kept], late.u[kept]), ())
-    moving = MovingArtists(replace(shown, estimates=(late, shown.estimates[1])), title="")
+    moving = FilmPictures(replace(shown, estimates=(late, shown.estimates[1])), title="")
     row = moving._rows[1]
     moving.picture(EPOCH)
     assert row._absent.get_visible()
@@ -191,8 +191,8 @@ def test_estimate_without_a_state_says_so() -> None:
 def test_estimates_alone_make_a_film() -> None:
     """Without truth there is no V and no ghost."""
     shown = replace(film(), truth=None, distances=())
-    moving = MovingArtists(shown, title="")
-    assert moving._below is None
+    moving = FilmPictures(shown, title="")
+    assert moving._distances is None
     assert len(moving._rows) == len(LAWS)
     assert moving.picture(EPOCH).min() == 0
 
@@ -203,10 +203,10 @@ def test_exact_estimate_has_no_distance_to_draw() -> None:
     assert shown.truth is not None
     exact = replace(shown.truth, law="geometric", label="geometric")
     zero = Distance(exact.stamps, np.zeros(exact.stamps.size))
-    moving = MovingArtists(replace(shown, estimates=(exact,), distances=(zero,)), title="")
+    moving = FilmPictures(replace(shown, estimates=(exact,), distances=(zero,)), title="")
     moving.picture(EPOCH + NS_PER_S)
-    assert moving._below is not None
-    assert np.size(moving._below._dots.get_xdata()) == 0
+    assert moving._distances is not None
+    assert np.size(moving._distances._dots.get_xdata()) == 0
 
 
 def odd() -> System:
@@ -225,7 +225,7 @@ def odd() -> System:
 def test_other_models_fit_into_the_picture(model: System) -> None:
     """Names stay within their bodies, and what is left out is said."""
     shown = still(model, 0.1 * np.cos(np.arange(model.n)))
-    moving = MovingArtists(shown, title=model.name)
+    moving = FilmPictures(shown, title=model.name)
     picture = moving.picture(EPOCH)
     assert picture.shape[0] < 8 * DPI
     row = moving._rows[0]

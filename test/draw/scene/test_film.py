@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from systems import EPOCH, run, sample
 
-from impact_observer.draw.scene.film import Contacts, Distance, Film, Track, scene_of
+from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.stamps import NS_PER_S
@@ -15,10 +15,10 @@ MS = NS_PER_S // 1000
 SYSTEM = sample("two_mass").system
 
 
-def track(stamps: Sequence[int], q: Sequence[float], cuts: Sequence[int] = ()) -> Track:
+def track(stamps: Sequence[int], q: Sequence[float], jumps: Sequence[int] = ()) -> Track:
     """A track of one coordinate."""
     column = np.array(q, float)[:, None]
-    return Track.of("plant", "", (np.array(stamps), column, 0 * column), cuts)
+    return Track.of("plant", "", (np.array(stamps), column, 0 * column), jumps)
 
 
 def place(moving: Track, stamp: int) -> float:
@@ -41,19 +41,19 @@ def test_track_goes_straight_between_samples() -> None:
 
 def test_track_stays_until_the_impact_and_is_behind_it_from_then_on() -> None:
     """A jump is no motion: no state lies between its two sides."""
-    moving = track([100, 200, 300], [0.0, 5.0, 6.0], cuts=[150])
+    moving = track([100, 200, 300], [0.0, 5.0, 6.0], jumps=[150])
     assert [place(moving, t) for t in (101, 149, 150, 199, 250)] == [0.0, 0.0, 5.0, 5.0, 5.5]
 
 
 def test_sample_at_the_stamp_of_an_impact_is_behind_it() -> None:
     """So the stretch before it is held, and the one after it is straight."""
-    moving = track([100, 200, 300], [0.0, 5.0, 6.0], cuts=[200])
+    moving = track([100, 200, 300], [0.0, 5.0, 6.0], jumps=[200])
     assert [place(moving, t) for t in (150, 199, 200, 250)] == [0.0, 0.0, 5.0, 5.5]
 
 
 def test_track_of_two_impacts_between_samples_waits_for_the_last() -> None:
     """What was between them nobody has sampled."""
-    moving = track([100, 200], [0.0, 5.0], cuts=[120, 180])
+    moving = track([100, 200], [0.0, 5.0], jumps=[120, 180])
     assert [place(moving, t) for t in (119, 150, 179, 180)] == [0.0, 0.0, 0.0, 5.0]
 
 
@@ -75,9 +75,9 @@ def test_last_state_of_a_stamp_counts_and_order_does_not() -> None:
 def test_sampled_plant_is_never_inside_of_its_stop() -> None:
     """Whatever the picture's instant: gaps of straight lines between states are not negative."""
     ran = run(SYSTEM, [0.1, -0.2], [0.5, 0.0], seconds=8.0, rate=50.0)
-    cuts = [event.stamp for event in ran.events]
-    moving = Track.of("plant", "", (ran.stamps, ran.states[:, :2], ran.states[:, 2:]), cuts)
-    assert len(cuts) > 3
+    jumps = [event.stamp for event in ran.events]
+    moving = Track.of("plant", "", (ran.stamps, ran.states[:, :2], ran.states[:, 2:]), jumps)
+    assert len(jumps) > 3
     for stamp in range(EPOCH, EPOCH + 8 * NS_PER_S, 7 * MS + 1):
         q = moving.at(stamp)
         assert q is not None
@@ -98,10 +98,12 @@ def test_distance_is_taken_at_common_stamps() -> None:
 
 def test_contact_glows_when_it_is_hit_and_fades() -> None:
     """From 1 at the instant to 0; not before it, and not at all where nothing hits."""
-    contacts = Contacts.of(SYSTEM, [switch(1000, Kind.IMPACT, 1), switch(5000, Kind.IMPACT, 2)])
-    glows = [contacts.glow(0, stamp, 1000) for stamp in (999, 1000, 1250, 2000, 4999, 5500)]
+    contacts = ContactHistory.of(
+        SYSTEM, [switch(1000, Kind.IMPACT, 1), switch(5000, Kind.IMPACT, 2)]
+    )
+    glows = [contacts.highlight(0, stamp, 1000) for stamp in (999, 1000, 1250, 2000, 4999, 5500)]
     assert glows == [0.0, 1.0, 0.75, 0.0, 0.0, 0.5]
-    assert Contacts.of(SYSTEM, []).glow(0, 1000, 1000) == 0.0
+    assert ContactHistory.of(SYSTEM, []).highlight(0, 1000, 1000) == 0.0
     assert not contacts.is_closed(0, 1100)
 
 
@@ -115,16 +117,16 @@ def test_contact_is_closed_from_close_to_open() -> None:
         switch(4000, Kind.IMPACT, 5),
         switch(5000, Kind.CLOSE, 6),
     ]
-    contacts = Contacts.of(SYSTEM, events)
+    contacts = ContactHistory.of(SYSTEM, events)
     at = [contacts.is_closed(0, stamp) for stamp in (999, 1000, 2999, 3000, 4000, 5000, 10**9)]
     assert at == [False, True, True, False, False, True, True]
-    assert contacts.glow(0, 1000, 10) == 1.0
-    assert contacts.glow(0, 3500, 10) == 0.0
+    assert contacts.highlight(0, 1000, 10) == 1.0
+    assert contacts.highlight(0, 3500, 10) == 0.0
 
 
 def test_contacts_of_other_models_are_left_out() -> None:
     """A detector may name what the model does not have."""
-    contacts = Contacts.of(SYSTEM, [switch(1000, Kind.CLOSE, 1, "door")])
+    contacts = ContactHistory.of(SYSTEM, [switch(1000, Kind.CLOSE, 1, "door")])
     assert dict(contacts.hits) == dict(contacts.closed) == {}
 
 
@@ -137,7 +139,7 @@ def test_pictures_are_evenly_spaced_and_the_last_one_is_the_end(
     """Rounded to a nanosecond each, so that nothing adds up."""
     moving = track([0, NS_PER_S], [0.0, 1.0])
     model = sample("bouncing_ball").system
-    film = Film(scene_of(model, [moving]), moving, (), (), Contacts({}, {}), 0, 0, NS_PER_S)
+    film = Film(scene_of(model, [moving]), moving, (), (), ContactHistory({}, {}), 0, 0, NS_PER_S)
     stamps = film.stamps(fps, speed)
     assert stamps.size == count
     assert stamps[1] == step
