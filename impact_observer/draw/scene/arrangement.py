@@ -1,7 +1,6 @@
 """The distances between the bodies of a scene: nothing overlaps, and motion is visible."""
 
 from collections.abc import Sequence
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -114,8 +113,8 @@ def arranged(
     if reach > 0:
         states = _opposed(reach, len(order))
     elif len(states) < 2 or not np.any(np.ptp(states, axis=0)):
-        stops = [abs(each.travel) for each in chain(walls, bumpers)]
-        farthest = float(max([*stops, *np.abs(states).flat], default=0.0))
+        stops = [*(each.travel for each in walls), *(each.travel for each in bumpers)]
+        farthest = float(max(map(abs, [*stops, *states.flat]), default=0.0))
         states = _opposed(_BEYOND * farthest or 1.0, len(order))
     low, high = states.min(axis=0, initial=0.0), states.max(axis=0, initial=0.0)
     # The rms amplitude: after a large transient, small motion is still to be seen.
@@ -135,7 +134,7 @@ def arranged(
         ],
         axis=0,
     )
-    drawn = {each.contact for each in chain(walls, bumpers)}
+    drawn = {*(each.contact for each in walls), *(each.contact for each in bumpers)}
     return Arrangement(
         half=half,
         thickness=thickness,
