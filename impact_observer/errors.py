@@ -44,7 +44,7 @@ class BagError(ImpactObserverError):
 
 
 class IdentificationError(ImpactObserverError):
-    """Parameters that the recorded impacts do not tell."""
+    """Parameters that the recorded impacts do not determine."""
 
 
 class SweepError(ImpactObserverError):

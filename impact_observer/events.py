@@ -1,4 +1,4 @@
-"""What an observer is told: the switching function ``chi`` as a stream of events.
+"""The input of an observer: the switching function ``chi`` as a stream of events.
 
 These mirror ``impact_observer_msgs/ImpactEvent`` and ``EventVerdict`` without needing ROS.
 """
@@ -40,7 +40,7 @@ class ImpactEvent:
         switches: the contacts that switch.
         sequence: +1 a message; 0 when the sender does not count.
         episode: +1 at every reset of the sender.
-        epoch: stamp of ``t = 0`` of the forcing, ns; 0 when the sender does not know it.
+        epoch: stamp of ``t = 0`` of the forcing, ns; 0 when unknown to the sender.
     """
 
     stamp: int
@@ -51,7 +51,7 @@ class ImpactEvent:
 
 
 class Ruling(IntEnum):
-    """What became of an event; the numbers are those of ``EventVerdict``."""
+    """Kind of a verdict on an event; the numbers are those of ``EventVerdict``."""
 
     APPLIED = 0
     REJECTED = 1
@@ -62,7 +62,7 @@ class Ruling(IntEnum):
 
 
 class Remark(Enum):
-    """What is to be remarked of a stream of events; the values are its names in figures."""
+    """Irregularities of a stream of events that are counted; values are names of the counts."""
 
     DUPLICATE = "duplicates"
     GAP = "sequence gaps"
@@ -78,16 +78,16 @@ class Remark(Enum):
 
 
 class Verdict(NamedTuple):
-    """What an observer made of one switch of an event.
+    """An observer's verdict on one switch of an event.
 
     Attributes:
         stamp: the event's instant, ns.
-        ruling: what became of it.
+        ruling: kind of the verdict.
         sequence: the event's sequence number.
         contact: the contact; empty when the verdict is on the whole event.
         reason: why, in plain words; empty when applied like any other.
         innovation: normalised innovation in standard deviations; -1 where a law has none.
-        revises: whether it takes back an earlier verdict.
+        revises: whether it replaces an earlier verdict.
     """
 
     stamp: int
@@ -100,18 +100,17 @@ class Verdict(NamedTuple):
 
 
 SECOND_THOUGHT = "on second thought: "
-"""How the reason of a verdict begins that takes back an earlier one."""
+"""Prefix of the reason of a verdict that replaces an earlier one."""
 
 
 DECIDING = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
-"""Rulings of which the last on a switch counts."""
+"""Rulings that decide about a switch; the last one counts."""
 
 
 def final_rulings(verdicts: Iterable[Verdict]) -> dict[tuple[int, int, str], Ruling]:
-    """What became of each switch in the end, by stamp, sequence and contact.
+    """The last deciding ruling on each switch, by stamp, sequence and contact.
 
-    Of what was applied, rejected or inserted the last verdict counts; that a message came twice
-    or too late takes nothing back.
+    That a message came twice or too late does not change an earlier ruling.
     """
     last: dict[tuple[int, int, str], Ruling] = {}
     for each in verdicts:

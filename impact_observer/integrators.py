@@ -1,4 +1,4 @@
-"""The names of the plant's integrators, cheap to import where they can be chosen."""
+"""The names of the plant's integrators, without importing them."""
 
 EVENT_DRIVEN = "event-driven"
 """Exact motion from event to event."""
@@ -10,5 +10,5 @@ DEFAULT_STEP = 1e-4
 
 
 def described(integrator: str, step: float) -> str:
-    """An integrator with its steps of ``step`` s, if it takes any."""
+    """An integrator, with its step (s) if it has one."""
     return f"{integrator}, steps of {step:g} s" if integrator == MOREAU else integrator

@@ -1,4 +1,4 @@
-"""Where the package's shared files lie: sample models, message texts, recorded bags."""
+"""Paths of the package's shared files: sample models, message definitions, recorded bags."""
 
 import os
 import sys
@@ -32,12 +32,12 @@ def shared(relative: str) -> Path:
 
 
 def read_file_or_sample(source: str | Path, folder: str, wanted: str) -> tuple[Path, str]:
-    """A file's path and text; or those of a sample, by its name.
+    """Path and text of a file, or of a sample by its name.
 
     Args:
         source: the file, or the name.
         folder: of the samples, such as ``config``.
-        wanted: what errors say is expected.
+        wanted: what is expected, for the error line.
 
     Raises:
         UsageError: there is no such file, or it is no text.

@@ -1,7 +1,7 @@
 """Instants: int64 nanoseconds outside, float seconds only inside a phase.
 
-A *stamp* is an ``int`` of nanoseconds, as in ROS messages and bags. The plant knows its impact
-times better than that, so it keeps an :class:`Instant`: a stamp and a float remainder.
+A *stamp* is an ``int`` of nanoseconds, as in ROS messages and bags. The plant's impact
+times are more precise, so it keeps an :class:`Instant`: a stamp and a float remainder.
 """
 
 from typing import NamedTuple
@@ -15,15 +15,15 @@ NS_PER_S = 1_000_000_000
 MAX_STAMP = (2**31 - 1) * NS_PER_S + (NS_PER_S - 1)
 """The last stamp that ``builtin_interfaces/Time`` can carry (int32 seconds)."""
 MOST_SAMPLES = 100_000_000
-"""The longest grid that is made."""
+"""Largest number of samples in a grid."""
 
 
 class Instant(NamedTuple):
-    """An instant known better than one nanosecond.
+    """An instant more precise than one nanosecond.
 
     Attributes:
         stamp: nanoseconds, rounded to the nearest.
-        remainder: what the stamp leaves over, s, in [-0.5e-9, 0.5e-9].
+        remainder: the instant minus the stamp, s, in [-0.5e-9, 0.5e-9].
     """
 
     stamp: int

@@ -20,12 +20,12 @@ def frozen(values: object) -> NDArray[np.float64]:
 
 
 NO_COVARIANCE = frozen(np.empty((0, 0)))
-"""Of a law that has none."""
+"""The covariance of a law without any."""
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What an observer says at a stamp; mirrors ``impact_observer_msgs/ObserverState``.
+    """An observer's output at a stamp; mirrors ``impact_observer_msgs/ObserverState``.
 
     ``bound`` and ``inconsistent`` are not in that message: there is a topic for bounds.
 

@@ -1,4 +1,4 @@
-"""Matrices whose numbers stand near the diagonal, as those of chains and finite elements."""
+"""Banded matrices, as those of chains and finite elements."""
 
 import numpy as np
 from scipy import linalg
@@ -6,9 +6,9 @@ from scipy import linalg
 from impact_observer.states import Matrix
 
 MANY = 32
-"""Coordinates from which on it is worth while to leave out zeros."""
+"""Least number of coordinates for which skipping zeros is faster."""
 FEW = 16
-"""Numbers in a row that are few; diagonals below the main one that make a band."""
+"""Most entries in a row, or diagonals below the main one, that count as few."""
 
 
 def band_of(A: Matrix) -> Matrix | None:
@@ -19,7 +19,7 @@ def band_of(A: Matrix) -> Matrix | None:
     n = len(A)
     if n < MANY:
         return None
-    # A copy, as scipy 1.11 refuses what must not be written to.
+    # A copy, as scipy 1.11 refuses read-only arrays.
     below = int(linalg.bandwidth(A.copy())[0])
     if below > FEW:
         return None

@@ -1,4 +1,4 @@
-"""Reading values out of a model file, each mistake named by its key."""
+"""Reading values from a model file; errors name the key."""
 
 import math
 import zlib
@@ -15,11 +15,11 @@ from impact_observer.model.validation import LARGEST
 from impact_observer.states import Matrix, Vector
 
 Value: TypeAlias = object
-"""Anything that YAML can say."""
+"""Any value in a YAML file."""
 
 
 class Section:
-    """A mapping of a model file that knows its own key and which keys it may hold."""
+    """A mapping in a model file, with its own key and the keys that it may hold."""
 
     def __init__(self, key: str, value: Value, allowed: Sequence[str]) -> None:
         """Take ``value`` found under ``key``.
@@ -46,10 +46,10 @@ class Section:
         return f"{self._key}.{name}" if self._key else name
 
     def value(self, name: str) -> Value:
-        """What stands under ``name``.
+        """The value of the key ``name``.
 
         Raises:
-            ModelError: nothing does.
+            ModelError: there is none.
         """
         if name not in self._values:
             raise ModelError(self.key(name), "is missing")
@@ -170,7 +170,7 @@ def _real(matrix: NDArray[np.generic]) -> Matrix:
 
 
 def _shown(value: Value) -> str:
-    """``value`` as a reader of the file would recognise it."""
+    """``value`` as error lines show it."""
     if value is None:
         return "nothing"
     shown = repr(value)

@@ -27,8 +27,8 @@ class Element:
 
     Attributes:
         kind: ``mass``, ``stiffness`` or ``damping``.
-        label: the body, or the two ends of a spring, such as ``ground-x1``; of several alike the
-            second is ``ground-x1#2``.
+        label: the body, or the two ends of a spring, such as ``ground-x1``; a second spring
+            between the same ends is ``ground-x1#2``.
         value: kg, N/m or Ns/m.
         matrix: what it adds to the system's matrix is ``value`` times this, shape (n, n).
     """
@@ -65,8 +65,8 @@ class _Line:
         if body == GROUND:
             return e
         if not isinstance(body, str) or body not in self.names:
-            known = ", ".join((*self.names, GROUND))
-            raise ModelError(key, f"{body!r} is not a body; expected one of {known}")
+            expected = ", ".join((*self.names, GROUND))
+            raise ModelError(key, f"{body!r} is not a body; expected one of {expected}")
         e[self.names.index(body)] = 1.0
         return e
 
@@ -136,7 +136,7 @@ def _springs(line: _Line, items: list[tuple[str, Value]]) -> Iterator[Element]:
 
 
 def labels(pairs: Iterable[Value]) -> list[str]:
-    """Names of springs by the two ends of each; of several alike the second is ``..#2``."""
+    """Names of springs by their two ends; a second one between the same ends is ``..#2``."""
     plain: list[str] = []
     for pair in pairs:
         assert isinstance(pair, list), "a spring that was read has two ends"

@@ -1,4 +1,4 @@
-"""A forcing given by samples: held or joined by straight lines, exactly so."""
+"""A forcing given by samples: held, or linear in between."""
 
 from dataclasses import dataclass, field
 
@@ -13,24 +13,24 @@ HOLDS = ("previous", "linear")
 SHORTEST_STEP = 1e-9
 """Least time between two samples, s: one stamp."""
 _SAME = 1e-14
-"""Difference of two instants that rounding can make, s."""
+"""Largest difference of two instants by rounding, s."""
 _SLACK = 1e-9
 """How far beyond the last sample an instant may lie by rounding, s: one stamp."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Forces at instants; between them the previous one is held, or both are joined by a line.
+    """Forces at instants; between them the previous one is held, or the force is linear.
 
     Attributes:
         time: s since the epoch, shape (k,), ascending, k >= 2; the first not after 0.
         force: shape (k, n), N or Nm.
         hold: ``previous`` or ``linear``.
-        steps: between the samples, shape (k - 1,), s; all equal where they are but for rounding.
-            Derived.
+        steps: between the samples, shape (k - 1,), s; exactly equal where they differ by rounding
+            only. Derived.
         slope: of the force from each sample on, shape (k, n), N/s; at the last one as before it.
             Derived.
-        rounding: what an instant may differ by from a sample's and still be it, s. Derived.
+        rounding: difference below which an instant counts as that of a sample, s. Derived.
 
     Raises:
         ModelError: naming the key of the model file and what is wrong with it.
@@ -79,7 +79,7 @@ class Samples:
     def index(self, t: Vector) -> NDArray[np.intp]:
         """The sample that holds from each ``t`` (s since the epoch) on, shape (samples,).
 
-        An instant that is a sample's but for rounding counts as the sample's.
+        An instant within rounding of a sample's counts as the sample's.
 
         Raises:
             DynamicsError: an instant before the first or beyond the last sample.
@@ -98,7 +98,7 @@ class Samples:
         return np.asarray(self.force[j] + self.slope[j] * (t - self.time[j])[:, None])
 
     def check(self, t: Vector) -> None:
-        """See that there are samples at ``t``, s since the epoch.
+        """Check that there are samples at ``t``, s since the epoch.
 
         Raises:
             DynamicsError: an instant before the first or beyond the last sample.

@@ -24,7 +24,7 @@ class Forcing:
         frequency: angular frequencies ``omega``, shape (h,), rad/s, each positive.
         cosine: shape (h, n), N or Nm.
         sine: shape (h, n), N or Nm.
-        sampled: forces at instants, which end; None for a forcing that never does.
+        sampled: forces at instants, which end; None for a forcing without end.
     """
 
     constant: Vector
@@ -91,7 +91,7 @@ class Forcing:
         found[1:2] += self.sampled.slope[self.sampled.index(t)]
 
     def jet(self, order: int) -> Callable[[float], Matrix]:
-        """``derivatives`` at one instant, prepared to be cheap.
+        """``derivatives`` at one instant, as a fast function.
 
         Args:
             order: of the highest derivative.
@@ -104,11 +104,11 @@ class Forcing:
         shape, rows = (order + 1, self.constant.size), self.jet_rows(order)
 
         def at(t: float) -> Matrix:
-            known = [1.0]
+            terms = [1.0]
             for omega in frequency:
                 angle = omega * t
-                known += math.cos(angle), math.sin(angle)
-            found: Matrix = rows.dot(known).reshape(shape)
+                terms += math.cos(angle), math.sin(angle)
+            found: Matrix = rows.dot(terms).reshape(shape)
             if self.sampled is not None:
                 self._add_samples(found[:, None], np.array([t]))
             return found
@@ -116,7 +116,7 @@ class Forcing:
         return at
 
     def jet_rows(self, order: int) -> Matrix:
-        """What 1, and each harmonic's cosine and sine, are multiplied by in ``jet``.
+        """Coefficients of 1 and of each harmonic's cosine and sine in ``jet``.
 
         Args:
             order: of the highest derivative.
@@ -139,7 +139,7 @@ class Forcing:
             amplitude = amplitude * (1j * self.frequency[:, None])
 
     def bound(self, X: Matrix) -> Callable[[int, Vector], Vector]:
-        """A bound on the size of ``f`` and its derivatives, prepared to be cheap.
+        """A bound on the size of ``f`` and its derivatives, as a fast function.
 
         Args:
             X: symmetric positive semidefinite, shape (n, n).

@@ -1,4 +1,4 @@
-"""The parameters that can be free, by the names that users write."""
+"""The parameters of a model that can be estimated, by the names that users write."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -24,12 +24,12 @@ UNITS = {
     "forcing-phase": "rad",
     OFFSET: "s",
 }
-"""What can be free, of contacts, springs, bodies and harmonics one by one or all; its unit."""
+"""Kinds of free parameters and their SI units; empty for a ratio."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
-"""Most by which a scale may be wrong, up or down."""
+"""Largest value of a scale, and the inverse of its least."""
 _LONGEST = 0.1
-"""Most that a clock may be off, s."""
+"""Largest offset of a clock, s."""
 
 
 def parametric_family(
@@ -39,25 +39,27 @@ def parametric_family(
     *,
     clock: bool = True,
 ) -> ParametricFamily:
-    """The family of ``system`` whose members differ in the ``wanted`` parameters.
+    """The family of systems that differ from ``system`` in the ``wanted`` parameters.
 
     Args:
-        system: as the model says.
+        system: the nominal one.
         wanted: names such as ``restitution``, which is that of every contact, or ``gap.stop``.
-        elements: what it was assembled of: these can be free one by one.
+        elements: from which the system was assembled: each can be free.
         clock: whether the offset of the sensor's clock can be free, too.
 
     Raises:
-        UsageError: a name that there is not, that comes twice, or whose model cannot have it.
+        UsageError: a name is unknown, given twice, or does not go with another.
     """
-    known = {each.name: each for each in _all(system, elements) if clock or each.name != OFFSET}
+    available = {
+        each.name: each for each in _all(system, elements) if clock or each.name != OFFSET
+    }
     names: list[str] = []
     for name in wanted:
-        found = [each for each in known if each == name or each.startswith(f"{name}.")]
+        found = [each for each in available if each == name or each.startswith(f"{name}.")]
         if not found:
             raise UsageError(
                 f"parameter {name!r}: this model has none; expected some of"
-                f" {', '.join(known)}; or all of a kind, such as restitution"
+                f" {', '.join(available)}; or all of a kind, such as restitution"
             )
         names.extend(found)
     for name in names:
@@ -66,18 +68,18 @@ def parametric_family(
     for one, other in combinations(sorted({name.partition(".")[0] for name in names}), 2):
         if other == f"{one}-scale":
             raise UsageError(f"parameter {other!r}: stands beside {one}; free one of them")
-    return ParametricFamily(system, tuple(known[name] for name in names))
+    return ParametricFamily(system, tuple(available[name] for name in names))
 
 
 def with_unit(name: str) -> str:
-    """The name in words, with the unit, of something that is learnt: a parameter, or a clock's."""
+    """The name of an estimated parameter in words, with its unit."""
     unit = UNITS.get(name.partition(".")[0], "s")
     words = name.replace("_", " ")
     return f"{words} [{unit}]" if unit else words
 
 
 def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter]:
-    """Every parameter that ``system`` has."""
+    """Every parameter of ``system``."""
     for i, contact in enumerate(system.contacts):
         unit = np.eye(system.m)[i]
         effect = Coefficients.change(system, eps=unit)
@@ -102,7 +104,7 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
 
 
 def _of_forcing(system: System) -> Iterator[ModelParameter]:
-    """Those of the harmonics, and of the clock by which they are told."""
+    """Those of the harmonics and of the clock."""
     h = system.forcing.frequency.size
     for k in range(h):
         unit = np.eye(h)[k]
@@ -111,6 +113,6 @@ def _of_forcing(system: System) -> Iterator[ModelParameter]:
         yield ModelParameter(f"forcing-amplitude.{k + 1}", 1.0, low, high, 1.0, "", effect)
         effect = Coefficients.change(system, phase=unit)
         yield ModelParameter(f"forcing-phase.{k + 1}", 0.0, -np.inf, np.inf, np.pi, "rad", effect)
-    # Stamps that are late by an offset tell of a forcing that is behind by it.
+    # Stamps that are late by an offset are those of a forcing that lags by it.
     effect = Coefficients.change(system, phase=-system.forcing.frequency)
     yield ModelParameter(OFFSET, 0.0, -_LONGEST, _LONGEST, _LONGEST, "s", effect)

@@ -23,23 +23,23 @@ from impact_observer.states import Matrix, Vector, frozen
 
 _MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "forcing", "contacts")
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""What ruamel raises: besides its own errors, those of values such as ``2020-13-45``."""
+"""What ruamel raises: its own errors, and others for values such as ``2020-13-45``."""
 _LONGEST = 1_000_000
-"""Columns of a line of YAML, more than any has: lines stay as they are."""
+"""Line width that keeps ruamel from breaking lines."""
 _COMMON_KEYS = ("name", "initial_state", "provenance")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Model:
-    """What a model file says.
+    """The contents of a model file.
 
     Attributes:
         system: the system that plant and replica share.
         position: the plant's coordinates at the epoch, shape (n,); None when not given.
         velocity: the plant's velocities at the epoch, shape (n,); None when not given.
-        provenance: who wrote the file, free of meaning for the dynamics.
+        provenance: who wrote the file; without effect on the dynamics.
         source: what errors call the file.
-        elements: what the system was assembled of; none where the file gives matrices.
+        elements: from which the system was assembled; empty where the file gives matrices.
     """
 
     system: System
@@ -102,10 +102,10 @@ class Model:
 
 
 class _Representer(SafeRepresenter):
-    """Writes text of several lines as such."""
+    """Writes text of several lines as a block."""
 
     def represent_str(self, data: str) -> Value:
-        """A block where there is a line end, otherwise as ever."""
+        """A block scalar where there is a line end, otherwise the default."""
         style = "|" if "\n" in data else None
         return self.represent_scalar("tag:yaml.org,2002:str", data, style=style)
 
@@ -134,7 +134,7 @@ def _forcing_of(system: System) -> Value:
 
 
 class ModelText(NamedTuple):
-    """What ``parse_model`` reads a model from.
+    """The arguments of ``parse_model``.
 
     Attributes:
         text: the YAML.
@@ -186,10 +186,10 @@ def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
 
 
 def load_yaml(text: str) -> Value:
-    """What a YAML text says.
+    """The document in a YAML text.
 
     Raises:
-        ModelError: it is no YAML; without a key.
+        ModelError: it is not YAML; without a key.
     """
     try:
         return YAML(typ="safe", pure=True).load(text)
@@ -201,11 +201,11 @@ def load_yaml(text: str) -> Value:
 
 
 def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
-    """A model file with other values in some places, and all else as it stands, comments too.
+    """A model file with some values changed, and all else kept, comments too.
 
     Args:
         text: the YAML of a valid model.
-        changes: new values by where they stand, such as ``("stops", 0, "limit")``.
+        changes: new values by their path in the file, such as ``("stops", 0, "limit")``.
     """
     yaml = YAML()
     yaml.width = _LONGEST

@@ -1,4 +1,4 @@
-"""Sampled forcing in a model file: a CSV file beside it, or its text or a table in the model."""
+"""Sampled forcing of a model file: a CSV file beside it, or a table inside it."""
 
 import csv
 import io
@@ -88,7 +88,7 @@ def _read_csv(text: Iterable[str], coordinates: Sequence[str]) -> Matrix:
 
 
 def _order(header: list[str], coordinates: Sequence[str]) -> list[int]:
-    """Where time and coordinates stand in ``header``, which names each once and no other."""
+    """The columns of time and coordinates in ``header``, which must name each once, no other."""
     if _TIME in coordinates:
         raise ValueError(f"a coordinate is named {_TIME!r} as the column of instants; rename it")
     wanted = [_TIME, *coordinates]
@@ -135,7 +135,7 @@ def _is_number(value: str) -> bool:
 
 
 def table_of(samples: Samples, coordinates: Sequence[str]) -> Value:
-    """What ``sampled`` may hold in a model that reads back equal: CSV, or lists for odd names."""
+    """The value of ``sampled`` that reads back equal: CSV, or lists for unusual names."""
     if _TIME in coordinates or any(not _plain(name) for name in coordinates):
         return {"time": samples.time.tolist(), "force": samples.force.tolist()}
     text = io.StringIO()

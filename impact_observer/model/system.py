@@ -19,15 +19,15 @@ from impact_observer.model.validation import LARGEST, finite
 from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST_STATE = 1e9
-"""Largest magnitude of a coordinate or velocity that somebody can mean."""
+"""Largest magnitude of a coordinate or velocity that is accepted."""
 _INSIDE = 1e-12
-"""Distance from a stop that is rounding, relative to what the gap is the sum of."""
+"""Gap that is rounding, relative to the terms of its sum."""
 _SYMMETRY = 1e-9
-"""Largest asymmetry accepted, relative to the largest entry: what printing digits costs."""
+"""Largest asymmetry accepted, relative to the largest entry, as from printed digits."""
 _SEMIDEFINITE = 1e-10
 """Most negative eigenvalue accepted as zero, relative to the largest."""
 _SINGULAR = 1e-14
-"""Least eigenvalue of a mass matrix, relative to the largest: below it is rounding."""
+"""Least eigenvalue of a mass matrix accepted, relative to the largest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class Contact:
     """A rigid stop, open while ``g = direction . q + gap > 0``.
 
     Attributes:
-        name: what events call it.
+        name: its name in events.
         direction: a column of W, shape (n,).
         gap: ``q_r``, gap in the rest position, m or rad.
         restitution: Newton's coefficient ``eps``, in [0, 1].
@@ -49,7 +49,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class System:
-    """A linear system with stops: all that the plant and its replica have in common.
+    """A linear system with stops: what the plant and its replicas have in common.
 
     Attributes:
         name: of the model.
@@ -140,17 +140,17 @@ class System:
         return np.asarray(self.W.T @ u)
 
     def penetrated(self, q: Vector) -> tuple[int, ...]:
-        """Indices of the contacts whose stop ``q``, shape (n,), is inside of."""
+        """Indices of the contacts with ``g < 0`` at ``q``, shape (n,)."""
         scale = np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)
         return tuple(np.flatnonzero(self.gap(q) < -_INSIDE * scale).tolist())
 
     def closed_at(self, q: Vector) -> tuple[int, ...]:
-        """Indices of the contacts whose stop ``q``, shape (n,), touches or is inside of."""
+        """Indices of the contacts with ``g <= 0`` at ``q``, shape (n,)."""
         scale = np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)
         return tuple(np.flatnonzero(self.gap(q) <= _INSIDE * scale).tolist())
 
     def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
-        """The same as ``checked_state``, for a plant: it must not be inside of a stop.
+        """As ``checked_state``, for a plant, which must not be inside a stop.
 
         Raises:
             UsageError: a wrong number of values, one that is not finite, or a stop penetrated.
@@ -234,7 +234,7 @@ def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
 
 
 def _ends(symmetric: Matrix) -> tuple[float, float]:
-    """The least and the largest eigenvalue: those of a band cost n^2, those of others n^3."""
+    """The least and the largest eigenvalue; in n^2 operations for a banded matrix, else n^3."""
     band = band_of(symmetric)
     if band is None:
         eigenvalues = linalg.eigvalsh(symmetric)
@@ -250,7 +250,7 @@ def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
     key = f"contacts[{i}]"
     direction = finite(f"{key}.direction", contact.direction, (n,), f"{n} numbers")
     if not np.any(direction):
-        raise ModelError(f"{key}.direction", "is zero; a contact must touch some coordinate")
+        raise ModelError(f"{key}.direction", "is zero; a contact must involve some coordinate")
     gap = float(finite(f"{key}.gap", contact.gap, (), "a number, m"))
     eps = float(finite(f"{key}.restitution", contact.restitution, (), "a number in [0, 1]"))
     if not 0.0 <= eps <= 1.0:

@@ -22,9 +22,9 @@ from impact_observer.stamps import Instant, seconds_between, text
 from impact_observer.states import Stamps, Vector
 
 _INSTANT = 1e-4
-"""Length of a phase that is no progress, relative to the shortest flight."""
+"""Length of a phase that counts as none, relative to the shortest flight."""
 _MOST = 1_000
-"""Changes of contacts at one instant beyond which they would never end."""
+"""Contact changes at one instant that count as endless."""
 
 
 class Plant:
@@ -51,24 +51,24 @@ class Plant:
         self.epoch = epoch
         self._law = ImpactLaw(system)
         self._phases = Phases(system)
-        self._rest = ZenoCutoff(self._phases)
-        self._accumulation = AccumulationDetector(self._rest.shortest)
-        self._hasty = 0
+        self._zeno = ZenoCutoff(self._phases)
+        self._accumulation = AccumulationDetector(self._zeno.shortest)
+        self._instant_changes = 0
         self._searcher = lru_cache(KEPT)(self._search_of)
         start, x = Instant(epoch), np.concatenate([q, u])
         self._begin(start, x, closed=(), held=())
-        if touching := system.closed_at(q):
-            switching = self._impact(start, x, touching)
-            closing = np.any(system.contact_speed(u)[list(touching)] < 0)
+        if initially_closed := system.closed_at(q):
+            switching = self._impact(start, x, initially_closed)
+            closing = np.any(system.contact_speed(u)[list(initially_closed)] < 0)
             if closing or switching.closed:
                 self._next = switching
-            else:  # it separates; only where rounding has left the gaps is mended
+            else:  # they separate; only rounding in the gaps is removed
                 self._begin(start, switching.after, closed=(), held=())
 
     def next_switching(self, limit: int) -> Switching | None:
         """What the contacts do next, if its stamp is not after ``limit`` (ns).
 
-        Asking again, with any limit, costs nothing where it has been looked already.
+        What has been searched is kept: asking again, with any limit, costs nothing.
 
         Raises:
             ImpactLawError: the impact law has no solution.
@@ -84,7 +84,7 @@ class Plant:
         return self._next if self._next.instant.stamp <= limit else None
 
     def cross(self, switching: Switching) -> None:
-        """Go on after ``switching``, which must be the one that ``next_switching`` told."""
+        """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
         assert switching is self._next, "only the next switching can be crossed"
         self._begin(switching.instant, switching.after, switching.closed, switching.held)
 
@@ -116,9 +116,9 @@ class Plant:
         """Seconds since the epoch."""
         return seconds_between(self.epoch, instant.stamp) + instant.remainder
 
-    def _search_of(self, phase: Phase, differences: tuple[int, ...]) -> Search:
-        """The search for the end of a phase: gaps of those ``differences`` first, then loads."""
-        gaps = Watched.gaps(self.system, list(differences))
+    def _search_of(self, phase: Phase, open_contacts: tuple[int, ...]) -> Search:
+        """The search for the end of a phase: gaps of the ``open_contacts`` first, then loads."""
+        gaps = Watched.gaps(self.system, list(open_contacts))
         return Search(phase, gaps.and_also(Watched.loads(phase)), self._phases.scales.window)
 
     def _ended(self, crossing: Crossing) -> Switching:
@@ -131,36 +131,38 @@ class Plant:
             return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
         switching = self._switched(instant, x, x, (), self.closed)
         if switching.held == self._phase.held:
-            # The load falls too slowly for its sign to be told, but below zero it may not be.
+            # The load falls too slowly to see its sign, but it may not be negative.
             unloaded = {self._phase.held[i - len(self._open)] for i in crossing.which}
             loaded = tuple(i for i in self.closed if i not in unloaded)
             switching = self._switched(instant, x, x, (), loaded)
         return switching
 
     def _check_progress(self, s: float, instant: Instant) -> None:
-        """Raise where contacts change again and again and time does not go on."""
-        self._hasty = self._hasty + 1 if s <= _INSTANT * self._rest.shortest else 0
-        if self._hasty > _MOST:
+        """Raise where contacts change again and again at one instant."""
+        self._instant_changes = (
+            self._instant_changes + 1 if s <= _INSTANT * self._zeno.shortest else 0
+        )
+        if self._instant_changes > _MOST:
             raise DynamicsError(
                 f"contacts {', '.join(self.system.contact_names)}: {_MOST} changes at stamp"
                 f" {text(instant.stamp)} s and no end; are some of them the same stop?"
             )
 
     def _impact(self, instant: Instant, x: Vector, contacts: tuple[int, ...]) -> Switching:
-        """The impact of ``contacts``; without restitution where their impacts accumulate."""
+        """The impact of ``contacts``; plastic where their impacts accumulate."""
         n, u = self.system.n, x[self.system.n :]
         try:
             velocity = self._law.velocity_after(u, contacts)
-            if lately := self._accumulation.hit(instant, contacts, self._energy(u)):
-                near = {*contacts, *(i for i in self.system.closed_at(x[:n]) if i in lately)}
+            if accumulating := self._accumulation.hit(instant, contacts, self._energy(u)):
+                near = {*contacts, *(i for i in self.system.closed_at(x[:n]) if i in accumulating)}
                 plastic = self._law.plastic.velocity_after(u, tuple(sorted(near)))
                 if self._accumulation.negligible(self._energy(u) - self._energy(plastic)):
                     velocity, contacts = plastic, tuple(sorted(near))
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None
         after = np.concatenate([self._phases.projection.position_after(x[:n], contacts), velocity])
-        rest = self._rest.after(self._time(instant), after, contacts, x[n:])
-        return self._switched(instant, x, after, contacts, rest)
+        resting = self._zeno.resting(self._time(instant), after, contacts, x[n:])
+        return self._switched(instant, x, after, contacts, resting)
 
     def _energy(self, u: Vector) -> float:
         """Kinetic energy of velocities ``u``, J."""
@@ -172,18 +174,26 @@ class Plant:
         before: Vector,
         after: Vector,
         contacts: tuple[int, ...],
-        rest: tuple[int, ...],
+        resting: tuple[int, ...],
     ) -> Switching:
-        """What becomes of the contacts at ``rest`` after an impact of ``contacts``, or none."""
-        if rest:
-            after = self._phases.stopped(after, rest)
-        still = persistent_contacts(self._phases, (), self._time(instant), after, rest)
+        """The switching in which the ``resting`` contacts stay closed or open.
+
+        Args:
+            instant: when.
+            before: state (q, u-), shape (2n,).
+            after: state (q, u+), shape (2n,).
+            contacts: indices of those that take part in an impact; none without one.
+            resting: indices of those with ``gamma = 0`` after it.
+        """
+        if resting:
+            after = self._phases.stopped(after, resting)
+        persistent = persistent_contacts(self._phases, (), self._time(instant), after, resting)
         return Switching(
             instant=instant,
             contacts=contacts,
-            closed=still.closed,
-            held=still.held,
+            closed=persistent.closed,
+            held=persistent.held,
             before=before,
             after=after,
-            switches=switches(self.system, self.closed, contacts, still.closed),
+            switches=switches(self.system, self.closed, contacts, persistent.closed),
         )

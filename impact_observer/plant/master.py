@@ -30,7 +30,7 @@ class Master(Protocol):
         """What the contacts do next, if its stamp is not after ``limit`` (ns)."""
 
     def cross(self, switching: Switching) -> None:
-        """Go on after ``switching``, which must be the one that ``next_switching`` told."""
+        """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
 
     def states(self, stamps: Stamps) -> Vector:
         """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n)."""

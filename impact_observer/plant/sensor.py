@@ -1,30 +1,30 @@
-"""Impacts as a real sensor tells them: late, jittered, missed, spurious, of the wrong contact.
+"""A simulated sensor of impacts: latency, jitter, missed, spurious and mislabelled impacts.
 
-One order of things, from the stop to the listener:
+What happens to a switching of the plant, in this order:
 
-1. *Feeling*, contact by contact. An IMPACT or CLOSE below ``threshold`` is not felt; any other is
-   ``missed`` with a probability; and none is felt within ``dead_time`` after one that the same
-   contact has felt. What is not felt is not told, and begins no dead time. ``spurious`` impacts
-   are felt like true ones: they begin a dead time, and are lost in one.
-2. *Naming*. A felt impact is ``mislabelled`` with a probability: another contact is named, each
-   with the same chance. The dead time stays that of the contact that was hit. A spurious impact
-   is of any contact anyway.
-3. *Lasting contact*. A CLOSE is an impact like any other: where it is not felt the contact stays
-   closed and nobody hears of it. An OPEN is no impact: it is told if and only if its CLOSE was,
-   by the name that its CLOSE was told by, whatever the dead time. With ``impacts_only`` a CLOSE
-   is told as IMPACT, and no OPEN at all.
-4. *Counting*. What is told of one instant is one event. Sequence numbers count events in the
-   order of their instants; an event of which nothing is left has none, so that what a sensor
-   does not feel leaves no gap.
-5. *Stamping*. The instant, plus ``delay``, plus a normal ``jitter``, read on a clock that is
-   ``clock_offset`` ahead at the epoch and gains ``clock_drift`` a second, rounded to a multiple
-   of ``quantisation``. Stamps can so be in another order than sequence numbers. The epoch that an
-   event carries is the plant's own.
-6. *Sending*. An event arrives ``delay`` after its instant and an exponential time of mean
-   ``transport`` later, whatever its stamp. Arrivals can so be in yet another order.
+1. *Detection*, contact by contact. An IMPACT or CLOSE below ``threshold`` is not detected; any
+   other is ``missed`` with a probability; none is detected within ``dead_time`` after the last one
+   detected at the same contact. An undetected impact begins no dead time. ``spurious`` impacts
+   begin a dead time and are lost in one like true impacts.
+2. *Labelling*. A detected impact is ``mislabelled`` with a probability: it is reported for another
+   contact, all others being equally likely. The dead time is that of the contact that was hit.
+   A spurious impact is at a random contact anyway.
+3. *Persistent contact*. A CLOSE is detected like an IMPACT; where it is missed the contact stays
+   closed unreported. An OPEN is reported if and only if its CLOSE was, under the same contact's
+   name, whatever the dead time. With ``impacts_only`` a CLOSE is reported as IMPACT, an OPEN
+   never.
+4. *Numbering*. All that is reported of one instant is one event. Sequence numbers count events in
+   the order of their instants. An event without any switch is not sent and has no number, so a
+   missed impact leaves no gap in the sequence.
+5. *Stamping*. The stamp is the instant plus ``delay`` plus a normal ``jitter``, read on a clock
+   that is ``clock_offset`` ahead at the epoch and gains ``clock_drift`` per second, rounded to a
+   multiple of ``quantisation``. Stamps may be in another order than sequence numbers. The epoch in
+   an event is the plant's own.
+6. *Transport*. An event arrives ``delay`` plus an exponential time of mean ``transport`` after its
+   instant, whatever its stamp. Arrivals may be in yet another order.
 
-Whatever draws has a random stream of its own, and draws whether or not anything becomes of it:
-switching one trouble on changes no draw of another.
+Each fault draws from a random stream of its own, and draws whether or not the number is used:
+switching one fault on changes no draw of another.
 """
 
 import heapq
@@ -43,26 +43,26 @@ from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between
 
 _STREAMS = 7
-"""Random streams of a sensor; another trouble that draws takes one more, at the end."""
+"""Random streams of a sensor; a new fault that draws takes one more, at the end."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """What is wrong with a sensor of impacts; nothing, unless told. The module says how it acts.
+    """The faults of a sensor of impacts; none by default. The module says how they act.
 
     Attributes:
-        delay: by which it notices, stamps and sends late, s.
+        delay: latency of detection, part of stamp and arrival, s.
         jitter: standard deviation of its stamps, s; normal.
         quantisation: its stamps are multiples of this, s, in whole nanoseconds; 0 for 1 ns.
-        dead_time: so long after a felt impact the same contact feels nothing, s.
-        missed: probability that an impact is not felt.
-        spurious: impacts that it invents, 1/s; Poisson, of any contact.
-        mislabelled: probability that another contact is named.
+        dead_time: time after a detected impact without another at the same contact, s.
+        missed: probability that an impact is not detected.
+        spurious: rate of false positives, 1/s; Poisson, of any contact.
+        mislabelled: probability that another contact is reported.
         clock_offset: by which its clock is ahead of the plant's at the epoch, s.
         clock_drift: by which its clock is too fast, s/s.
-        threshold: approach speed below which an impact is not felt, m/s.
-        impacts_only: whether CLOSE is told as IMPACT, and OPEN never.
-        transport: mean of the exponential time that an event is on its way, s.
+        threshold: approach speed below which an impact is not detected, m/s.
+        impacts_only: whether CLOSE is reported as IMPACT, and OPEN never.
+        transport: mean of the exponential time from sender to receiver, s.
     """
 
     delay: float = 0.0
@@ -89,7 +89,7 @@ class SensorModel:
 
     @property
     def faults(self) -> dict[str, float | bool]:
-        """What is wrong, by name; empty for an ideal sensor."""
+        """The faults that are not zero, by name; empty for an ideal sensor."""
         values = ((field.name, getattr(self, field.name)) for field in fields(self))
         return {name: value if value is True else float(value) for name, value in values if value}
 
@@ -97,7 +97,7 @@ class SensorModel:
         """Raise unless this can be the sensor of ``system``.
 
         Raises:
-            UsageError: it names other contacts where there is one, or invents impacts of none.
+            UsageError: mislabelled impacts of a single contact, or spurious ones of none.
         """
         for name, least in (("mislabelled", 2), ("spurious", 1)):
             if getattr(self, name) and system.m < least:
@@ -108,15 +108,15 @@ class SensorModel:
 
 
 IDEAL = SensorModel()
-"""A sensor with which nothing is wrong."""
+"""A sensor without faults."""
 
 
 class SensorMessage(NamedTuple):
     """A message of a sensor.
 
     Attributes:
-        event: what it says.
-        arrival: when it is heard, ns, by the plant's clock; not before the instant it tells of.
+        event: what it reports.
+        arrival: when it is received, ns, by the plant's clock; not before the event's instant.
     """
 
     event: ImpactEvent
@@ -124,9 +124,9 @@ class SensorMessage(NamedTuple):
 
 
 class SensorSimulation:
-    """A sensor at work: told what the contacts do, it says what arrives, and when.
+    """A sensor that follows a plant: switchings go in, messages come out when they arrive.
 
-    Memory is bounded by the messages that are under way.
+    Memory is bounded by the messages in transport.
     """
 
     def __init__(
@@ -142,11 +142,11 @@ class SensorSimulation:
         """Begin at ``epoch``.
 
         Args:
-            sensor: what is wrong with it.
-            system: whose contacts it feels.
+            sensor: its faults.
+            system: whose contacts it observes.
             epoch: stamp of ``t = 0``, ns.
-            last: stamp after which it invents nothing, ns; None for never.
-            seed: of everything random in it, not negative.
+            last: stamp after which no impact is spurious, ns; None for no end.
+            seed: of all random draws, not negative.
             episode: of the plant; each has its own draws.
 
         Raises:
@@ -164,107 +164,113 @@ class SensorSimulation:
         self._epoch = epoch
         self._last = math.inf if last is None else last
         self._episode = episode
-        self._dead = from_seconds(sensor.dead_time)
+        self._dead_time = from_seconds(sensor.dead_time)
         self._tick = max(from_seconds(sensor.quantisation), 1)
         root = np.random.SeedSequence(seed, spawn_key=(episode,))
         draws = [np.random.Generator(np.random.PCG64(child)) for child in root.spawn(_STREAMS)]
-        self._missing, self._naming, self._inventing = draws[:3]
-        self._true, self._spurious = _Marks(*draws[3:5]), _Marks(*draws[5:])
+        self._missed_draws, self._label_draws, self._spurious_draws = draws[:3]
+        self._true_timing = _TimingDraws(*draws[3:5])
+        self._spurious_timing = _TimingDraws(*draws[5:])
         self._sequence = 0
-        self._felt: dict[int, int] = {}
-        self._names: dict[int, str] = {}
-        self._under_way: list[tuple[int, int, ImpactEvent]] = []
-        self._waited = 0.0
-        self._next_spurious = self._invention()
+        self._last_detected: dict[int, int] = {}
+        self._reported_closed: dict[int, str] = {}
+        self._in_transport: list[tuple[int, int, ImpactEvent]] = []
+        self._spurious_time = 0.0
+        self._next_spurious = self._draw_next_spurious()
 
     @property
     def next_stamp(self) -> int | None:
-        """Before which nothing arrives but what is felt until then, ns; None for never."""
-        arrival = self._under_way[0][0] if self._under_way else math.inf
+        """Stamp of the next arrival or spurious impact, if the plant does not switch first, ns.
+
+        None where there is neither.
+        """
+        arrival = self._in_transport[0][0] if self._in_transport else math.inf
         soonest = min(arrival, self._next_spurious)
         return None if math.isinf(soonest) else int(soonest)
 
     def detect(self, switching: Switching) -> None:
-        """Tell what the contacts do next; what arrives then or later has not been asked for."""
+        """Take the plant's next switching; ``due`` has not been asked for its stamp or later."""
         if not switching.switches:
             return
         stamp = switching.instant.stamp
-        self._invent(stamp - 1)
+        self._send_spurious(stamp - 1)
         approach = -self._system.contact_speed(switching.before[self._system.n :])
-        marks = self._true.drawn()
-        told = []
+        timing = self._true_timing.draw()
+        reported = []
         for switch in switching.switches:
             i = self._index[switch.contact]
-            told.append(self._told(stamp, i, switch.kind, max(float(approach[i]), 0.0)))
-        # Two contacts that hit at once may go by one name: that is one switch.
-        if switches := tuple(dict.fromkeys(filter(None, told))):
-            self._send(stamp, switches, marks)
+            reported.append(self._reported(stamp, i, switch.kind, max(float(approach[i]), 0.0)))
+        # Two contacts that hit at once may be reported under one name: that is one switch.
+        if switches := tuple(dict.fromkeys(filter(None, reported))):
+            self._send(stamp, switches, timing)
 
     def due(self, now: int) -> list[SensorMessage]:
-        """What arrives up to ``now`` (ns) and was not told before, in the order of arrival.
+        """Messages that arrive up to ``now`` (ns) and were not returned before, by arrival.
 
-        All that the contacts do up to ``now`` must have been felt.
+        All switchings up to ``now`` must have been passed to ``detect``.
         """
-        self._invent(now)
+        self._send_spurious(now)
         arrived = []
-        while self._under_way and self._under_way[0][0] <= now:
-            arrival, _, event = heapq.heappop(self._under_way)
+        while self._in_transport and self._in_transport[0][0] <= now:
+            arrival, _, event = heapq.heappop(self._in_transport)
             arrived.append(SensorMessage(event, arrival))
         return arrived
 
-    def _told(self, stamp: int, i: int, kind: Kind, approach: float) -> Switch | None:
-        """What is told of contact ``i`` that switches with the speed ``approach``, m/s."""
-        told = not self._sensor.impacts_only
+    def _reported(self, stamp: int, i: int, kind: Kind, approach: float) -> Switch | None:
+        """What is reported of contact ``i`` that switches with the speed ``approach``, m/s."""
+        persistent = not self._sensor.impacts_only
         if kind is Kind.OPEN:
-            name = self._names.pop(i, None)
-            return Switch(name, Kind.OPEN) if told and name is not None else None
-        name = self._name(i)
-        missed = self._missing.random() < self._sensor.missed
+            name = self._reported_closed.pop(i, None)
+            return Switch(name, Kind.OPEN) if persistent and name is not None else None
+        name = self._label(i)
+        missed = self._missed_draws.random() < self._sensor.missed
         if missed or approach < self._sensor.threshold or self._is_dead(i, stamp):
             return None
-        self._felt[i] = stamp
+        self._last_detected[i] = stamp
         if kind is Kind.CLOSE:
-            self._names[i] = name
-        return Switch(name, kind if told else Kind.IMPACT)
+            self._reported_closed[i] = name
+        return Switch(name, kind if persistent else Kind.IMPACT)
 
-    def _name(self, i: int) -> str:
-        """The contact that is named where ``i`` is hit."""
+    def _label(self, i: int) -> str:
+        """The contact that is reported where ``i`` is hit."""
         names = self._system.contact_names
-        wrong, other = self._naming.random(2)
+        wrong, other = self._label_draws.random(2)
         if wrong < self._sensor.mislabelled:
             i = (i + 1 + int(other * (len(names) - 1))) % len(names)
         return names[i]
 
     def _is_dead(self, i: int, stamp: int) -> bool:
-        """Whether contact ``i`` was felt too short a time before ``stamp``."""
-        return i in self._felt and stamp - self._felt[i] < self._dead
+        """Whether contact ``i`` is in its dead time at ``stamp``."""
+        return i in self._last_detected and stamp - self._last_detected[i] < self._dead_time
 
-    def _invent(self, until: int) -> None:
-        """Feel what never was, up to the stamp ``until``."""
+    def _send_spurious(self, until: int) -> None:
+        """Send the spurious impacts up to the stamp ``until``."""
         while self._next_spurious <= until:
-            stamp, marks = int(self._next_spurious), self._spurious.drawn()
-            i = int(self._inventing.random() * self._system.m)
+            stamp, timing = int(self._next_spurious), self._spurious_timing.draw()
+            i = int(self._spurious_draws.random() * self._system.m)
             if not self._is_dead(i, stamp):
-                self._felt[i] = stamp
-                self._send(stamp, (Switch(self._system.contact_names[i]),), marks)
-            self._next_spurious = self._invention()
+                self._last_detected[i] = stamp
+                self._send(stamp, (Switch(self._system.contact_names[i]),), timing)
+            self._next_spurious = self._draw_next_spurious()
 
-    def _invention(self) -> float:
+    def _draw_next_spurious(self) -> float:
         """The stamp of the next spurious impact; infinite where there is none."""
         if not self._sensor.spurious:
             return math.inf
-        self._waited += self._inventing.standard_exponential() / self._sensor.spurious
-        stamp = self._epoch + from_seconds(self._waited)
+        self._spurious_time += self._spurious_draws.standard_exponential() / self._sensor.spurious
+        stamp = self._epoch + from_seconds(self._spurious_time)
         return stamp if stamp <= self._last else math.inf
 
-    def _send(self, stamp: int, switches: tuple[Switch, ...], marks: tuple[float, float]) -> None:
-        """Put an event of the instant ``stamp`` on its way."""
-        jitter, transport = marks
+    def _send(self, stamp: int, switches: tuple[Switch, ...], timing: tuple[float, float]) -> None:
+        """Send an event of the instant ``stamp``."""
+        jitter, transport = timing
         self._sequence += 1
-        seen = self._clock(stamp + from_seconds(self._sensor.delay + self._sensor.jitter * jitter))
-        event = ImpactEvent(seen, switches, self._sequence, self._episode, self._epoch)
+        shown = self._clock(
+            stamp + from_seconds(self._sensor.delay + self._sensor.jitter * jitter)
+        )
+        event = ImpactEvent(shown, switches, self._sequence, self._episode, self._epoch)
         arrival = stamp + from_seconds(self._sensor.delay + self._sensor.transport * transport)
-        heapq.heappush(self._under_way, (arrival, self._sequence, event))
+        heapq.heappush(self._in_transport, (arrival, self._sequence, event))
 
     def _clock(self, stamp: int) -> int:
         """What the sensor's clock shows at ``stamp``: above zero, and what a message can carry."""
@@ -274,15 +280,15 @@ class SensorSimulation:
         return min(max(shown // self._tick, 1), latest) * self._tick
 
 
-class _Marks:
-    """What chance does to one message after the other: its jitter and its way."""
+class _TimingDraws:
+    """Random numbers for the timing of one message after the other."""
 
     def __init__(self, jitter: np.random.Generator, transport: np.random.Generator) -> None:
         self._jitter = jitter
         self._transport = transport
 
-    def drawn(self) -> tuple[float, float]:
-        """A standard normal and a standard exponential number."""
+    def draw(self) -> tuple[float, float]:
+        """A standard normal number for the jitter, a standard exponential one for transport."""
         return self._jitter.standard_normal(), self._transport.standard_exponential()
 
 
@@ -296,15 +302,15 @@ def simulate_sensor(
     seed: int = 0,
     episode: int = 0,
 ) -> tuple[SensorMessage, ...]:
-    """What ``sensor`` tells of a whole run.
+    """The messages that ``sensor`` sends of a whole run.
 
     Args:
-        sensor: what is wrong with it.
-        system: what moved.
-        switchings: all that its contacts did, in their order.
+        sensor: its faults.
+        system: whose contacts it observes.
+        switchings: of the plant, in their order.
         epoch: stamp of ``t = 0``, ns.
         last: stamp of the run's end, ns: nothing is spurious after it, messages may arrive later.
-        seed: of everything random, not negative.
+        seed: of all random draws, not negative.
         episode: of the plant; each has its own draws.
 
     Returns:
@@ -313,10 +319,12 @@ def simulate_sensor(
     Raises:
         UsageError: the sensor cannot be one of ``system``.
     """
-    sensing = SensorSimulation(sensor, system, epoch=epoch, last=last, seed=seed, episode=episode)
+    simulation = SensorSimulation(
+        sensor, system, epoch=epoch, last=last, seed=seed, episode=episode
+    )
     for switching in switchings:
-        sensing.detect(switching)
-    sensed = sensing.due(last)
-    while (stamp := sensing.next_stamp) is not None:
-        sensed += sensing.due(stamp)
-    return tuple(sensed)
+        simulation.detect(switching)
+    messages = simulation.due(last)
+    while (stamp := simulation.next_stamp) is not None:
+        messages += simulation.due(stamp)
+    return tuple(messages)

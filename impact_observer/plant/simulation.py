@@ -20,7 +20,7 @@ class Run:
         stamps: ns, shape (samples,).
         states: true states (q, u), shape (samples, 2n); at a switching's stamp after it.
         switchings: everything that its contacts did up to the last stamp.
-        events: what an ideal sensor tells of it; ``sense`` has what a real one tells.
+        events: those of an ideal sensor; ``simulate_sensor`` gives those of a real one.
     """
 
     epoch: int
@@ -43,7 +43,7 @@ def simulate(
     Args:
         plant: is advanced.
         stamps: where to sample, ns, ascending, shape (samples,).
-        progress: told the stamp of every switching.
+        progress: called with the stamp of every switching, ns.
 
     Raises:
         ImpactLawError: the impact law has no solution.

@@ -1,4 +1,4 @@
-"""What happens to the contacts of a plant at one instant, and what a sensor tells of it."""
+"""What the contacts of a plant do at one instant, and the event that reports it."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class Switching:
         held: indices of those that take the loads, independent of each other.
         before: state (q, u-), shape (2n,).
         after: state (q, u+), shape (2n,).
-        switches: how ``chi`` switches; none where only loads change hands between contacts.
+        switches: how ``chi`` switches; none where only the loads move from contact to contact.
     """
 
     instant: Instant
@@ -46,7 +46,7 @@ def switches(
         contacts: contacts that take part in an impact.
         closed: contacts that are closed after it.
     """
-    told = []
+    found = []
     for i in sorted({*was_closed, *contacts}):
         kind = {
             (False, False): Kind.IMPACT,
@@ -55,10 +55,10 @@ def switches(
             (True, True): None,
         }[i in was_closed, i in closed]
         if kind is not None:
-            told.append(Switch(system.contact_names[i], kind))
-    return tuple(told)
+            found.append(Switch(system.contact_names[i], kind))
+    return tuple(found)
 
 
 def event_of(switching: Switching, *, sequence: int, episode: int, epoch: int) -> ImpactEvent:
-    """What an ideal sensor tells of ``switching``: contacts and the stamp, rounded to 1 ns."""
+    """The event of an ideal sensor: contacts, and the instant rounded to 1 ns."""
     return ImpactEvent(switching.instant.stamp, switching.switches, sequence, episode, epoch)

@@ -1,19 +1,19 @@
-"""The plant by time stepping: a second integrator, which knows nothing of the first.
+"""The plant by time stepping: a second integrator, independent of the first.
 
 Moreau's scheme (``dynamics/contact/moreau.py``) does not look for impacts; what switches is read
-from its steps. A contact touches in a step where it is hit or held. At the end of each step, with
-a look at the next one, which is never taken back:
+from its steps. A contact is closed in a step in which it is hit or held. The rule at the end of
+each step needs the next step too and is never revised:
 
-- it touches in this step and not in the next: ``IMPACT``;
-- it touches in this step and in the next: ``CLOSE``. With restitution that is a bounce whose
-  flight is shorter than about two steps, which the scheme cannot tell from lasting contact;
-- it was closed and does not touch in the next step: ``OPEN``; but at the end of that step where
-  another contact is hit in it, for then the impact opened it.
+- closed in this step and not in the next: ``IMPACT``;
+- closed in this step and in the next: ``CLOSE``. With restitution that may be a bounce whose
+  flight is shorter than about two steps: the scheme cannot distinguish it from persistent contact;
+- persistent until now and not closed in the next step: ``OPEN``. Where another contact is hit in
+  the next step the impact opens it, so it opens at the end of that step.
 
 Stamps are the ends of steps. The scheme acts on a contact that is to close within half a step, so
 the first stamp of a run is half a step to one and a half late, and all are of first order in the
-step. Impacts less than a step apart are one. Impacts that accumulate cost nothing: they end in
-``CLOSE``.
+step. Impacts within less than a step are one. Accumulating impacts (Zeno) cost nothing: they end
+in ``CLOSE``.
 """
 
 import math
@@ -31,11 +31,11 @@ from impact_observer.states import Stamps, Vector
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Place:
-    """Where a walk along the steps is: between step ``done`` and the next one.
+    """A position in the sequence of steps: between step ``done`` and the next one.
 
     Attributes:
         k: number of steps done since the epoch.
-        done: the last of them; before the first, one that did nothing.
+        done: the last of them; before the first, a step without any motion.
         coming: the next.
     """
 
@@ -96,7 +96,7 @@ class TimeSteppingPlant:
     def next_switching(self, limit: int) -> Switching | None:
         """The next switching if its stamp is not after ``limit`` (ns).
 
-        Asking again, with any limit, costs nothing where it has been looked already.
+        What has been searched is kept: asking again, with any limit, costs nothing.
 
         Raises:
             ImpactLawError: the law has no solution in a step that begins up to ``limit``.
@@ -108,7 +108,7 @@ class TimeSteppingPlant:
         return found if found is not None and found.instant.stamp <= limit else None
 
     def cross(self, switching: Switching) -> None:
-        """Go on after ``switching``, which must be the one that ``next_switching`` told."""
+        """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
         assert switching is self._next, "only the next switching can be crossed"
         self.closed = switching.closed
         self._begin(self._ahead)
@@ -117,11 +117,11 @@ class TimeSteppingPlant:
         """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n).
 
         At the end of a step they are the scheme's, after its impulses: at a switching's stamp the
-        state is after it. Within a step the velocity is linear and the position its integral, but
-        in a step that ends with an impact: up to there the velocity goes to that before the impact
-        and the position evenly to that of the impact. A stamp before the phase is at its start,
-        one beyond its end is as if its last impact were lasting. The cost is that of the steps
-        passed; stamps that go back step the phase from its start again.
+        state is after it. Within a step the velocity is linear and the position its integral.
+        In a step that ends with an impact the velocity goes linearly to that before the impact and
+        the position linearly to that at the impact. A stamp before the phase counts as its start;
+        beyond its end the contacts stay as in its last step. The cost is that of the steps passed;
+        stamps that go back repeat the phase from its start.
         """
         steps = np.maximum((stamps - self.epoch) // self.step, self._start.k)
         inside = np.maximum(stamps - self.epoch - steps * self.step, 0) / self.step
@@ -129,7 +129,7 @@ class TimeSteppingPlant:
         ascending = np.argsort(steps, kind="stable")
         numbers, first = np.unique(steps[ascending], return_index=True)
         for k, at in zip(numbers.tolist(), np.split(ascending, first[1:]), strict=False):
-            self._walk(k)
+            self._step_to(k)
             states[at] = self._within(self._behind, inside[at])
         return states
 
@@ -141,7 +141,7 @@ class TimeSteppingPlant:
     def _stamp(self, k: int) -> int:
         return self.epoch + k * self.step
 
-    def _walk(self, k: int) -> None:
+    def _step_to(self, k: int) -> None:
         """Go to where ``k`` steps are done, to sample the next one."""
         if self._behind.k > k:
             self._behind = self._start
@@ -158,15 +158,15 @@ class TimeSteppingPlant:
         return np.hstack([q + part * (end.q - q), u + part * (end.free - u)])
 
     def _switching(self, place: _Place) -> Switching | None:
-        """What switches at ``place``, by the rule above."""
+        """What switches at ``place``, by the rule of the module."""
         done, coming, was_closed = place.done, place.coming, set(self.closed)
-        touched = was_closed.union(done.closed)
-        hit, hit_next = touched > was_closed, not touched.issuperset(coming.closed)
+        closing = was_closed.union(done.closed)
+        hit, hit_next = closing > was_closed, not closing.issuperset(coming.closed)
         staying = was_closed.union(coming.closed) if hit_next else set(coming.closed)
-        closed = tuple(sorted(touched & staying))
+        closed = tuple(sorted(closing & staying))
         if not hit and closed == self.closed:
             return None
-        contacts = tuple(sorted(touched)) if hit else ()
+        contacts = tuple(sorted(closing)) if hit else ()
         return Switching(
             instant=Instant(self._stamp(place.k)),
             contacts=contacts,

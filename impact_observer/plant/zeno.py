@@ -1,21 +1,21 @@
-"""When a contact comes to rest: impacts that accumulate are cut short.
+"""Zeno behaviour: where impacts accumulate the contact is closed before their accumulation point.
 
 A contact that is pressed on its stop with an acceleration ``a`` and leaves it with ``gamma`` comes
 back after ``2 gamma / a``, from a height of ``gamma^2 / (2 a)``. With a restitution below one such
-flights get shorter without end (Zeno). A contact is taken to rest when its next flight is
+flights get shorter without end (Zeno). A contact counts as resting when its next flight is
 
 - shorter than ``SHORT`` of the model's time scale (its fastest rate's inverse, at most 1 s), or
-- lower than ``LOW`` of what its gap is rounded against: no search could find its end.
+- lower than ``LOW`` times the magnitude that its gap is rounded against: no event location could
+  find its end.
 
-Until the last of the impacts that are left out, ``2 gamma / (a (1 - eps))`` later, the error is at
-most ``gamma`` in the contact's speed and ``gamma^2 / (2 a)`` in its gap. From then on the contact
-is where it should be; the rest of the system has got the same impulses, by as much earlier.
+Until the accumulation point, ``2 gamma / (a (1 - eps))`` later, the error is at most ``gamma`` in
+the contact's speed and ``gamma^2 / (2 a)`` in its gap. From then on the contact is at its stop, as
+it should be; the rest of the system has received the same impulses, earlier by that time.
 
-With ``eps = 1`` nothing accumulates: where damping alone shortens the flights there are finitely
-many, which may be more than anybody waits for. Contacts may also throw each other back for ever
-with no load at all (the collapse of a row of beads): when a contact has been hit more than
-``OFTEN`` times within ``SHORT``, and the energy left in that is ``NEGLIGIBLE``, the next impact is
-without restitution.
+With ``eps = 1`` nothing accumulates: where damping alone shortens the flights their number is
+finite, but may be huge. Contacts may also accumulate impacts among each other without any load
+(the inelastic collapse of a row of beads): when a contact has been hit more than ``OFTEN`` times
+within ``SHORT``, and the energy left in that is ``NEGLIGIBLE``, the next impact is plastic.
 """
 
 from collections import deque
@@ -34,28 +34,28 @@ LOW = 4 * DEPTH
 OFTEN = 32
 """Impacts of one contact within ``SHORT`` that count as accumulation."""
 NEGLIGIBLE = 1e-14
-"""Kinetic energy that accumulation may take away, relative to the largest there was."""
+"""Kinetic energy that a plastic impact may remove, relative to the largest of the run."""
 _TINY = np.finfo(np.float64).tiny
 
 
 class ZenoCutoff:
-    """Judges which contacts of one system come to rest.
+    """Decides which contacts of one system rest on their stops after an impact.
 
     Attributes:
         shortest: flight that counts as none, s.
     """
 
     def __init__(self, phases: Phases) -> None:
-        """Prepare scales."""
+        """Prepare the scales that flights are compared with."""
         self._phases = phases
         self._length = phases.length
         self.shortest = SHORT * phases.scales.timescale
-        self._sees = phases.scales.seen(phases.system.W.T)
+        self._mode_sizes = phases.scales.seen(phases.system.W.T)
 
-    def after(
+    def resting(
         self, t: float, x: Vector, contacts: tuple[int, ...], before: Vector
     ) -> tuple[int, ...]:
-        """The contacts that rest on their stops after an impact.
+        """The contacts that rest on their stops after an impact, as indices.
 
         Args:
             t: s since the epoch.
@@ -66,22 +66,22 @@ class ZenoCutoff:
         system = self._phases.system
         q, u = x[: system.n], x[system.n :]
         gamma = system.contact_speed(u)
-        rounding = self._phases.still(before)
+        rounding = self._phases.speed_tolerance(before)
         lowest = LOW * self._scale(q, u)
         law = self._phases.unloaded()
         free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q))
 
         def flights(found: list[int], fall: Vector) -> Vector:
-            """The next flight of contacts that come back with ``fall``; up to 1 it is none."""
+            """Next flights, ``fall`` being the acceleration back; up to 1 counts as none."""
             speed, falls = gamma[found], fall > 0
             fall = np.where(falls, fall, 1.0)
             time, height = 2 * speed / fall, speed**2 / (2 * fall)
             flight = np.minimum(time / self.shortest, height / lowest[found])
             return np.where(speed <= rounding[found], 0.0, np.where(falls, flight, np.inf))
 
-        # One that still closes (Newton's law lets it, if it was separating) hits again at once.
+        # A contact that still closes hits again at once: Newton's law allows it after separating.
         found = [i for i in contacts if gamma[i] >= -rounding[i]]
-        # None comes back faster than with all of the acceleration: mostly that decides.
+        # No contact comes back faster than with the whole acceleration: this mostly decides.
         found = [
             i for i in found if flights([i], self._length[[i]] * np.linalg.norm(free))[0] <= 1
         ]
@@ -89,9 +89,9 @@ class ZenoCutoff:
             flight = flights(found, self._fall(free, found))
             if flight.max() <= 1.0:
                 break
-            # One at a time: without its load the others may rest or leave.
+            # Remove one at a time: without its load the others may rest or separate.
             found.pop(int(flight.argmax()))
-        # A contact that the others determine rests with them, though it may take no load.
+        # A contact that depends on the others rests with them, even without load.
         if not found:
             return ()
         rank = len(self._phases.independent(tuple(found)))
@@ -100,15 +100,18 @@ class ZenoCutoff:
         )
 
     def _scale(self, q: Vector, u: Vector) -> Vector:
-        """What gaps are rounded against, m, shape (m,): all they see of modes, signs apart."""
-        moved = self._sees @ self._phases.scales.reach(q, u)
+        """What gaps are rounded against, m, shape (m,): the sum of all modes' magnitudes."""
+        moved = self._mode_sizes @ self._phases.scales.reach(q, u)
         return np.asarray(np.abs(self._phases.system.q_r) + moved + _TINY)
 
     def _fall(self, free: Vector, contacts: list[int]) -> Vector:
-        """Acceleration with which each contact would come back, the others held, m/s2.
+        """Acceleration with which each contact would come back if the others were held, m/s2.
 
-        Zero where a contact is not pressed on its stop; ``free`` is that without loads, as of
-        ``Phases.white``.
+        Zero where a contact is not pressed on its stop.
+
+        Args:
+            free: acceleration without loads, as ``Phases.white`` gives it, shape (n,).
+            contacts: indices.
         """
         size = float(np.linalg.norm(free)) or 1.0
         length = self._length[contacts]
@@ -116,7 +119,7 @@ class ZenoCutoff:
         fall = np.zeros(len(contacts))
         try:
             pushed = size * optimize.nnls(directions, -free / size)[0]
-        except RuntimeError:  # it cycles between directions that are almost the same
+        except RuntimeError:  # nnls cycles between almost equal directions
             return fall
         pressed = np.flatnonzero(pushed > 0)  # independent of each other
         if pressed.size:
@@ -126,7 +129,7 @@ class ZenoCutoff:
 
 
 class AccumulationDetector:
-    """Notices contacts that hit again and again within the shortest flight."""
+    """Detects contacts that are hit again and again within the shortest flight."""
 
     def __init__(self, shortest: float) -> None:
         """Count within ``shortest`` seconds."""
@@ -135,24 +138,25 @@ class AccumulationDetector:
         self._hits: dict[int, deque[Instant]] = {}
 
     def hit(self, instant: Instant, contacts: tuple[int, ...], energy: float) -> tuple[int, ...]:
-        """Note that ``contacts`` hit at ``instant`` with the kinetic ``energy``, J.
+        """Record that ``contacts`` are hit at ``instant`` with the kinetic ``energy``, J.
 
         Returns:
-            All contacts that were hit lately, if one of them was so more than ``OFTEN`` times.
+            All contacts hit within the shortest flight, if one of them was hit more than ``OFTEN``
+            times in it; none otherwise.
         """
         self._largest = max(self._largest, energy)
         for i in contacts:
             self._hits.setdefault(i, deque(maxlen=OFTEN + 1)).append(instant)
-        lately = {i: hits for i, hits in self._hits.items() if self._since(hits[-1], instant)}
-        if any(len(h) > OFTEN and self._since(h[0], instant) for h in lately.values()):
-            return tuple(sorted(lately))
+        recent = {i: hits for i, hits in self._hits.items() if self._since(hits[-1], instant)}
+        if any(len(h) > OFTEN and self._since(h[0], instant) for h in recent.values()):
+            return tuple(sorted(recent))
         return ()
 
     def negligible(self, lost: float) -> bool:
-        """Whether an impact that loses so much energy, J, may be the last of many.
+        """Whether an impact that loses the energy ``lost``, J, may end an accumulation.
 
-        Bodies can hit each other as often and lose nothing: a light one that a heavy one drives
-        towards a wall. Only what is little against all energy there was may be taken away.
+        Bodies can also hit each other often without losing energy, such as a light one that a
+        heavy one drives towards a wall. So only a small part of the energy may be removed.
         """
         return lost <= NEGLIGIBLE * self._largest
 

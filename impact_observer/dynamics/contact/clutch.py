@@ -29,13 +29,13 @@ from impact_observer.states import Vector
 _INSTANT = 1e-12
 """Length of a phase that counts as none, relative to the model's time scale."""
 _PATIENCE = 30
-"""Doublings of the length of a phase, after that, until they change places no more."""
+"""Most doublings of the least length of a phase after that."""
 _MOST = 8
-"""Phases of no length, one after the other, that are believed."""
+"""Phases without length in a row that count as contact changes and not as rounding."""
 
 
 class Clutches:
-    """The clutches of one system."""
+    """Motions of one system whose closed contacts are sprag clutches."""
 
     def __init__(self, system: System) -> None:
         """Prepare the phases."""
@@ -66,7 +66,7 @@ class Clutches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """One phase of a motion: what is held and what slips from ``start`` on, s.
+    """One phase of a motion, from ``start`` on.
 
     Attributes:
         start: s since the start of the motion.
@@ -84,12 +84,12 @@ class Part:
 
     @property
     def kind(self) -> tuple[tuple[int, ...], ...]:
-        """What its contacts do: two parts of one kind move by the same equations."""
+        """What its contacts do; parts of the same kind obey the same equations."""
         return self.phase.held, self.slipping, self.stopped
 
 
 class Piecewise(Motion):
-    """Phase after phase, found as far as somebody asks; who asks when decides nothing."""
+    """A motion phase after phase, found as far as it is asked for, whatever the questions."""
 
     def __init__(self, clutches: Clutches, t: float, x: Vector, closed: tuple[int, ...]) -> None:
         """Begin with ``x`` at ``t``, the contacts ``closed`` having ``chi = 1`` from then on."""
@@ -97,10 +97,10 @@ class Piecewise(Motion):
         self._clutches = clutches
         self._closed = closed
         self._searched = 0.0
-        self._hasty = 0
+        self._short_phases = 0
         system = clutches.system
         u = x[system.n :]
-        slow = system.contact_speed(u) <= clutches.phases.still(u)
+        slow = system.contact_speed(u) <= clutches.phases.speed_tolerance(u)
         self._parts = [self._first(x, tuple(i for i in closed if slow[i]))]
 
     @abstractmethod
@@ -135,21 +135,21 @@ class Piecewise(Motion):
             crossing = self._search(part).first(part.motion, self._searched, begin)
             if crossing is not None:
                 crossing = crossing._replace(s=max(crossing.s, least))
-                hasty = crossing.s <= max(self._clutches.instant, least)
-                self._hasty = self._hasty + 1 if hasty else 0
+                is_short = crossing.s <= max(self._clutches.instant, least)
+                self._short_phases = self._short_phases + 1 if is_short else 0
                 self._parts.append(self._next(part, crossing))
                 self._searched = 0.0
 
     def _least(self) -> float:
         """Least length of the present phase, s.
 
-        Loads and speeds that vanish together may change places at one instant without end, their
-        signs being rounding: then time goes on by as little as rounding cannot tell, and, where
-        that does not end it, by more and more.
+        Loads and speeds that vanish together may alternate at one instant without end, as their
+        signs are rounding. Then a phase lasts at least a time within rounding and, where that does
+        not end it, longer and longer.
         """
-        if self._hasty <= _MOST:
+        if self._short_phases <= _MOST:
             return 0.0
-        return self._clutches.instant * 2.0 ** min(self._hasty - _MOST, _PATIENCE)
+        return self._clutches.instant * 2.0 ** min(self._short_phases - _MOST, _PATIENCE)
 
 
 class _ClutchMotion(Piecewise):
@@ -181,10 +181,10 @@ class _ClutchMotion(Piecewise):
         found = self._part(start, x, tuple(slow))
         if found.kind != part.kind:
             return found
-        # What falls too slowly to be told from what rests may not go below zero either.
-        still = tuple(i for i in slow if i not in released)
+        # A load that falls too slowly to see its sign may not become negative either.
+        closed = tuple(i for i in slow if i not in released)
         return self._begun(
-            start, x, PersistentContacts(still, self._clutches.phases.independent(still))
+            start, x, PersistentContacts(closed, self._clutches.phases.independent(closed))
         )
 
     def _part(self, start: float, x: Vector, slow: tuple[int, ...]) -> Part:
@@ -194,8 +194,8 @@ class _ClutchMotion(Piecewise):
             start, x, persistent_contacts(phases, self._fixed, self.t + start, x, slow)
         )
 
-    def _begun(self, start: float, x: Vector, still: PersistentContacts) -> Part:
-        """The phase from ``start`` on in which contacts are ``still``."""
-        phase = self._clutches.phases.phase(still.held, self._fixed)
-        slipping = tuple(i for i in self._closed if i not in still.closed)
+    def _begun(self, start: float, x: Vector, persistent: PersistentContacts) -> Part:
+        """The phase from ``start`` on with ``persistent`` contacts."""
+        phase = self._clutches.phases.phase(persistent.held, self._fixed)
+        slipping = tuple(i for i in self._closed if i not in persistent.closed)
         return Part(start, phase, phase.start(self.t + start, x), slipping)

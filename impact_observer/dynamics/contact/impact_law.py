@@ -25,7 +25,7 @@ _NOISE = 1e-14
 _EIGENVALUE = 1e-12
 """Negative eigenvalue of ``G - E G E`` that is rounding, ``G`` having a unit diagonal."""
 _REPEATS = 64
-"""How often contacts that stay closed may throw each other back before none is thrown back."""
+"""Repetitions of the impact law on persistent contacts before a plastic impact ends them."""
 
 
 class ImpactLaw:
@@ -43,7 +43,7 @@ class ImpactLaw:
         self._eps = system.eps if restitution is None else restitution
         self._B = linalg.solve_triangular(factor, system.W, lower=True)
         self._Minv_W = linalg.solve_triangular(factor.T, self._B, lower=False)
-        # The law of a single contact is on the path of every event: u+ = u- - kick gamma.
+        # Nearly every event has a single contact: u+ = u- - kick gamma.
         self._rows: list[Vector] = list(np.ascontiguousarray(system.W.T))
         kicks = self._Minv_W * ((1.0 + self._eps) / np.sum(self._B**2, axis=0))
         self._kicks: list[Vector] = list(np.ascontiguousarray(kicks.T))
@@ -77,9 +77,9 @@ class ImpactLaw:
         """The same where the contacts ``closed`` stay closed: none of them may close further.
 
         Newton's law allows ``gamma+ < 0`` where ``gamma- > 0`` (a replica's contact that was
-        separating): such a contact hits again, at once. A law that throws contacts back for ever
-        is ended by one without restitution. Every repetition is the impact law, and leaves
-        velocities alone that need none, so what is proved of one impact holds of all of them.
+        separating): such a contact hits again, at once. Repetitions that do not end are ended by
+        a plastic impact. Every repetition is the impact law, which leaves velocities unchanged
+        that need no impulse, so what is proved of one impact holds for all of them.
 
         Args:
             u: velocities ``u-``, shape (n,), m/s.
@@ -177,7 +177,7 @@ class ImpactLaw:
         """
         active = list(active)
         gamma = self._system.W[:, active].T @ u
-        # What rounding leaves of dependent contacts need not be consistent.
+        # The rounding errors of dependent contacts need not be consistent.
         noise = (
             _NOISE * np.sqrt(u @ self._system.M @ u) * np.linalg.norm(self._B[:, active], axis=0)
         )

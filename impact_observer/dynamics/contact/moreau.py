@@ -8,9 +8,9 @@ Systems, 2008, chapter 10)::
     M (u+ - u) + h C u_theta + h K q_theta - h f_theta = W P,    q+ = q + h u_theta
     0 <= gamma+ + eps gamma  _|_  P >= 0    on contacts with    g + h gamma / 2 <= 0
 
-It shares neither flow nor search nor impact law with the event-driven plant, and so checks them.
-It costs nothing where impacts accumulate, is of first order where there are contacts and of
-second order elsewhere, and lets a body into its stop by up to ``h`` times its speed.
+It shares neither flow nor event location nor impact law with the event-driven plant, and so checks
+them. Accumulating impacts (Zeno) cost nothing. It is of first order with contacts, of
+second order without, and lets a body penetrate its stop by up to ``h`` times its speed.
 
 Every step satisfies, up to rounding, the balance of energy ``T = u^T M u / 2 + q^T K q / 2``::
 
@@ -27,7 +27,7 @@ the projection method with steps of ``1 / (1 + |R|^2)`` converges from anywhere,
 ``|R| / sqrt(1 + |R|^2)`` (Facchinei and Pang, Finite-Dimensional Variational Inequalities and
 Complementarity Problems, 2003, section 12.1). Without a gyroscopic part ``R`` is zero, and the
 first projection is the solution. Each is a least distance problem (Lawson and Hanson, Solving
-Least Squares Problems, 1974, chapter 23), indifferent to contacts that depend on each other.
+Least Squares Problems, 1974, chapter 23), and does not mind contacts that depend on each other.
 """
 
 from collections.abc import Iterator
@@ -59,16 +59,16 @@ _INFEASIBLE = 1e-14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimeStep:
-    """What a step did.
+    """One step of the scheme.
 
     Attributes:
         q: coordinates at its end, shape (n,).
         u: velocities at its end, shape (n,).
         free: the velocities that it would have ended with without impulses, shape (n,).
         impulses: ``P`` of all contacts, shape (m,), Ns.
-        closed: contacts that closed, or were closed, as indices: active ones that were hit or
-            whose speed is as low as the law allows. Their impulse may be zero, where others
-            carry it.
+        closed: indices of the contacts that were hit or held: active ones that approached or
+            whose speed is the lowest that the law allows. Their impulse is zero where other
+            contacts carry the load.
     """
 
     q: Vector
@@ -146,8 +146,8 @@ class MoreauScheme:
             after = free + self._response @ impulses
         spare = system.W.T @ after + system.eps * gamma
         closed = (gamma < -rounding) | (spare <= 2 * rounding)
-        touched = tuple(active[closed[active]].tolist())
-        return TimeStep(q + h / 2 * (u + after), after, free, impulses, touched)
+        which = tuple(active[closed[active]].tolist())
+        return TimeStep(q + h / 2 * (u + after), after, free, impulses, which)
 
     def _force(self, t: float) -> Vector:
         """``f(t)``; the end of a step is most often the start of the next."""

@@ -1,10 +1,10 @@
-"""Which of the contacts that rest on their stops stay closed, and which take the loads.
+"""Persistent contact: which contacts at rest on their stops stay closed, and which carry loads.
 
 ``0 <= dgamma/dt _|_ lambda >= 0`` on contacts with ``g = 0, gamma = 0``: by Gauss's principle of
-least constraint, the acceleration nearest to the free one, in the metric of ``M``, that closes no
-gap. It is nonnegative least squares. Where both are zero the next derivatives decide, and so on: a
-contact whose load has just come down to zero opens if the load would go on falling. One that never
-decides rests on its stop without any load, and is closed.
+least constraint, the acceleration is the nearest to the free one, in the metric of ``M``, that
+closes no gap. This is a nonnegative least squares problem. Where both are zero the next
+derivatives decide, and so on: a contact whose load has just fallen to zero opens if the load would
+fall further. A contact on which no derivative decides is closed without load.
 """
 
 from typing import NamedTuple
@@ -17,17 +17,17 @@ from impact_observer.errors import DynamicsError
 from impact_observer.states import Matrix, Vector
 
 _ORDERS = 6
-"""Derivatives that are looked at before a contact counts as undecided for ever."""
+"""Derivatives that are examined before a contact counts as closed without load."""
 _ZERO = 1e-11
 """Acceleration that counts as none, relative to the largest term of its sum."""
 
 
 class PersistentContacts(NamedTuple):
-    """What becomes of contacts that rest on their stops.
+    """Contacts that stay closed.
 
     Attributes:
-        closed: indices of those that stay closed.
-        held: indices of those that take the loads, independent of each other.
+        closed: their indices.
+        held: indices of those that carry the loads, independent of each other.
     """
 
     closed: tuple[int, ...]
@@ -65,7 +65,7 @@ def persistent_contacts(
         basis = _basis(phases.B[:, pressing])
         directions = _without(basis, phases.B[:, undecided])
         free = _without(basis, terms.sum(axis=1))
-        # Nothing can be told better than the terms it is the sum of, the force's own included.
+        # Rounding is relative to the terms of the sum, those of the force included.
         size = max(float(np.linalg.norm(terms, axis=0).max()), float(unloaded.load(k, at)[0]))
         length = phases.length[undecided]
         pushed, acceleration = _least(phases, undecided, directions / length, free)
@@ -87,12 +87,12 @@ def _least(
     phases: Phases, contacts: list[int], directions: Matrix, free: Vector
 ) -> tuple[Vector, Vector]:
     """Loads on unit ``directions``, and the acceleration with them, both of length as energy."""
-    seen = np.linalg.norm(directions, axis=0) > RANK
+    independent = np.linalg.norm(directions, axis=0) > RANK
     pushed = np.zeros(len(contacts))
     size = float(np.linalg.norm(free))
-    if size > 0 and seen.any():
+    if size > 0 and independent.any():
         try:
-            pushed[seen] = size * optimize.nnls(directions[:, seen], -free / size)[0]
+            pushed[independent] = size * optimize.nnls(directions[:, independent], -free / size)[0]
         except RuntimeError:
             names = ", ".join(repr(phases.system.contact_names[i]) for i in contacts)
             raise DynamicsError(
@@ -108,6 +108,6 @@ def _basis(directions: Matrix) -> Matrix:
 
 
 def _without(basis: Matrix, vectors: Matrix) -> Matrix:
-    """What ``basis`` leaves of ``vectors``, twice for the sake of rounding."""
+    """``vectors`` without their parts in ``basis``, subtracted twice against rounding."""
     once = vectors - basis @ (basis.T @ vectors)
     return np.asarray(once - basis @ (basis.T @ once))

@@ -16,21 +16,21 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
 
 KEPT = 128
-"""Sets of contacts whose preparation is kept: n contacts have 2^n sets."""
+"""Sets of contacts whose matrices are cached: m contacts have 2^m sets."""
 _RIGID = 1e-12
 """``omega^2`` that counts as zero, relative to the stiffest mode's."""
 _RANK = 1e-10
-"""Singular value that counts as zero, relative to the most that contacts could see of modes."""
+"""Singular value that counts as zero, relative to the largest that contacts could have."""
 
 
 _SPRUNG = 1e-8
-"""What rigid motion leaves of a gap, relative to the gap, that counts as nothing."""
+"""Part of a gap that rigid motion leaves open and that counts as none."""
 _WAY = 30.0
-"""How much cheaper a rigid motion is than the softest elastic one, in the root of energy."""
+"""Ratio of the cost of the softest elastic motion to that of a rigid one, in root energy."""
 
 
 class _Parts(NamedTuple):
-    """How a gap of one is closed by elastic and by rigid modes.
+    """How a unit gap is closed by elastic and by rigid modes.
 
     Attributes:
         elastic: amplitudes, shape (elastic modes, |A|).
@@ -62,14 +62,14 @@ class _PositionJump(NamedTuple):
 
 
 class PositionProjection:
-    """The position jumps of one system, one matrix ``Z`` a set of contacts."""
+    """The position jumps of one system, with one matrix ``Z`` for each set of contacts."""
 
     def __init__(self, system: System, modes: tuple[Vector, Matrix] | None = None) -> None:
         """Prepare the modes of ``K`` with respect to ``M``.
 
         Args:
             system: whose contacts jump.
-            modes: ``omega^2``, shape (n,), ascending, and shapes, (n, n), where they are known.
+            modes: ``omega^2``, shape (n,), ascending, and shapes, (n, n), if available.
         """
         self._system = system
         stiffness, shapes = modes or linalg.eigh(system.K, system.M)
@@ -78,31 +78,31 @@ class PositionProjection:
         self._elastic = shapes[:, elastic] / np.sqrt(stiffness[elastic])
         self._softest = float(np.min(stiffness[elastic], initial=np.inf))
         self._M = linalg.cho_factor(system.M)
-        self._kept = lru_cache(KEPT)(self._solve)
-        self._reacting = lru_cache(KEPT)(self._react)
-        self._alone = lru_cache(KEPT)(self._of_one)
+        self._jumps = lru_cache(KEPT)(self._solve)
+        self._reactions = lru_cache(KEPT)(self._reactions_of)
+        self._single = lru_cache(KEPT)(self._of_one)
 
     def jump(self, active: tuple[int, ...]) -> Matrix:
         """``Z``, the position jump per unit of gap, shape (n, len(active))."""
-        return self._kept(active).Z
+        return self._jumps(active).Z
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (n,): the closest position with ``g = 0`` on the active contacts."""
-        W, q_r, Z, _ = self._kept(active)
+        W, q_r, Z, _ = self._jumps(active)
         return np.asarray(q - Z.dot(W.dot(q) + q_r))
 
     def positions_after(self, Q: Matrix, active: tuple[int, ...]) -> Matrix:
         """The same of many positions ``Q``, shape (positions, n) like what is returned."""
-        W, q_r, Z, _ = self._kept(active)
+        W, q_r, Z, _ = self._jumps(active)
         return np.asarray(Q - (Q @ W.T + q_r) @ Z.T)
 
     def strain(self, q: Vector, active: tuple[int, ...]) -> float:
         """Elastic energy of the jump from ``q``, shape (n,), J: ``1/2 g_A^T L^-1 g_A``."""
         if len(active) == 1:  # as at nearly every event
-            w, rest, stiffness = self._alone(active[0])
+            w, rest, stiffness = self._single(active[0])
             one = float(w.dot(q)) + rest
             return stiffness * one * one / 2
-        W, q_r, _, strain = self._kept(active)
+        W, q_r, _, strain = self._jumps(active)
         gap = W.dot(q) + q_r
         return float(gap.dot(strain.dot(gap))) / 2
 
@@ -110,10 +110,10 @@ class PositionProjection:
         """``R`` of ``sigma = -R g_A``, what the stops do in the jump, shape (|A|, |A|).
 
         ``K dq = W_A sigma``, so ``R = L^-1`` for ``K > 0``. A contact that rigid motions close
-        without any spring has none; its row tells what the tie-break in ``M`` wants, ``M dq = W_A
+        without any spring has none; its row is that of the tie-break in ``M``, ``M dq = W_A
         sigma``: signs are those of ``K + delta M`` as ``delta`` vanishes.
         """
-        return self._reacting(active)
+        return self._reactions(active)
 
     def directions(self) -> Matrix:
         """``D`` of ``D^T D = W^T K^-1 W``, shape (n, m), rigid motions being cheap, not free."""
@@ -130,10 +130,10 @@ class PositionProjection:
 
     def _of_one(self, contact: int) -> tuple[Vector, float, float]:
         """Direction, gap in the rest position and ``z^T K z`` of a single contact."""
-        W, q_r, _, strain = self._kept((contact,))
+        W, q_r, _, strain = self._jumps((contact,))
         return W[0], float(q_r[0]), float(strain[0, 0])
 
-    def _react(self, active: tuple[int, ...]) -> Matrix:
+    def _reactions_of(self, active: tuple[int, ...]) -> Matrix:
         parts = self._split(active)
         elastic, rigid = parts.elastic.T @ parts.elastic, parts.inverse.T @ parts.rigid
         sprung = np.linalg.norm(parts.beyond, axis=1) > _SPRUNG
@@ -143,8 +143,8 @@ class PositionProjection:
         """Elastic deflection only as far as rigid motion cannot close the gaps."""
         W = self._system.W[:, list(active)]
         rigid, elastic = W.T @ self._rigid, W.T @ self._elastic
-        # The shapes are M-orthonormal: no mode is seen by more than sqrt(w^T M^-1 w). Contacts
-        # between bodies do not see rigid motion; what rounding leaves of it is no rank.
+        # The shapes are M-orthonormal: no mode moves a gap by more than sqrt(w^T M^-1 w). Rigid
+        # motion does not move the gap between two bodies; rounding there is not counted as rank.
         least = _RANK * np.sqrt(np.trace(W.T @ linalg.cho_solve(self._M, W)))
         rigid_inverse = _inverse(rigid, least)
         beyond = np.eye(W.shape[1]) - rigid @ rigid_inverse
@@ -153,6 +153,6 @@ class PositionProjection:
         return _Parts(elastic_part, rigid_part, rigid_inverse, beyond)
 
 
-def _inverse(seen: Matrix, least: float) -> Matrix:
-    """Pseudo-inverse of what contacts see of modes; singular values below ``least`` are none."""
-    return np.asarray(linalg.pinv(seen, atol=least, rtol=0.0) if seen.size else seen.T)
+def _inverse(gaps: Matrix, least: float) -> Matrix:
+    """Pseudo-inverse of gaps per mode; singular values below ``least`` count as zero."""
+    return np.asarray(linalg.pinv(gaps, atol=least, rtol=0.0) if gaps.size else gaps.T)

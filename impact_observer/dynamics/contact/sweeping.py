@@ -1,14 +1,14 @@
-"""Gaps that are never negative: what a plant does, and a replica that is told so.
+"""Moreau's sweeping process: the motion of a replica none of whose gaps becomes negative.
 
-A replica moves with the gaps of contacts with ``chi = 1`` closed, ``g_A = 0`` (equation 4 of
-Baumann and Leine). Where the gap of another contact would turn negative, the contact stops it::
+While ``chi = 1`` on the contacts ``A`` a replica moves with ``g_A = 0`` (equation 4 of Baumann and
+Leine). Where the gap of another contact would become negative, that contact stops it::
 
     dq/dt = u + K^-1 W sigma,    sigma_A of any sign,    0 <= dg_i/dt  _|_  sigma_i >= 0
 
-on those others with ``g_i = 0``: Moreau's sweeping process, ``dq/dt`` being the velocity nearest
-to ``u``, in the metric of ``K``, that closes no gap further. ``u`` hears nothing of it. While the
-same contacts stop their gaps, these are fixed just like those of ``A``, and the motion is one
-linear phase (``phase.py``) until a ``sigma_i`` comes down to zero, or another gap does.
+on those others with ``g_i = 0``. ``dq/dt`` is the velocity nearest to ``u``, in the metric of
+``K``, that closes no gap further; ``u`` itself is not changed. While the same contacts stop their
+gaps, these are fixed like those of ``A``. The motion is then one linear phase (``phase.py``) until
+a ``sigma_i`` falls to zero, or another gap does.
 
 For singular ``K`` rigid motions come first, as in ``projection.py``.
 """
@@ -33,17 +33,17 @@ from impact_observer.dynamics.guards.watched import Watched
 from impact_observer.states import Matrix, Vector, frozen
 
 _ORDERS = 6
-"""Derivatives that are looked at before a gap counts as neither stopped nor opening."""
+"""Derivatives that are examined before a gap counts as neither stopped nor opening."""
 _ZERO = 1e-11
 """Rate of a gap that counts as none, relative to the largest term of its sum."""
 _NEGATIVE = 1e-13
 """Gap below zero that is rounding, relative to what it is the sum of."""
-_TOUCH = 1e-12
+_CLOSED = 1e-12
 """Gap that counts as zero, relative to the same."""
 _IMPOSSIBLE = 1e-7
-"""Gap off its place that no projection can have left, relative to the same."""
+"""Gap that no projection can have left by rounding, relative to the same."""
 _LEAST = 1e-6
-"""What a gap or reaction is rounded against at least, relative to all it could see of a motion."""
+"""Least magnitude that a gap or reaction is rounded against, relative to all of the motion."""
 _TINY = np.finfo(np.float64).tiny
 
 
@@ -62,11 +62,12 @@ class _Support(NamedTuple):
 
 
 class _Independent(NamedTuple):
-    """Contacts that are independent of the active ones, and what those leave of them.
+    """Contacts that are independent of the active ones.
 
     Attributes:
         contacts: indices.
-        directions: a column each, in the metric of the position jump, shape (n, contacts).
+        directions: the part of each that is orthogonal to the active ones, a column each, in the
+            metric of the position jump, shape (n, contacts).
     """
 
     contacts: tuple[int, ...]
@@ -76,8 +77,8 @@ class _Independent(NamedTuple):
 class UnilateralProjection:
     """The nearest position, in the metric of ``K``, with ``g_A = 0`` and no gap negative.
 
-    A quadratic programme: ``complementarity.py`` tells which gaps it leaves at zero, and
-    ``projection.py`` puts them there.
+    A quadratic programme: ``complementarity.py`` finds which gaps are zero in its solution, and
+    ``projection.py`` closes them.
     """
 
     def __init__(self, phases: Phases) -> None:
@@ -86,11 +87,11 @@ class UnilateralProjection:
         self._phases = phases
         self._projection = phases.projection
         self._directions = phases.projection.directions()
-        self._free = lru_cache(KEPT)(self._left)
+        self._independent = lru_cache(KEPT)(self._independent_of)
         self._possible = lru_cache(KEPT)(self._has_position)
 
     def rounding(self, q: Vector) -> Vector:
-        """What gaps are rounded against, m, shape (m,), of positions as far as ``q``."""
+        """What the gaps of positions as large as ``q`` are rounded against, m, shape (m,)."""
         return np.asarray(np.abs(self._system.q_r) + np.abs(q) @ np.abs(self._system.W))
 
     def is_possible(self, active: tuple[int, ...]) -> bool:
@@ -100,8 +101,8 @@ class UnilateralProjection:
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (n,).
 
-        Where there is no such position ``chi`` is not that of any plant: what it says of
-        ``active`` counts, and of the others nothing is asked.
+        Where there is no such position, no plant can have this ``chi``: then only ``g = 0`` on
+        ``active`` holds, and other gaps may be negative.
 
         Args:
             q: shape (n,).
@@ -116,12 +117,14 @@ class UnilateralProjection:
             return after
         gaps = self._system.gap(q)
         support = self.support(gaps, least, active, others)
-        if support is None:  # contacts that are almost the same: by exchanges alone
-            support = self._checked(gaps, least, active, (), self._free(active, others).contacts)
+        if support is None:  # contacts that are almost the same: by exchanges only
+            support = self._checked(
+                gaps, least, active, (), self._independent(active, others).contacts
+            )
         return self._projection.position_after(q, (*active, *support.stopping))
 
     def _has_position(self, active: tuple[int, ...]) -> bool:
-        """By the projection of the rest position, or by what keeps it from being one."""
+        """Whether the rest position has a projection."""
         q_r, A = self._system.q_r, list(active)
         others = tuple(i for i in range(self._system.m) if i not in active)
         least = np.full(q_r.size, _IMPOSSIBLE * float(np.max(np.abs(q_r), initial=0.0)))
@@ -137,7 +140,7 @@ class UnilateralProjection:
         active: tuple[int, ...],
         others: tuple[int, ...],
     ) -> _Support | None:
-        """Which of ``others`` must be stopped lest their values turn negative.
+        """Which of ``others`` must be stopped so that no value becomes negative.
 
         Args:
             values: gaps, or their rates or higher derivatives, without any stop, shape (m,).
@@ -148,7 +151,7 @@ class UnilateralProjection:
         Returns:
             None where they cannot.
         """
-        free = self._free(active, others)
+        free = self._independent(active, others)
         A = list(active)
         W = self._system.W
         left = values - W.T @ (self._projection.jump(active) @ values[A]) if A else values
@@ -164,16 +167,16 @@ class UnilateralProjection:
             pressed = tuple(i for i, r in zip(contacts, reactions, strict=True) if r > 0)
         return self._checked(values, rounding, active, pressed, free.contacts)
 
-    def _left(self, active: tuple[int, ...], others: tuple[int, ...]) -> _Independent:
-        """Those of ``others`` that ``active`` ones do not determine."""
+    def _independent_of(self, active: tuple[int, ...], others: tuple[int, ...]) -> _Independent:
+        """Those of ``others`` that do not depend on the ``active`` ones."""
         D = self._directions
         basis = linalg.qr(D[:, list(self._phases.independent(active))], mode="economic")[0]
-        contacts = [i for i in others if self._is_free(active, i)]
+        contacts = [i for i in others if self._is_independent(active, i)]
         directions = D[:, contacts] - basis @ (basis.T @ D[:, contacts])
         directions -= basis @ (basis.T @ directions)
         return _Independent(tuple(contacts), frozen(directions))
 
-    def _is_free(self, active: tuple[int, ...], i: int) -> bool:
+    def _is_independent(self, active: tuple[int, ...], i: int) -> bool:
         return len(self._phases.independent((*active, i))) > len(self._phases.independent(active))
 
     def _checked(
@@ -184,9 +187,9 @@ class UnilateralProjection:
         pressed: tuple[int, ...],
         free: tuple[int, ...],
     ) -> _Support:
-        """The support from the exact projection, contacts exchanged where that wants it.
+        """The support from the exact projection, by exchanges of contacts where necessary.
 
-        It is wanted where ``K`` is singular and a rigid motion is almost balanced.
+        They are necessary where ``K`` is singular and a rigid motion is almost balanced.
         """
         projection, W = self._projection, self._system.W
         a, first = len(active), pressed
@@ -196,7 +199,11 @@ class UnilateralProjection:
             reactions = -(R @ values[fixed])[a:]
             noise = (np.abs(R) @ rounding[fixed])[a:]
             left = values - W.T @ (projection.jump(tuple(fixed)) @ values[fixed])
-            low = [i for i in free if i not in pressed and self._is_free((*active, *pressed), i)]
+            low = [
+                i
+                for i in free
+                if i not in pressed and self._is_independent((*active, *pressed), i)
+            ]
             pulled, missed = reactions + noise, (left + rounding)[low]
             if np.any(pulled < 0):
                 pressed = tuple(np.delete(pressed, np.argmin(pulled / (noise + _TINY))).tolist())
@@ -215,7 +222,7 @@ class SweepingProcess:
     """Motions of one system whose gaps stay nonnegative."""
 
     def __init__(self, clutches: Clutches) -> None:
-        """Take the clutches that contacts with ``chi = 1`` are."""
+        """Take the clutches of the contacts with ``chi = 1``."""
         self.clutches = clutches
         self.projection = UnilateralProjection(clutches.phases)
         self.search = lru_cache(KEPT)(self._search)
@@ -224,8 +231,8 @@ class SweepingProcess:
     def motion(self, t: float, x: Vector, closed: tuple[int, ...]) -> Motion:
         """The motion through ``x`` at ``t`` while the contacts ``closed`` have ``chi = 1``.
 
-        Where no position has ``g = 0`` on ``closed`` and no gap negative, ``chi`` is not that of
-        any plant, and nothing is asked of the other gaps.
+        Where no position has ``g = 0`` on ``closed`` and no gap negative, no plant can have this
+        ``chi``: then the other gaps may become negative.
 
         Args:
             t: s since the epoch.
@@ -242,9 +249,9 @@ class SweepingProcess:
         phase: Phase,
         *,
         closed: tuple[int, ...],
-        touching: tuple[int, ...],
+        at_stop: tuple[int, ...],
     ) -> tuple[int, ...]:
-        """Those of the contacts ``touching``, with ``g = 0``, that stop their gaps now.
+        """Those of the contacts ``at_stop``, with ``g = 0``, that stop their gaps now.
 
         Where reaction and rate are both zero the next derivatives decide, and so on.
 
@@ -253,7 +260,7 @@ class SweepingProcess:
             x: state (q, u), shape (2n,).
             phase: one whose contacts take the loads, its gaps ``closed`` ones fixed.
             closed: indices of the contacts with ``chi = 1``.
-            touching: indices of others.
+            at_stop: indices of others.
         """
         phases, n = self.clutches.phases, len(x) // 2
         system, at = phases.system, np.array([t])
@@ -261,7 +268,7 @@ class SweepingProcess:
         q, u = x[:n], x[n:]
         size = float(np.sqrt(u @ system.M @ u))
         pressed: tuple[int, ...] = ()
-        undecided = touching
+        undecided = at_stop
         for k in range(_ORDERS):
             values = system.W.T @ u
             fixed = (*closed, *pressed)
@@ -282,11 +289,11 @@ class SweepingProcess:
         return tuple(sorted(pressed))
 
     def independent(self, fixed: tuple[int, ...], some: tuple[int, ...]) -> tuple[int, ...]:
-        """Those of ``some`` that neither ``fixed`` contacts nor others before them determine."""
-        known = len(self.clutches.phases.independent(fixed))
+        """Those of ``some`` that depend neither on ``fixed`` nor on ones before them."""
+        rank = len(self.clutches.phases.independent(fixed))
         found: tuple[int, ...] = ()
         for i in some:
-            if len(self.clutches.phases.independent((*fixed, *found, i))) > known + len(found):
+            if len(self.clutches.phases.independent((*fixed, *found, i))) > rank + len(found):
                 found = (*found, i)
         return found
 
@@ -328,7 +335,7 @@ class _SweepingMotion(Piecewise):
         super().__init__(process.clutches, t, x, closed)
 
     def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:
-        return self._part(0.0, x, slow, self._touching(x))
+        return self._part(0.0, x, slow, self._at_stop(x))
 
     def _search(self, part: Part) -> Search:
         return self._process.search((part.phase, part.slipping, part.stopped), self._open(part))
@@ -336,11 +343,14 @@ class _SweepingMotion(Piecewise):
     def _open(self, part: Part) -> tuple[int, ...]:
         return self._process.opened(self._closed, part.stopped, self._kept)
 
-    def _touching(self, x: Vector) -> tuple[int, ...]:
-        """Open contacts without any gap."""
+    def _at_stop(self, x: Vector) -> tuple[int, ...]:
+        """Open contacts with ``g = 0``, as indices."""
         q, u = np.split(x, 2)
         reach = np.abs(q) + np.abs(u) * self._clutches.phases.scales.timescale
-        gap, most = self._clutches.system.gap(q), _TOUCH * self._process.projection.rounding(reach)
+        gap, most = (
+            self._clutches.system.gap(q),
+            _CLOSED * self._process.projection.rounding(reach),
+        )
         return tuple(i for i in self._kept if gap[i] <= most[i])
 
     def _next(self, part: Part, crossing: Crossing) -> Part:
@@ -358,18 +368,18 @@ class _SweepingMotion(Piecewise):
             crossed[kind].add(i)
         released, caught, let_go, struck = crossed
         slow = tuple(i for i in self._closed if i not in part.slipping or i in caught)
-        touching = tuple(sorted({*self._touching(x), *part.stopped, *struck}))
-        found = self._part(start, x, slow, touching)
+        at_stop = tuple(sorted({*self._at_stop(x), *part.stopped, *struck}))
+        found = self._part(start, x, slow, at_stop)
         if found.kind != part.kind:
             return found
-        # What falls too slowly to be told from what rests may not go below zero either.
-        still = tuple(i for i in slow if i not in released)
-        resting_ = PersistentContacts(still, self._clutches.phases.independent(still))
+        # A load that falls too slowly to see its sign may not become negative either.
+        closed = tuple(i for i in slow if i not in released)
+        persistent = PersistentContacts(closed, self._clutches.phases.independent(closed))
         stopped = tuple(sorted({*part.stopped, *struck} - let_go))
-        return self._begun(start, x, resting_, self._process.independent(self._closed, stopped))
+        return self._begun(start, x, persistent, self._process.independent(self._closed, stopped))
 
     def _part(
-        self, start: float, x: Vector, slow: tuple[int, ...], touching: tuple[int, ...]
+        self, start: float, x: Vector, slow: tuple[int, ...], at_stop: tuple[int, ...]
     ) -> Part:
         """The phase from ``start`` on.
 
@@ -377,22 +387,22 @@ class _SweepingMotion(Piecewise):
             start: s since the start of the motion.
             x: state (q, u) then, shape (2n,).
             slow: closed contacts with ``gamma = 0``, as indices.
-            touching: open ones with ``g = 0``.
+            at_stop: open ones with ``g = 0``.
         """
         phases, t, closed = self._clutches.phases, self.t + start, self._closed
-        still = persistent_contacts(phases, closed, t, x, slow)
+        persistent = persistent_contacts(phases, closed, t, x, slow)
         stopped: tuple[int, ...] = ()
-        if touching:
-            phase = phases.phase(still.held, closed)
-            stopped = self._process.stopped(t, x, phase, closed=closed, touching=touching)
+        if at_stop:
+            phase = phases.phase(persistent.held, closed)
+            stopped = self._process.stopped(t, x, phase, closed=closed, at_stop=at_stop)
         if stopped:
-            still = persistent_contacts(phases, (*closed, *stopped), t, x, slow)
-        return self._begun(start, x, still, stopped)
+            persistent = persistent_contacts(phases, (*closed, *stopped), t, x, slow)
+        return self._begun(start, x, persistent, stopped)
 
     def _begun(
-        self, start: float, x: Vector, still: PersistentContacts, stopped: tuple[int, ...]
+        self, start: float, x: Vector, persistent: PersistentContacts, stopped: tuple[int, ...]
     ) -> Part:
-        """The phase from ``start`` on in which closed contacts are ``still``, others stopped."""
-        phase = self._clutches.phases.phase(still.held, (*self._closed, *stopped))
-        slipping = tuple(i for i in self._closed if i not in still.closed)
+        """The phase from ``start`` on with ``persistent`` contacts and ``stopped`` gaps."""
+        phase = self._clutches.phases.phase(persistent.held, (*self._closed, *stopped))
+        slipping = tuple(i for i in self._closed if i not in persistent.closed)
         return Part(start, phase, phase.start(self.t + start, x), slipping, stopped)

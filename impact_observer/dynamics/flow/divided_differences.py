@@ -44,7 +44,7 @@ def divided(points: Sequence[Complex], s: NDArray[np.float64]) -> Complex:
     """
     if len(points) == 2:
         return first(points[0], points[1], s)
-    ordered, distance = _farthest_apart(points)
+    ordered, distance = _most_distant(points)
     if not distance.any():
         k = len(points) - 1
         return np.asarray(s**k * np.exp(ordered[0] * s) / math.factorial(k))
@@ -60,8 +60,8 @@ def divided(points: Sequence[Complex], s: NDArray[np.float64]) -> Complex:
     return found
 
 
-def _farthest_apart(points: Sequence[Complex]) -> tuple[_Points, NDArray[np.float64]]:
-    """The points in an order whose first and last are farthest apart, and how far."""
+def _most_distant(points: Sequence[Complex]) -> tuple[_Points, NDArray[np.float64]]:
+    """The points, the two most distant first and last, and that distance."""
     together = np.stack(np.broadcast_arrays(*points))
     pairs = list(combinations(range(len(points)), 2))
     distances = np.stack([np.abs(together[i] - together[j]) for i, j in pairs])

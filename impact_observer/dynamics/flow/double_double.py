@@ -76,7 +76,7 @@ def difference(Y: Double, Z: Double, factors: Vector) -> Matrix:
 
 
 def _blocks(columns: int, rows: int, most: int = _ENTRIES) -> Iterator[slice]:
-    """Columns of which so few are taken at once that they have no more entries than ``most``."""
+    """Groups of columns, each with at most ``most`` entries."""
     at_once = max(1, most // rows)
     for start in range(0, columns, at_once):
         yield slice(start, start + at_once)

@@ -1,10 +1,10 @@
 """Undamped modes, the slow ones as exact as the fast ones.
 
-A routine of LAPACK finds each ``omega^2`` to about 1e-16 of the largest. Where that is 1e8 times
-the smallest, a slow mode would be wrong by a part in 1e8. One step of the refinement of Ogita and
-Aishima (Japan J. Indust. Appl. Math. 35, 2018) mends it. It needs ``M x`` and ``K x`` of shapes in
-twice the digits (``double.py``), for the sake of what is left of ``K x - omega^2 M x``; that
-itself is small, and products with it need no more digits than usual.
+LAPACK finds each ``omega^2`` to about 1e-16 of the largest. Where that is 1e8 times the smallest,
+a slow mode would be wrong by a part in 1e8. One step of the refinement of Ogita and Aishima
+(Japan J. Indust. Appl. Math. 35, 2018) corrects it. It needs ``M x`` and ``K x`` of shapes in
+twice the digits (``double_double.py``), because ``K x - omega^2 M x`` cancels. That difference is
+small, and products with it need only the usual digits.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from scipy import linalg
 from impact_observer.dynamics.flow.double_double import Double, difference, dots, product
 from impact_observer.states import Matrix, Vector
 
-_APART = 1e3
+_SEPARATION = 1e3
 """Least distance of two ``omega^2``, over their coupling, for the coupling to be removed."""
 _LARGE = 1e-9
 """A correction whose square is not small against rounding."""
@@ -25,7 +25,7 @@ def modes_of(M: Matrix, K: Matrix, shapes: Matrix | None = None) -> tuple[Vector
     Args:
         M: shape (n, n).
         K: shape (n, n).
-        shapes: as a routine of LAPACK finds them, where they are known.
+        shapes: as a routine of LAPACK finds them, if available.
     """
     if shapes is None:
         _, shapes = linalg.eigh(K, M)
@@ -34,7 +34,7 @@ def modes_of(M: Matrix, K: Matrix, shapes: Matrix | None = None) -> tuple[Vector
     squares = dots(shapes, force).total / (1 - np.diag(excess))
     coupling = shapes.T @ difference(force, inertia, squares)
     differences = squares - squares[:, None]
-    removable = np.abs(differences) > _APART * np.abs(coupling)
+    removable = np.abs(differences) > _SEPARATION * np.abs(coupling)
     np.fill_diagonal(removable, val=False)
     turn = np.where(removable, coupling / np.where(removable, differences, 1.0), excess / 2)
     shapes = shapes + shapes @ turn

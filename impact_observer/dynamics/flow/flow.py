@@ -3,8 +3,8 @@
 Two ways lead to it. ``SpectralFlow`` splits the motion into ``n`` pairs of modes, each in closed
 form; it costs a few microseconds. Where that splitting is ill-conditioned (eigenvectors of
 a non-proportionally damped system that almost coincide), ``DenseFlow`` takes a matrix
-exponential, a hundred times slower and indifferent to the spectrum. A sampled forcing comes on
-top of either: ``sampled.py``.
+exponential, a hundred times slower, for any spectrum. The response to a sampled forcing is added
+to either: ``sampled.py``.
 """
 
 from abc import ABC, abstractmethod
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Equations(Protocol):
-    """What a flow needs to know: a ``System``, or one reduced to fewer coordinates.
+    """What a flow is made from: a ``System``, or one reduced to fewer coordinates.
 
     ``M`` symmetric positive definite, ``K`` symmetric positive semidefinite, the symmetric part
     of ``C`` positive semidefinite, shape (n, n) each; SI units.
@@ -72,7 +72,7 @@ def balanced_state_matrix(system: Equations) -> tuple[Matrix, Vector]:
 
 
 class Motion(ABC):
-    """One solution of a linear phase: everything that its initial state fixes.
+    """One solution of a linear phase, from its initial state.
 
     Attributes:
         t: when the phase starts, s since the epoch.
@@ -96,7 +96,7 @@ class Motion(ABC):
         return np.asarray(self.states(np.array([s]))[0])
 
     def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """``state`` at many instants, in every bit, where ``states`` may round otherwise.
+        """``state`` at many instants, equal to the bit, where ``states`` may round differently.
 
         Args:
             s: shape (samples,), at least one, s.
@@ -129,17 +129,17 @@ class Flow(ABC):
         """The motion through state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
 
     def view(self, functions: Functions) -> "View | None":  # noqa: ARG002
-        """How this flow's motions show themselves to ``functions``; None if in no closed form."""
+        """``functions`` of this flow's motions in closed form; None where there is none."""
         return None
 
     @abstractmethod
     def transition(self, s: float) -> Matrix:
-        """How the difference of two motions goes on in ``s`` seconds, which may be negative.
+        """Propagate the difference of two motions by ``s`` seconds, which may be negative.
 
         Returns:
             ``e^{As}``, shape (2n, 2n).
         """
 
     def moved(self, motion: Motion, s: float) -> tuple[Vector, Matrix]:
-        """``state`` of a motion of this flow, in every bit, and ``transition`` after ``s``."""
+        """``state`` of a motion of this flow, equal to the bit, and ``transition`` after ``s``."""
         return motion.state(s), self.transition(s)

@@ -171,7 +171,7 @@ def split(system: Equations, shapes: Matrix | None = None) -> Modes | None:
 
     Args:
         system: what is split.
-        shapes: of its undamped modes by LAPACK, shape (n, n), where they are known.
+        shapes: of its undamped modes by LAPACK, shape (n, n), if available.
     """
     stiffness, shapes = modes_of(system.M, system.K, shapes)
     rigid = stiffness <= _RIGID * system.n * np.max(np.abs(stiffness))

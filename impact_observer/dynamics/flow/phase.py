@@ -116,7 +116,7 @@ class Phase:
         return np.hstack([x[:, :n] @ self.Q.T + self.rest, x[:, n:]])
 
     def transition(self, s: float) -> Matrix:
-        """How the difference of two states (q, u) goes on in ``s`` seconds, shape (2n, 2n)."""
+        """Propagation of the difference of two states (q, u) by ``s`` seconds, shape (2n, 2n)."""
         found = self.flow.transition(s)
         if not self.fixed:
             return found
@@ -129,17 +129,17 @@ class Phase:
         Args:
             t: s since the epoch, of ``x``.
             x: state (q, u), shape (2n,), with nothing fixed.
-            s: seconds; how far back the forcing is known is for the caller to see to.
+            s: seconds; where negative the caller checks that there is forcing so far back.
         """
         if s >= 0:
             return self.flow.moved(self.flow.start(t, x), s)
-        # Had it been at x then, it would now be where it is not: the difference goes back.
+        # Run forward from x, started s earlier; the difference to x is then carried back.
         now, back = self.flow.start(t + s, x).state(-s), self.flow.transition(s)
         return x + back.dot(x - now), back
 
 
 class Phases:
-    """All phases of one system, each prepared when it is needed.
+    """All phases of one system, each prepared when first needed.
 
     Attributes:
         system: the system.
@@ -172,15 +172,15 @@ class Phases:
         return self._prepared(held, fixed)
 
     def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
-        """Those of ``contacts`` whose direction is not that of others before them."""
+        """Those of ``contacts`` whose direction does not depend on others before them."""
         chosen: list[int] = []
         basis = np.empty((self.system.n, min(len(contacts), self.system.n)), order="F")
         for i in contacts:
             if len(chosen) == self.system.n:
                 break
-            direction, known = self.B[:, i], basis[:, : len(chosen)]
-            left = direction - known @ (known.T @ direction)
-            left -= known @ (known.T @ left)
+            direction, found = self.B[:, i], basis[:, : len(chosen)]
+            left = direction - found @ (found.T @ direction)
+            left -= found @ (found.T @ left)
             length = np.linalg.norm(left)
             if length > RANK * np.linalg.norm(direction):
                 basis[:, len(chosen)] = left / length
@@ -188,11 +188,11 @@ class Phases:
         return tuple(chosen)
 
     def white(self, loads: Matrix) -> Matrix:
-        """``L^-1 loads``, ``M = L L^T``: accelerations whose length is their energy's root."""
+        """``L^-1 loads``, ``M = L L^T``: accelerations in coordinates with unit mass matrix."""
         return self._factor.solved(loads) if loads.size else loads
 
     def unwhite(self, accelerations: Matrix) -> Matrix:
-        """``L^-T accelerations``: back to coordinates."""
+        """``L^-T accelerations``: the inverse of ``white``, in the system's coordinates."""
         if not accelerations.size:
             return accelerations
         return self._factor.solved_transposed(accelerations)
@@ -216,15 +216,15 @@ class Phases:
         position = (projection or self.projection).position_after(x[:n], contacts)
         return np.concatenate([position, self.unwhite(velocity)])
 
-    def still(self, u: Vector) -> Vector:
+    def speed_tolerance(self, u: Vector) -> Vector:
         """Contact speeds that count as zero at velocities ``u``, shape (m,), m/s.
 
-        Impulses spread what is rounded over all bodies.
+        Relative to all velocities, as impulses spread rounding errors over all bodies.
         """
         return np.asarray(_ROUNDING * self.length * np.sqrt(u.dot(self.inertia(u))))
 
     def unloaded(self, fixed: tuple[int, ...] = ()) -> "Unloaded":
-        """The law of motion while the gaps of ``fixed`` stay closed and nothing is held."""
+        """The equations of motion while the gaps of ``fixed`` stay closed and nothing is held."""
         return self._laws(fixed)
 
     def _unloaded(self, fixed: tuple[int, ...]) -> "Unloaded":
@@ -256,7 +256,7 @@ class Phases:
             equations=free.equations,
             inverse=self._left(orthogonal[:, p:]) if p else self._inverse,
             loads=frozen(
-                # scipy before 1.14 knows no empty systems
+                # scipy before 1.14 refuses empty systems
                 linalg.solve_triangular(triangular[:p], pressing.T) if p else pressing.T
             ),
             flow=self._held_flow(held, fixed)
@@ -280,7 +280,7 @@ class Phases:
             C = self._cleaned(C, np.diag(M), self._damping)
             K = self._cleaned(K, np.diag(M), float(np.linalg.norm(scales.squares)))
             inner = flow_of(Reduced(M, C, K, equations.forcing.mapped(free.shapes.T)))
-        # Deflections that hold their contact away from its place without a load on the rest.
+        # Deflections of held contacts that load no other contact.
         static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]
         return _HeldFlow(inner, free, inverse, (static, W.T))
 
@@ -295,7 +295,7 @@ class Phases:
         return float(np.linalg.norm(self.white(self.white(self.system.C).T)))
 
     def _cleaned(self, restricted: Matrix, mass: Vector, whole: float) -> Matrix:
-        """A restricted matrix with zeros where everything cancels.
+        """A restricted matrix with exact zeros where only rounding is left.
 
         Args:
             restricted: shape (r, r).
@@ -337,7 +337,7 @@ class _HeldFlow(Flow):
         self._static = static
 
     def start(self, t: float, x: Vector) -> Motion:
-        """The motion through ``x`` at ``t``, its velocity freed from what is held."""
+        """The motion through ``x`` at ``t``, without its velocity along held contacts."""
         n = len(self._shapes)
         static, seen = self._static
         rest = static @ (seen @ x[:n])
@@ -357,7 +357,7 @@ class _HeldFlow(Flow):
         return None if inner is None else _HeldView(inner, position)
 
     def transition(self, s: float) -> Matrix:
-        """That of the free coordinates; velocities that are held are gone at once."""
+        """That of the free coordinates; velocities along held contacts vanish at once."""
         n, r = self._shapes.shape
         found = np.zeros((2 * n, 2 * n))
         static = self._static[0] @ self._static[1]
@@ -393,7 +393,7 @@ class _HeldMotion(Motion):
 
 
 class _HeldView(View):
-    """Functions of a motion in fewer coordinates, which see what does not move as well."""
+    """Functions of a motion in fewer coordinates, with the part of the position at rest."""
 
     def __init__(self, inner: View, position: Matrix) -> None:
         self._inner = inner

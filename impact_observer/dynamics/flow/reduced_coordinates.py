@@ -1,7 +1,7 @@
 """The coordinates that held contacts leave free.
 
-As many coordinates as there are contacts follow the others, which move as if they were alone: so
-most of the zeros in the matrices of a system stay.
+One coordinate per contact is determined by the others, which remain as they are: so most zeros in
+the matrices of a system are kept.
 """
 
 from typing import NamedTuple
@@ -14,12 +14,12 @@ from impact_observer.states import Matrix
 
 
 class ReducedCoordinates(NamedTuple):
-    """Motions with ``W^T u = 0``.
+    """Coordinates of the motions with ``W^T u = 0``.
 
     Attributes:
         free: coordinates that are free, ascending, shape (r,).
-        following: the others, shape (n - r,).
-        ties: how these follow those, shape (n - r, r).
+        following: the others, which the free ones determine, shape (n - r,).
+        ties: ``q_following = ties q_free``, shape (n - r, r).
     """
 
     free: NDArray[np.intp]
@@ -28,9 +28,9 @@ class ReducedCoordinates(NamedTuple):
 
     @classmethod
     def of(cls, W: Matrix, M: Matrix) -> "ReducedCoordinates":
-        """What contacts ``W``, shape (n, p), independent of each other, leave free.
+        """The coordinates for ``p`` independent contacts.
 
-        Those follow that would move with the least mass.
+        The lightest coordinates are chosen to follow.
 
         Args:
             W: directions of the contacts, shape (n, p).

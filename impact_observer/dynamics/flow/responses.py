@@ -1,4 +1,4 @@
-"""Answers of a system at rest to steps and ramps of force, one class for each kind of flow."""
+"""Responses of a system at rest to steps and ramps of force, one class per kind of flow."""
 
 import numpy as np
 from scipy import linalg
@@ -6,7 +6,7 @@ from scipy import linalg
 from impact_observer.dynamics.flow.divided_differences import divided, first
 from impact_observer.dynamics.flow.flow import Equations, balanced_state_matrix
 from impact_observer.dynamics.flow.modes import Modes
-from impact_observer.dynamics.flow.sampled import Answer, Propagators, Response
+from impact_observer.dynamics.flow.sampled import Propagators, Response, ResponseValues
 from impact_observer.states import Matrix, Vector
 
 
@@ -14,9 +14,9 @@ def response_of(system: Equations, modes: Modes | None, longest: float) -> Respo
     """The response that goes with the flow of ``system``.
 
     Args:
-        system: what answers.
+        system: whose response.
         modes: from ``split``.
-        longest: time that one answer will be asked over, s.
+        longest: time of the longest response, s.
     """
     if modes is None:
         return DenseResponse(system, longest)
@@ -28,7 +28,7 @@ def response_of(system: Equations, modes: Modes | None, longest: float) -> Respo
 class ProportionalResponse(Response):
     """Modes ``y'' + c y' + k y = load``, each with its own coordinate and velocity.
 
-    With eigenvalues ``l1, l2`` all is said by ``S_j = exp[l1, l2, 0, .., 0]`` with ``j`` zeros:
+    With eigenvalues ``l1, l2`` all follows from ``S_j = exp[l1, l2, 0, .., 0]`` with ``j`` zeros:
     the velocity after a unit step is ``S_0`` and the coordinate ``S_1``.
     """
 
@@ -41,7 +41,7 @@ class ProportionalResponse(Response):
         rate = np.max(np.abs(np.stack(self._points)))
         super().__init__(modes.J, np.tile([[0.0], [1.0]], (n, 1, 1)), bool(rate * longest <= 1))
 
-    def loads(self, force: Matrix) -> Answer:
+    def loads(self, force: Matrix) -> ResponseValues:
         """Modal accelerations, shape (samples, n, 1, 1)."""
         return np.asarray((force @ self._shapes)[..., None, None])
 
@@ -60,7 +60,7 @@ class ProportionalResponse(Response):
         change = np.stack([position, velocity], axis=-2)
         return Propagators(change, step[..., None], ramp[..., None])
 
-    def states(self, y: Answer) -> Matrix:
+    def states(self, y: ResponseValues) -> Matrix:
         """States (q, u), shape (samples, 2n)."""
         return np.hstack([y[:, :, i, 0].real @ self._shapes.T for i in range(2)])
 
@@ -84,7 +84,7 @@ class EigenResponse(Response):
         short = bool(np.max(np.abs(values)) * longest <= 1)
         super().__init__(values[:, None, None], one, short)
 
-    def loads(self, force: Matrix) -> Answer:
+    def loads(self, force: Matrix) -> ResponseValues:
         """Shape (samples, r, 1, 1)."""
         return np.asarray((force @ self._load)[..., None, None])
 
@@ -96,7 +96,7 @@ class EigenResponse(Response):
         ramp = divided((self._values, zero, zero), s)
         return Propagators(*(part[..., None, None] for part in (change, step, ramp)))
 
-    def states(self, y: Answer) -> Matrix:
+    def states(self, y: ResponseValues) -> Matrix:
         """States (q, u), shape (samples, 2n)."""
         return np.asarray((y[..., 0, 0] @ self._vectors.T).real)
 
@@ -117,7 +117,7 @@ class DenseResponse(Response):
         self._augmented = augmented
         super().__init__(A, np.eye(2 * n)[:, n:], bool(linalg.norm(A, 2) * longest <= 1))
 
-    def loads(self, force: Matrix) -> Answer:
+    def loads(self, force: Matrix) -> ResponseValues:
         """Accelerations, shape (samples, n, 1)."""
         return np.asarray((force @ self._inverse)[..., None])
 
@@ -128,10 +128,10 @@ class DenseResponse(Response):
         found = linalg.expm(distinct[:, None, None] * self._augmented)[:, : 2 * n]
         step = found[..., 2 * n : 3 * n] / self._rate
         ramp = found[..., 3 * n :] / self._rate**2
-        # A unit displacement is answered as the acceleration that it causes.
+        # The response to a unit displacement is that to the acceleration that it causes.
         change = np.concatenate([step @ self.A[n:, :n], self.A @ step], axis=-1)
         return Propagators(change, step, ramp).of(which)
 
-    def states(self, y: Answer) -> Matrix:
+    def states(self, y: ResponseValues) -> Matrix:
         """States (q, u), shape (samples, 2n)."""
         return np.asarray(y[..., 0].real / self._unit)

@@ -1,13 +1,13 @@
 """Flow under a sampled forcing, exact between the samples and from one to the next.
 
-The motion is that without samples plus the answer ``r`` to the samples of a system at rest. Over
-a time ``h`` in which the force is ``a + b s``, the answer goes from ``r`` to ::
+The motion is that without samples plus the response ``r`` of a system at rest to the samples. Over
+a time ``h`` in which the force is ``a + b s``, the response goes from ``r`` to ::
 
     r + D(h) r + P1(h) a + P2(h) b,    D = e^{Ah} - 1,    P1, P2 = once and twice integrated e^{As}
 
 ``D`` and not ``e^{Ah}``: many short steps then add up without a bias. The steps are taken once,
-in order and in blocks of fixed size from the phase's start, so that nobody's questions change
-a bit.
+in order and in blocks of fixed size from the phase's start, so that the result does not depend
+on which instants are asked for, to the bit.
 """
 
 from abc import ABC, abstractmethod
@@ -20,8 +20,8 @@ from impact_observer.dynamics.flow.flow import Flow, Motion
 from impact_observer.model.force_samples import Samples
 from impact_observer.states import Matrix, Vector
 
-Answer: TypeAlias = NDArray[np.inexact[Any]]
-"""Real or complex answers in coordinates of a ``Response``, columns (samples, ..., size, 1)."""
+ResponseValues: TypeAlias = NDArray[np.inexact[Any]]
+"""Real or complex response in coordinates of a ``Response``, columns (samples, ..., size, 1)."""
 
 _TERMS = 18
 """Terms of the power series over times that are short against the fastest rate."""
@@ -34,16 +34,18 @@ _ENTRIES = 1 << 22
 class Propagators(NamedTuple):
     """``D``, ``P1`` and ``P2`` for several times, each of shape (times, ..., size, columns)."""
 
-    change: Answer
-    step: Answer
-    ramp: Answer
+    change: ResponseValues
+    step: ResponseValues
+    ramp: ResponseValues
 
-    def applied(self, y: Answer, value: Answer, slope: Answer) -> Answer:
-        """The answers after these times, begun at ``y``, under loads ``value + slope s``."""
+    def applied(
+        self, y: ResponseValues, value: ResponseValues, slope: ResponseValues
+    ) -> ResponseValues:
+        """The responses after these times, begun at ``y``, under loads ``value + slope s``."""
         return np.asarray(y + (self.change @ y + self.loaded(value, slope)))
 
-    def loaded(self, value: Answer, slope: Answer) -> Answer:
-        """The answers from rest."""
+    def loaded(self, value: ResponseValues, slope: ResponseValues) -> ResponseValues:
+        """The responses from rest."""
         return np.asarray(self.step @ value + self.ramp @ slope)
 
     def of(self, times: NDArray[np.intp]) -> "Propagators":
@@ -52,7 +54,7 @@ class Propagators(NamedTuple):
 
 
 class Response(ABC):
-    """How a system at rest answers forces: ``dy/dt = A y + B load``, in blocks side by side.
+    """How a system at rest responds to forces: ``dy/dt = A y + B load``, in blocks side by side.
 
     Attributes:
         A: blocks, shape (..., size, size), 1/s.
@@ -60,11 +62,11 @@ class Response(ABC):
         entries: numbers in the propagators for one time.
     """
 
-    def __init__(self, A: Answer, B: Answer, short: bool) -> None:
+    def __init__(self, A: ResponseValues, B: ResponseValues, short: bool) -> None:
         """Where all times are ``short`` against the fastest rate, a power series does it all."""
         self.A, self.B = A, B
         self.entries = A.size
-        self._coefficients: list[Answer] | None = None
+        self._coefficients: list[ResponseValues] | None = None
         if short:
             powers = [B]
             for _ in range(_TERMS - 1):
@@ -75,8 +77,8 @@ class Response(ABC):
             self._coefficients = [np.stack(change), np.stack(powers)]
 
     @property
-    def rest(self) -> Answer:
-        """The answer of nothing yet, shape (..., size, 1)."""
+    def rest(self) -> ResponseValues:
+        """The response at the start, shape (..., size, 1)."""
         return np.zeros_like(self.A[..., :1])
 
     def propagators(self, h: Vector) -> Propagators:
@@ -93,7 +95,7 @@ class Response(ABC):
         )
 
     @abstractmethod
-    def loads(self, force: Matrix) -> Answer:
+    def loads(self, force: Matrix) -> ResponseValues:
         """Forces, shape (samples, n), as loads of the coordinates, (samples, ..., columns, 1)."""
 
     @abstractmethod
@@ -101,12 +103,12 @@ class Response(ABC):
         """Propagators over times ``h``, shape (times,), s, of any length."""
 
     @abstractmethod
-    def states(self, y: Answer) -> Matrix:
-        """States (q, u) of answers, shape (samples, 2n)."""
+    def states(self, y: ResponseValues) -> Matrix:
+        """States (q, u) of responses, shape (samples, 2n)."""
 
 
 class SampledFlow(Flow):
-    """A flow without samples, and the answer to them on top."""
+    """A flow without samples, and the response to them added."""
 
     def __init__(self, smooth: Flow, response: Response, samples: Samples) -> None:
         """Join a flow and a response of the same system."""
@@ -139,7 +141,7 @@ class _SampledMotion(Motion):
         # The last sample begins an interval only for a phase that starts there.
         stop = max(samples.time.size - 1, self._from + 1)
         self._begins = np.concatenate([[0.0], samples.time[self._from + 1 : stop] - self.t])
-        self._blocks: list[Answer] = []
+        self._blocks: list[ResponseValues] = []
         self._next = response.rest
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -149,22 +151,22 @@ class _SampledMotion(Motion):
             return free
         interval = np.searchsorted(self._begins, s, side="right") - 1
         at_once = max(1, _ENTRIES // self._response.entries)
-        answers = [
-            self._answers(interval[i : i + at_once], s[i : i + at_once])
+        responses = [
+            self._responses(interval[i : i + at_once], s[i : i + at_once])
             for i in range(0, s.size, at_once)
         ]
-        return np.asarray(free + np.concatenate(answers))
+        return np.asarray(free + np.concatenate(responses))
 
-    def _answers(self, interval: NDArray[np.intp], s: Vector) -> Matrix:
+    def _responses(self, interval: NDArray[np.intp], s: Vector) -> Matrix:
         first, last = int(interval.min()) // _BLOCK, int(interval.max()) // _BLOCK
         while len(self._blocks) <= last:
             self._blocks.append(self._step_over_next())
-        known = np.concatenate(self._blocks[first : last + 1])[interval - first * _BLOCK]
+        y = np.concatenate(self._blocks[first : last + 1])[interval - first * _BLOCK]
         propagators = self._response.propagators(s - self._begins[interval])
-        return self._response.states(propagators.applied(known, *self._loads(interval)))
+        return self._response.states(propagators.applied(y, *self._loads(interval)))
 
-    def _step_over_next(self) -> Answer:
-        """Answers where each interval of the next block begins."""
+    def _step_over_next(self) -> ResponseValues:
+        """Responses where each interval of the next block begins."""
         start = len(self._blocks) * _BLOCK
         interval = np.arange(start, min(start + _BLOCK, self._begins.size))
         h = self._samples.steps[np.minimum(self._from + interval, self._samples.steps.size - 1)]
@@ -180,7 +182,7 @@ class _SampledMotion(Motion):
         self._next = y
         return np.stack(found)
 
-    def _loads(self, interval: NDArray[np.intp]) -> tuple[Answer, Answer]:
+    def _loads(self, interval: NDArray[np.intp]) -> tuple[ResponseValues, ResponseValues]:
         """Value at the begin and slope of the load in each interval."""
         sample = self._from + interval
         force = np.where((interval == 0)[:, None], self._force, self._samples.force[sample])

@@ -1,4 +1,4 @@
-"""What the motions of a system are measured against: its modes and its fastest rate."""
+"""The scales of the motions of a system: its modes and its fastest rate."""
 
 from dataclasses import dataclass
 
@@ -9,13 +9,13 @@ from impact_observer.dynamics.flow.flow import Equations
 from impact_observer.states import Matrix, Vector
 
 _PERIODS = 2.0
-"""Length of the stretch that a search looks at together, in periods of the fastest rate."""
+"""Length of a search window, in periods of the fastest rate."""
 _STILL = 16.0
 """The same where nothing oscillates, s."""
 
 
 def sizes(x: Vector, modes: Matrix, in_time: Matrix, spread: Matrix) -> Vector:
-    """What (q, u) is rounded against: each number as large as all modes may make it.
+    """Magnitudes that (q, u) is rounded against: the largest that all modes can give.
 
     Args:
         x: state (q, u), shape (2n,).
@@ -64,14 +64,14 @@ class Scales:
 
     @property
     def window(self) -> float:
-        """The stretch that a search looks at together, s.
+        """Length of a search window, s.
 
-        Held contacts only make modes slower, so one does for all phases of a system.
+        Held contacts only make modes slower, so it serves for all phases of a system.
         """
         return _PERIODS * 2 * np.pi / self.fastest if self.fastest > 0 else _STILL
 
     def seen(self, rows: Matrix) -> Matrix:
-        """What functions ``rows q`` see of each mode, signs apart, shape (rows, n)."""
+        """Absolute values of the functions ``rows q`` for unit amplitudes of modes, (rows, n)."""
         return np.abs(rows @ self.shapes)
 
     def sizes(self, x: Vector) -> Vector:
@@ -80,11 +80,11 @@ class Scales:
 
     @property
     def of_sizes(self) -> tuple[Matrix, Matrix, Matrix]:
-        """What ``sizes`` needs besides a state."""
+        """The arguments of ``sizes`` besides a state."""
         return self.modes, self._in_time, self.spread
 
     def reach(self, q: Matrix, u: Matrix) -> Matrix:
-        """How far each mode may be from rest within the time scale, signs apart.
+        """Largest amplitude that each mode may have within the time scale, not negative.
 
         Args:
             q: positions, shape (..., n).
@@ -93,11 +93,11 @@ class Scales:
         return np.asarray(np.abs(q @ self.modes) + np.abs(u @ self.modes) * self.timescale)
 
     def amplitudes(self, q: Matrix, u: Matrix) -> tuple[Matrix, Matrix]:
-        """How far each mode is from rest, and how fast, signs apart; shape (samples, n) each.
+        """Absolute amplitude and speed of each mode, shape (samples, n) each.
 
         Args:
             q: positions, shape (samples, n).
             u: velocities, shape (samples, n).
         """
-        found = np.abs(np.vstack([q, u]) @ self.modes)  # which is read once
+        found = np.abs(np.vstack([q, u]) @ self.modes)  # modes are read once
         return found[: len(q)], found[len(q) :]

@@ -43,7 +43,7 @@ def flow_of(system: Equations, shapes: Matrix | None = None) -> Flow:
 
     Args:
         system: what moves.
-        shapes: of its undamped modes by LAPACK, shape (n, n), where they are known.
+        shapes: of its undamped modes by LAPACK, shape (n, n), if available.
     """
     modes = split(system, shapes)
     flow = DenseFlow(system) if modes is None else SpectralFlow(system, modes)
@@ -55,7 +55,7 @@ def flow_of(system: Equations, shapes: Matrix | None = None) -> Flow:
 
 
 class SpectralFlow(Flow):
-    """Flow of a system whose modes are known."""
+    """Flow of a system in its modes."""
 
     def __init__(self, system: Equations, modes: Modes) -> None:
         """Prepare eigenvalues, steady responses and the pairs that resonate."""
@@ -94,7 +94,7 @@ class SpectralFlow(Flow):
         self._steady_cosine, self._steady_sine = steady[:, 1:].real, -steady[:, 1:].imag
         self._frequency = forcing.frequency
         self._small = self.energy(np.abs(steady).sum(axis=1)) / _HUGE
-        # Motions that are not so small are told by their speed, with one product.
+        # Motions that are not so small are recognised by their speed, with one product.
         least = float(linalg.eigvalsh(system.M)[0]) if modes.shapes is None else 0.0
         self._slow = self._small**2 / least if least > 0 else math.inf
         self._young = 1.0 / np.min(distance[far], initial=np.inf)

@@ -22,7 +22,7 @@ from impact_observer.dynamics.flow.modes import Modes, Rates
 from impact_observer.states import Matrix, Vector
 
 ORDERS = 9
-"""Orders of derivatives that are known, that of the function itself included."""
+"""Number of derivatives available, the function itself included."""
 
 
 class Waves(NamedTuple):

@@ -48,7 +48,7 @@ class Rough(NamedTuple):
     Attributes:
         values: shape (intervals + 1, w).
         starting: slopes at left ends, shape (intervals, w).
-        ending: slopes at right ends where they are known, shape (intervals, w).
+        ending: slopes at right ends where available, shape (intervals, w).
         curvature: bound on the second derivative along each interval, shape (intervals, w).
     """
 
@@ -59,7 +59,7 @@ class Rough(NamedTuple):
 
 
 class Taylor(NamedTuple):
-    """What is known of watched functions on intervals from their left ends.
+    """Values and slopes of watched functions on intervals, from their left ends.
 
     Attributes:
         derivatives: the functions and their derivatives there, shape (8, intervals, w).
@@ -116,7 +116,7 @@ class Bounds:
         self._prepare_scale(phase)
 
     def _prepare_scale(self, phase: Phase) -> None:
-        """What each function sees of the modes, and of forces at once, signs apart."""
+        """Absolute values of each function for unit modes and for unit forces."""
         equations, watched = phase.equations, self.watched
         self._sees_a = phase.scales.seen(watched.position)
         self._sees_b = phase.scales.seen(watched.velocity)
@@ -126,7 +126,7 @@ class Bounds:
         self._pulls = np.abs(np.hstack([pushed @ equations.K, pushed @ equations.C]))
 
     def scale(self, t: Vector, p: Matrix, u: Matrix, s: Vector) -> Matrix:
-        """What the functions are rounded against: what they see of each mode, signs apart.
+        """Magnitudes that the functions are rounded against: absolute values for unit modes.
 
         After a start from rest that is little, and what the forces have made of it counts too.
 
@@ -162,7 +162,7 @@ class Bounds:
         return self._least * np.outer(speed, reach)
 
     def rough(self, t: Vector, values: Matrix, x: Matrix, h: Vector) -> Rough:
-        """What tells that a function stays away from zero, mostly.
+        """A first test that a function stays away from zero, which mostly decides.
 
         Args:
             t: where intervals begin, s since the epoch, shape (intervals,).
@@ -209,7 +209,7 @@ class Bounds:
         """Least value that each function can take on each interval, shape (intervals, w).
 
         Args:
-            rough: what is known of them.
+            rough: values and slopes of them.
             h: lengths of the intervals, s, shape (intervals,).
         """
         twice = parabolas(rough, h)
@@ -259,7 +259,7 @@ def parabolas(rough: Rough, h: Vector) -> Matrix:
     they meet.
 
     Args:
-        rough: what is known of the functions.
+        rough: values and slopes of the functions.
         h: lengths of the intervals, s, shape (intervals,).
     """
     left, right, h = rough.values[:-1], rough.values[1:], h[:, None]

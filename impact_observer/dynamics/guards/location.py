@@ -89,14 +89,14 @@ class Search:
         return self._first_closely(self._trace(motion), start, horizon)
 
     def along(self, motion: Motion) -> "Hunt":
-        """A search along ``motion``, from its start on, that is told again and again how far."""
+        """A search along ``motion`` from its start, which can be extended again and again."""
         return Hunt(self, self._trace(motion))
 
     def first_within(self, trace: Trace, start: float, stop: float) -> Crossing | None:
         """As ``first``; where the motion has a closed form long stretches are looked at first.
 
-        Only those parts of a stretch that its bounds leave in doubt are looked at closely: how
-        fine that is told by the fastest mode, but most motions have little of it.
+        Only parts that the bounds leave in doubt are looked at closely, in steps that the fastest
+        mode determines; most motions have little of that mode.
         """
         if stop - start <= self.window or not isinstance(trace, WaveTrace):
             return self._first_closely(trace, start, stop)
@@ -147,7 +147,7 @@ class Search:
             trace: the functions.
             s: s since the start of the motion, shape (intervals + 1,).
             scale: what each is rounded against on the whole of them, shape (w,), where it is
-                known: that of parts is not looked for anew.
+                available: that of parts is not computed again.
         """
         h, rough = np.diff(s), trace.rough(s)
         if s[0] == 0.0:

@@ -64,7 +64,7 @@ def root(trace: Trace, suspect: Suspect, which: int) -> float:
         if abs(step) <= ROOT * s or rounded:
             return s
         last = abs(step)
-    # The ends are evaluated alone here; rounding may tell them differently than before.
+    # The ends are evaluated alone here: rounding may differ from before.
     above = value(start) > 0
     if above and value(stop) < 0:
         return _between(value, start, stop)

@@ -69,7 +69,7 @@ class WaveTrace(Trace):
         return np.asarray(self._waves.derivatives(s, 1)[0])
 
     def rough(self, s: Vector) -> Rough:
-        """All slopes are known."""
+        """All slopes are available."""
         values, slopes = self._waves.derivatives(s, 2)
         return Rough(values, slopes[:-1], slopes[1:], self._waves.largest(2, s[:-1], s[1:]))
 
@@ -83,7 +83,7 @@ class WaveTrace(Trace):
 
 
 class StateTrace(Trace):
-    """Functions of a motion of which nothing is known but its states."""
+    """Functions of a motion that gives nothing but its states."""
 
     def __init__(self, motion: Motion, bounds: Bounds, forcing: Forcing) -> None:
         """Look along ``motion`` under ``forcing``."""
