@@ -9,18 +9,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import TypeVar, final
 
-from rosbags.interfaces import Connection
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer, WriterError
-
 from impact_observer.errors import BagError, UsageError
-from impact_observer.io.batch_writer import Item, write_together
+from impact_observer.io.bag_metadata import Topic, metadata, quality_text
 from impact_observer.io.interfaces import Quality, interface, usual_quality
+from impact_observer.io.mcap_file import Item, McapFile
 from impact_observer.io.reader import BagReader
 from impact_observer.io.typestores import add_definition, new_typestore
 
 _BATCH = 1024
 _BATCH_BYTES = 2**20
-"""Messages, or bytes of them, that are handed to ``rosbags`` together."""
+"""Messages, or bytes of them, that are written together."""
 _Result = TypeVar("_Result")
 
 
@@ -40,8 +38,8 @@ def check_free(path: Path) -> None:
 class BagWriter:
     """A bag, open for writing; a context manager.
 
-    However its block ends, the bag is closed and whole: ``rosbags`` runs in a thread of its own,
-    where no ``KeyboardInterrupt`` can tear a record apart.
+    However its block ends, the bag is closed and complete: the file is written in a thread of its
+    own, where no ``KeyboardInterrupt`` can cut a record short.
 
     Attributes:
         path: the folder that is written.
@@ -63,17 +61,12 @@ class BagWriter:
         check_free(self.path)
         self.message_count = 0
         self._store = new_typestore()
-        self._connections: dict[str, Connection] = {}
+        self._topics: dict[str, Topic] = {}
         self._pending: deque[Item] = deque()
         self._pending_bytes = 0
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="bag")
         try:
-            self._writer = self._run(
-                lambda: Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
-            )
-            if compressed:
-                self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-            self._run(self._writer.open)
+            self._file = self._run(lambda: self._make_file(compressed))
         except BaseException:
             self._thread.shutdown()
             with suppress(OSError):
@@ -126,7 +119,7 @@ class BagWriter:
             UsageError: the topic is in the bag already, or its type is not known.
             BagError: the definition is not one, or disagrees with what is known.
         """
-        if topic in self._connections:
+        if topic in self._topics:
             raise UsageError(f"{self.path}: {topic} is declared twice; declare it once")
         known = interface(topic)
         if (type_name := type_name or (known.type if known else None)) is None:
@@ -138,12 +131,13 @@ class BagWriter:
             )
         if type_name not in self._store.fielddefs:
             raise UsageError(f"{self.path}: {topic} is {type_name}; give its definition too")
-        offered = (quality or usual_quality(topic)).offered()
-        self._connections[topic] = self._run(
-            lambda: self._writer.add_connection(
-                topic, type_name, typestore=self._store, offered_qos_profiles=[offered]
-            )
+        offered = quality or usual_quality(topic)
+        text, _ = self._store.generate_msgdef(type_name, ros_version=2)
+        channel = self._file.add_channel(
+            topic, type_name, text, {"offered_qos_profiles": quality_text(offered)}
         )
+        type_hash = self._store.hash_rihs01(type_name)
+        self._topics[topic] = Topic(channel, topic, type_name, type_hash, offered)
 
     def write(self, topic: str, log_time: int, message: object) -> None:
         """Write a message of :func:`~impact_observer.io.messages.bag_messages`.
@@ -165,7 +159,7 @@ class BagWriter:
         Raises:
             UsageError: as of :meth:`write`.
         """
-        type_name = self._connection(topic).msgtype
+        type_name = self._topic(topic).type
         if (found := getattr(message, "__msgtype__", type(message).__name__)) != type_name:
             raise UsageError(f"{self.path}: {topic} is {type_name}; not {found}")
         return bytes(self._store.serialize_cdr(message, type_name))
@@ -182,41 +176,48 @@ class BagWriter:
             UsageError: the topic is not declared, or the log time is before 0.
             BagError: the disk is full or gone.
         """
-        connection = self._connection(topic)
+        channel = self._topic(topic).channel
         if log_time < 0:
             raise UsageError(f"{self.path}: {topic} at log time {log_time} ns; expected 0 or more")
-        self._pending.append((connection, log_time, data))
+        self._pending.append((channel, log_time, data))
         self.message_count += 1
         self._pending_bytes += len(data)
         if len(self._pending) >= _BATCH or self._pending_bytes >= _BATCH_BYTES:
             self._pending_bytes = 0
             self._run(self._write_pending)
 
-    def _connection(self, topic: str) -> Connection:
+    def _topic(self, topic: str) -> Topic:
         """The open topic, declared from the interface table if need be."""
         if not self._open:
             raise UsageError(f"{self.path}: is closed; nothing more can be written")
-        if topic not in self._connections:
+        if topic not in self._topics:
             self.declare(topic)
-        return self._connections[topic]
+        return self._topics[topic]
+
+    def _make_file(self, compressed: bool) -> McapFile:  # noqa: FBT001
+        """In the thread: make the folder and begin the file."""
+        self.path.mkdir(mode=0o755)
+        return McapFile(self.path / f"{self.path.name}.mcap", compressed=compressed)
 
     def _write_pending(self) -> None:
-        """In the thread: hand to ``rosbags`` what has come."""
-        due = [self._pending.popleft() for _ in range(len(self._pending))]
-        write_together(self._writer, due)
+        """In the thread: write the messages that wait."""
+        self._file.write([self._pending.popleft() for _ in range(len(self._pending))])
 
     def _finish(self) -> None:
-        """In the thread: the rest, then index and metadata."""
+        """In the thread: write the rest, then index and metadata."""
         try:
             self._write_pending()
         finally:
-            self._writer.close()
+            file = f"{self.path.name}.mcap"
+            whole, inner = metadata(file, self._file, self._topics.values())
+            self._file.finish(inner)
+            (self.path / "metadata.yaml").write_text(whole, "utf-8")
 
     def _run(self, job: Callable[[], _Result]) -> _Result:
         """Run ``job`` in the thread that owns the files, and wait for it."""
         try:
             return self._thread.submit(job).result()
-        except (OSError, WriterError) as error:
+        except OSError as error:
             reason = getattr(error, "strerror", None) or error
             raise BagError(f"{self.path}: cannot be written: {reason}") from error
 

@@ -1,0 +1,103 @@
+"""The ``metadata.yaml`` of a bag, version 9, as ``ros2 bag`` of Jazzy reads it."""
+
+from collections.abc import Iterable
+from enum import Enum
+from io import StringIO
+from typing import NamedTuple
+
+from rosbags.interfaces import QosTime
+from ruamel.yaml import YAML
+
+from impact_observer.io.interfaces import Quality
+from impact_observer.io.mcap_file import McapFile
+
+_NO_MESSAGE = 2**63 - 1
+"""What rosbag2 writes as the starting time of a bag without messages, ns."""
+
+
+class Topic(NamedTuple):
+    """A topic of a bag that is written.
+
+    Attributes:
+        channel: its number in the file.
+        name: the absolute name.
+        type: the message type.
+        type_hash: the hash of its definition, ``RIHS01_...``.
+        quality: the quality of service that was offered.
+    """
+
+    channel: int
+    name: str
+    type: str
+    type_hash: str
+    quality: Quality
+
+
+def metadata(file_name: str, file: McapFile, topics: Iterable[Topic]) -> tuple[str, str]:
+    """The text of ``metadata.yaml``, and what of it the MCAP file holds too.
+
+    Args:
+        file_name: of the MCAP file.
+        file: all its messages are written.
+        topics: of the bag, in the order of their declaration.
+    """
+    information = {
+        "version": 9,
+        "storage_identifier": "mcap",
+        "relative_file_paths": [file_name],
+        **_extent(file),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [_policies(topic.quality)],
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": file.counts[topic.channel],
+            }
+            for topic in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "files": [{"path": file_name, **_extent(file)}],
+        "custom_data": None,
+        "ros_distro": "rosbags",
+    }
+    return _yaml({"rosbag2_bagfile_information": information}), _yaml(information).strip()
+
+
+def _extent(file: McapFile) -> dict[str, object]:
+    """How many messages there are, and from when to when."""
+    count = file.counts.total()
+    return {
+        "message_count": count,
+        "duration": {"nanoseconds": file.end - file.start},
+        "starting_time": {"nanoseconds_since_epoch": file.start if count else _NO_MESSAGE},
+    }
+
+
+def quality_text(quality: Quality) -> str:
+    """An offered quality of service as the channel of a topic has it."""
+    return _yaml([_policies(quality)]).strip()
+
+
+def _policies(quality: Quality) -> dict[str, object]:
+    """All policies by their short names."""
+    return {
+        name: (
+            {"sec": value.sec, "nsec": value.nsec}
+            if isinstance(value, QosTime)
+            else value.name.lower() if isinstance(value, Enum) else value
+        )
+        for name, value in zip(quality.offered()._fields, quality.offered(), strict=True)
+    }
+
+
+def _yaml(value: object) -> str:
+    """A value as YAML in block style."""
+    stream, yaml = StringIO(), YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.dump(value, stream)
+    return stream.getvalue()
