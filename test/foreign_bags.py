@@ -10,6 +10,7 @@ import sqlite3
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapFileWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -17,6 +18,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from impact_observer.io import BagReader
 from impact_observer.io.typestores import typestore
 
+TOPICS = ("/a", "/b", "/c")
 TIMES = ("deadline", "lifespan", "liveliness_lease_duration")
 HUMBLE_QOS = "\n".join(
     [
@@ -158,6 +160,20 @@ def rewritten(
         for topic, log_time, data in reader.raw():
             writer.write(connections[topic], log_time, data)
     return path
+
+
+def random_messages(count: int, seed: int) -> list[tuple[str, int, bytes]]:
+    """Messages of three topics whose log times go back by as much as 50 ms, some of them equal."""
+    random = np.random.default_rng(seed)
+    times = np.sort(random.integers(1, 1000, count)) + random.integers(0, 50, count)
+    return [
+        (
+            TOPICS[random.integers(3)],
+            int(time) * 1_000_000,
+            random.bytes(int(random.integers(4, 900))),
+        )
+        for time in times
+    ]
 
 
 def bare(path: Path) -> Path:

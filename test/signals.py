@@ -77,7 +77,7 @@ def detections(
 ) -> list[Detection]:
     """What a source tells of stamps and values, and of silence until ``end``, ns."""
     detector = Detector([source])
-    told = [d for stamp, value in samples for d in detector.hear(0, Scalar(value), stamp)]
+    told = [d for stamp, value in samples for d in detector.feed(0, Scalar(value), stamp)]
     return told + ([] if end is None else detector.advance(end))
 
 

@@ -1,6 +1,6 @@
-"""Find the impacts in a bag of sensors: switches, accelerations, forces, or any messages.
+"""Detect the impacts in a bag of sensors: switches, accelerations, forces, or any messages.
 
-The sensors stand in a file, --sources, or there is one and --contact and --topic name it:
+The sensors are declared in a file, --sources; a single one by --contact and --topic:
 
     impact-observer detect BAG --contact stop --topic /switch -o OUT
     impact-observer detect BAG --contact stop --topic /imu --threshold 30 -o OUT
@@ -25,12 +25,12 @@ _TEXTS = {
     "stamp": "header or receive (default: the header's where there is one)",
 }
 _NUMBERS = {
-    "threshold": "closed, or a peak, from here on; in the field's own unit",
-    "hysteresis": "how far below that it opens, or a peak ends",
+    "threshold": "where a switch closes, or a peak begins; in the field's own unit",
+    "hysteresis": "how far below that a switch opens, or a peak ends",
     "baseline": "time constant of the mean that is subtracted, s",
-    "dead_time": "after an event, without another, s",
-    "latency": "known delay of the stamps, s",
-    "min_contact_duration": "after which a closed switch is lasting contact, s (default 0.05)",
+    "dead_time": "after an event, in which there is no other, s",
+    "latency": "of the stamps, subtracted from them, s",
+    "min_contact_duration": "after which a closed switch is persistent contact, s (default 0.05)",
 }
 
 
@@ -69,7 +69,7 @@ def _sources(args: argparse.Namespace) -> "tuple[Source, ...]":
     """The sensors of a file, or the one that the options declare.
 
     Raises:
-        UsageError: there is neither a file nor a contact with its topic, or both.
+        UsageError: neither is given, or both are.
     """
     from impact_observer.detector import Source, read_sources
     from impact_observer.errors import UsageError
@@ -94,10 +94,10 @@ def detect(
     model: str | None = None,
     epoch: int = 0,
 ) -> int:
-    """Detect the impacts in a bag, and write one that has them.
+    """Detect the impacts in a bag, and write a bag with them.
 
     Args:
-        bag: has the sensors' topics; everything in it is carried along.
+        bag: has the sensors' topics; everything in it is copied.
         output: the bag to make.
         sources: the sensors.
         model: a model file or a sample's name, to be put into the bag; None for none.
@@ -111,7 +111,7 @@ def detect(
         BagError: a bag cannot be read or written, or there is no impact in it.
     """
     from impact_observer.cli.progress import Progress
-    from impact_observer.detector.recorded import detect_bag
+    from impact_observer.detector.bag_detection import detect_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.model import read_model
 
@@ -122,16 +122,16 @@ def detect(
             progress.step("detecting", done, total)
 
         result = detect_bag(reader, sources, output, model=read, epoch=epoch, progress=show)
-        for source, tally in zip(result.sources, result.tallies, strict=True):
-            found = _found(tally)
+        for source, counts in zip(result.sources, result.counts, strict=True):
+            found = _found(counts)
             progress.line(f"{source.contact}: {found} ({source.topic}, {source.kind})")
         progress.line(f"{output}: {result.events} events")
-        if result.trouble:
-            progress.line(f"note: {'; '.join(result.trouble)}")
+        if result.problems:
+            progress.line(f"note: {'; '.join(result.problems)}")
     return 0
 
 
-def _found(tally: "SensorCounts") -> str:
-    """What a source has told, in words."""
-    hits = f"{tally.hits} impact{'' if tally.hits == 1 else 's'}"
-    return f"{hits}, {tally.lasting} of them lasting" if tally.lasting else hits
+def _found(counts: "SensorCounts") -> str:
+    """How many impacts were detected, in words."""
+    impacts = f"{counts.impacts} impact{'' if counts.impacts == 1 else 's'}"
+    return f"{impacts}, {counts.closings} of them persistent" if counts.closings else impacts

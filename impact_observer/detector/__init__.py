@@ -1,7 +1,7 @@
-"""The detector: what sensors really say, turned into events. No ROS, no bags.
+"""The detector: turns what sensors publish into impact events. No ROS, no bags.
 
-A :class:`Detector` is fed messages of any origin in the order of their arrival; a node and a bag
-give it the same ones, so both say the same events.
+A :class:`Detector` is fed with messages in the order in which they were received. The node and the
+command ``detect`` feed it with the same messages, so both find the same events.
 """
 
 from impact_observer.detector.detection import Detection, Detector, SensorCounts

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from impact_observer.detector.arrival import ArrivalSensor
-from impact_observer.detector.fields import Path, header_stamp, numbers_at
+from impact_observer.detector.fields import FieldPath, header_stamp, numbers_at
 from impact_observer.detector.peak import PeakSensor
-from impact_observer.detector.sensors import DetectedInstant, Found, Sample, Sensor
+from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, Sensor
 from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH, Source
 from impact_observer.detector.switch import SwitchSensor
 from impact_observer.events import ImpactEvent, Kind, Switch
@@ -22,68 +22,68 @@ _SENSORS: dict[str, type[SwitchSensor] | type[PeakSensor] | type[ArrivalSensor]]
 
 
 class Detection(NamedTuple):
-    """An event, and when it was known.
+    """An event, and when it was certain.
 
     Attributes:
-        at: by arrival, ns; never before that of an earlier detection.
-        event: what is told.
+        decided: on the clock of reception, ns; never before that of an earlier detection.
+        event: the event.
     """
 
-    at: int
+    decided: int
     event: ImpactEvent
 
 
 @dataclass(slots=True)
 class SensorCounts:
-    """What became of the messages of one source.
+    """How many messages of one source were received, and what was detected in them.
 
     Attributes:
-        messages: that have come.
-        hits: that the contact closed.
-        lasting: how often it then stayed closed.
-        openings: how often it opened after that.
+        messages: received.
+        impacts: how often the contact closed.
+        closings: how often persistent contact began.
+        openings: how often persistent contact ended.
         invalid: messages with a number that is not finite, or a stamp that no event may have.
-        disordered: messages with a stamp before that of an earlier one.
+        out_of_order: messages with a stamp before that of an earlier one.
         last_event: stamp of the last event, ns; 0 before the first.
-        highest: largest signal of a peak source, in the field's own unit.
+        largest_signal: of a peak source, in the field's own unit.
     """
 
     messages: int = 0
-    hits: int = 0
-    lasting: int = 0
+    impacts: int = 0
+    closings: int = 0
     openings: int = 0
     invalid: int = 0
-    disordered: int = 0
+    out_of_order: int = 0
     last_event: int = 0
-    highest: float = 0.0
+    largest_signal: float = 0.0
 
 
 class Detector:
-    """Turns messages into events, in the order of their arrival.
+    """Turns messages into events, in the order in which the messages are received.
 
-    What it says is a function of the messages and their arrivals alone, however often and whenever
-    :meth:`advance` is called in between, as long as each message is heard within ``PATIENCE`` of
-    its arrival. Memory is constant.
+    The events are a function of the messages and of the times of reception. They do not depend on
+    how often and when :meth:`advance` is called in between, as long as each message is fed within
+    ``MAX_DELAY`` of its reception. Memory is constant.
 
     Attributes:
-        sources: what it listens to.
-        tallies: one for each source.
+        sources: the sensors.
+        counts: one for each source.
         episode: how often it was restarted.
     """
 
     def __init__(self, sources: Iterable[Source] = (), *, epoch: int = 0) -> None:
-        """Begin with sequence 1.
+        """The first event has sequence number 1.
 
         Args:
             sources: as for :meth:`add`.
             epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
         """
         self.sources: list[Source] = []
-        self.tallies: list[SensorCounts] = []
+        self.counts: list[SensorCounts] = []
         self.episode = 0
         self._epoch = epoch
         self._sensors: list[Sensor] = []
-        self._paths: list[Path] = []
+        self._paths: list[FieldPath] = []
         self._newest: list[int] = []
         self._sequence = 0
         self._now = 0
@@ -91,79 +91,80 @@ class Detector:
             self.add(source)
 
     def add(self, source: Source) -> int:
-        """Listen to one more source, a complete one; its number."""
+        """Add a complete source; the index that :meth:`feed` takes."""
         self.sources.append(source)
-        self.tallies.append(SensorCounts())
+        self.counts.append(SensorCounts())
         self._sensors.append(_SENSORS[source.kind or ""](source))
         self._paths.append(source.path() if source.field else ())
         self._newest.append(0)
         return len(self.sources) - 1
 
     def restart(self) -> None:
-        """Forget what was heard, as when the clock has gone back: a new episode."""
+        """Begin a new episode, as when the clock has jumped back."""
         self.episode += 1
         self._sensors = [_SENSORS[source.kind or ""](source) for source in self.sources]
         self._newest = [0] * len(self.sources)
         self._sequence = 0
         self._now = 0
 
-    def hear(self, index: int, message: object, arrival: int) -> list[Detection]:
-        """What a message of source number ``index`` that came at ``arrival`` (ns) tells.
+    def feed(self, index: int, message: object, received: int) -> list[Detection]:
+        """The events that a message of the source ``index``, received at this time (ns), decides.
 
         Raises:
-            UsageError: the first message has no such field; or one has no header's stamp though
-                that is wanted.
+            UsageError: the first message has no such field, or a message has no stamp in a header
+                though that is wanted.
         """
-        told = self.advance(arrival)
-        tally = self.tallies[index]
-        tally.messages += 1
-        sample = self._sample(index, message, arrival)
-        if not all(map(math.isfinite, sample.values)) or sample.moment.stamp > MAX_STAMP:
-            tally.invalid += 1
-        elif sample.moment.stamp < self._newest[index]:
-            tally.disordered += 1
+        detections = self.advance(received)
+        counts = self.counts[index]
+        counts.messages += 1
+        sample = self._sample(index, message, received)
+        if not all(map(math.isfinite, sample.values)) or sample.time.stamp > MAX_STAMP:
+            counts.invalid += 1
+        elif sample.time.stamp < self._newest[index]:
+            counts.out_of_order += 1
         else:
-            self._newest[index] = sample.moment.stamp
+            self._newest[index] = sample.time.stamp
             sensor = self._sensors[index]
-            told += self._told((found, index) for found in sensor.feed(sample))
+            detections += self._events((switch, index) for switch in sensor.feed(sample))
             if isinstance(sensor, PeakSensor):
-                tally.highest = max(tally.highest, sensor.highest)
-        return told
+                counts.largest_signal = max(counts.largest_signal, sensor.largest_signal)
+        return detections
 
     def advance(self, now: int) -> list[Detection]:
-        """What it tells that nothing else has come until ``now``, ns by arrival."""
-        found = [
-            (each, index)
+        """The events that are decided if no other message is received until ``now``, ns."""
+        switches = [
+            (switch, index)
             for index, sensor in enumerate(self._sensors)
             if sensor.due is not None
-            for each in sensor.silent(now)
+            for switch in sensor.advance(now)
         ]
-        told = self._told(sorted(found, key=lambda pair: pair[0].at))
+        detections = self._events(sorted(switches, key=lambda pair: pair[0].decided))
         self._now = max(self._now, now)
-        return told
+        return detections
 
-    def shortfall(self, index: int) -> str:
-        """Why a source has told nothing, or what of it was passed over; empty when all is well."""
-        source, tally = self.sources[index], self.tallies[index]
-        passed_over = [
+    def problem(self, index: int) -> str:
+        """Why a source has no events, or what was left out; empty if nothing is wrong."""
+        source, counts = self.sources[index], self.counts[index]
+        problems = [
             f"{count} {what}"
             for count, what in (
-                (tally.invalid, "messages not usable"),
-                (tally.disordered, "stamps out of order"),
+                (counts.invalid, "messages not usable"),
+                (counts.out_of_order, "stamps out of order"),
             )
             if count
         ]
-        if not tally.messages:
-            passed_over.append(f"no message on {source.topic}")
-        elif not tally.hits:
-            reason = f"no impact in {tally.messages} messages on {source.topic}"
+        if not counts.messages:
+            problems.append(f"no message on {source.topic}")
+        elif not counts.impacts:
+            reason = f"no impact in {counts.messages} messages on {source.topic}"
             if source.kind == PEAK:
-                reason += f", at most {tally.highest:.3g} of the threshold {source.threshold:g}"
-            passed_over.append(reason)
-        return f"{source.contact}: {', '.join(passed_over)}" if passed_over else ""
+                most = f"{counts.largest_signal:.3g}"
+                reason += f", at most {most} of the threshold {source.threshold:g}"
+            problems.append(reason)
+        return f"{source.contact}: {', '.join(problems)}" if problems else ""
 
-    def _sample(self, index: int, message: object, arrival: int) -> Sample:
-        """What a message says and when."""
+    def _sample(self, index: int, message: object, received: int) -> Sample:
+        """The time and the values of a message."""
         source = self.sources[index]
         stamp = None if source.stamp == "receive" else header_stamp(message)
         if stamp is None and source.stamp == "header":
@@ -172,29 +173,29 @@ class Detector:
         try:
             values = numbers_at(message, self._paths[index]) if self._paths[index] else ()
         except ValueError as error:
-            if self.tallies[index].messages - 1 <= self.tallies[index].invalid:
+            if self.counts[index].messages - 1 <= self.counts[index].invalid:
                 raise source.wrong("field", f"{source.topic}: {error}") from None
             values = (math.nan,)  # an array that is shorter than those before
-        return Sample(DetectedInstant(arrival, arrival if stamp is None else stamp), values)
+        return Sample(SampleTime(received, received if stamp is None else stamp), values)
 
-    def _told(self, found: Iterable[tuple[Found, int]]) -> list[Detection]:
-        """The events of what sensors have found."""
-        told = []
-        for (at, measured, kind), index in found:
-            source, tally = self.sources[index], self.tallies[index]
+    def _events(self, switches: Iterable[tuple[DetectedSwitch, int]]) -> list[Detection]:
+        """The events of detected switches, each with the index of its source."""
+        detections = []
+        for (decided, measured, kind), index in switches:
+            source, counts = self.sources[index], self.counts[index]
             stamp = measured - from_seconds(source.latency)
             if stamp <= 0:
-                tally.invalid += 1
+                counts.invalid += 1
                 continue
-            tally.hits += kind is Kind.IMPACT or (
+            counts.impacts += kind is Kind.IMPACT or (
                 kind is Kind.CLOSE and source.min_contact_duration == 0
             )
-            tally.lasting += kind is Kind.CLOSE
-            tally.openings += kind is Kind.OPEN
-            tally.last_event = stamp
+            counts.closings += kind is Kind.CLOSE
+            counts.openings += kind is Kind.OPEN
+            counts.last_event = stamp
             self._sequence += 1
-            switches = (Switch(source.contact, kind),)
-            event = ImpactEvent(stamp, switches, self._sequence, self.episode, self._epoch)
-            self._now = max(self._now, at)
-            told.append(Detection(self._now, event))
-        return told
+            switched = (Switch(source.contact, kind),)
+            event = ImpactEvent(stamp, switched, self._sequence, self.episode, self._epoch)
+            self._now = max(self._now, decided)
+            detections.append(Detection(self._now, event))
+        return detections

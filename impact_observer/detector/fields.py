@@ -1,6 +1,6 @@
-"""What a message holds: numbers by the path of a field, and the header's stamp.
+"""Reading a message: numbers by the path of a field, and the stamp of the header.
 
-Messages of ``rosbags`` and of ``rclpy`` have the same attributes; nothing else is looked at.
+Only attributes are used, which messages of ``rosbags`` and of ``rclpy`` have in common.
 """
 
 import re
@@ -11,7 +11,7 @@ import numpy as np
 
 from impact_observer.stamps import NS_PER_S
 
-Path: TypeAlias = tuple[str | int, ...]
+FieldPath: TypeAlias = tuple[str | int, ...]
 """Names and indices, outermost first."""
 
 _PATH = re.compile(r"[A-Za-z]\w*(\[\d+\])*(\.[A-Za-z]\w*(\[\d+\])*)*", re.ASCII)
@@ -19,43 +19,42 @@ _PART = re.compile(r"[A-Za-z]\w*|\d+", re.ASCII)
 _AXES = ("x", "y", "z")
 
 
-def parse_path(text: str) -> Path:
+def parse_path(text: str) -> FieldPath:
     """The parts of a path such as ``wrench.force.z`` or ``data[3]``.
 
     Raises:
-        ValueError: it is none; the message goes behind the key.
+        ValueError: it is no path; its text is to follow the key.
     """
     if not _PATH.fullmatch(text):
         raise ValueError(f"{text!r} found; expected a path such as wrench.force.z or data[3]")
     return tuple(int(part) if part.isdigit() else part for part in _PART.findall(text))
 
 
-def numbers_at(message: object, path: Path) -> tuple[float, ...]:
-    """The number at ``path``, as the one part of a tuple; the parts of a vector or an array.
+def numbers_at(message: object, path: FieldPath) -> tuple[float, ...]:
+    """The numbers at ``path``: one, or the components of a vector or an array.
 
     Raises:
-        ValueError: there is no such field, or it holds no numbers; the message goes behind the
-            key.
+        ValueError: there is no such field, or it holds no numbers; its text is to follow the key.
     """
     value = message
     for depth, part in enumerate(path):
-        value = _part(value, part, shown(path[:depth]) or "the message")
+        value = _member(value, part, path_text(path[:depth]) or "the message")
     if hasattr(value, "x") and hasattr(value, "y"):
         value = [getattr(value, axis) for axis in _AXES if hasattr(value, axis)]
     numbers = np.asarray(value).ravel() if not isinstance(value, str) else np.empty(0)
     if numbers.dtype.kind not in "biuf" or not numbers.size:
-        raise ValueError(f"{shown(path)} holds no number{_offers(value)}")
+        raise ValueError(f"{path_text(path)} holds no number{_list_of_fields(value)}")
     return tuple(float(number) for number in numbers.tolist())
 
 
-def shown(path: Path) -> str:
+def path_text(path: FieldPath) -> str:
     """``path`` as text."""
     parts = (f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return "".join(parts).lstrip(".")
 
 
 def header_stamp(message: object) -> int | None:
-    """The stamp (ns) of a message's header, or of a header; None without one, or where it is 0."""
+    """The stamp (ns) of a message with a header, or of a header; None if missing or 0."""
     header = getattr(message, "header", message)
     time = getattr(header, "stamp", None)
     if time is None or not (hasattr(time, "sec") and hasattr(time, "nanosec")):
@@ -64,11 +63,11 @@ def header_stamp(message: object) -> int | None:
     return stamp if stamp > 0 else None
 
 
-def _part(value: object, part: str | int, where: str) -> object:
+def _member(value: object, part: str | int, where: str) -> object:
     """A field by its name, or a member by its index."""
     if isinstance(part, str):
         if part not in _names(value):
-            raise ValueError(f"{where} has no {part}{_offers(value)}")
+            raise ValueError(f"{where} has no {part}{_list_of_fields(value)}")
         return getattr(value, part)
     if isinstance(value, (Sequence, np.ndarray)) and part < len(value):
         return value[part]
@@ -78,12 +77,12 @@ def _part(value: object, part: str | int, where: str) -> object:
 
 def _names(message: object) -> list[str]:
     """Names of a message's fields."""
-    told = getattr(message, "get_fields_and_field_types", None)
-    names: Iterable[str] = told() if told else getattr(message, "__dataclass_fields__", ())
+    fields = getattr(message, "get_fields_and_field_types", None)  # of rclpy
+    names: Iterable[str] = fields() if fields else getattr(message, "__dataclass_fields__", ())
     return [name for name in names if not name.startswith("_")]
 
 
-def _offers(message: object) -> str:
-    """Which fields there are, to be appended."""
+def _list_of_fields(message: object) -> str:
+    """Which fields a message has, to be appended to an error."""
     names = _names(message)
     return f"; its fields: {', '.join(names)}" if names else ""

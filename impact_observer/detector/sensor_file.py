@@ -1,4 +1,4 @@
-"""The file that says which sensors a rig has."""
+"""The file that declares the sensors of a rig."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -46,10 +46,10 @@ def parse_sources(text: str, name: str) -> tuple[Source, ...]:
 
 
 def check_contacts(sources: Sequence[Source]) -> None:
-    """Raise where two sensors tell of one contact: each hit would be two events.
+    """Check that each contact has one sensor: with two, each impact would be two events.
 
     Raises:
-        UsageError: naming the contact.
+        UsageError: a contact has two.
     """
     first: dict[str, Source] = {}
     for source in sources:
@@ -72,7 +72,7 @@ def _source(key: str, value: Value, name: str) -> Source:
 
 
 def _value(section: Section, key: str) -> object:
-    """A value of the type that its key has."""
+    """The value of a key, of the right type."""
     if key in _TEXTS:
         return section.text(key)
     if key == "inverted":
@@ -84,7 +84,7 @@ def _value(section: Section, key: str) -> object:
 
 
 def _load(text: str) -> Value:
-    """The mapping that a file of sensors is."""
+    """The mapping at the top of the file."""
     document = load_yaml(text)
     if not isinstance(document, Mapping):
         raise ModelError("", "is no list of sensors: expected a YAML mapping with sources")

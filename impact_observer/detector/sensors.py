@@ -1,72 +1,73 @@
-"""What all kinds of sensors have in common: samples in, switchings out."""
+"""What all kinds of sensors have in common: samples in, switches of a contact out."""
 
 from typing import NamedTuple, Protocol
 
 from impact_observer.events import Kind
 from impact_observer.stamps import from_seconds
 
-PATIENCE = 20_000_000
-"""How long a message may be on its way, ns: silence is believed only when it is older."""
+MAX_DELAY = 20_000_000
+"""How long a message may take from the sensor to here, ns. Only when this time is over, too, does
+the absence of a sample decide something."""
 
 
-class DetectedInstant(NamedTuple):
-    """An instant, by both clocks.
+class SampleTime(NamedTuple):
+    """The time of a sample, by two clocks.
 
     Attributes:
-        arrival: when the message came, ns.
-        stamp: when it was measured, ns; the arrival where the message does not say.
+        received: when the message was received, ns.
+        stamp: when it was measured, ns; ``received`` where the message has no stamp.
     """
 
-    arrival: int
+    received: int
     stamp: int
 
-    def after(self, seconds: float) -> "DetectedInstant":
+    def after(self, seconds: float) -> "SampleTime":
         """So many seconds later."""
         length = from_seconds(seconds)
-        return DetectedInstant(self.arrival + length, self.stamp + length)
+        return SampleTime(self.received + length, self.stamp + length)
 
 
-def due(deadline: DetectedInstant | None) -> int | None:
-    """Arrival (ns) from which on silence says that a deadline is over; None without a deadline."""
-    return None if deadline is None else deadline.arrival + PATIENCE
+def due(deadline: SampleTime | None) -> int | None:
+    """From when on (received, ns) no sample before a deadline can follow; None without one."""
+    return None if deadline is None else deadline.received + MAX_DELAY
 
 
 class Sample(NamedTuple):
-    """What one message says.
+    """What one message holds.
 
     Attributes:
-        moment: when.
-        values: the number of the field, or the parts of a vector; none where only the arrival
-            counts.
+        time: of the message.
+        values: the number of the field, or the components of a vector; empty for a sensor without
+            a field.
     """
 
-    moment: DetectedInstant
+    time: SampleTime
     values: tuple[float, ...] = ()
 
 
-class Found(NamedTuple):
-    """How ``chi`` of a sensor's contact switches.
+class DetectedSwitch(NamedTuple):
+    """A switch of a sensor's contact.
 
     Attributes:
-        at: when it was known, by arrival, ns.
-        stamp: when it was, before the latency is subtracted, ns.
-        kind: what it was.
+        decided: when it was certain, on the clock of reception, ns.
+        stamp: when it happened, before the latency is subtracted, ns.
+        kind: IMPACT, CLOSE or OPEN.
     """
 
-    at: int
+    decided: int
     stamp: int
     kind: Kind
 
 
 class Sensor(Protocol):
-    """Finds switchings in one stream of samples, whose stamps never go back."""
+    """Detects the switches in one stream of samples, whose stamps never go back."""
 
     @property
     def due(self) -> int | None:
-        """Arrival from which on silence says something, ns; None when it never will."""
+        """From when on (received, ns) the absence of samples decides something; None for never."""
 
-    def feed(self, sample: Sample) -> list[Found]:
-        """What a sample shows, and what the time until then has shown."""
+    def feed(self, sample: Sample) -> list[DetectedSwitch]:
+        """The switches that a sample decides, and the time up to it."""
 
-    def silent(self, now: int) -> list[Found]:
-        """What it shows that until ``now`` (ns, by arrival) there was no other sample."""
+    def advance(self, now: int) -> list[DetectedSwitch]:
+        """The switches that are decided if no sample is received until ``now``, ns."""

@@ -1,4 +1,4 @@
-"""One sensor as its user declares it: topic, contact, and how it tells of an impact."""
+"""One sensor as its user declares it: its contact, its topic, and how impacts are detected."""
 
 import dataclasses
 import math
@@ -13,19 +13,19 @@ KINDS = (SWITCH, PEAK, ARRIVAL)
 DIRECTIONS = ("both", "up", "down")
 STAMPS = ("header", "receive")
 LONGEST = 10.0
-"""The longest time that may be declared, s; as far back as an observer applies events."""
+"""The longest time that may be declared, s: the longest ``history`` of an observer."""
 
 BOOL, IMU = "std_msgs/msg/Bool", "sensor_msgs/msg/Imu"
-_USUAL = {
+_DEFAULT_KINDS = {
     BOOL: SWITCH,
     IMU: PEAK,
     "std_msgs/msg/Empty": ARRIVAL,
     "std_msgs/msg/Header": ARRIVAL,
 }
-"""What a topic of such a type is, unless it is said."""
-_GRAVITY = 1.0
-"""Time constant of the mean that is taken from an accelerometer's signal, s: gravity goes, and
-what an impact of some milliseconds adds to the mean stays below a percent of its peak."""
+"""The default kind of a sensor, by the type of its topic."""
+_IMU_BASELINE = 1.0
+"""Default ``baseline`` of an accelerometer, s. It removes gravity, and an impact of some
+milliseconds changes the mean by less than a percent of its peak."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _KEYS = {
     SWITCH: ("field", "threshold", "hysteresis", "dead_time", "min_contact_duration", "inverted"),
@@ -48,25 +48,26 @@ _DEFAULTS: dict[str, dict[str, object]] = {
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A sensor of one contact; what is None is decided once the topic's type is known.
+    """A sensor of one contact; a default that depends on the topic's type is None at first.
 
     Attributes:
         contact: name of the contact in the model.
         topic: where the sensor publishes.
         kind: ``switch``, ``peak`` or ``arrival``.
-        field: path of what is looked at in a message, such as ``wrench.force.z`` or ``data[3]``;
-            of a vector it is the norm.
-        threshold: closed from here on, or a peak above; in the field's own unit.
-        hysteresis: how far below the threshold it opens, or a peak ends; same unit.
+        field: path of the number in a message, such as ``wrench.force.z`` or ``data[3]``; of a
+            vector the norm is used.
+        threshold: from which on a switch is closed, or a signal is a peak; in the field's own
+            unit.
+        hysteresis: how far below the threshold a switch opens, or a peak ends; same unit.
         direction: of peaks, ``both`` (the magnitude), ``up`` or ``down``.
         baseline: time constant of the running mean that is subtracted, s; 0 for none.
         dead_time: after an event, in which there is no other, s.
-        latency: known delay of the stamps, subtracted from them, s.
-        min_contact_duration: after which a closed switch is a contact that lasts, s; 0 for at
-            once.
+        latency: of the stamps, subtracted from them, s.
+        min_contact_duration: after which a closed switch is persistent contact, s; 0 for every
+            closure.
         inverted: whether the switch is closed when its value is low.
         stamp: ``header`` or ``receive``; None for the header's where there is one.
-        origin: what errors put before a key, such as ``rig.yaml: sources[0].``.
+        origin: put before a key in errors, such as ``rig.yaml: sources[0].``.
     """
 
     contact: str
@@ -99,7 +100,7 @@ class Source:
             self.path()
 
     def _check_numbers(self) -> None:
-        """Raise unless every number that is given is one that can be used."""
+        """Raise if a number that is given is out of range."""
         for key in ("baseline", "dead_time", "latency", "min_contact_duration"):
             value = getattr(self, key)
             if value is not None and not 0 <= value <= LONGEST:
@@ -119,7 +120,7 @@ class Source:
         """The parts of ``field``.
 
         Raises:
-            UsageError: it is no path.
+            UsageError: ``field`` is no path.
         """
         try:
             return parse_path(self.field or "")
@@ -127,45 +128,49 @@ class Source:
             raise self.wrong("field", str(error)) from None
 
     def complete(self, type_name: str) -> "Source":
-        """The same with everything decided, now that the topic's type is known.
+        """The source with defaults filled in.
 
         Args:
             type_name: of the topic's messages, such as ``std_msgs/msg/Bool``.
 
         Raises:
-            UsageError: something is missing, or does not go with the kind.
+            UsageError: a key is missing, or does not go with the kind.
         """
-        kind = self.kind or _USUAL.get(type_name) or (PEAK if self.threshold is not None else "")
+        kind = (
+            self.kind
+            or _DEFAULT_KINDS.get(type_name)
+            or (PEAK if self.threshold is not None else "")
+        )
         if not kind:
             wanted = f"expected one of {', '.join(KINDS)}, or a threshold, which makes it a peak"
             raise self.wrong("kind", f"is missing, as {self.topic} is {type_name}; {wanted}")
         for key in {*_KEYS[SWITCH], *_KEYS[PEAK]} - {*_KEYS[kind]}:
             if getattr(self, key) is not None:
                 raise self.wrong(key, f"does not go with kind {kind}; leave it out")
-        usual = dict(_DEFAULTS[kind])
+        defaults = dict(_DEFAULTS[kind])
         if kind == PEAK:
-            usual |= self._usual_peak(type_name)
-        missing = {key: value for key, value in usual.items() if getattr(self, key) is None}
-        whole = replace(self, kind=kind, **missing)  # type: ignore[arg-type]
-        whole.check_together()
-        return whole
+            defaults |= self._peak_defaults(type_name)
+        missing = {key: value for key, value in defaults.items() if getattr(self, key) is None}
+        complete = replace(self, kind=kind, **missing)  # type: ignore[arg-type]
+        complete.check_together()
+        return complete
 
-    def _usual_peak(self, type_name: str) -> dict[str, object]:
-        """What is usual where a threshold is known; an accelerometer is freed of gravity."""
+    def _peak_defaults(self, type_name: str) -> dict[str, object]:
+        """The defaults that depend on the threshold or on the type of the topic."""
         if self.threshold is None:
             raise self.wrong("threshold", "is missing; expected a number in the field's own unit")
         if self.threshold <= 0:
             raise self.wrong("threshold", f"{self.threshold:g} found; of a peak it is above 0")
-        usual: dict[str, object] = {"hysteresis": self.threshold / 2}
+        defaults: dict[str, object] = {"hysteresis": self.threshold / 2}
         if type_name == IMU:
-            return usual | {"field": "linear_acceleration", "baseline": _GRAVITY}
-        return usual | {"field": "data"}
+            return defaults | {"field": "linear_acceleration", "baseline": _IMU_BASELINE}
+        return defaults | {"field": "data"}
 
     def check_together(self) -> None:
-        """Raise unless the numbers of a source that is complete go together.
+        """Check the numbers of a complete source against each other.
 
         Raises:
-            UsageError: naming the one that does not.
+            UsageError: one does not fit another; it is named.
         """
         if self.kind == PEAK and not self.number("hysteresis") < self.number("threshold"):
             problem = f"{self.hysteresis:g} found; expected less than the threshold"
@@ -177,14 +182,14 @@ class Source:
             raise self.wrong("min_contact_duration", f"{problem}, {self.dead_time:g} s")
 
     def number(self, key: str) -> float:
-        """A number of a source that is complete."""
+        """A number of a complete source."""
         return float(getattr(self, key))
 
     def scalar(self, values: tuple[float, ...]) -> float:
-        """The one number of the field.
+        """The number of a field that must not be a vector.
 
         Raises:
-            UsageError: it is a vector, which is neither up nor down, open nor closed.
+            UsageError: it is one.
         """
         if len(values) != 1:
             problem = f"{self.field} found, a vector of {len(values)}; name one of its numbers"

@@ -1,6 +1,6 @@
-"""A contact switch: edges, freed of chatter, and contacts that last told from hits."""
+"""A contact switch: debounced edges; long closures are persistent contact."""
 
-from impact_observer.detector.sensors import DetectedInstant, Found, Sample, due
+from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, due
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 
@@ -8,17 +8,17 @@ from impact_observer.events import Kind
 class SwitchSensor:
     """A signal that is high while the contact is closed, or low where it is inverted.
 
-    The rising edge is an IMPACT, at once. When the switch is still closed after
-    ``min_contact_duration``, a CLOSE with the very stamp of that edge supersedes it, and the
-    falling edge is an OPEN. A shorter closure is the IMPACT only.
+    The rising edge is an IMPACT, at once. If the switch is still closed after
+    ``min_contact_duration``, a CLOSE with the stamp of that edge supersedes the IMPACT, and the
+    falling edge is an OPEN. A shorter closure is an IMPACT only.
 
-    For ``dead_time`` after an edge nothing changes; what holds at its end counts from when it
-    began. So chatter of any length up to the dead time is one edge, with the first one's stamp,
-    and what is shorter than the dead time and begins within it is passed over.
+    Debouncing: for ``dead_time`` after an edge the level is held. If the signal differs at its
+    end, the edge is that of the signal's last change. So chatter up to the dead time is one edge,
+    with the stamp of the first one. A change that begins and ends in the dead time is ignored.
     """
 
     def __init__(self, source: Source) -> None:
-        """Before the first sample the contact is taken to be open."""
+        """Before the first sample the contact is assumed to be open."""
         self._source = source
         self._high = source.number("threshold")
         self._low = self._high - source.number("hysteresis")
@@ -26,67 +26,64 @@ class SwitchSensor:
         self._dead_time = source.number("dead_time")
         self._duration = source.number("min_contact_duration")
         self._level = self._inverted
-        self._raw = False
-        self._closed = False
-        self._lasts = False
-        self._changed = self._edge = DetectedInstant(0, 0)
-        self._resting = False
+        self._input_closed = self._closed = self._persistent = False
+        self._has_edge = False
+        self._input_changed = self._edge = SampleTime(0, 0)
 
     @property
     def due(self) -> int | None:
         """See :class:`~impact_observer.detector.sensors.Sensor`."""
         return due(self._deadline())
 
-    def feed(self, sample: Sample) -> list[Found]:
+    def feed(self, sample: Sample) -> list[DetectedSwitch]:
         """See :class:`~impact_observer.detector.sensors.Sensor`.
 
         Raises:
             UsageError: the field is a vector.
         """
-        moment, found = sample.moment, []
+        time, switches = sample.time, []
         value = self._source.scalar(sample.values)
-        while (deadline := self._deadline()) is not None and deadline.stamp <= moment.stamp:
-            found += self._pass(moment.arrival)
+        while (deadline := self._deadline()) is not None and deadline.stamp <= time.stamp:
+            switches += self._on_deadline(time.received)
         self._level = value >= (self._low if self._level else self._high)
-        raw = self._level != self._inverted
-        if raw != self._raw:
-            self._raw, self._changed = raw, moment
-            if not self._is_dead(moment):
-                found += self._accept(moment.arrival)
-        return found
+        closed = self._level != self._inverted
+        if closed != self._input_closed:
+            self._input_closed, self._input_changed = closed, time
+            if not self._in_dead_time(time):
+                switches += self._follow_input(time.received)
+        return switches
 
-    def silent(self, now: int) -> list[Found]:
+    def advance(self, now: int) -> list[DetectedSwitch]:
         """See :class:`~impact_observer.detector.sensors.Sensor`."""
-        found = []
-        while (at := self.due) is not None and at <= now:
-            found += self._pass(at)
-        return found
+        switches = []
+        while (decided := self.due) is not None and decided <= now:
+            switches += self._on_deadline(decided)
+        return switches
 
-    def _is_dead(self, moment: DetectedInstant) -> bool:
-        """Whether the last edge is too fresh for another one."""
-        return self._resting and moment.stamp < self._edge.after(self._dead_time).stamp
+    def _in_dead_time(self, time: SampleTime) -> bool:
+        return self._has_edge and time.stamp < self._edge.after(self._dead_time).stamp
 
-    def _deadline(self) -> DetectedInstant | None:
-        """When the passing of time decides something."""
-        if self._raw != self._closed:
+    def _deadline(self) -> SampleTime | None:
+        """When the end of the dead time, or of the shortest persistent contact, is decided."""
+        if self._input_closed != self._closed:
             return self._edge.after(self._dead_time)
-        if self._closed and not self._lasts:
+        if self._closed and not self._persistent:
             return self._edge.after(self._duration)
         return None
 
-    def _pass(self, at: int) -> list[Found]:
-        """The deadline is over: chatter has ended, or the contact lasts."""
-        if self._raw != self._closed:
-            return self._accept(at)
-        self._lasts = True
-        return [Found(at, self._edge.stamp, Kind.CLOSE)]
+    def _on_deadline(self, decided: int) -> list[DetectedSwitch]:
+        """The deadline is over: chatter has ended, or the contact is persistent."""
+        if self._input_closed != self._closed:
+            return self._follow_input(decided)
+        self._persistent = True
+        return [DetectedSwitch(decided, self._edge.stamp, Kind.CLOSE)]
 
-    def _accept(self, at: int) -> list[Found]:
-        """What the switch says has been so since it last changed."""
-        self._closed, self._edge, self._resting = self._raw, self._changed, True
+    def _follow_input(self, decided: int) -> list[DetectedSwitch]:
+        """An edge, where the input last changed."""
+        self._closed, self._edge, self._has_edge = self._input_closed, self._input_changed, True
         if not self._closed:
-            lasted, self._lasts = self._lasts, False
-            return [Found(at, self._edge.stamp, Kind.OPEN)] if lasted else []
-        self._lasts = self._duration == 0
-        kind = Kind.CLOSE if self._lasts else Kind.IMPACT
-        return [Found(at, self._edge.stamp, kind)]
+            was_persistent, self._persistent = self._persistent, False
+            return [DetectedSwitch(decided, self._edge.stamp, Kind.OPEN)] if was_persistent else []
+        self._persistent = self._duration == 0
+        kind = Kind.CLOSE if self._persistent else Kind.IMPACT
+        return [DetectedSwitch(decided, self._edge.stamp, kind)]

@@ -89,7 +89,9 @@ def _policies(quality: Quality) -> dict[str, object]:
         name: (
             {"sec": value.sec, "nsec": value.nsec}
             if isinstance(value, QosTime)
-            else value.name.lower() if isinstance(value, Enum) else value
+            else value.name.lower()
+            if isinstance(value, Enum)
+            else value
         )
         for name, value in zip(quality.offered()._fields, quality.offered(), strict=True)
     }

@@ -81,9 +81,7 @@ class McapFile:
         if type_name not in self._schemas:
             encoding = "ros2idl" if definition.startswith("=" * 80 + "\nIDL: ") else "ros2msg"
             number = len(self._schemas) + 1
-            schema = Schema(
-                id=number, data=definition.encode(), encoding=encoding, name=type_name
-            )
+            schema = Schema(id=number, data=definition.encode(), encoding=encoding, name=type_name)
             self._schemas[type_name] = schema
             self._chunk += _bytes_of(schema)
         channel = Channel(
@@ -227,4 +225,4 @@ def _bytes_of(record: McapRecord) -> bytes:
     """A record as it stands in a file."""
     builder = RecordBuilder()
     record.write(builder)
-    return bytes(builder.end())
+    return bytes(builder.end())  # type: ignore[no-untyped-call]

@@ -194,7 +194,7 @@ class BagWriter:
             self.declare(topic)
         return self._topics[topic]
 
-    def _make_file(self, compressed: bool) -> McapFile:  # noqa: FBT001
+    def _make_file(self, compressed: bool) -> McapFile:
         """In the thread: make the folder and begin the file."""
         self.path.mkdir(mode=0o755)
         return McapFile(self.path / f"{self.path.name}.mcap", compressed=compressed)

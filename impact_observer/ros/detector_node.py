@@ -129,7 +129,7 @@ class DetectorNode(Node):
             self._unheard += 1
             return
         for index in self._indices[topic]:
-            self._publish(self._detector.hear(index, message, arrival))
+            self._publish(self._detector.feed(index, message, arrival))
 
     def _publish(self, detections: list[Detection]) -> None:
         for _, event in detections:
@@ -161,16 +161,16 @@ class DetectorNode(Node):
 
     def _heard(self, index: int) -> DiagnosticStatus:
         """A sensor that has one."""
-        source, tally = self._detector.sources[index], self._detector.tallies[index]
+        source, counts = self._detector.sources[index], self._detector.counts[index]
         messages, passed_over = self._told.get(index, (0, 0))
-        now_passed_over = tally.invalid + tally.disordered
-        self._told[index] = (tally.messages, now_passed_over)
-        level, message = DiagnosticStatus.OK, f"{tally.hits} impacts"
-        if now_passed_over > passed_over or not tally.messages:
-            level, message = DiagnosticStatus.WARN, self._detector.shortfall(index)
+        now_passed_over = counts.invalid + counts.out_of_order
+        self._told[index] = (counts.messages, now_passed_over)
+        level, message = DiagnosticStatus.OK, f"{counts.impacts} impacts"
+        if now_passed_over > passed_over or not counts.messages:
+            level, message = DiagnosticStatus.WARN, self._detector.problem(index)
         if self._unheard and not self._now():
             level, message = DiagnosticStatus.WARN, "use_sim_time is set, but no /clock has come"
-        return self._status(source, level, message, _figures(source, tally, messages))
+        return self._status(source, level, message, _figures(source, counts, messages))
 
     def _status(
         self, source: Source, level: bytes, message: str, figures: Mapping[str, object]
@@ -184,18 +184,18 @@ class DetectorNode(Node):
         )
 
 
-def _figures(source: Source, tally: SensorCounts, messages: int) -> dict[str, object]:
+def _figures(source: Source, counts: SensorCounts, messages: int) -> dict[str, object]:
     """The values of a sensor's diagnostics; ``messages`` is their number a second ago."""
     return {
         "topic": source.topic,
         "kind": source.kind,
-        "impacts": tally.hits,
-        "lasting contacts": tally.lasting,
-        "openings": tally.openings,
-        "last event [s]": text(tally.last_event) if tally.last_event else "none",
-        "messages": tally.messages,
-        "rate [Hz]": tally.messages - messages,
-        "messages not usable": tally.invalid,
-        "stamps out of order": tally.disordered,
-        "largest signal": f"{tally.highest:.6g}",
+        "impacts": counts.impacts,
+        "lasting contacts": counts.closings,
+        "openings": counts.openings,
+        "last event [s]": text(counts.last_event) if counts.last_event else "none",
+        "messages": counts.messages,
+        "rate [Hz]": counts.messages - messages,
+        "messages not usable": counts.invalid,
+        "stamps out of order": counts.out_of_order,
+        "largest signal": f"{counts.largest_signal:.6g}",
     }

@@ -78,13 +78,13 @@ def run() -> Run:
 def rig_bag(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same felt by a switch (5 ms late), a force at 1 kHz and an accelerometer at 500 Hz."""
     recording = Recording()
-    hits = np.array([event.stamp for event in run.events])
-    for hit in hits.tolist():
+    impacts = np.array([event.stamp for event in run.events])
+    for hit in impacts.tolist():
         for delay, value in ((5, 1.0), (10, 0.0)):
             recording.add("/switch", BOOL, hit + delay * MS, scalar(BOOL, value))
     for topic, rate in (("/force", 1000.0), ("/imu", 500.0)):
         stamps = grid(EPOCH, EPOCH + 6_100 * MS, rate)
-        since = (stamps[:, None] - hits) * 1e-9
+        since = (stamps[:, None] - impacts) * 1e-9
         pulse = np.where(np.abs(since) < 0.005, np.cos(since * np.pi / 0.01), 0.0).sum(axis=1)
         for stamp, value in zip(stamps.tolist(), pulse.tolist(), strict=True):
             if topic == "/force":
@@ -136,7 +136,7 @@ def test_every_kind_of_sensor_gives_the_impacts_of_the_plant(
 def test_what_is_found_can_be_observed_without_naming_a_model(
     rig_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Truth and sensors are carried along, the model is put in; the estimate converges."""
+    """Truth and sensors are copied, the model is added; the estimate converges."""
     bag, output = tmp_path / "detected", tmp_path / "observed"
     given = ["--contact", "stop", "--topic", "/switch", "--latency", "0.005"]
     events = detected(rig_bag, bag, *given, "--model", "two_mass", "--epoch", "1")
@@ -183,7 +183,7 @@ def test_a_file_declares_several_sensors_and_what_lacks_is_one_line(
     lines = capsys.readouterr().out.splitlines()
     weak = "no impact in 2 messages on /weak, at most 0.5 of the threshold 2"
     assert lines == [
-        "floor: 2 impacts, 2 of them lasting (/floor, switch)",
+        "floor: 2 impacts, 2 of them persistent (/floor, switch)",
         "wall: 0 impacts (/weak, peak)",
         f"{tmp_path / 'out'}: 5 events",
         f"note: roof: no topic /none; wall: {weak}",

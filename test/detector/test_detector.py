@@ -38,8 +38,8 @@ def two_switches(epoch: int = 0) -> Detector:
 def test_events_of_all_sensors_are_numbered_in_one_row() -> None:
     """Contacts that last are told in the order in which they were known."""
     detector = two_switches(epoch=7)
-    told = detector.hear(0, Scalar(1.0), START)
-    told += detector.hear(1, Scalar(1.0), START + 10 * MS)
+    told = detector.feed(0, Scalar(1.0), START)
+    told += detector.feed(1, Scalar(1.0), START + 10 * MS)
     told += detector.advance(START + 500 * MS)
     assert [d.event for d in told] == [
         ImpactEvent(START, (Switch("floor"),), 1, 0, 7),
@@ -47,16 +47,16 @@ def test_events_of_all_sensors_are_numbered_in_one_row() -> None:
         ImpactEvent(START + 10 * MS, (Switch("ceiling", Kind.CLOSE),), 3, 0, 7),
         ImpactEvent(START, (Switch("floor", Kind.CLOSE),), 4, 0, 7),
     ]
-    assert [d.at for d in told] == sorted(d.at for d in told)
+    assert [d.decided for d in told] == sorted(d.decided for d in told)
 
 
 def test_a_restart_is_a_new_episode_that_remembers_nothing() -> None:
     """The contact that was closed is open; the numbers begin again."""
     detector = two_switches()
-    detector.hear(0, Scalar(1.0), START)
+    detector.feed(0, Scalar(1.0), START)
     detector.restart()
     assert detector.advance(START + 500 * MS) == []
-    (told,) = detector.hear(0, Scalar(1.0), 5)
+    (told,) = detector.feed(0, Scalar(1.0), 5)
     assert told.event == ImpactEvent(5, (Switch("floor"),), 1, 1)
 
 
@@ -65,7 +65,7 @@ def test_the_latency_is_subtracted_from_stamps_and_not_from_durations() -> None:
     signal = [(START, 1.0), (START + 60 * MS, 1.0), (START + 70 * MS, 0.0)]
     plain = detections(switch(), signal)
     early = detections(switch(latency=0.0123), signal)
-    assert [d.at for d in early] == [d.at for d in plain]
+    assert [d.decided for d in early] == [d.decided for d in plain]
     moved = [(stamp - 12_300_000, kind) for stamp, kind in events(plain)]
     assert events(early) == moved
 
@@ -78,11 +78,11 @@ def test_stamps_are_those_of_headers_unless_told_otherwise() -> None:
         ("receive", START, START + 5 * MS),
     ):
         source = Source("stop", "/hit", kind="arrival", stamp=given).complete("x/msg/Y")
-        (told,) = Detector([source]).hear(0, Stamped(header(sent)), START + 5 * MS)
+        (told,) = Detector([source]).feed(0, Stamped(header(sent)), START + 5 * MS)
         assert told.event.stamp == wanted
     source = Source("stop", "/hit", kind="arrival", stamp="header").complete("x/msg/Y")
     with pytest.raises(UsageError, match="stamp: header found, but a message of /hit has no"):
-        Detector([source]).hear(0, Stamped(header(0)), START)
+        Detector([source]).feed(0, Stamped(header(0)), START)
 
 
 def test_late_messages_of_a_switch_are_judged_by_their_own_stamps() -> None:
@@ -91,9 +91,9 @@ def test_late_messages_of_a_switch_are_judged_by_their_own_stamps() -> None:
 
     def told(length: int, delay: int) -> list[Kind]:
         detector = Detector([source])
-        first = detector.hear(0, Stamped(header(START), data=[1]), START)
+        first = detector.feed(0, Stamped(header(START), data=[1]), START)
         end = START + length * MS
-        last = detector.hear(0, Stamped(header(end), data=[0]), end + delay * MS)
+        last = detector.feed(0, Stamped(header(end), data=[0]), end + delay * MS)
         return [kind for _, kind in events(first + last)]
 
     assert told(10, 55) == [Kind.IMPACT]
@@ -104,15 +104,15 @@ def test_what_cannot_be_used_is_counted_and_said() -> None:
     """Not-a-number, stamps that go back, and events before the beginning of time."""
     detector = Detector([peak(10.0, latency=5.0)])
     values = [(2, 0.0), (3, float("nan")), (4, 50.0), (5, 0.0), (1, 0.0)]
-    told = [d for s, v in values for d in detector.hear(0, Scalar(v), s * 1_000_000_000)]
+    told = [d for s, v in values for d in detector.feed(0, Scalar(v), s * 1_000_000_000)]
     assert told == []
-    tally = detector.tallies[0]
-    assert (tally.messages, tally.invalid, tally.disordered, tally.hits) == (5, 2, 1, 0)
+    count = detector.counts[0]
+    assert (count.messages, count.invalid, count.out_of_order, count.impacts) == (5, 2, 1, 0)
     stamped = Detector([Source("stop", "/hit", kind="arrival").complete("x/msg/Y")])
     for stamp in (START, START - 1, START):
-        stamped.hear(0, Stamped(header(stamp)), START)
-    assert stamped.tallies[0].disordered == 1
-    assert stamped.shortfall(0) == "stop: 1 stamps out of order"
+        stamped.feed(0, Stamped(header(stamp)), START)
+    assert stamped.counts[0].out_of_order == 1
+    assert stamped.problem(0) == "stop: 1 stamps out of order"
 
 
 def test_an_array_that_is_too_short_now_and_then_is_passed_over() -> None:
@@ -120,8 +120,8 @@ def test_an_array_that_is_too_short_now_and_then_is_passed_over() -> None:
     source = Source("stop", "/t", field="data[1]", threshold=1.0).complete("x/msg/Y")
     detector = Detector([source])
     for k, data in enumerate(([0.0, 0.0], [0.0], [0.0, 0.0])):
-        detector.hear(0, Stamped(header(START + k), data=data), START + k)
-    assert (detector.tallies[0].messages, detector.tallies[0].invalid) == (3, 1)
+        detector.feed(0, Stamped(header(START + k), data=data), START + k)
+    assert (detector.counts[0].messages, detector.counts[0].invalid) == (3, 1)
 
 
 def test_the_memory_of_a_detector_does_not_grow() -> None:
@@ -131,19 +131,19 @@ def test_the_memory_of_a_detector_does_not_grow() -> None:
     for k in range(4000):
         stamp = START + k * 5 * MS
         for index in (0, 1):
-            detector.hear(index, Scalar(20.0 * (k % 40 == 20)), stamp)
+            detector.feed(index, Scalar(20.0 * (k % 40 == 20)), stamp)
         if k in {400, 3999}:
             sizes.append(len(pickle.dumps(detector)))
-    assert [tally.hits for tally in detector.tallies] == [100, 100]
+    assert [count.impacts for count in detector.counts] == [100, 100]
     assert sizes[1] <= sizes[0] + 16
 
 
 def test_a_sensor_without_impacts_says_how_far_it_was_from_one() -> None:
     """So that a threshold can be chosen."""
     detector = Detector([peak(10.0)])
-    assert detector.shortfall(0) == "stop: no message on /force"
-    detector.hear(0, Scalar(-7.5), START)
-    assert detector.shortfall(0) == (
+    assert detector.problem(0) == "stop: no message on /force"
+    detector.feed(0, Scalar(-7.5), START)
+    assert detector.problem(0) == (
         "stop: no impact in 1 messages on /force, at most 7.5 of the threshold 10"
     )
 
@@ -181,7 +181,7 @@ def test_a_field_that_is_not_there_is_named_with_those_that_are(path: str, expec
     detector = Detector([source.complete("x/msg/Y")])
     message = Stamped(header(START), data=[1.0, 2.0])
     with pytest.raises(UsageError, match=rf"rig\.yaml: sources\[0\]\.field: /w: {expected}"):
-        detector.hear(0, message, START)
+        detector.feed(0, message, START)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from systems import examples
 
 from impact_observer.detector import Detector, Source
 from impact_observer.detector.peak import vertex
-from impact_observer.detector.sensors import PATIENCE
+from impact_observer.detector.sensors import MAX_DELAY
 from impact_observer.detector.source import IMU
 from impact_observer.errors import UsageError
 from impact_observer.events import Kind
@@ -121,9 +121,9 @@ def test_a_signal_that_stays_high_is_one_peak_told_after_the_dead_time() -> None
     told = detections(peak(10.0), sampled(stamps, signal))
     assert events(told) == [(told[0].event.stamp, Kind.IMPACT)]
     assert told[0].event.stamp == pytest.approx(START + 12 * MS, abs=0.5 * MS)
-    assert told[0].at == START + 30 * MS
-    silent = detections(peak(10.0), sampled(stamps, signal)[:14], START + 100 * MS)
-    assert [(d.event, d.at) for d in silent] == [(told[0].event, START + 30 * MS + PATIENCE)]
+    assert told[0].decided == START + 30 * MS
+    held = detections(peak(10.0), sampled(stamps, signal)[:14], START + 100 * MS)
+    assert [(d.event, d.decided) for d in held] == [(told[0].event, START + 30 * MS + MAX_DELAY)]
 
 
 def test_a_signal_that_begins_high_has_no_peak_until_it_has_fallen() -> None:
@@ -154,10 +154,10 @@ def test_gravity_is_taken_from_an_accelerometer_however_it_lies() -> None:
         hit = 30.0 if k % 5000 == 2500 else 0.0
         force = Vector3(9.81 * math.sin(angle) + hit, 0.0, 9.81 * math.cos(angle))
         stamp = START + k * MS
-        told += detector.hear(0, Stamped(header(stamp), force), stamp + 3 * MS)
+        told += detector.feed(0, Stamped(header(stamp), force), stamp + 3 * MS)
     wanted = [START + k * 5000 * MS + 2500 * MS for k in range(4)]
     np.testing.assert_allclose([s for s, _ in events(told)], wanted, rtol=0, atol=0.02 * MS)
-    assert 25 < detector.tallies[0].highest < 35
+    assert 25 < detector.counts[0].largest_signal < 35
 
 
 def test_a_vector_has_no_direction() -> None:
@@ -166,7 +166,7 @@ def test_a_vector_has_no_direction() -> None:
     for source in (up, Source("stop", "/t", field="force", kind="switch")):
         detector = Detector([source.complete("x/msg/Y")])
         with pytest.raises(UsageError, match="field: force found, a vector of 3; name one of its"):
-            detector.hear(0, Stamped(header(START)), START)
+            detector.feed(0, Stamped(header(START)), START)
 
 
 def test_an_arrival_is_an_impact_but_for_those_in_the_dead_time() -> None:
@@ -174,7 +174,7 @@ def test_an_arrival_is_an_impact_but_for_those_in_the_dead_time() -> None:
     source = Source("stop", "/hit", kind="arrival", dead_time=0.01).complete("x/msg/Y")
     detector = Detector([source])
     stamps = [START + k * MS for k in (0, 5, 10, 12, 30)]
-    told = [d for s in stamps for d in detector.hear(0, Stamped(header(s)), s + 7 * MS)]
+    told = [d for s in stamps for d in detector.feed(0, Stamped(header(s)), s + 7 * MS)]
     assert events(told) == [(START + k * MS, Kind.IMPACT) for k in (0, 10, 30)]
 
 

@@ -10,7 +10,7 @@ from signals import MS, START, Scalar, detections, events, every, sampled, switc
 from systems import examples, sample
 
 from impact_observer.detector import Detection, Detector
-from impact_observer.detector.sensors import PATIENCE
+from impact_observer.detector.sensors import MAX_DELAY
 from impact_observer.events import Kind
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import grid
@@ -35,7 +35,7 @@ def test_a_short_closure_is_an_impact_at_its_edge_and_nothing_else() -> None:
     """It is told at once, with the edge's own stamp."""
     told = detections(switch(), changes(10, 15, 400, 405), at(1000))
     assert events(told) == [(at(10), Kind.IMPACT), (at(400), Kind.IMPACT)]
-    assert [d.at for d in told] == [at(10), at(400)]
+    assert [d.decided for d in told] == [at(10), at(400)]
 
 
 def test_a_long_closure_is_closed_since_its_edge_until_it_opens() -> None:
@@ -47,18 +47,18 @@ def test_a_long_closure_is_closed_since_its_edge_until_it_opens() -> None:
         (at(200), Kind.OPEN),
     ]
     assert [d.event.sequence for d in told] == [1, 2, 3]
-    assert told[1].at == at(60)
+    assert told[1].decided == at(60)
 
 
 def test_a_switch_that_falls_silent_while_closed_is_a_contact_that_lasts() -> None:
     """Messages on change only: time itself decides, once a message would have been here."""
     detector = Detector([switch()])
-    assert len(detector.hear(0, Scalar(1.0), at(10))) == 1
-    assert detector.advance(at(60) + PATIENCE - 1) == []
+    assert len(detector.feed(0, Scalar(1.0), at(10))) == 1
+    assert detector.advance(at(60) + MAX_DELAY - 1) == []
     told = detector.advance(at(500))
     assert events(told) == [(at(10), Kind.CLOSE)]
-    assert told[0].at == at(60) + PATIENCE
-    assert events(detector.hear(0, Scalar(0.0), at(600))) == [(at(600), Kind.OPEN)]
+    assert told[0].decided == at(60) + MAX_DELAY
+    assert events(detector.feed(0, Scalar(0.0), at(600))) == [(at(600), Kind.OPEN)]
 
 
 def test_without_a_least_duration_every_edge_closes() -> None:
@@ -103,7 +103,7 @@ def test_what_holds_at_the_end_of_the_dead_time_counts_from_when_it_began() -> N
         (at(53), Kind.IMPACT),
         (at(53), Kind.CLOSE),
     ]
-    assert told[3].at == at(55) + PATIENCE
+    assert told[3].decided == at(55) + MAX_DELAY
 
 
 def test_a_force_may_be_a_switch_with_hysteresis() -> None:
@@ -120,21 +120,23 @@ def test_a_switch_that_closes_for_milliseconds_at_each_hit_gives_impacts_only(ra
     model = sample("two_mass")
     plant = Plant(model.system, *model.initial_state(), epoch=START)
     run = simulate(plant, grid(START, START + 30_000 * MS, 1.0))
-    hits = np.array([event.stamp for event in run.events])
-    assert len(hits) > 10
-    assert np.diff(hits).min() > 20 * MS
-    signal = sorted([(s, 1.0) for s in hits.tolist()] + [(s + 5 * MS, 0.0) for s in hits.tolist()])
+    impacts = np.array([event.stamp for event in run.events])
+    assert len(impacts) > 10
+    assert np.diff(impacts).min() > 20 * MS
+    signal = sorted(
+        [(s, 1.0) for s in impacts.tolist()] + [(s + 5 * MS, 0.0) for s in impacts.tolist()]
+    )
     if rate:  # at 100 Hz a closure of 5 ms is seen half of the time
         stamps = grid(START, START + 31_000 * MS, rate)
-        before = np.searchsorted(hits, stamps, side="right") - 1
-        closed = (before >= 0) & (stamps < hits[before] + 5 * MS)
+        before = np.searchsorted(impacts, stamps, side="right") - 1
+        closed = (before >= 0) & (stamps < impacts[before] + 5 * MS)
         signal = sampled(stamps, closed.astype(float))
     told = events(detections(switch(), signal, START + 32_000 * MS))
     assert {kind for _, kind in told} == {Kind.IMPACT}
     seen = np.array([stamp for stamp, _ in told])
-    late = seen - hits[np.searchsorted(hits, seen, side="right") - 1]
+    late = seen - impacts[np.searchsorted(impacts, seen, side="right") - 1]
     assert late.max() <= (min(1_000_000_000 // rate, 5 * MS) if rate else 0)
-    assert len(told) == len(hits) if rate != 100 else 0 < len(told) < len(hits)
+    assert len(told) == len(impacts) if rate != 100 else 0 < len(told) < len(impacts)
 
 
 CHANGES = st.lists(st.integers(1, 80 * MS), min_size=1, max_size=30).map(
@@ -172,7 +174,7 @@ def test_the_time_at_which_silence_is_listened_to_changes_nothing(
     for stamp, value in signal:
         while pending and pending[0] <= stamp:
             told += detector.advance(pending.pop(0))
-        told += detector.hear(0, Scalar(value), stamp)
+        told += detector.feed(0, Scalar(value), stamp)
     end = signal[-1][0] + 1000 * MS
     told += detector.advance(end)
     assert told == detections(switch(), signal, end)

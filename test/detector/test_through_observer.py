@@ -43,7 +43,7 @@ def test_a_switch_is_as_good_as_an_ideal_sensor(eps: float, law: str) -> None:
     plant = Plant(model, np.zeros(2), np.zeros(2), epoch=START)
     run = simulate(plant, grid(START, START + 7000 * MS, 10.0))
     detector = Detector([replace(switch(), contact=model.contact_names[0])], epoch=START)
-    told = [d.event for s, v in signal_of(run.events) for d in detector.hear(0, Scalar(v), s)]
+    told = [d.event for s, v in signal_of(run.events) for d in detector.feed(0, Scalar(v), s)]
     told += [d.event for d in detector.advance(START + 8000 * MS)]
     kinds = {event.switches[0].kind for event in told}
     assert kinds == ({Kind.IMPACT} if eps else set(Kind))

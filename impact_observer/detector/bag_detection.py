@@ -1,4 +1,4 @@
-"""A recording of sensors, made into one with impacts: the detector run on a bag."""
+"""Runs the detector on a bag of sensor messages, and writes a bag with events."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from impact_observer import __version__
 from impact_observer.detector import Detection, Detector, SensorCounts, Source
-from impact_observer.detector.sensors import PATIENCE
+from impact_observer.detector.sensors import MAX_DELAY
 from impact_observer.errors import BagError, ImpactObserverError
 from impact_observer.io import interfaces
 from impact_observer.io.messages import bag_messages
@@ -19,20 +19,20 @@ _OWN = (interfaces.IMPACTS.topic, interfaces.PLANT_MODEL.topic)
 
 
 @dataclass(slots=True)
-class Detected:
-    """What a detector has made of a bag.
+class BagDetection:
+    """The result of detection on a bag.
 
     Attributes:
-        sources: the sensors that the bag has, complete.
-        tallies: what became of each one's messages.
+        sources: the sensors that are in the bag, complete.
+        counts: of each one.
         events: how many events were written.
-        trouble: what was not found or not carried along, a line each.
+        problems: what was not found or not copied, a line each.
     """
 
     sources: list[Source]
-    tallies: list[SensorCounts]
+    counts: list[SensorCounts]
     events: int = 0
-    trouble: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
 
 
 def detect_bag(
@@ -43,35 +43,34 @@ def detect_bag(
     model: Model | None = None,
     epoch: int = 0,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
-) -> Detected:
-    """Write a bag with the impacts that sensors have recorded; all else is carried along.
+) -> BagDetection:
+    """Write a bag with the impacts detected in another one; all other topics are copied.
 
-    An event's log time is when it was known. Messages are streamed, so memory is constant.
+    An event's log time is when it was decided. Messages are streamed, so memory is constant.
 
     Args:
         reader: the bag to read.
         sources: the sensors, as declared.
         output: the bag to make.
-        model: to put into it; None for the one that the bag carries, if it does.
+        model: to put into it; None for the one in the bag, if there is one.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 for unknown.
-        progress: told the messages read and how many there are.
+        progress: called with the messages read and how many there are.
 
     Raises:
         UsageError: a source does not fit the bag or the model, or something is at ``output``.
         BagError: no impact was found, or a bag cannot be read or written. Then no bag is left.
     """
-    found, missing = _present(reader, sources)
+    found, problems = _present(reader, sources)
     _check_contacts(reader, model, found)
     detector = Detector(found, epoch=epoch)
-    result = Detected(detector.sources, detector.tallies, trouble=missing)
+    result = BagDetection(detector.sources, detector.counts, problems=problems)
     with all_or_nothing(output) as writer:
-        carried = _declared(reader, writer, model, result.trouble)
-        _run(reader, writer, detector, carried=carried, progress=progress)
-        result.events = sum(t.hits + t.lasting + t.openings for t in detector.tallies)
-        short = [line for k in range(len(found)) if (line := detector.shortfall(k))]
-        result.trouble += short
-        if not any(tally.hits for tally in detector.tallies):
-            raise BagError(f"{reader.path}: no impact found; {'; '.join(result.trouble)}")
+        copied = _declared(reader, writer, model, problems)
+        _run(reader, writer, detector, copied=copied, progress=progress)
+        result.events = sum(c.impacts + c.closings + c.openings for c in detector.counts)
+        problems += [line for k in range(len(found)) if (line := detector.problem(k))]
+        if not any(counts.impacts for counts in detector.counts):
+            raise BagError(f"{reader.path}: no impact found; {'; '.join(problems)}")
     return result
 
 
@@ -94,10 +93,10 @@ def _present(reader: BagReader, sources: Sequence[Source]) -> tuple[list[Source]
 
 
 def _check_contacts(reader: BagReader, model: Model | None, sources: Sequence[Source]) -> None:
-    """Raise where a sensor's contact is none of the model's, if one is known.
+    """Check the contacts of the sensors against the model that is given, or the bag's, if any.
 
     Raises:
-        UsageError: naming the contact and those of the model.
+        UsageError: a contact is none of the model's.
     """
     if model is None:
         if reader.model_text() is None:
@@ -114,13 +113,13 @@ def _check_contacts(reader: BagReader, model: Model | None, sources: Sequence[So
 
 
 def _declared(
-    reader: BagReader, writer: BagWriter, model: Model | None, trouble: list[str]
+    reader: BagReader, writer: BagWriter, model: Model | None, problems: list[str]
 ) -> set[str]:
-    """Declare what goes into the new bag, and write the model; the topics to be carried along."""
+    """Declare the topics of the new bag and write the model; the topics to be copied."""
     own = _OWN if model is not None else _OWN[:1]
     if interfaces.IMPACTS.topic in reader.topics:
-        trouble.append(f"{interfaces.IMPACTS.topic} of the bag is left out for the one found")
-    carried = set()
+        problems.append(f"{interfaces.IMPACTS.topic} of the bag is left out for the one found")
+    copied = set()
     for topic, info in reader.topics.items():
         if topic in own:
             continue
@@ -128,15 +127,15 @@ def _declared(
             writer.declare(
                 topic, type_name=info.type, quality=info.quality, definition=info.definition
             )
-            carried.add(topic)
+            copied.add(topic)
         except ImpactObserverError as error:
-            trouble.append(f"{topic} is not carried along: {error}")
+            problems.append(f"{topic} is not carried along: {error}")
     writer.declare(interfaces.IMPACTS.topic)
     if model is not None:
         text = model.text({"package": "impact_observer", "version": __version__})
         message = bag_messages().model(text)
         writer.write(interfaces.PLANT_MODEL.topic, reader.start, message)
-    return carried
+    return copied
 
 
 def _run(
@@ -144,10 +143,10 @@ def _run(
     writer: BagWriter,
     detector: Detector,
     *,
-    carried: set[str],
+    copied: set[str],
     progress: Callable[[int, int], None],
 ) -> None:
-    """Every message of the bag through the detector, and into the new bag."""
+    """Feed the detector with every message of the bag, and write the new bag."""
     make = bag_messages()
     topics = {source.topic for source in detector.sources}
     decoders = {topic: reader.decoder(topic) for topic in topics}
@@ -156,17 +155,17 @@ def _run(
     }
 
     def write(detections: list[Detection]) -> None:
-        for at, event in detections:
-            writer.write(interfaces.IMPACTS.topic, at, make.event(event))
+        for decided, event in detections:
+            writer.write(interfaces.IMPACTS.topic, decided, make.event(event))
 
     for done, raw in enumerate(reader.raw()):
         write(detector.advance(raw.log_time))
-        if raw.topic in carried:
+        if raw.topic in copied:
             writer.write_raw(*raw)
         if raw.topic in topics:
             message = decoders[raw.topic](raw.data)
             for index in indices[raw.topic]:
-                write(detector.hear(index, message, raw.log_time))
+                write(detector.feed(index, message, raw.log_time))
         progress(done, reader.message_count)
-    # After the end nothing more can come that was on its way.
-    write(detector.advance(reader.end + PATIENCE))
+    # No message can be missing any more after the longest delay.
+    write(detector.advance(reader.end + MAX_DELAY))
