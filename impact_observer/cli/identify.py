@@ -113,7 +113,7 @@ def identify(
 
     Raises:
         UsageError, ModelError: the arguments cannot be used.
-        BagError: the bag cannot be read, or tells no impact of the model's contacts.
+        BagError: the bag cannot be read, or contains no impact of the model's contacts.
         IdentificationError: too few impacts, or parameters that no impact tells.
     """
     from impact_observer.cli.progress import Progress

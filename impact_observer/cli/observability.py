@@ -86,7 +86,7 @@ def observe(
 
     Raises:
         UsageError, ModelError: the arguments cannot be used.
-        BagError: the bag cannot be read, or tells no impact of the model's contacts.
+        BagError: the bag cannot be read, or contains no impact of the model's contacts.
         ImpactLawError: the impact law has no solution at an event.
     """
     from impact_observer.errors import BagError

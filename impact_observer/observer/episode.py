@@ -1,4 +1,4 @@
-"""What an observer would make of a recording: its last episode, each event once and in order."""
+"""The events of a recording as an observer applies them: those of its last episode, in order."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,16 +13,16 @@ from impact_observer.stamps import seconds_between
 
 
 class Episode(NamedTuple):
-    """What an observer would make of a recording.
+    """The last episode of a recording.
 
     Attributes:
-        start: the epoch, or the first stamp where the events do not say it or their first ones
-            are missing, ns.
-        epoch: stamp of ``t = 0`` of the forcing, ns; the start where the events do not say it.
-        keys: the events, in order.
-        foreign: how many switches were of contacts that the model does not have, by name.
-        left_out: events that came twice, or before the start.
-        episodes: in the recording; the last one counts.
+        start: the epoch, ns; the first stamp where the events do not give an epoch or the first
+            of them are missing.
+        epoch: stamp of ``t = 0`` of the forcing, ns; ``start`` where the events do not give it.
+        keys: the events, each once and in order.
+        foreign: number of switches of contacts that the model does not have, by name.
+        left_out: number of events that are duplicates, or before the start.
+        episodes: number of episodes in the recording.
     """
 
     start: int
@@ -34,27 +34,27 @@ class Episode(NamedTuple):
 
     @property
     def changes(self) -> list[ContactChange]:
-        """What the events mean, with seconds since the start."""
+        """What the contacts do at each event, with seconds since the start."""
         return [*changes(self.keys, self.start)]
 
 
 def changes(keys: Sequence[EventKey], start: int) -> Iterator[ContactChange]:
-    """What events mean, all contacts open at first.
+    """What the contacts do at each event, all of them open at first.
 
     Args:
         keys: in order, each once.
-        start: since which their seconds count, ns.
+        start: stamp from which their seconds count, ns.
     """
-    for key, (closed, reading) in zip(keys, interpretations(keys), strict=True):
+    for key, (closed, meaning) in zip(keys, interpretations(keys), strict=True):
         t = seconds_between(start, key.stamp)
-        yield ContactChange.of(t, closed, reading.switches, stamp=key.stamp, sequence=key.sequence)
+        yield ContactChange.of(t, closed, meaning.switches, stamp=key.stamp, sequence=key.sequence)
 
 
 def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
-    """The last episode's events, each once and in order, as an observer takes them.
+    """The last episode of ``events``, for the contacts of ``system``.
 
     Raises:
-        BagError: they tell no impact of the system's contacts.
+        BagError: it contains no impact of the system's contacts.
     """
     index = {name: i for i, name in enumerate(system.contact_names)}
     last = _latest(events)
@@ -62,18 +62,18 @@ def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
     epoch = max((e.epoch for e in last), default=0)
     first = min((e.sequence for e in last if e.sequence), default=0)
     start = epoch if epoch and first <= 1 else min((e.stamp for e in last), default=0)
-    told = [
+    usable = [
         EventKey(event.stamp, event.sequence, tuple(sorted(kinds)))
         for event in last
         if (kinds := {(index[s.contact], s.kind) for s in event.switches if s.contact in index})
     ]
-    keys = [key for key in deduplicated(told) if key.stamp >= start]
+    keys = [key for key in deduplicated(usable) if key.stamp >= start]
     episodes = len({(e.epoch, e.episode) for e in events})
-    found = Episode(start, epoch or start, keys, dict(foreign), len(told) - len(keys), episodes)
+    found = Episode(start, epoch or start, keys, dict(foreign), len(usable) - len(keys), episodes)
     if not any(change.hit for change in found.changes):
         wanted, others = (", ".join(each) or "none" for each in (index, sorted(foreign)))
         raise BagError(
-            f"tells no impact of the model's contacts ({wanted}); others in it: {others}"
+            f"contains no impact of the model's contacts ({wanted}); others in it: {others}"
         )
     return found
 

@@ -1,9 +1,9 @@
-"""What every event means among the others, where stamps and sequence numbers disagree.
+"""What each event means among the others, where stamps and sequence numbers disagree.
 
-Events act in the order of their stamps. But a stamp may be off by more than two events are apart;
-a sequence number is not. So what ``chi`` of a contact is, once an event has acted, is what the
-highest number so far has said of it. And a switch that turns out to be closed for long is told
-twice with the stamp of one edge: as an IMPACT at once, and later as the CLOSE that replaces it.
+Events act in the order of their stamps. Jitter may swap two stamps, but not two sequence numbers.
+So after an event, ``chi`` of a contact is what the event with the highest sequence number so far
+has set. A contact that stays closed is reported twice with the stamp of one edge: at once as an
+IMPACT, and later as the CLOSE that supersedes it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,15 +14,15 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Contacts, ImpactEvent, Kind
 
 LatestSequences: TypeAlias = Mapping[int, int]
-"""By index of a contact, the highest sequence number that has spoken of it."""
+"""By index of a contact, the highest sequence number of the events that have switched it."""
 
 
 class EventKey(NamedTuple):
-    """The order of events: by stamp, then by sequence, then by contact for unnumbered ones.
+    """An event in its order: by stamp, then by sequence, then by contact for unnumbered ones.
 
     Attributes:
         stamp: ns.
-        sequence: of the event.
+        sequence: of the event; 0 where the sender does not count.
         switches: index of a contact and how it switches, in the event's order.
     """
 
@@ -32,80 +32,113 @@ class EventKey(NamedTuple):
 
 
 class OverruledSwitch(NamedTuple):
-    """A switch that another event has a say in.
+    """A switch whose effect another event changes.
 
     Attributes:
         contact: its index.
-        said: how it says to switch.
-        acts: how it does; None for not at all.
+        reported: the kind that its event reports.
+        applied: the kind that is applied; None for none.
         by: sequence number of the other event.
     """
 
     contact: int
-    said: Kind
-    acts: Kind | None
+    reported: Kind
+    applied: Kind | None
     by: int
 
     @property
     def is_superseded(self) -> bool:
-        """Whether a CLOSE has replaced it, and no part of it is left."""
-        return self.said is Kind.IMPACT and self.acts is None
+        """Whether a CLOSE has replaced it, so that it has no effect at all."""
+        return self.reported is Kind.IMPACT and self.applied is None
 
     @property
     def effect(self) -> str:
         """What it does, in words."""
-        if self.acts is None:
-            return f"its {self.said.name} does nothing"
-        return f"a hit, and it stays {'closed' if self.acts is Kind.CLOSE else 'open'}"
+        if self.applied is None:
+            return f"its {self.reported.name} does nothing"
+        return f"a hit, and it stays {'closed' if self.applied is Kind.CLOSE else 'open'}"
 
 
 class Interpretation(NamedTuple):
-    """What an event means.
+    """What an event does among the others.
 
     Attributes:
-        switches: as they act, in the order of ``EventKey``.
-        spoken: as it is after the event.
-        overruled: those switches that another event has a say in.
+        switches: those to apply, in the order of ``EventKey``.
+        latest: sequence numbers after the event.
+        overruled: those of its switches whose effect another event changes.
     """
 
     switches: tuple[tuple[int, Kind], ...]
-    spoken: LatestSequences
+    latest: LatestSequences
     overruled: tuple[OverruledSwitch, ...] = ()
 
 
 def interpret(
-    event: EventKey, closed: Contacts, spoken: LatestSequences, others: Sequence[EventKey] = ()
+    event: EventKey, closed: Contacts, latest: LatestSequences, neighbours: Sequence[EventKey] = ()
 ) -> Interpretation:
-    """What ``event`` means after those before it.
+    """Interpret ``event`` after those before it.
 
-    Events without a number go by their stamp alone.
+    Events without a number are ordered by their stamp alone.
 
     Args:
         event: the event.
-        closed: contacts with ``chi = 1`` until now.
-        spoken: by the events before it.
-        others: events that follow it at the same stamp, in order; all of that stamp where it
-            has no number.
+        closed: contacts with ``chi = 1`` before it.
+        latest: sequence numbers before it.
+        neighbours: events that follow it at the same stamp, in order; where it has no number,
+            all other events of that stamp. See ``neighbours_of``.
     """
-    is_stale = False  # a higher number has spoken of one of its contacts
+    is_stale = False  # a higher number has switched one of its contacts
     for contact, _ in event.switches:
-        is_stale |= 0 < event.sequence < spoken.get(contact, 0)
-    if not (others or is_stale):  # as nearly always
-        return Interpretation(event.switches, _after(event, event.switches, spoken))
-    acting, overruled = [], []
-    for contact, said in event.switches:
-        found = _overruled(event.sequence, (contact, said), closed, spoken, others)
+        is_stale |= 0 < event.sequence < latest.get(contact, 0)
+    if not (neighbours or is_stale):  # the usual case
+        return Interpretation(event.switches, _after(event, event.switches, latest))
+    applied, overruled = [], []
+    for contact, kind in event.switches:
+        found = _overruled(event.sequence, (contact, kind), closed, latest, neighbours)
         if found is not None:
             overruled.append(found)
-        acts = said if found is None else found.acts
-        if acts is not None:
-            acting.append((contact, acts))
-    switches = tuple(acting)
-    return Interpretation(switches, _after(event, switches, spoken), tuple(overruled))
+        effect = kind if found is None else found.applied
+        if effect is not None:
+            applied.append((contact, effect))
+    switches = tuple(applied)
+    return Interpretation(switches, _after(event, switches, latest), tuple(overruled))
 
 
-def neighbours(i: int, events: Sequence[EventKey]) -> Sequence[EventKey]:
-    """Those of ``events``, in order, that stand beside the ``i``-th; see ``interpret``."""
+def _overruled(
+    sequence: int,
+    switch: tuple[int, Kind],
+    closed: Contacts,
+    latest: LatestSequences,
+    neighbours: Sequence[EventKey],
+) -> OverruledSwitch | None:
+    """How another event changes a switch of the event numbered ``sequence``; None if none does."""
+    contact, kind = switch
+    if kind is Kind.IMPACT:
+        for each in neighbours:
+            if (contact, Kind.CLOSE) in each.switches:
+                return OverruledSwitch(contact, kind, None, each.sequence)
+    newest = latest.get(contact, 0)
+    if not 0 < sequence < newest:
+        return None
+    stays = Kind.CLOSE if contact in closed else Kind.IMPACT
+    return OverruledSwitch(contact, kind, None if kind is Kind.OPEN else stays, newest)
+
+
+def _after(
+    event: EventKey, switches: Iterable[tuple[int, Kind]], latest: LatestSequences
+) -> LatestSequences:
+    """Sequence numbers once ``switches`` of ``event`` are applied."""
+    if not event.sequence:
+        return latest
+    after = dict(latest)
+    for contact, _ in switches:
+        if event.sequence > after.get(contact, 0):
+            after[contact] = event.sequence
+    return after
+
+
+def neighbours_of(i: int, events: Sequence[EventKey]) -> Sequence[EventKey]:
+    """Those of ``events``, in order, that ``interpret`` needs beside the ``i``-th."""
     stamp, first, end = events[i].stamp, i, i + 1
     while end < len(events) and events[end].stamp == stamp:
         end += 1
@@ -115,7 +148,7 @@ def neighbours(i: int, events: Sequence[EventKey]) -> Sequence[EventKey]:
 
 
 def deduplicated(events: Iterable[EventKey]) -> list[EventKey]:
-    """``events`` in order, without those that came before: by sequence, or in all."""
+    """``events`` in order, the first of each sequence number, and of equal unnumbered ones."""
     found: dict[object, EventKey] = {}
     for each in events:
         found.setdefault(each.sequence or each, each)
@@ -123,32 +156,32 @@ def deduplicated(events: Iterable[EventKey]) -> list[EventKey]:
 
 
 def interpretations(events: Sequence[EventKey]) -> Iterator[tuple[Contacts, Interpretation]]:
-    """What each of ``events`` means, all open at first; with the contacts closed before it.
+    """The contacts closed before each of ``events``, and its interpretation; all open at first.
 
     Args:
         events: in order, each once.
     """
     closed: Contacts = ()
-    spoken: LatestSequences = {}
+    latest: LatestSequences = {}
     for i, event in enumerate(events):
-        reading = interpret(event, closed, spoken, neighbours(i, events))
-        yield closed, reading
-        closed, spoken = ContactChange.of(0.0, closed, reading.switches).closed, reading.spoken
+        meaning = interpret(event, closed, latest, neighbours_of(i, events))
+        yield closed, meaning
+        closed, latest = ContactChange.of(0.0, closed, meaning.switches).closed, meaning.latest
 
 
 def impacts_of(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]:
-    """Impacts and closings as they act: stamp (ns), contact and kind, in order of stamps.
+    """Impacts and closings as applied: stamp (ns), contact and kind, in order of stamps.
 
     Args:
-        events: of one sender, in any order; of each episode by itself.
+        events: of one sender, in any order; each episode counts by itself.
     """
 
     def run(event: ImpactEvent) -> tuple[int, int]:
         return event.epoch, event.episode
 
     for _, members in groupby(sorted(events, key=run), key=run):
-        told = list(members)
-        names = sorted({switch.contact for event in told for switch in event.switches})
+        of_run = list(members)
+        names = sorted({switch.contact for event in of_run for switch in event.switches})
         index = {name: i for i, name in enumerate(names)}
         keys = deduplicated(
             EventKey(
@@ -156,42 +189,9 @@ def impacts_of(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]
                 e.sequence,
                 tuple(sorted({(index[s.contact], s.kind) for s in e.switches})),
             )
-            for e in told
+            for e in of_run
         )
-        for key, (_, reading) in zip(keys, interpretations(keys), strict=True):
-            for contact, kind in reading.switches:
+        for key, (_, meaning) in zip(keys, interpretations(keys), strict=True):
+            for contact, kind in meaning.switches:
                 if kind is not Kind.OPEN:
                     yield key.stamp, names[contact], kind
-
-
-def _after(
-    event: EventKey, switches: Iterable[tuple[int, Kind]], spoken: LatestSequences
-) -> LatestSequences:
-    """Who has spoken of which contact, once ``switches`` of ``event`` have acted."""
-    if not event.sequence:
-        return spoken
-    latest = dict(spoken)
-    for contact, _ in switches:
-        if event.sequence > latest.get(contact, 0):
-            latest[contact] = event.sequence
-    return latest
-
-
-def _overruled(
-    sequence: int,
-    switch: tuple[int, Kind],
-    closed: Contacts,
-    spoken: LatestSequences,
-    others: Sequence[EventKey],
-) -> OverruledSwitch | None:
-    """How another event overrules a switch of the event numbered ``sequence``; None if none."""
-    contact, said = switch
-    if said is Kind.IMPACT:
-        for each in others:
-            if (contact, Kind.CLOSE) in each.switches:
-                return OverruledSwitch(contact, said, None, each.sequence)
-    newest = spoken.get(contact, 0)
-    if not 0 < sequence < newest:
-        return None
-    stays = Kind.CLOSE if contact in closed else Kind.IMPACT
-    return OverruledSwitch(contact, said, None if said is Kind.OPEN else stays, newest)

@@ -145,7 +145,7 @@ def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
     assert main(["observability", str(bag), "--model", "two_mass"]) == 1
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert f"{bag}: tells no impact of the model's contacts (stop); " in error
+    assert f"{bag}: contains no impact of the model's contacts (stop); " in error
     assert "bell" in error
     with pytest.raises(BagError, match="name one with --model"):
         command.observe(bag)

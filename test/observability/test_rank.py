@@ -420,7 +420,9 @@ def test_other_contacts_are_counted_and_without_own_ones_there_is_nothing_to_tel
     told = observability(APART, [event(1.0, "c1", "bell"), event(2.0, "bell")])
     assert told.foreign == {"bell": 2}
     assert told.stamps.size == 1
-    with pytest.raises(BagError, match=r"tells no impact of the model's contacts \(c1\).*: bell"):
+    with pytest.raises(
+        BagError, match=r"contains no impact of the model's contacts \(c1\).*: bell"
+    ):
         observability(APART, [event(2.0, "bell")])
     with pytest.raises(BagError, match="none"):
         observability(APART, [])

@@ -103,7 +103,7 @@ def root(watcher: Observer, stamp: int) -> Array:
     timeline = watcher._timeline
     assert timeline is not None
     entry = timeline.at(stamp)
-    found = watcher._course(entry).root(seconds_between(entry.key.stamp, stamp))
+    found = watcher._update.prediction(entry).root(seconds_between(entry.key.stamp, stamp))
     assert found is not None
     return found
 

@@ -10,14 +10,11 @@ from numpy.typing import NDArray
 from systems import EPOCH, chain, estimates, event, examples, observer, run, sample, system
 
 from impact_observer.dynamics import flow_of, lyapunov
-from impact_observer.errors import DynamicsError, ImpactLawError, UsageError
-from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.events import Contacts, ImpactEvent, Ruling
+from impact_observer.errors import ImpactLawError, UsageError
+from impact_observer.events import ImpactEvent, Ruling
 from impact_observer.model import System
 from impact_observer.observer import Observer
-from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.laws import BUILT_IN
-from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, grid
@@ -171,53 +168,6 @@ def test_estimate_does_not_depend_on_who_asked_before(law: str) -> None:
         asked.estimate(stamp)
     told(alone, truth)
     assert estimates(asked, truth.stamps).tolist() == estimates(alone, truth.stamps).tolist()
-
-
-@pytest.mark.parametrize("law", LAWS)
-def test_rehearsal_asks_the_law_the_same_again(law: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last event from the same state, and the motion after it; nothing before the first."""
-    watcher = observer(TWO_MASS, law, random_start(2, 5), epoch=EPOCH, ensemble=3)
-    heard, courses = watcher.law.correct, watcher.law.predict
-    events: list[tuple[ContactChange, bytes]] = []
-    begun: list[tuple[float, bytes]] = []
-
-    def event_of(change: ContactChange, belief: Belief) -> Belief:
-        events.append((change, belief.replicas.tobytes()))
-        return heard(change, belief)
-
-    def course_of(t: float, belief: Belief, closed: Contacts) -> Prediction:
-        begun.append((t, belief.replicas.tobytes()))
-        return courses(t, belief, closed)
-
-    monkeypatch.setattr(watcher.law, "correct", event_of)
-    monkeypatch.setattr(watcher.law, "predict", course_of)
-    watcher.rehearse()
-    assert not events
-    watcher.receive(event(1.0, "stop", sequence=1))
-    watcher.receive(event(2.0, "stop", sequence=2))
-    watcher.estimate(EPOCH + 2 * NS_PER_S)
-    for _ in range(2):
-        watcher.rehearse()
-    assert [change.t for change, _ in events] == [1.0, 2.0, 2.0, 2.0]
-    assert events[1] == events[2] == events[3]
-    assert [t for t, _ in begun] == [0.0, 1.0, 2.0, 2.0, 2.0]
-    assert begun[2] == begun[3] == begun[4]
-
-
-def test_estimate_that_cannot_be_made_is_told_to_who_asks_not_to_a_rehearsal() -> None:
-    """A motion that ends in an error some time after the event."""
-
-    class Ending(Geometric):
-        def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
-            if t >= 1.0:
-                raise DynamicsError("the loads of closed contacts cannot be found")
-            return super().predict(t, belief, closed)
-
-    watcher = Observer(TWO_MASS, Ending(TWO_MASS), np.zeros(2), np.ones(2), epoch=EPOCH)
-    watcher.receive(event(1.0, "stop", sequence=1))
-    watcher.rehearse()
-    with pytest.raises(DynamicsError, match="the loads of closed contacts"):
-        watcher.estimate(EPOCH + NS_PER_S)
 
 
 def test_moving_everything_in_time_moves_nothing_else() -> None:

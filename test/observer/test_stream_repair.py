@@ -13,7 +13,6 @@ from systems import EPOCH, Harmonic, chain, event, examples, forcing, observer, 
 
 from impact_observer.compare.comparison import impacts_in
 from impact_observer.errors import ImpactLawError
-from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
 from impact_observer.observer import Observer
 from impact_observer.observer import observer as observer_module
@@ -37,7 +36,7 @@ SPAN = 2 * 64
 STAMPS = EPOCH + np.arange(0, SPAN + 40, 12) * TICK + 1
 
 
-def told(*switches: tuple[str, Kind], seconds: float, sequence: int = 0) -> ImpactEvent:
+def report(*switches: tuple[str, Kind], seconds: float, sequence: int = 0) -> ImpactEvent:
     """An event of any kinds at ``seconds`` since ``EPOCH``."""
     stamp = EPOCH + round(seconds * NS_PER_S)
     return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), sequence, 0, EPOCH)
@@ -52,24 +51,24 @@ def watcher_of(law: str, events: Iterable[ImpactEvent] = (), **options: object) 
     return watcher
 
 
-def known(watcher: Observer, stamps: Sequence[int] = STAMPS.tolist()) -> list[object]:
-    """Everything that estimates at ``stamps`` tell, by its bits, but numbers of events."""
+def bits(watcher: Observer, stamps: Sequence[int] = STAMPS.tolist()) -> list[object]:
+    """The estimates at ``stamps``, by their bits, without the numbers of events."""
     found = [watcher.estimate(each) for each in stamps if each >= (watcher.start or 0)]
-    told = [(e.closed, e.convergence, e.synchronized, e.bound, e.inconsistent) for e in found]
-    bits = [[x.tobytes() for x in (e.q, e.u, e.covariance)] for e in found]
-    return [watcher.start, told, bits]
+    others = [(e.closed, e.convergence, e.synchronized, e.bound, e.inconsistent) for e in found]
+    arrays = [[x.tobytes() for x in (e.q, e.u, e.covariance)] for e in found]
+    return [watcher.start, others, arrays]
 
 
-def state_of_knowledge(watcher: Observer) -> list[object]:
-    """What an observer keeps from the events: all that its future depends on."""
+def internal_state(watcher: Observer) -> list[object]:
+    """Everything that later estimates and verdicts depend on."""
     timeline = watcher._timeline
     assert timeline is not None
     entries = timeline.entries
-    events = [(e.key, e.since, e.closed, dict(e.spoken), e.overruled) for e in entries]
+    events = [(e.key, e.since, e.closed, dict(e.latest), e.overruled) for e in entries]
     beliefs = [(e.belief.replicas.tobytes(), dict(e.belief.innovations)) for e in entries]
-    agreements = [each.agreement for each in entries]
+    results = [each.synchronization for each in entries]
     whole = [watcher.start, watcher.last_event, watcher.missing, watcher.epoch]
-    return [whole, events, beliefs, agreements]
+    return [whole, events, beliefs, results]
 
 
 @st.composite
@@ -101,7 +100,7 @@ def arrivals(draw: st.DrawFn, events: list[ImpactEvent]) -> list[ImpactEvent]:
     return draw(st.permutations([*events, *twice]))
 
 
-def acting(events: list[ImpactEvent]) -> list[ImpactEvent]:
+def consistent(events: list[ImpactEvent]) -> list[ImpactEvent]:
     """The stream without contradictions that ``events``, all numbered, mean."""
     ordered = sorted(events, key=lambda e: (e.stamp, e.sequence))
     first = min(each.sequence for each in events)
@@ -125,8 +124,8 @@ def meant(upto: list[ImpactEvent], switch: Switch, later: list[ImpactEvent]) -> 
         e.stamp == upto[-1].stamp and closing in e.switches for e in later
     ):
         return None
-    spoken = [(e.sequence, s) for e in upto for s in e.switches if s.contact == switch.contact]
-    number, newest = max(spoken, key=lambda each: each[0])
+    latest = [(e.sequence, s) for e in upto for s in e.switches if s.contact == switch.contact]
+    number, newest = max(latest, key=lambda each: each[0])
     if number == upto[-1].sequence:
         return switch.kind
     if switch.kind is Kind.OPEN:
@@ -139,7 +138,7 @@ def meant(upto: list[ImpactEvent], switch: Switch, later: list[ImpactEvent]) -> 
 @examples(4)
 @given(data=st.data())
 def test_order_of_arrival_and_duplicates_change_no_bit(law: str, data: st.DataObject) -> None:
-    """Any permutation, duplicates thrown in: equal estimates and equal knowledge."""
+    """Any permutation, with duplicates: equal estimates and equal internal state."""
     events = data.draw(streams(numbered=data.draw(st.booleans())))
     if not events[0].sequence:
         events = [each for i, each in enumerate(events) if each not in events[:i]]
@@ -147,54 +146,47 @@ def test_order_of_arrival_and_duplicates_change_no_bit(law: str, data: st.DataOb
     shuffled = watcher_of(law)
     rulings = [v.ruling for e in data.draw(arrivals(events)) for v in shuffled.receive(e)]
     assert set(rulings) <= {Ruling.APPLIED, Ruling.REJECTED, Ruling.DUPLICATE}
-    assert known(shuffled) == known(ordered)
-    assert state_of_knowledge(shuffled) == state_of_knowledge(ordered)
+    assert bits(shuffled) == bits(ordered)
+    assert internal_state(shuffled) == internal_state(ordered)
 
 
 @LAWS
 @examples(4)
 @given(data=st.data())
-def test_rehearsals_in_between_change_no_bit(law: str, data: st.DataObject) -> None:
-    """Whatever comes, late, twice or too late, and is set: equal verdicts, estimates, counts."""
+def test_estimates_in_between_change_no_bit(law: str, data: st.DataObject) -> None:
+    """Equal verdicts and estimates, whether or not estimates were made after every event."""
     events = data.draw(streams(numbered=data.draw(st.booleans())))
     order = data.draw(arrivals(events))
-    placed = data.draw(st.integers(0, 2 * len(order)))
+    reset = data.draw(st.integers(0, 2 * len(order)))
     history = data.draw(st.sampled_from([0.3, 60.0]))
-    rehearsing, plain = (
-        watcher_of(law, uncertainty=Uncertainty(), history=history) for _ in range(2)
-    )
-    rehearsing.rehearse()
+    asked, silent = (watcher_of(law, history=history) for _ in range(2))
     for k, each in enumerate(order):
-        assert rehearsing.receive(each) == plain.receive(each)
-        for _ in range(1 + k % 2):
-            rehearsing.rehearse()
-        if k == placed:
-            for watcher in (rehearsing, plain):
+        assert asked.receive(each) == silent.receive(each)
+        bits(asked, [each.stamp, each.stamp + TICK, each.stamp + 20 * TICK])
+        if k == reset:
+            for watcher in (asked, silent):
                 watcher.set_state(each.stamp, START[:2], START[2:])
-            rehearsing.rehearse()
-        soon = [each.stamp + ahead * TICK for ahead in (0, 1, 20)]
-        assert known(rehearsing, soon) == known(plain, soon)
-        assert rehearsing.remarks == plain.remarks
-    assert known(rehearsing) == known(plain)
-    assert state_of_knowledge(rehearsing) == state_of_knowledge(plain)
+    assert asked.remarks == silent.remarks
+    assert bits(asked) == bits(silent)
+    assert internal_state(asked) == internal_state(silent)
 
 
 @LAWS
 @examples(4)
 @given(data=st.data())
-def test_stream_that_contradicts_itself_acts_like_the_plain_one_it_means(
+def test_contradictory_stream_acts_like_the_consistent_one_it_means(
     law: str, data: st.DataObject
 ) -> None:
-    """To the last bit: what is void leaves no trace, what is stale is another kind of hit."""
+    """Equal in every bit: superseded switches have no effect, stale ones another kind."""
     events = data.draw(streams())
-    plain = watcher_of(law, acting(events))
-    assert known(watcher_of(law, data.draw(arrivals(events)))) == known(plain)
+    plain = watcher_of(law, consistent(events))
+    assert bits(watcher_of(law, data.draw(arrivals(events)))) == bits(plain)
 
 
 @examples(20)
 @given(data=st.data())
-def test_chi_is_what_the_highest_number_so_far_has_said(data: st.DataObject) -> None:
-    """At every instant, and after the last event for good."""
+def test_chi_is_what_the_event_with_the_highest_number_has_set(data: st.DataObject) -> None:
+    """At every instant, and long after the last event."""
     events = data.draw(streams())
     watcher = watcher_of("open-loop", data.draw(arrivals(events)), ensemble=1)
     stamps = [*STAMPS.tolist(), EPOCH + 100 * NS_PER_S]
@@ -209,12 +201,12 @@ def test_chi_is_what_the_highest_number_so_far_has_said(data: st.DataObject) -> 
 
 @examples(20)
 @given(data=st.data())
-def test_impacts_that_are_counted_are_those_that_act(data: st.DataObject) -> None:
-    """Each once, in any order of arrival; those of two episodes are apart."""
+def test_impacts_are_listed_as_they_are_applied(data: st.DataObject) -> None:
+    """Each once, in any order of arrival; those of two episodes separately."""
     events = data.draw(streams())
     wanted = [
         (each.stamp, switch.contact, switch.kind)
-        for each in acting(events)
+        for each in consistent(events)
         for switch in each.switches
         if switch.kind is not Kind.OPEN
     ]
@@ -225,11 +217,11 @@ def test_impacts_that_are_counted_are_those_that_act(data: st.DataObject) -> Non
     assert {name: found.tolist() for name, found in impacts_in(events).items()} == stamps
 
 
-CLOSE_8 = told(("c1", Kind.CLOSE), seconds=0.5, sequence=8)
+CLOSE_8 = report(("c1", Kind.CLOSE), seconds=0.5, sequence=8)
 
 
 def reasons(verdicts: Sequence[Verdict]) -> list[tuple[Ruling, str]]:
-    """What became of the switches of an event."""
+    """Ruling and reason of each verdict."""
     return [(each.ruling, each.reason) for each in verdicts]
 
 
@@ -242,16 +234,16 @@ def reasons(verdicts: Sequence[Verdict]) -> list[tuple[Ruling, str]]:
         (Kind.CLOSE, Kind.OPEN, "its OPEN does nothing", None),
     ],
 )
-def test_stamps_against_numbers_are_told_in_both_orders(
+def test_verdict_names_stamps_against_numbers_in_either_order_of_arrival(
     early: Kind, late: Kind, effect: str, acts: Kind | None
 ) -> None:
-    """Whichever comes second says so; numbers 8 and 9, stamped the other way round."""
-    eight = told(("c1", late), seconds=1.001, sequence=8)
-    nine = told(("c1", early), seconds=1.0, sequence=9)
-    before = told(("c2", Kind.OPEN), seconds=0.0, sequence=1)
+    """The event that arrives second; numbers 8 and 9, stamped the other way round."""
+    eight = report(("c1", late), seconds=1.001, sequence=8)
+    nine = report(("c1", early), seconds=1.0, sequence=9)
+    before = report(("c2", Kind.OPEN), seconds=0.0, sequence=1)
     plain = [before, nine]
     if acts is not None:
-        plain.append(told(("c1", acts), seconds=1.001, sequence=10))
+        plain.append(report(("c1", acts), seconds=1.001, sequence=10))
     forth, back = (watcher_of("geometric", [before]) for _ in range(2))
     forth.receive(eight)
     assert reasons(forth.receive(nine)) == [
@@ -267,15 +259,17 @@ def test_stamps_against_numbers_are_told_in_both_orders(
             f"stamped after event 9, which follows it: {effect}; late: 0 events run again",
         )
     ]
-    assert known(forth) == known(back) == known(watcher_of("geometric", plain))
+    assert bits(forth) == bits(back) == bits(watcher_of("geometric", plain))
     assert forth.remarks[Remark.DISORDER] == back.remarks[Remark.DISORDER] == 1
 
 
 def test_events_without_a_number_go_by_their_stamps() -> None:
     """Nothing is stale, not even beside events that are numbered."""
-    watcher = watcher_of("geometric", [told(("c1", Kind.CLOSE), seconds=1.0, sequence=1)])
-    assert reasons(watcher.receive(told(("c1", Kind.OPEN), seconds=1.5))) == [(Ruling.APPLIED, "")]
-    late = told(("c1", Kind.CLOSE), seconds=1.2)
+    watcher = watcher_of("geometric", [report(("c1", Kind.CLOSE), seconds=1.0, sequence=1)])
+    assert reasons(watcher.receive(report(("c1", Kind.OPEN), seconds=1.5))) == [
+        (Ruling.APPLIED, "")
+    ]
+    late = report(("c1", Kind.CLOSE), seconds=1.2)
     assert reasons(watcher.receive(late)) == [(Ruling.APPLIED, "late: 1 event run again")]
     assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ()
     assert not watcher.remarks[Remark.DISORDER]
@@ -285,10 +279,10 @@ def test_events_without_a_number_go_by_their_stamps() -> None:
 @pytest.mark.parametrize("numbered", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -> None:
     """In either order, as if there had been no IMPACT; another of that stamp is left."""
-    first = told(("c1", Kind.IMPACT), seconds=0.5, sequence=1 * numbered)
-    edge = told(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2 * numbered)
-    between = told(("c1", Kind.IMPACT), seconds=1.3, sequence=3 * numbered)
-    closing = told(("c2", Kind.CLOSE), seconds=1.0, sequence=4 * numbered)
+    first = report(("c1", Kind.IMPACT), seconds=0.5, sequence=1 * numbered)
+    edge = report(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2 * numbered)
+    between = report(("c1", Kind.IMPACT), seconds=1.3, sequence=3 * numbered)
+    closing = report(("c2", Kind.CLOSE), seconds=1.0, sequence=4 * numbered)
     which = ("event 2", "event 4") if numbered else ("its stamp", "its stamp")
     forth, back = watcher_of(law, [first, edge, between]), watcher_of(law, [first, closing])
     assert reasons(forth.receive(closing)) == [
@@ -299,8 +293,8 @@ def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -
     assert void.reason == f"superseded by the CLOSE of {which[1]}"
     assert void.innovation == -1.0
     back.receive(between)
-    plain = watcher_of(law, [first, told(("c1", Kind.IMPACT), seconds=1.0), closing, between])
-    assert known(forth) == known(back) == known(plain)
+    plain = watcher_of(law, [first, report(("c1", Kind.IMPACT), seconds=1.0), closing, between])
+    assert bits(forth) == bits(back) == bits(plain)
     assert forth.remarks[Remark.SUPERSEDED] == back.remarks[Remark.SUPERSEDED] == 1
     assert forth.estimate(EPOCH + 2 * NS_PER_S).closed == ("c2",)
 
@@ -308,36 +302,36 @@ def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -
 @pytest.mark.parametrize("turned", [False, True])
 def test_close_of_several_contacts_supersedes_without_numbers_too(*, turned: bool) -> None:
     """Though by its contacts it comes before the IMPACT."""
-    closing = told(("c1", Kind.CLOSE), ("c2", Kind.CLOSE), seconds=1.0)
-    events = [told(("c2", Kind.IMPACT), seconds=1.0), closing]
+    closing = report(("c1", Kind.CLOSE), ("c2", Kind.CLOSE), seconds=1.0)
+    events = [report(("c2", Kind.IMPACT), seconds=1.0), closing]
     watcher = watcher_of("geometric", events[::-1] if turned else events)
     assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ("c1", "c2")
-    assert known(watcher) == known(watcher_of("geometric", [closing]))
+    assert bits(watcher) == bits(watcher_of("geometric", [closing]))
 
 
-def test_superseding_at_once_has_nothing_else_to_say() -> None:
-    """The two messages in a row: only that; of a plant that says both at one rounded stamp too."""
+def test_superseding_the_latest_event_is_not_late() -> None:
+    """The two messages in a row, as also of a plant that rounds both to one stamp."""
     watcher = watcher_of("geometric", [event(1.0, "c1", sequence=5)], epoch=0)
-    closing = told(("c1", Kind.CLOSE), seconds=1.0, sequence=6)
+    closing = report(("c1", Kind.CLOSE), seconds=1.0, sequence=6)
     wanted = [(Ruling.APPLIED, "supersedes the IMPACT of event 5")]
     assert reasons(watcher.receive(closing)) == wanted
     assert watcher.receive(closing)[0].ruling is Ruling.DUPLICATE
     assert not watcher.remarks[Remark.LATE]
 
 
-def test_impact_that_was_forgotten_cannot_be_superseded() -> None:
+def test_forgotten_impact_cannot_be_superseded() -> None:
     """Its CLOSE is too late: the state before the IMPACT is gone."""
     watcher = watcher_of("geometric", history=1.0)
     for k, seconds in enumerate((0.5, 1.0, 2.1)):
         watcher.receive(event(seconds, "c1", sequence=k + 1))
-    before = known(watcher, [EPOCH + 3 * NS_PER_S])
-    verdict = watcher.receive(told(("c1", Kind.CLOSE), seconds=1.0, sequence=4))[0]
+    before = bits(watcher, [EPOCH + 3 * NS_PER_S])
+    verdict = watcher.receive(report(("c1", Kind.CLOSE), seconds=1.0, sequence=4))[0]
     assert verdict.ruling is Ruling.TOO_LATE
-    assert known(watcher, [EPOCH + 3 * NS_PER_S]) == before
+    assert bits(watcher, [EPOCH + 3 * NS_PER_S]) == before
 
 
-def test_gaps_in_the_numbers_are_told_by_what_reveals_them() -> None:
-    """And what comes late says how late it was."""
+def test_verdict_names_the_gap_in_front_of_its_event() -> None:
+    """And the verdict on a late event says how many events were run again."""
     watcher = watcher_of("geometric", [event(0.6, "c1", sequence=6)])
     found = []
     for sequence in (9, 8, 11, 3, 12):
@@ -353,8 +347,8 @@ def test_gaps_in_the_numbers_are_told_by_what_reveals_them() -> None:
     assert (watcher.remarks[Remark.GAP], watcher.remarks[Remark.LATE]) == (3, 2)
 
 
-def test_everything_that_is_refused_is_counted() -> None:
-    """Each once, whatever its verdict says."""
+def test_every_refused_event_is_counted() -> None:
+    """Each once, by its kind."""
     watcher = watcher_of("geometric", [replace(event(1.0, "c1", sequence=1), episode=1)])
     for stray in (
         event(1.0, "c1", sequence=1, episode=1),
@@ -363,17 +357,17 @@ def test_everything_that_is_refused_is_counted() -> None:
         event(2.0, "c1", sequence=4, episode=0),
         event(2.0, sequence=4, episode=1),
     ):
-        before = known(watcher)
+        before = bits(watcher)
         (verdict,) = watcher.receive(stray)
         assert verdict.ruling is not Ruling.APPLIED
         assert verdict.reason
-        assert known(watcher) == before
+        assert bits(watcher) == before
     kinds = Remark.DUPLICATE, Remark.TOO_LATE, Remark.UNKNOWN_CONTACT, Remark.PAST
     assert [watcher.remarks[each] for each in kinds] == [1, 1, 1, 1]
     assert watcher.missing == 0
 
 
-def test_new_beginnings_are_told_by_the_first_verdict() -> None:
+def test_first_verdict_after_a_restart_says_why() -> None:
     """Of a new episode, a new epoch and a clock that went back; once each."""
     watcher = watcher_of("geometric", [event(1.0, "c1", sequence=1)])
     again = event(2.0, "wall", "c1", sequence=1, episode=1, epoch=EPOCH + 5)
@@ -393,8 +387,8 @@ def test_new_beginnings_are_told_by_the_first_verdict() -> None:
     assert watcher.restarts == 2
 
 
-def test_event_that_fails_tells_its_gap_to_nobody_else() -> None:
-    """What is said of an event that is not applied is not said of the next."""
+def test_gap_before_a_failing_event_is_not_named_later() -> None:
+    """The verdict on the next event does not repeat it."""
     jammed = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
     watcher = observer(jammed, "geometric", [0.0, -1.0], epoch=EPOCH)
     watcher.receive(event(0.0, "c1", sequence=1))
@@ -407,10 +401,10 @@ def test_event_that_fails_tells_its_gap_to_nobody_else() -> None:
 
 @LAWS
 def test_given_state_holds_while_later_events_act_on_it(law: str) -> None:
-    """Known ones as well as those to come; chi and its numbers are the plant's."""
-    early = told(("c1", Kind.CLOSE), seconds=0.5, sequence=3)
-    later = told(("c2", Kind.IMPACT), seconds=1.5, sequence=4)
-    stale = told(("c1", Kind.OPEN), seconds=1.2, sequence=2)
+    """Those received before and after it; chi and its sequence numbers are kept."""
+    early = report(("c1", Kind.CLOSE), seconds=0.5, sequence=3)
+    later = report(("c2", Kind.IMPACT), seconds=1.5, sequence=4)
+    stale = report(("c1", Kind.OPEN), seconds=1.2, sequence=2)
     given = (EPOCH + NS_PER_S, [0.2, -0.1], [0.3, 0.0])
     first, last = watcher_of(law, [early, later]), watcher_of(law, [early])
     first.set_state(*given)
@@ -421,7 +415,7 @@ def test_given_state_holds_while_later_events_act_on_it(law: str) -> None:
         assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ("c1",)
     assert first.start == given[0]
     stamps = [given[0], given[0] + NS_PER_S]
-    assert known(first, stamps) == known(last, stamps)
+    assert bits(first, stamps) == bits(last, stamps)
 
 
 @pytest.mark.parametrize(
@@ -433,7 +427,7 @@ def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
     kinds = random.choice([Kind.IMPACT, Kind.CLOSE, Kind.OPEN], count)
     jitter = random.normal(0.0, 0.02, count)
     events = [
-        told((f"c{1 + k % 2}", Kind(kind)), seconds=0.05 * (k + 2) + shift, sequence=k + 1)
+        report((f"c{1 + k % 2}", Kind(kind)), seconds=0.05 * (k + 2) + shift, sequence=k + 1)
         for k, (kind, shift) in enumerate(zip(kinds.tolist(), jitter.tolist(), strict=True))
     ]
     order = np.argsort(np.arange(count) + random.uniform(0, 4, count)).tolist()
@@ -450,46 +444,46 @@ def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
     assert most < 130
     end = max(each.stamp for each in events)
     stamps = list(range(end - NS_PER_S // 2, end + NS_PER_S, NS_PER_S // 10))
-    assert known(shuffled, stamps) == known(ordered, stamps)
+    assert bits(shuffled, stamps) == bits(ordered, stamps)
     assert shuffled.missing == ordered.missing == 0
 
 
-def test_numbers_that_are_forgotten_are_neither_new_nor_missing() -> None:
+def test_forgotten_sequence_numbers_are_neither_new_nor_missing() -> None:
     """Whether they come again or not."""
     numbers = SequenceNumbers()
     for k in (*range(1, 80), 81):
-        numbers.note(k, 10 * k)
+        numbers.add(k, 10 * k)
         numbers.forget_before(10)  # nothing is older
     assert len(numbers) == 80
     for k in range(82, 300):
-        numbers.note(k, 10 * k)
+        numbers.add(k, 10 * k)
         numbers.forget_before(10 * k - 100)
         assert len(numbers) < 200
-    numbers.note(2, 20)
+    numbers.add(2, 20)
     assert numbers.missing == 1
     assert numbers.gap(301) == "event 300 before it is missing"
 
 
-def test_events_of_unknown_contacts_are_not_remembered_for_ever(
+def test_numbers_of_events_with_unknown_contacts_are_forgotten(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A sensor that nobody told of the model may send as many as it likes."""
+    """A sensor of contacts that the model does not have may send any number of events."""
     monkeypatch.setattr(observer_module, "MOST_NUMBERS", 100)
     watcher = watcher_of("geometric", history=1.0, ensemble=1)
     for k in range(1, 1000):
-        (verdict,) = watcher.receive(told(("bolt", Kind.IMPACT), seconds=0.01 * k, sequence=k))
+        (verdict,) = watcher.receive(report(("bolt", Kind.IMPACT), seconds=0.01 * k, sequence=k))
         assert verdict.ruling is Ruling.UNKNOWN_CONTACT
         assert len(watcher._numbers) <= 200
     assert watcher.missing == 0
 
 
-def test_event_that_is_not_applied_makes_nothing_forgotten() -> None:
-    """However far ahead it is stamped: what came before it is known when it comes again."""
+def test_event_that_is_not_applied_does_not_shorten_the_past() -> None:
+    """However late its stamp: duplicates of earlier events are recognised."""
     watcher = watcher_of("geometric", history=100.0, ensemble=1)
-    events = [told(("c1", Kind.IMPACT), seconds=0.1 * k, sequence=k) for k in range(1, 101)]
+    events = [report(("c1", Kind.IMPACT), seconds=0.1 * k, sequence=k) for k in range(1, 101)]
     for each in (*events[:89], *events[90:]):
         watcher.receive(each)
-    watcher.receive(told(("bolt", Kind.IMPACT), seconds=1000.0, sequence=101))
+    watcher.receive(report(("bolt", Kind.IMPACT), seconds=1000.0, sequence=101))
     again = replace(events[90], stamp=events[90].stamp + 3)
     assert watcher.receive(again)[0].ruling is Ruling.DUPLICATE
     assert watcher.missing == 1
@@ -498,6 +492,6 @@ def test_event_that_is_not_applied_makes_nothing_forgotten() -> None:
 
 
 def test_page_of_events_names_everything_that_is_counted() -> None:
-    """docs/events.md tells the effect of each."""
+    """docs/events.md names every remark."""
     page = (Path(__file__).parents[2] / "docs" / "events.md").read_text()
     assert [remark.value for remark in Remark if f"`{remark.value}`" not in page] == []

@@ -1,12 +1,14 @@
 """The replica's past: events in their places, and no more of it than is needed."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Kind
 from impact_observer.observer import Belief
-from impact_observer.observer.event_order import EventKey, Interpretation
+from impact_observer.observer.event_order import EventKey
 from impact_observer.observer.synchronization import Synchronization
 from impact_observer.observer.timeline import Entry, Timeline, initial_entry
 
@@ -14,14 +16,15 @@ NONE = Synchronization(-1.0, 0.0)
 
 
 def first(stamp: int, x: float) -> Entry:
-    """The entry of a timeline's beginning."""
+    """The first entry of a timeline."""
     return initial_entry(stamp, Belief(Ensemble.of(np.array([[x]]))), NONE)
 
 
-def step(previous: Entry, event: EventKey, reading: Interpretation) -> Entry:
-    """A state that tells the whole way to it: digits of the events' stamps."""
+def update(previous: Entry, event: EventKey, neighbours: Sequence[EventKey]) -> Entry:
+    """A state whose digits are the stamps of all events before it."""
+    del neighbours
     belief = Belief(Ensemble.of(previous.belief.replicas * 10 + event.stamp))
-    return Entry(event, event.stamp, belief, NONE, (), reading.spoken)
+    return Entry(event, event.stamp, belief, NONE)
 
 
 def key(stamp: int, sequence: int = 0, contact: int = 0) -> EventKey:
@@ -31,9 +34,9 @@ def key(stamp: int, sequence: int = 0, contact: int = 0) -> EventKey:
 
 def filled(*keys: EventKey) -> Timeline:
     """A timeline from stamp 0 on with events that come in the given order."""
-    timeline = Timeline(first(0, 0.0))
+    timeline = Timeline(first(0, 0.0), update)
     for each in keys:
-        timeline.insert(each, step)
+        timeline.insert(each)
     return timeline
 
 
@@ -42,7 +45,7 @@ def states(timeline: Timeline) -> list[float]:
     return [float(entry.belief.x[0]) for entry in timeline.entries]
 
 
-def test_late_event_is_put_in_its_place_and_the_rest_done_again() -> None:
+def test_late_event_is_inserted_and_the_later_ones_are_applied_again() -> None:
     """The same states as if it had come in time."""
     assert states(filled(key(1), key(3), key(2))) == [0, 1, 12, 123]
     assert states(filled(key(3), key(2), key(1))) == states(filled(key(1), key(2), key(3)))
@@ -65,14 +68,14 @@ def test_state_at_a_stamp_is_after_all_events_of_that_stamp() -> None:
     assert timeline.at(5).key.sequence == timeline.at(9).key.sequence == 3
 
 
-def test_event_at_the_very_beginning_comes_after_the_initial_state() -> None:
+def test_event_at_the_start_comes_after_the_initial_state() -> None:
     """The initial state holds before any event of its stamp."""
     timeline = filled(key(0))
     assert [entry.key.stamp for entry in timeline.entries] == [0, 0]
     assert timeline.at(0).key.switches == ((0, Kind.IMPACT),)
 
 
-def test_known_event_is_recognised() -> None:
+def test_event_that_was_inserted_is_recognised() -> None:
     """Only the very same one."""
     timeline = filled(key(2, 1))
     assert key(2, 1) in timeline
@@ -80,64 +83,39 @@ def test_known_event_is_recognised() -> None:
     assert key(2, 1, 1) not in timeline
 
 
-def test_past_is_dropped_up_to_the_state_that_is_needed() -> None:
+def test_past_is_forgotten_up_to_the_state_that_is_needed() -> None:
     """What is asked for after the cut has the same answer as before it."""
     timeline = filled(key(1), key(2), key(4))
-    whole = [timeline.whole]
+    was_complete = [timeline.is_complete]
     timeline.forget_before(3)
     assert states(timeline) == [12, 124]
     assert timeline.start == key(2)
-    assert [*whole, timeline.whole] == [True, False]
+    assert [*was_complete, timeline.is_complete] == [True, False]
     assert timeline.at(3).belief.x[0] == 12
     timeline.forget_before(-5)
     assert states(timeline) == [12, 124]
 
 
-def test_beginning_elsewhere_does_everything_again() -> None:
-    """Events before the new beginning are gone, those after it follow the new state."""
+def test_restart_applies_the_later_events_again() -> None:
+    """Events before the new start are gone, those after it follow the new state."""
     timeline = filled(key(1), key(3), key(4))
-    timeline.begin(first(2, 5.0), step)
+    timeline.restart(first(2, 5.0))
     assert states(timeline) == [5, 53, 534]
 
 
-def test_step_that_fails_leaves_the_past_as_it_was() -> None:
+def test_update_that_fails_leaves_the_past_as_it_was() -> None:
     """The event is not in it, nor is any state changed."""
-    timeline = filled(key(1), key(3))
-    kept = states(timeline)
 
-    def failing(previous: Entry, event: EventKey, reading: Interpretation) -> Entry:
-        if event.stamp == 3:
+    def failing(previous: Entry, event: EventKey, neighbours: Sequence[EventKey]) -> Entry:
+        if event.stamp == 3 and previous.key.stamp == 2:
             raise ArithmeticError
-        return step(previous, event, reading)
+        return update(previous, event, neighbours)
 
+    timeline = Timeline(first(0, 0.0), failing)
+    timeline.insert(key(1))
+    timeline.insert(key(3))
+    kept = states(timeline)
     with pytest.raises(ArithmeticError):
-        timeline.insert(key(2), failing)
+        timeline.insert(key(2))
     assert states(timeline) == kept
     assert key(2) not in timeline
-
-
-def test_rehearsed_entry_is_the_latest_once_more_and_is_not_kept() -> None:
-    """Made from the entry before it, by one step; the timeline is what it was."""
-    timeline = filled(key(1), key(2), key(4))
-    kept, asked = [*timeline.entries], []
-
-    def counted(previous: Entry, event: EventKey, reading: Interpretation) -> Entry:
-        asked.append((previous, event))
-        return step(previous, event, reading)
-
-    made = timeline.rehearsed(counted)
-    assert made is not None
-    assert asked == [(kept[-2], key(4))]
-    assert made is not kept[-1]
-    assert (made.key, made.belief.x.tolist()) == (key(4), [124.0])
-    assert timeline.entries == kept
-
-
-def test_nothing_is_rehearsed_where_an_event_was_not_made_by_one_step_alone() -> None:
-    """Before the first one, beside another of its stamp, and of one that does nothing."""
-    stale = EventKey(4, 1, ((0, Kind.OPEN),))
-    timelines = [filled(), filled(key(2), key(2, 0, 1)), filled(key(2, 7), stale)]
-    timelines[2].forget_before(3)
-    assert [len(each.entries) for each in timelines] == [1, 3, 2]
-    assert timelines[2].entries[-1].since == 2
-    assert [each.rehearsed(step) for each in timelines] == [None, None, None]
