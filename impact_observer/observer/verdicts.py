@@ -125,9 +125,7 @@ class IssuedVerdicts:
         if added or not current:  # the usual case: the same hypothesis goes on
             return current, {}
         since = min(subject.event for subject in current)
-        return current, {
-            subject: n for subject, n in self._issued.items() if subject.event >= since
-        }
+        return current, {s: note for s, note in self._issued.items() if s.event >= since}
 
     def forget_before(self, stamp: int) -> None:
         """Drop verdicts on what lies before ``stamp`` (ns): they are final."""
@@ -151,7 +149,7 @@ def _added(before: tuple[Note, ...], now: tuple[Note, ...]) -> tuple[Note, ...]:
 
 
 def _all_notes(insertion: Insertion) -> dict[Subject, Note]:
-    """The notes after the last event; on subjects older than those, the notes after earlier ones."""
+    """The notes after the last event; on older subjects, those after the events before it."""
     found: dict[Subject, Note] = {}
     for entry in (*reversed(insertion.later), insertion.entry):
         if notes := _notes(entry):

@@ -1,4 +1,4 @@
-"""The observer's laws: what a replica does while the plant's ``chi`` is 1.
+"""The observer's laws: how a replica is corrected while the plant's ``chi`` is 1.
 
 One file a law. A law from another package is found by its entry point in the group
 ``impact_observer.laws``.

@@ -1,4 +1,4 @@
-"""Switched geometric unilateral constraints: the paper's contribution."""
+"""Switched geometric unilateral constraints: the contribution of the ENOC paper."""
 
 from functools import cache, cached_property
 from typing import ClassVar
@@ -16,36 +16,39 @@ from impact_observer.states import Matrix, Vector
 
 
 class _SingleJump:
-    """The jump at a single contact, as few products as it takes: it is on every event's path.
+    """The jump at a single contact, prepared for speed: nearly every event is one.
+
+    With the gap ``g = w^T q + q_r`` and the contact speed ``gamma = w^T u``, a state jumps to
+    ``q+ = q- - z g`` and ``u+ = u- - kick min(gamma, 0)``.
 
     Attributes:
-        gamma: contact speed of a state, shape (2n,).
         kick: velocity that is lost per speed of approach, shape (n,).
+        gamma: row that maps a state to the contact speed, shape (2n,).
     """
 
     def __init__(self, system: System, contact: int, z: Vector, kick: Vector) -> None:
-        """Of a ``contact`` whose gap is closed along ``z``, shape (n,), per metre."""
+        """Prepare ``contact``, whose gap a displacement ``-z g`` closes; ``z`` of shape (n,)."""
         n, w = system.n, system.W[:, contact]
         self.kick = kick
-        self._seen = linalg.block_diag(w, w)
-        self._rest = np.array([system.q_r[contact], 0.0])
-        self._moved = np.zeros((2 * n, 2))
-        self._moved[:n, 0], self._moved[n:, 1] = z, kick
-        self.gamma = self._seen[1]
+        self._rows = linalg.block_diag(w, w)
+        self._offset = np.array([system.q_r[contact], 0.0])
+        self._columns = np.zeros((2 * n, 2))
+        self._columns[:n, 0], self._columns[n:, 1] = z, kick
+        self.gamma = self._rows[1]
 
     def after(self, x: Vector) -> Vector:
-        """What becomes of a state, shape (2n,); one that separates keeps its velocities."""
-        lost = self._seen.dot(x)
-        lost += self._rest
-        if lost[1] > 0:
-            lost[1] = 0.0
-        after: Vector = x - self._moved.dot(lost)
+        """The state after the jump, shape (2n,); a separating one keeps its velocities."""
+        gap_and_speed = self._rows.dot(x)
+        gap_and_speed += self._offset
+        if gap_and_speed[1] > 0:
+            gap_and_speed[1] = 0.0
+        after: Vector = x - self._columns.dot(gap_and_speed)
         return after
 
     @cached_property
     def map(self) -> Matrix:
-        """What becomes of differences of states that all approach, shape (2n, 2n)."""
-        return np.asarray(np.eye(len(self._moved)) - self._moved @ self._seen)
+        """The jump of differences between approaching states, shape (2n, 2n)."""
+        return np.asarray(np.eye(len(self._columns)) - self._columns @ self._rows)
 
 
 class Geometric(ReplicaLaw):
@@ -77,12 +80,12 @@ class Geometric(ReplicaLaw):
             return self._jump(active[0]).after(x)
         n = self.system.n
         position = self._projection.position_after(x[:n], active)
-        if closed and closed != active:  # all cannot be zero: those that stay count
+        if closed and closed != active:  # where not all gaps can be zero, these are
             position = self._projection.position_after(position, closed)
         return np.concatenate([position, self._newton.velocity_held(x[n:], active, closed)])
 
     def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """The same of many replicas."""
+        """Of many replicas at once."""
         n = self.system.n
         positions = self._projection.positions_after(replicas[:, :n], active)
         if closed and closed != active:
@@ -110,13 +113,13 @@ class Geometric(ReplicaLaw):
         return self._clutches.motion(t, x, closed, fix=True)
 
     def phase(self, closed: Contacts) -> Phase | None:
-        """Free flight; clutches of different replicas hold and slip at different times."""
+        """Free flight; with closed contacts, clutches of different replicas slip at different times."""
         return None if closed else self._free
 
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """``1/2 g_A^T L^-1 g_A``, the energy of the position jump, where no impact raises V.
 
-        The plant is on the stop, so its distance from the replica loses what the jump measures.
+        The plant is on the stop, and the jump is the orthogonal projection onto it.
         """
         if len(active) == 1:
             return self._projection.strain(before[: self.system.n], active)

@@ -15,8 +15,8 @@ from impact_observer.states import Matrix, Vector
 class Kinematic(ReplicaLaw):
     """A closed contact acts as a sprag clutch: velocities jump, positions never do.
 
-    Reference [1] of the paper: Newton's impact law on the contacts with ``chi = 1``, with the
-    replica's own contact speeds, so without impulse where those separate. While ``chi`` stays 1,
+    Reference [1] of the paper: Newton's impact law on the contacts with ``chi = 1`` and the
+    replica's own contact speeds. There is no impulse where those separate. While ``chi`` stays 1,
     ``0 <= gamma _|_ lambda >= 0``.
     """
 
@@ -33,11 +33,11 @@ class Kinematic(ReplicaLaw):
         return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
 
     def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """The same of many replicas."""
+        """Of many replicas at once."""
         n = self.system.n
         velocities = self._newton.velocities_held(replicas[:, n:], active, closed)
         return np.hstack([replicas[:, :n], velocities])
 
     def phase(self, closed: Contacts) -> Phase | None:
-        """Free flight; clutches of different replicas hold and slip at different times."""
+        """Free flight; with closed contacts, clutches of different replicas slip at different times."""
         return None if closed else self._free

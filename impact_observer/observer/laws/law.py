@@ -1,4 +1,4 @@
-"""What every law is."""
+"""The interface of a law."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar
@@ -12,17 +12,18 @@ from impact_observer.states import Matrix
 
 
 class Law(ABC):
-    """How a belief follows from the events of the plant.
+    """How a belief is corrected by the events of the plant, and predicted in between.
 
-    A law that corrects every replica by itself derives from ``ReplicaLaw``, and is simpler.
+    A law that corrects each replica by itself derives from ``ReplicaLaw``, which is simpler.
 
     Attributes:
         name: what users choose it by.
-        uses_events: whether its replicas' agreement says anything: only if events correct them.
-        learns: whether it learns parameters of the model that are not known.
+        uses_events: whether events correct its replicas; only then does their agreement mean
+            anything.
+        learns: whether it estimates unknown parameters of the model.
         compiles: whether it has something to compile.
         system: what plant and replicas share.
-        uncertainty: what the user declares not to know.
+        uncertainty: as declared by the user.
     """
 
     name: ClassVar[str]
@@ -41,7 +42,7 @@ class Law(ABC):
         self.uncertainty.root(system.n)
 
     def compile(self) -> None:  # noqa: B027 (most laws have nothing to compile)
-        """Have machine code for what an event takes, where that is much faster: not here.
+        """Compile the numerics of an event to machine code; nothing unless the law ``compiles``.
 
         Raises:
             UsageError: the compiler is not installed.
@@ -49,24 +50,24 @@ class Law(ABC):
 
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
-        """What is believed before any event.
+        """The belief before any event.
 
         Args:
             replicas: states (q, u), shape (N, 2n), the estimate first.
             root: a square root of the estimate's covariance, shape (2n, 2n).
-            closed: contacts with ``chi = 1``; what holds while they are closed holds at once.
+            closed: contacts with ``chi = 1``; the belief satisfies their constraints.
 
         Raises:
             ImpactLawError: the impact law has no solution on these contacts.
         """
 
     @abstractmethod
-    def correct(self, change: ContactChange, belief: Belief) -> Belief:
-        """What is believed just after an event.
+    def correct(self, change: ContactChange, prior: Belief) -> Belief:
+        """The posterior just after an event.
 
         Args:
             change: what the plant's contacts do.
-            belief: just before it.
+            prior: the belief just before it.
 
         Raises:
             ImpactLawError: the impact law has no solution on these contacts.
@@ -74,11 +75,11 @@ class Law(ABC):
         """
 
     @abstractmethod
-    def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
-        """How ``belief`` goes on until the next event.
+    def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:
+        """The prediction until the next event.
 
         Args:
             t: s since the epoch.
-            belief: then.
-            closed: contacts with ``chi = 1`` meanwhile.
+            posterior: the belief then.
+            closed: contacts with ``chi = 1`` until the next event.
         """

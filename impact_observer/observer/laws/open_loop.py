@@ -1,4 +1,4 @@
-"""No correction at all: the yardstick of every other law."""
+"""No correction at all: the reference for every other law."""
 
 from typing import ClassVar
 
@@ -9,13 +9,13 @@ from impact_observer.states import Vector
 
 
 class OpenLoop(ReplicaLaw):
-    """The replica moves without contact and hears nothing of the plant."""
+    """The replica moves without contact and uses no events."""
 
     name: ClassVar[str] = "open-loop"
     uses_events: ClassVar[bool] = False
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
-        """The state as it was."""
+        """The same state."""
         del active, closed
         return x
 

@@ -1,4 +1,4 @@
-"""Laws that correct every replica by itself: the paper's, and whatever is built like them."""
+"""Laws that correct each replica by itself: those of the papers, and similar ones."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -20,20 +20,20 @@ from impact_observer.observer.laws.law import Law
 from impact_observer.states import Matrix, Vector
 
 _BEYOND = 1e-6
-"""Probability of an initial error beyond what a certified bound begins with."""
+"""Probability of an initial error that exceeds the initial certified bound."""
 
 
 class ReplicaLaw(Law):
     """What one replica does at an impact of the plant, and in between.
 
-    ``impact`` must be given, ``motion`` may be. The other methods serve many replicas at once,
-    and certify a bound where a law knows what each event takes away.
+    A law must define ``impact`` and may define ``motion``. The other methods make it faster for
+    many replicas, or certify a bound where the energy that each event removes is known.
     """
 
     def __init_subclass__(cls) -> None:
-        """Who jumps or moves otherwise than what it derives from knows only what it says itself.
+        """Reset what is derived from a method that ``cls`` redefines.
 
-        ``phase`` is of ``motion``, and ``energy_removed`` of ``impact``.
+        ``phase`` belongs to ``motion``, and ``energy_removed`` to ``impact``.
         """
         super().__init_subclass__()
         if "impact" in vars(cls) and "energy_removed" not in vars(cls):
@@ -68,41 +68,46 @@ class ReplicaLaw(Law):
         """
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
-        """One replica's motion until the next event: sprag clutches, unless a law says else.
+        """One replica's motion until the next event; by default closed contacts are sprag clutches.
 
-        Not asked for where all replicas move in one ``phase``.
+        Not used where all replicas move in one ``phase``.
 
         Args:
             t: s since the epoch.
             x: the replica's state (q, u), shape (2n,).
-            closed: indices of the contacts with ``chi = 1`` meanwhile, ascending.
+            closed: indices of the contacts with ``chi = 1`` until the next event, ascending.
         """
         return self._clutches.motion(t, x, closed, fix=False)
 
-    def admissible(self, x: Vector) -> Vector:
-        """Where a replica begins that is told to begin at ``x``: there, unless a law says else."""
-        return x
-
-    def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """``impact`` of many replicas, shape (N, 2n): one after the other, or all at once."""
-        after = [self.impact(x, active, closed) for x in replicas]
-        return np.reshape(after, replicas.shape)
-
     def phase(self, closed: Contacts) -> Phase | None:
-        """The one linear phase, nothing fixed, in which all replicas move; None for several."""
+        """The linear phase in which all replicas move; None where they move differently."""
         del closed
         return None
 
-    def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
-        """What an impact has surely taken away from V, whatever the plant's state is, J.
+    def admissible(self, x: Vector) -> Vector:
+        """The initial state, shape (2n,), of a replica that is given ``x``; by default ``x``."""
+        return x
 
-        None for a law, or for contacts, with which nothing is sure.
+    def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
+        """``impact`` of many replicas, shape (N, 2n)."""
+        after = [self.impact(x, active, closed) for x in replicas]
+        return np.reshape(after, replicas.shape)
+
+    def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
+        """Energy that an impact certainly removes from V, whatever the plant's state is, J.
+
+        None for laws, or contacts, for which nothing is certain.
+
+        Args:
+            before: the replica's state (q-, u-), shape (2n,).
+            after: (q+, u+), shape (2n,).
+            active: indices of the contacts with ``chi = 1`` at this instant, ascending.
         """
         del before, after, active
         return None
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
-        """The replicas in their places; the bound holds but for one start in a million."""
+        """Admissible replicas; the bound fails for one initial error in a million."""
         replicas = np.array([self.admissible(x) for x in replicas])
         if closed:
             replicas = self.impacts(replicas, closed, closed)
@@ -114,20 +119,20 @@ class ReplicaLaw(Law):
         bound = reach * max(largest, 0.0) / 2 if certified else None
         return Belief(Ensemble.of(replicas), bound=bound)
 
-    def correct(self, change: ContactChange, belief: Belief) -> Belief:
+    def correct(self, change: ContactChange, prior: Belief) -> Belief:
         """Every replica after its own impact."""
         if not change.hit:
-            return belief
-        before, active, closed = belief.ensemble, change.active, change.closed
+            return prior
+        before, active, closed = prior.ensemble, change.active, change.closed
         x = self.impact(before.x, active, closed)
         after = Ensemble(x, before.since)
         if before.others:
             after = self.impact_ensemble(before, x, active, closed)
-        bound = belief.bound
+        bound = prior.bound
         if bound is not None:
-            taken = self.energy_removed(before.x, x, active)
-            bound = None if taken is None else bound - taken
-        return self._judged(Belief(after, None, bound, belief.inconsistent))
+            removed = self.energy_removed(before.x, x, active)
+            bound = None if removed is None else bound - removed
+        return self._checked(Belief(after, None, bound, prior.inconsistent))
 
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
@@ -135,44 +140,44 @@ class ReplicaLaw(Law):
         """All replicas after their own impacts.
 
         Args:
-            before: it, at least one besides the estimate.
-            x: the estimate after it, shape (2n,), however many others there are.
+            before: the replicas, at least one besides the estimate.
+            x: the estimate after its impact, shape (2n,).
             active: contacts with ``chi = 1`` at this instant.
             closed: those with ``chi = 1`` from now on.
         """
-        others = self._others(before.replicas[1:], active, closed)
+        others = self._impacts_if_solvable(before.replicas[1:], active, closed)
         return Ensemble.of(np.concatenate([x[None], others]))
 
-    @staticmethod
-    def _judged(belief: Belief) -> Belief:
-        """``belief`` without a bound that has come below zero.
-
-        That refutes it: the model is wrong, or the start was not to be expected.
-        """
-        if belief.bound is None or belief.bound >= 0:
-            return belief
-        return belief._replace(bound=None, inconsistent=True)
-
-    def _others(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """The impacts of the other replicas; one without a solution stays apart, as it was."""
+    def _impacts_if_solvable(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
+        """``impacts``; a replica whose impact has no solution keeps its state."""
         try:
             return self.impacts(replicas, active, closed)
         except ImpactLawError:
             if len(replicas) == 1:
                 return replicas
-            each = [self._others(x[None], active, closed) for x in replicas]
+            each = [self._impacts_if_solvable(x[None], active, closed) for x in replicas]
             return np.concatenate(each)
 
-    def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
-        """The estimate by its own motion, the others beside it where all move alike."""
+    @staticmethod
+    def _checked(belief: Belief) -> Belief:
+        """``belief``; inconsistent and without bound if that has fallen below zero.
+
+        Then the model is wrong, or the initial error larger than declared.
+        """
+        if belief.bound is None or belief.bound >= 0:
+            return belief
+        return belief._replace(bound=None, inconsistent=True)
+
+    def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:
+        """Each replica by its own motion, or all in one phase."""
         if (phase := self.phase(closed)) is not None:
-            return _Together(phase.start(t, belief.x), belief, phase)
-        first = self.motion(t, belief.x, closed)
-        others = belief.replicas[1:] if belief.ensemble.others else ()
-        return _Apart([first, *(self.motion(t, x, closed) for x in others)], belief)
+            return _CommonPhase(phase.start(t, posterior.x), posterior, phase)
+        first = self.motion(t, posterior.x, closed)
+        others = posterior.replicas[1:] if posterior.ensemble.others else ()
+        return _OwnMotions([first, *(self.motion(t, x, closed) for x in others)], posterior)
 
 
-class _Apart(Prediction):
+class _OwnMotions(Prediction):
     """Every replica by its own motion."""
 
     is_plain: ClassVar[bool] = True
@@ -193,8 +198,8 @@ class _Apart(Prediction):
         return Belief(Ensemble.of(replicas), None, belief.bound, belief.inconsistent)
 
 
-class _Together(Prediction):
-    """Differences of replicas in one linear phase: one matrix for all of them."""
+class _CommonPhase(Prediction):
+    """All replicas in one linear phase: their differences share one transition matrix."""
 
     is_plain: ClassVar[bool] = True
 

@@ -1,4 +1,4 @@
-"""Geometric constraints, and what else is known of every plant: no gap is ever negative."""
+"""Geometric constraints, and those that hold for every plant: no gap is ever negative."""
 
 from typing import ClassVar
 
@@ -39,19 +39,19 @@ class Unilateral(Geometric):
         self._unilateral = self._sweeping.projection
 
     def admissible(self, x: Vector) -> Vector:
-        """The nearest state with no gap negative."""
-        return self._on(x, ())
+        """The nearest state without a negative gap."""
+        return self._projected(x, ())
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``q+`` by the joint projection, ``u+`` by Newton's law."""
         n = self.system.n
-        x = self._on(x, active)
-        if closed != active:  # gaps that cannot all be zero are told: those that stay count
-            x = self._on(x, closed)
+        x = self._projected(x, active)
+        if closed != active:  # where not all gaps can be zero, those of ``closed`` are
+            x = self._projected(x, closed)
         return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
 
     def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """One after the other: each has its own stops."""
+        """One after the other: replicas reach their stops at different times."""
         return ReplicaLaw.impacts(self, replicas, active, closed)
 
     def impact_ensemble(
@@ -65,45 +65,45 @@ class Unilateral(Geometric):
         return self._sweeping.motion(t, x, closed)
 
     def phase(self, closed: Contacts) -> Phase | None:
-        """None: the stops of different replicas hold at different times."""
+        """None: replicas reach their stops at different times."""
         del closed
         return None
 
-    def correct(self, change: ContactChange, belief: Belief) -> Belief:
-        """Every replica after its own impact, or where opening contacts let it go."""
+    def correct(self, change: ContactChange, prior: Belief) -> Belief:
+        """Every replica after its own impact, or projected where contacts open."""
         if change.hit:
             alone = change.hit if len(change.hit) == 1 else ()
-            return super().correct(change, self._told(belief, (*change.before, *alone)))
+            return super().correct(change, self._approaching(prior, (*change.before, *alone)))
         if self._unilateral.is_possible(change.before):
-            return super().correct(change, belief)
-        replicas = [self._on(x, change.closed) for x in belief.replicas]
-        return belief._replace(ensemble=Ensemble.of(np.array(replicas)))
+            return super().correct(change, prior)
+        replicas = [self._projected(x, change.closed) for x in prior.replicas]
+        return prior._replace(ensemble=Ensemble.of(np.array(replicas)))
 
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
-        """As with geometric, where the contacts can be closed at all."""
+        """As with geometric, where all the contacts can be closed at once."""
         return (
             self.energy_of_jump(before, after, active)
             if self._unilateral.is_possible(active)
             else None
         )
 
-    def _told(self, belief: Belief, contacts: Contacts) -> Belief:
-        """No replica separates at ``contacts`` any more; the bound loses what that takes."""
+    def _approaching(self, belief: Belief, contacts: Contacts) -> Belief:
+        """No replica separates at ``contacts``; the bound falls by the energy which that removes."""
         n = self.system.n
         replicas = belief.replicas
         for x in replicas:
-            x[n:] = self._closing(x[n:], tuple(sorted({*contacts})))
+            x[n:] = self._nearest_approaching(x[n:], tuple(sorted({*contacts})))
         u = replicas[0, n:] - belief.x[n:]
-        taken = float(u @ self.system.M @ u) / 2
-        bound = None if belief.bound is None else belief.bound - taken
-        return self._judged(belief._replace(ensemble=Ensemble.of(replicas), bound=bound))
+        removed = float(u @ self.system.M @ u) / 2
+        bound = None if belief.bound is None else belief.bound - removed
+        return self._checked(belief._replace(ensemble=Ensemble.of(replicas), bound=bound))
 
-    def _on(self, x: Vector, active: Contacts) -> Vector:
+    def _projected(self, x: Vector, active: Contacts) -> Vector:
         """The nearest state with ``g = 0`` on ``active`` and no gap negative."""
         n = self.system.n
         return np.concatenate([self._unilateral.position_after(x[:n], active), x[n:]])
 
-    def _closing(self, u: Vector, active: Contacts) -> Vector:
+    def _nearest_approaching(self, u: Vector, active: Contacts) -> Vector:
         """The nearest velocities, shape (n,), with which no ``active`` contact separates."""
         contacts = list(active)
         gamma = self.system.W[:, contacts].T @ u
@@ -112,6 +112,6 @@ class Unilateral(Geometric):
         phases = self._clutches.phases
         B = phases.B[:, contacts]
         impulses = complementary(B, -gamma)
-        if impulses is None:  # contacts that depend on each other, and rounding
+        if impulses is None:  # dependent contacts, and rounding
             return u
         return np.asarray(u - phases.unwhite(B @ impulses))
