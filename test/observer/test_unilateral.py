@@ -85,7 +85,7 @@ def test_impact_leaves_no_contact_separating_before_newtons_law(data: st.DataObj
     u = data.draw(vectors(model.n))
     active = tuple(sorted(data.draw(st.sets(st.integers(0, model.m - 1), min_size=1))))
     W = model.W[:, list(active)]
-    found = Unilateral(model)._closing(u, active)
+    found = Unilateral(model)._nearest_approaching(u, active)
     size = 1 + float(np.max(np.abs(u)))
     assert np.max(W.T @ found) <= 1e-8 * size
     push = model.M @ (u - found)  # = W P with P >= 0, and P gamma = 0

@@ -96,7 +96,7 @@ class Geometric(ReplicaLaw):
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
     ) -> Ensemble:
-        """At a single contact one map acts on all that approach; the others keep their speeds."""
+        """At a single contact one map for those that approach; the others keep their speeds."""
         if len(active) > 1 or closed:
             return super().impact_ensemble(before, x, active, closed)
         jump = self._jump(active[0])
@@ -113,7 +113,7 @@ class Geometric(ReplicaLaw):
         return self._clutches.motion(t, x, closed, fix=True)
 
     def phase(self, closed: Contacts) -> Phase | None:
-        """Free flight; with closed contacts, clutches of different replicas slip at different times."""
+        """Free flight; None while contacts are closed: clutches slip at different times."""
         return None if closed else self._free
 
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:

@@ -39,5 +39,5 @@ class Kinematic(ReplicaLaw):
         return np.hstack([replicas[:, :n], velocities])
 
     def phase(self, closed: Contacts) -> Phase | None:
-        """Free flight; with closed contacts, clutches of different replicas slip at different times."""
+        """Free flight; None while contacts are closed: clutches slip at different times."""
         return None if closed else self._free

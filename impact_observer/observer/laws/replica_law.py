@@ -68,7 +68,7 @@ class ReplicaLaw(Law):
         """
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
-        """One replica's motion until the next event; by default closed contacts are sprag clutches.
+        """One replica's motion until the next event; by default contacts close as sprag clutches.
 
         Not used where all replicas move in one ``phase``.
 

@@ -19,15 +19,15 @@ from impact_observer.states import Matrix, Vector
 
 
 class Unilateral(Geometric):
-    """Geometric, with two facts about the plant that cost no sensor.
+    """Geometric, with two facts about the plant that need no sensor.
 
-    Its gaps are never negative: at an event one joint K-projection puts the replica onto
-    ``{g_A = 0, g >= 0}``, its initial state onto ``{g >= 0}``, and in between a gap that would
-    turn negative is held at zero (``dynamics/contact/sweeping.py``). And a contact that impacts
-    alone is not separating, nor is one that was closed: ``u-`` goes M-orthogonally onto
-    ``{gamma <= 0}`` before Newton's law. The plant is in all of these convex sets, and a
-    projection onto them brings the replica closer. Where several contacts hit at once one of them
-    may be separating: thrown back by an impact before, at the same instant.
+    The plant's gaps are never negative. An event projects the replica onto ``{g_A = 0, g >= 0}``
+    jointly, in the metric of K; the initial state is projected onto ``{g >= 0}``; and in between a
+    gap that would turn negative is held at zero (``dynamics.contact.sweeping``). A contact that
+    impacts alone is not separating, nor is one that was closed. So ``u-`` is projected onto
+    ``{gamma <= 0}``, in the metric of M, before Newton's law. The plant is in all of these convex
+    sets, so each projection brings the replica closer. Where several contacts hit at once, one of
+    them may separate: an impact before it, at the same instant, may have thrown it back.
     """
 
     name: ClassVar[str] = "unilateral"
@@ -88,7 +88,7 @@ class Unilateral(Geometric):
         )
 
     def _approaching(self, belief: Belief, contacts: Contacts) -> Belief:
-        """No replica separates at ``contacts``; the bound falls by the energy which that removes."""
+        """No replica separates at ``contacts``; the bound falls by the energy removed."""
         n = self.system.n
         replicas = belief.replicas
         for x in replicas:
