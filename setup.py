@@ -59,11 +59,11 @@ setup(
     entry_points={
         "console_scripts": [
             "impact-observer = impact_observer.cli.main:main",
-            "plant = impact_observer.ros.plant:main",
-            "detector = impact_observer.ros.detector:main",
-            "observer = impact_observer.ros.observer:main",
-            "monitor = impact_observer.ros.monitor:main",
-            "viewer = impact_observer.ros.viewer:main",
+            "plant = impact_observer.ros.entry:plant",
+            "detector = impact_observer.ros.entry:detector",
+            "observer = impact_observer.ros.entry:observer",
+            "monitor = impact_observer.ros.entry:monitor",
+            "viewer = impact_observer.ros.entry:viewer",
         ],
     },
 )

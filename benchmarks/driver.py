@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from impact_observer_msgs.msg import ImpactEvent, ObserverState
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
@@ -14,7 +15,6 @@ from benchmarks.harness import DisagreementError
 from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Switch
 from impact_observer.io.interfaces import EVENTS, STATES
-from impact_observer.ros.executor import DirectExecutor
 from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.qos import qos_profile
 from impact_observer.stamps import NS_PER_S
@@ -41,7 +41,7 @@ class Driver:
         # The joint states have a subscriber too, which nobody asks for what it has heard.
         self._beside = Node("beside", context=context)
         self._late = late
-        self._executor = DirectExecutor(context=context)
+        self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self._node)
         self._impacts = self._node.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
         state, joints = "observer/state", "observer/joint_states"

@@ -29,7 +29,6 @@ from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Switch
 from impact_observer.io.interfaces import EVENTS
 from impact_observer.observer import law_names
-from impact_observer.ros.executor import DirectExecutor
 from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_node import ObserverNode
 from impact_observer.ros.qos import qos_profile
@@ -52,7 +51,7 @@ class Rig:
         """Make the node."""
         self._node = ObserverNode()
         self._probe = Node("probe", use_global_arguments=False)
-        self._executor: SingleThreadedExecutor = DirectExecutor()
+        self._executor = SingleThreadedExecutor()
         for node in (self._node, self._probe):
             self._executor.add_node(node)
         quality = qos_profile(EVENTS)

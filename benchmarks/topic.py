@@ -29,8 +29,16 @@ LATE = 2_000_000
 PATIENCE = 10.0
 """How long a node may take to end, s."""
 ECHO = "echo in rclpy"
-_OURS = ("impact_observer.ros.observer", "-p", "model:=two_mass", "-p", f"rate:={RATE}")
-_ECHO = ("benchmarks.echo_node", "-p", f"rate:={RATE}")
+_OURS = (
+    "impact_observer.ros.entry",
+    "observer",
+    "--ros-args",
+    "-p",
+    "model:=two_mass",
+    "-p",
+    f"rate:={RATE}",
+)
+_ECHO = ("benchmarks.echo_node", "--ros-args", "-p", f"rate:={RATE}")
 
 
 def prepare(_: Path) -> Contest:
@@ -63,9 +71,8 @@ def take_domain() -> Iterator[None]:
 @contextmanager
 def _running(command: tuple[str, ...]) -> Iterator[None]:
     """A node as a process, with one thread for small matrices."""
-    module, *arguments = command
     process = subprocess.Popen(
-        [sys.executable, "-m", module, "--ros-args", *arguments, "--log-level", "error"],
+        [sys.executable, "-m", *command, "--log-level", "error"],
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
         stdin=subprocess.DEVNULL,
     )

@@ -11,6 +11,7 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
+ENTRY = "impact_observer.ros.entry"
 PATIENCE = 30.0
 """How long a process may take to do what a test waits for, s."""
 
@@ -47,10 +48,17 @@ def running(
         process.communicate()
 
 
-def refusal(module: str, arguments: list[str], environment: Mapping[str, str]) -> str:
-    """The one line that a process says that ends with exit code 2."""
+def running_node(
+    name: str, arguments: list[str], environment: Mapping[str, str]
+) -> contextlib.AbstractContextManager["subprocess.Popen[str]"]:
+    """The node called ``name`` in ``ros/entry.py`` as a process, killed at the end."""
+    return running(ENTRY, [name, *arguments], environment)
+
+
+def refusal(name: str, arguments: list[str], environment: Mapping[str, str]) -> str:
+    """The line that a node prints which refuses its arguments with exit code 2."""
     done = subprocess.run(
-        [sys.executable, "-m", module, *arguments],
+        [sys.executable, "-m", ENTRY, name, *arguments],
         env=dict(environment),
         capture_output=True,
         text=True,

@@ -229,7 +229,7 @@ def test_a_played_bag_makes_the_node_converge_as_it_did(
     """The node, fed by ``play`` with /clock, ends bit for bit where ``observe`` ends."""
     pytest.importorskip("impact_observer_msgs")
     from impact_observer_msgs.msg import ObserverState
-    from processes import ros_arguments, running, spinning
+    from processes import ros_arguments, running, running_node, spinning
     from sensor_msgs.msg import JointState
 
     from impact_observer.io.interfaces import Quality
@@ -242,9 +242,9 @@ def test_a_played_bag_makes_the_node_converge_as_it_did(
         offline = reader.observer_states("/observer/state")
     where = {stamp: i for i, stamp in enumerate(offline.stamps.tolist())}
     parameters = {"model": "two_mass", "use_sim_time": True, "initial_state": "'random:1'"}
-    node = ("impact_observer.ros.observer", ros_arguments(parameters), ros_environment)
+    node = ("observer", ros_arguments(parameters), ros_environment)
     heard: list[ObserverState] = []
-    with running(*node), spinning() as spinner:
+    with running_node(*node), spinning() as spinner:
         spinner.probe.create_subscription(
             ObserverState, "observer/state", heard.append, qos_profile(Quality(depth=1000))
         )

@@ -125,7 +125,7 @@ def demo_nodes(duration: float) -> list[Started]:
     setting = Setting("three_mass", LAWS, "random:7", duration, 4.0, 200.0, EPOCH)
     nodes = (*observers(setting), *monitors(setting), plant(setting, recorders=1))
     commands = [demonstration._arguments(node) for node in nodes]
-    return [started(module.rpartition(".")[2], rest) for module, *rest in commands]
+    return [started(name, rest) for _, name, *rest in commands]
 
 
 def by_name(node: Started) -> str:
@@ -167,11 +167,13 @@ def test_parameter_file_holds_the_whole_table_at_its_defaults(path: Path) -> Non
 @pytest.mark.parametrize("path", PARAMETER_FILES, ids=lambda path: path.name)
 def test_node_accepts_its_parameter_file(path: Path, ros_environment: dict[str, str]) -> None:
     """A node of another name comes up with it, and misses and mistrusts nothing."""
-    from processes import interrupt, running, spinning
+    from processes import interrupt, running_node, spinning
 
     arguments = ["--ros-args", "--params-file", str(path), "-r", "__node:=mine"]
-    module = f"impact_observer.ros.{path.stem}"
-    with spinning() as spinner, running(module, arguments, ros_environment) as process:
+    with (
+        spinning() as spinner,
+        running_node(path.stem, arguments, ros_environment) as process,
+    ):
         spinner.until(lambda: process.poll() is not None or seen(spinner.probe, "mine"))
         code, errors = interrupt(process)
     assert code == 0, errors

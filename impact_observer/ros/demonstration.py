@@ -266,7 +266,7 @@ def _check(name: str, process: "subprocess.Popen[bytes]", logs: Path) -> None:
 
 def _arguments(node: Started) -> list[str]:
     """For ``python -m``; strings are quoted, as YAML would read some of them otherwise."""
-    arguments = [f"impact_observer.ros.{node.executable}", "--ros-args"]
+    arguments = ["impact_observer.ros.entry", node.executable, "--ros-args"]
     arguments += ["-r", f"__node:={node.name}"]
     for name, value in node.parameters.items():
         arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]

@@ -15,7 +15,7 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.ros import parameters
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import qos_profile
-from impact_observer.ros.subscribing import Info, common_offer, waiting
+from impact_observer.ros.subscribing import MessageInfo, common_offer, waiting_messages
 from impact_observer.stamps import text
 
 _LOOK = 0.1
@@ -109,7 +109,7 @@ class DetectorNode(Node):
         kinds = {self._detector.sources[index].kind for index in self._indices[topic]}
         return SWITCH in kinds and not self.get_clock().ros_time_is_active
 
-    def _on_message(self, topic: str, message: object, info: Info) -> None:
+    def _on_message(self, topic: str, message: object, info: MessageInfo) -> None:
         """Hear a message that the executor brings, and at once those that wait behind it.
 
         Under simulated time they wait for the clock's next tick, which stamps them.
@@ -117,10 +117,10 @@ class DetectorNode(Node):
         self._hear(topic, message, info)
         if self.get_clock().ros_time_is_active:
             return
-        for behind, its_info in waiting(self._subscriptions_by_topic[topic], _BURST):
+        for behind, its_info in waiting_messages(self._subscriptions_by_topic[topic], _BURST):
             self._hear(topic, behind, its_info)
 
-    def _hear(self, topic: str, message: object, info: Info) -> None:
+    def _hear(self, topic: str, message: object, info: MessageInfo) -> None:
         """Detect, unless simulated time has not begun."""
         arrival = self._now()
         if not self.get_clock().ros_time_is_active:

@@ -1,17 +1,23 @@
-"""ROS message classes by type name, and our values as ROS messages."""
+"""ROS message classes by type name, and conversions that need them."""
 
 from array import array
 from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, cast
 
+from rclpy.serialization import deserialize_message
+
 from impact_observer.errors import UsageError
+from impact_observer.events import ImpactEvent
+from impact_observer.io.interfaces import IMPACT_EVENT
 from impact_observer.io.messages import (
+    EventMessage,
     JointState,
     JointStateMessage,
     MessageClass,
     MessageError,
     Messages,
+    read_event,
     read_joint_state,
 )
 from impact_observer.states import Vector
@@ -39,19 +45,32 @@ def message_class(type_name: str) -> MessageClass:
 
 @cache
 def ros_messages() -> Messages:
-    """Messages of the classes of ROS, to be published."""
+    """Makes messages of the classes of ROS."""
     return Messages(message_class, _floats)
 
 
-def state_of(
+def read_impact(data: bytes) -> ImpactEvent:
+    """The event in a serialized ``impact_observer_msgs/ImpactEvent``.
+
+    Raises:
+        MessageError: the bytes are no such message, or have invalid values.
+    """
+    try:
+        message = deserialize_message(data, message_class(IMPACT_EVENT))
+    except RuntimeError:  # rclpy's own class has no public name
+        raise MessageError(f"{len(data)} bytes that are no {IMPACT_EVENT}; left out") from None
+    return read_event(cast("EventMessage", message))
+
+
+def read_state(
     node: "Node", topic: str, message: JointStateMessage, names: tuple[str, ...]
 ) -> JointState | None:
-    """The state in a message, its columns in the order of ``names``.
+    """The state in a message, with its columns in the order of ``names``.
 
     Args:
-        node: says in a line what is wrong with a message that has none, or other columns.
-        topic: where it came.
-        message: says a state.
+        node: logs an error where the message has no state, or other coordinates.
+        topic: the message's topic.
+        message: a joint state.
         names: the coordinates of the node's model.
     """
     try:
@@ -62,7 +81,7 @@ def state_of(
 
 
 def _floats(values: Vector) -> "array[float]":
-    """What ROS classes take for a ``float64[]`` without looking at each number."""
+    """The numbers as ROS classes take them for a ``float64[]`` without checking each."""
     numbers = array("d")
     numbers.frombytes(values.tobytes())
     return numbers

@@ -11,7 +11,7 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import EstimateError, JointState, JointStateMessage
 from impact_observer.model import read_model
 from impact_observer.ros import parameters
-from impact_observer.ros.message_classes import message_class, ros_messages, state_of
+from impact_observer.ros.message_classes import message_class, read_state, ros_messages
 from impact_observer.ros.qos import qos_profile
 
 _MEMORY = 2000
@@ -41,7 +41,7 @@ class MonitorNode(Node):
         self._law = values.text("law") or estimates.topic_name.rpartition("/")[0].lstrip("/")
 
     def _on_truth(self, message: JointStateMessage) -> None:
-        state = state_of(self, "plant/joint_states", message, self._system.coordinates)
+        state = read_state(self, "plant/joint_states", message, self._system.coordinates)
         if state is None:
             return
         _keep(self._truth, state)
@@ -51,7 +51,7 @@ class MonitorNode(Node):
 
     def _on_estimate(self, message: JointStateMessage) -> None:
         """An estimate may come twice: the second time corrected by an event that was late."""
-        state = state_of(self, "observer/joint_states", message, self._system.coordinates)
+        state = read_state(self, "observer/joint_states", message, self._system.coordinates)
         if state is None:
             return
         truth = self._truth.get(state.stamp)

@@ -5,8 +5,10 @@ import faulthandler
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from importlib import import_module
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from impact_observer.errors import ImpactObserverError, UsageError
@@ -16,24 +18,24 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 FOLLOW = "IMPACT_OBSERVER_FOLLOW"
-"""Environment variable with the process whose end, however it comes, is to be this one's too."""
+"""Environment variable with the id of a parent process; this process ends when the parent does."""
 _PR_SET_PDEATHSIG = 1
-_LAST_RESORT = 5.0
+_SHUTDOWN_TIMEOUT = 5.0
 """How long the middleware may take to shut down before the process ends without it, s."""
-_PATIENCE = 0.1
-"""How long a signal may wait to be noticed, s."""
+_SIGNAL_PERIOD = 0.1
+"""Longest time until a signal is noticed, s."""
 
 
 def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None = None) -> int:
     """Spin a node until Ctrl-C, SIGTERM, its own end or an error.
 
-    Signals are noted before anything heavy is imported: one that comes early ends the process
-    as quietly as a late one.
+    Signals are handled from before the heavy imports on, so that an early one ends the process
+    without a traceback too.
 
     Args:
-        name: what errors call the process.
-        module: where the node's class is.
-        node_class: the class; an attribute ``done`` of its instance ends it.
+        name: the process's name in error lines.
+        module: the module of the node's class.
+        node_class: the class; when an instance's attribute ``done`` becomes true, it ends.
         args: the process's arguments with ``--ros-args``; None for ``sys.argv``.
 
     Returns:
@@ -41,45 +43,50 @@ def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None
     """
     try:
         with Stop() as stop:
-            _follow(os.environ.get(FOLLOW))
+            _end_with_parent(os.environ.get(FOLLOW))
             require_ros()
-            _spin(stop, module, node_class, args)
+            _spin(stop, module, node_class, sys.argv[1:] if args is None else args)
     except ImpactObserverError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return error.exit_code
     return 0
 
 
-def _follow(process: str | None) -> None:
-    """Be terminated when ``process``, if it is the parent, dies (Linux)."""
+def _end_with_parent(process: str | None) -> None:
+    """Have the kernel send SIGTERM when ``process``, if it is the parent, ends (Linux)."""
     if process == str(os.getppid()):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str] | None) -> None:
+def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None:
+    # EventsExecutor takes half the processor time, but in rclpy 7.1.6 an event of the
+    # middleware (incompatible quality of service) ends its spinning with a SystemError.
     import rclpy
-    from rclpy.executors import ExternalShutdownException
-
-    from impact_observer.ros.executor import DirectExecutor
+    from rclpy.clock import Clock, ClockType
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     # Before numpy is imported: threads for small matrices only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     make = getattr(import_module(module), node_class)
     node = executor = None
     try:
-        node = _started(make, args)
-        executor = DirectExecutor()
+        node = _make_node(make, args)
+        # Returning from spin_once lets Python handle signals. A timeout would do the same, but
+        # the executor makes a new timer for each.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        node.create_timer(_SIGNAL_PERIOD, lambda: None, clock=steady)
+        executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and not stop.requested and not getattr(node, "done", False):
-            executor.spin_once(timeout_sec=_PATIENCE)
+            executor.spin_once()
     except ExternalShutdownException:
         return
     except KeyboardInterrupt:
         if node is not None:
             raise
     finally:
-        # Seen once in some fifty ends, when many nodes left at once: Fast DDS never came back.
-        faulthandler.dump_traceback_later(_LAST_RESORT, exit=True)
+        # Fast DDS was once seen to hang when many nodes left at the same time.
+        faulthandler.dump_traceback_later(_SHUTDOWN_TIMEOUT, exit=True)
         if executor is not None:
             executor.shutdown()
         if node is not None:
@@ -88,34 +95,52 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str] | None) 
         faulthandler.cancel_dump_traceback_later()
 
 
-def _started(make: "type[Node]", args: Sequence[str] | None) -> "Node":
-    """The node, or one line about the arguments that ROS cannot read.
+def _make_node(make: "type[Node]", args: Sequence[str]) -> "Node":
+    """The node; what ROS cannot read of its arguments is an error of one line.
 
     Raises:
-        UsageError: after ``--ros-args`` stands something that is no argument of ROS.
+        UsageError: ``--ros-args`` is followed by something that ROS does not accept.
     """
     import rclpy
     from rclpy.exceptions import ParameterException
-    from rclpy.impl.implementation_singleton import rclpy_implementation
     from rclpy.signals import SignalHandlerOptions
 
     try:
-        rclpy.init(
-            args=None if args is None else list(args),
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
+        rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
         node = make()
-    except (rclpy_implementation.RCLError, rclpy_implementation.UnknownROSArgsError) as error:
-        raise UsageError(f"--ros-args: not understood: {str(error).splitlines()[0]}") from None
     except ParameterException as error:
         raise UsageError(f"parameters: {' '.join(str(error).split())}") from None
-    _warn_of_unknown_parameters(node)
+    except RuntimeError as error:
+        # The classes that rclpy raises here have no public names.
+        if type(error).__module__.partition(".")[0] != rclpy.__name__:
+            raise
+        raise UsageError(f"--ros-args: not understood: {str(error).splitlines()[0]}") from None
+    _warn_of_unknown_parameters(node, args)
     return node
 
 
-def _warn_of_unknown_parameters(node: "Node") -> None:
-    """A misspelt parameter is ignored by ROS; say so."""
-    for name in getattr(node, "_parameter_overrides", {}):
+def _warn_of_unknown_parameters(node: "Node", args: Sequence[str]) -> None:
+    """Warn of misspelt parameters, which ROS ignores."""
+    for name in dict.fromkeys(_given_parameters(node, args)):
         if not node.has_parameter(name) and not name.startswith("qos_overrides."):
             known = ", ".join(sorted(node.get_parameters_by_prefix("")))
             node.get_logger().warning(f"parameter {name} is not known; known are {known}")
+
+
+def _given_parameters(node: "Node", args: Sequence[str]) -> Iterator[str]:
+    """Names of the parameters that the arguments give to ``node``.
+
+    Read here because rclpy publishes only those that a node has declared.
+    """
+    from rclpy.parameter import parameter_dict_from_yaml_file
+
+    for option, value in pairwise(args):
+        if option in {"-p", "--param"}:
+            target, _, name = value.partition(":=")[0].rpartition(":")
+            if target in {"", node.get_name()}:
+                yield name
+        elif option == "--params-file":
+            full = node.get_fully_qualified_name()
+            for target in ("/**", full, full.lstrip("/")):
+                with suppress(RuntimeError):  # the file has no parameters for that target
+                    yield from parameter_dict_from_yaml_file(value, target_nodes=[target])

@@ -1,4 +1,4 @@
-"""Subscribing to what the publishers of a topic offer, and taking all that has come at once."""
+"""Subscribing with the quality of service that publishers offer, and reading bursts."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
@@ -13,8 +13,8 @@ from impact_observer.io.interfaces import Quality, usual_quality
 from impact_observer.io.messages import MessageClass
 from impact_observer.ros.qos import offered_quality, qos_profile
 
-Info: TypeAlias = Mapping[str, int]
-"""What the middleware says of a message: its ``source_timestamp`` among other things, ns."""
+MessageInfo: TypeAlias = Mapping[str, int]
+"""What the middleware adds to a message: its ``source_timestamp`` among other things, ns."""
 
 
 def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality:
@@ -23,16 +23,14 @@ def common_offer(topic: str, publishers: Iterable[TopicEndpointInfo]) -> Quality
     return Quality.common(offered_quality(each.qos_profile, depth) for each in publishers)
 
 
-def waiting(
-    subscription: Subscription, most: int, *, raw: bool = False
-) -> Iterator[tuple[Any, Info]]:
-    """Messages that have come already, ``most`` of them at most; bytes where ``raw``.
+def waiting_messages(subscription: Subscription, most: int) -> Iterator[tuple[Any, MessageInfo]]:
+    """Messages that have arrived already, ``most`` of them at most; bytes where it is raw.
 
-    The executor's own work for a message is several times that of taking it, so that a burst
-    would run ahead of it: a callback that has one takes those that wait behind it too.
+    The executor takes several times longer for a message than this, so that a burst could
+    arrive faster than it is read.
     """
     with subscription.handle:
-        take = partial(subscription.handle.take_message, subscription.msg_type, raw)
+        take = partial(subscription.handle.take_message, subscription.msg_type, subscription.raw)
         yield from islice(iter(take, None), most)
 
 
@@ -41,22 +39,22 @@ def subscribe_raw(
     topic: str,
     message_type: MessageClass,
     quality: Quality,
-    hear: Callable[[str, bytes], None],
+    on_message: Callable[[str, bytes], None],
 ) -> Subscription:
-    """Hand each message of a topic to ``hear``, as serialized.
+    """Hand each message of a topic to ``on_message``, as serialized.
 
     Args:
         node: the caller spins it.
         topic: the absolute name.
         message_type: its class.
-        quality: what to ask for; the depth is how far the topic may be ahead of us.
-        hear: told the topic and the bytes.
+        quality: what to ask for; the depth is how many messages may wait.
+        on_message: called with the topic and the bytes.
     """
 
     def take(data: bytes) -> None:
-        hear(topic, data)
-        for behind, _ in waiting(subscription, quality.depth, raw=True):
-            hear(topic, behind)
+        on_message(topic, data)
+        for waiting, _ in waiting_messages(subscription, quality.depth):
+            on_message(topic, waiting)
 
     subscription = node.create_subscription(
         message_type, topic, take, qos_profile(quality), raw=True

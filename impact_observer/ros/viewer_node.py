@@ -19,7 +19,7 @@ from impact_observer.io.messages import (
 from impact_observer.model import read_model
 from impact_observer.ros import parameters
 from impact_observer.ros.markers import ESTIMATE, PLANT, MarkerRow, Painter
-from impact_observer.ros.message_classes import message_class, ros_messages, state_of
+from impact_observer.ros.message_classes import message_class, read_state, ros_messages
 from impact_observer.ros.qos import qos_profile
 from impact_observer.stamps import NS_PER_S
 
@@ -74,7 +74,7 @@ class ViewerNode(Node):
 
     def _on_state(self, name: str, message: JointStateMessage) -> None:
         """Remember the last state that came."""
-        state = state_of(self, f"{name}/joint_states", message, self._system.coordinates)
+        state = read_state(self, f"{name}/joint_states", message, self._system.coordinates)
         if state is None:
             return
         if name == PLANT_ROW and name in self._states and state.stamp < self._states[name].stamp:

@@ -13,7 +13,7 @@ pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import ImpactEvent
-from processes import PATIENCE, Spinner, interrupt, refusal, ros_arguments, running, spinning
+from processes import PATIENCE, Spinner, interrupt, refusal, ros_arguments, running_node, spinning
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
@@ -300,7 +300,7 @@ def test_a_bag_that_is_played_gives_the_events_that_detect_finds(
     heard: list[Event] = []
     arguments = ros_arguments({"sources": sources, "use_sim_time": True})
     with (
-        running("impact_observer.ros.detector", arguments, ros_environment) as process,
+        running_node("detector", arguments, ros_environment) as process,
         spinning() as spinner,
     ):
         spinner.probe.create_subscription(
@@ -346,7 +346,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
 ) -> None:
     """It names the parameter, what was found and what is expected."""
     arguments = ros_arguments(given)
-    assert expected in refusal("impact_observer.ros.detector", arguments, ros_environment)
+    assert expected in refusal("detector", arguments, ros_environment)
 
 
 def test_a_topic_that_is_not_what_was_declared_ends_the_node(
@@ -358,7 +358,7 @@ def test_a_topic_that_is_not_what_was_declared_ends_the_node(
     arguments = ros_arguments({"sources": sources})
     with (
         spinning() as spinner,
-        running("impact_observer.ros.detector", arguments, ros_environment) as process,
+        running_node("detector", arguments, ros_environment) as process,
     ):
         spinner.probe.create_publisher(Float64, "force", qos_profile(STATES))
         spinner.until(lambda: process.poll() is not None)

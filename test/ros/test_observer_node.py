@@ -17,7 +17,7 @@ pytest.importorskip("impact_observer_msgs")
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
 from impact_observer_msgs.srv import SetState
-from processes import Spinner, ros_arguments, running, spinning
+from processes import Spinner, ros_arguments, running_node, spinning
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
@@ -533,7 +533,7 @@ def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str
     """Checked on the ROS graph: no ground truth goes into the observer."""
     arguments = ros_arguments({"model": "two_mass", "use_sim_time": True})
     with (
-        running("impact_observer.ros.observer", arguments, ros_environment),
+        running_node("observer", arguments, ros_environment),
         spinning() as spinner,
     ):
         probe = spinner.probe
@@ -567,95 +567,6 @@ def test_events_that_contradict_what_was_declared_are_a_warning(
         values = {each.key: each.value for each in last.values}
         assert values["certified bound of V [J]"] == "refuted"
         assert values["synchronized"] == "False"
-
-
-def rehearsals(
-    monkeypatch: pytest.MonkeyPatch, took: int, **parameters: object
-) -> list[tuple[int, int]]:
-    """When a node rehearses that ticks for a second at 1 kHz, and until when, ns of its clock.
-
-    Args:
-        monkeypatch: gives it a clock on which nothing but a rehearsal takes time.
-        took: how long that is, ns.
-        parameters: of the node.
-    """
-    clock, found = [0], list[tuple[int, int]]()
-
-    def rehearse() -> None:
-        found.append((clock[0], clock[0] + took))
-        clock[0] += took
-
-    told = {"use_sim_time": False, "epoch": time.time_ns(), "rate": 1000.0}
-    given = {**PARAMETERS, **told, **parameters}
-    with spinning(ros_arguments(given)):
-        node = ObserverNode()
-        monkeypatch.setattr(node._observer, "rehearse", rehearse)
-        monkeypatch.setattr(observer_node, "time", SimpleNamespace(monotonic_ns=lambda: clock[0]))
-        for k in range(1, 1001):
-            clock[0] = max(clock[0], k * 1_000_000)
-            node._on_timer()
-        node.destroy_node()
-    return found
-
-
-@pytest.mark.parametrize("took", [70_000, 200_000, 1_000_000])
-@pytest.mark.parametrize("share", [0.1, 0.5])
-def test_the_last_event_is_run_again_for_a_share_of_the_time(
-    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, took: int, share: float
-) -> None:
-    """After as many ticks as it takes to keep that share, and no more."""
-    assert ros_environment
-    found = rehearsals(monkeypatch, took, rehearsal=share)
-    begun = np.array([begin for begin, _ in found])
-    between = np.diff(begun)
-    assert len(between) > 5
-    assert took <= share * between.min()
-    assert between.max() < took / share + 2_000_000, "the next tick there is"
-
-
-@pytest.mark.parametrize(("took", "pause"), [(2_000_000, 40_000_000), (5_000_000, 250_000_000)])
-def test_what_takes_longer_than_a_tick_is_rehearsed_rarely(
-    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, took: int, pause: int
-) -> None:
-    """For a share that is as much smaller as it takes more than a tick."""
-    assert ros_environment
-    begun = [begin for begin, _ in rehearsals(monkeypatch, took, rehearsal=0.1)]
-    between = np.diff(begun)
-    assert len(between) > 2
-    assert between.min() >= pause
-    assert between.max() < pause + took + 2_000_000
-
-
-def test_a_node_that_may_never_rehearse_does_not(
-    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With a share of 0."""
-    assert ros_environment
-    assert rehearsals(monkeypatch, 1000, rehearsal=0.0) == []
-
-
-def test_nothing_is_rehearsed_in_simulated_time(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which is as fast as its nodes are."""
-    found: list[int] = []
-    monkeypatch.setattr(rig.node._observer, "rehearse", lambda: found.append(1))
-    rig.tick(EPOCH + 30_000_000)
-    rig.send(event(EPOCH + 25_000_000, 1))
-    rig.tick(EPOCH + 60_000_000)
-    assert len(rig.states) > 6
-    assert not found
-
-
-def test_a_share_for_rehearsals_of_more_than_half_is_refused(
-    ros_environment: dict[str, str],
-) -> None:
-    """The node is there for what comes."""
-    assert ros_environment
-    wanted = r"parameter rehearsal: expected a double, 0 to 0\.5"
-    with (
-        spinning(ros_arguments({**PARAMETERS, "rehearsal": 0.6})),
-        pytest.raises(UsageError, match=wanted),
-    ):
-        ObserverNode()
 
 
 def logged(parameters: Mapping[str, object], monkeypatch: pytest.MonkeyPatch) -> list[str]:
@@ -711,45 +622,6 @@ def test_a_node_without_the_compiler_ends_in_one_line(
     gc.collect()  # the error held the node, and that its subscription to the clock
     assert told.startswith("compiled needs numba")
     assert "impact_observer[compiled]" in told
-
-
-def test_estimates_between_rehearsals_are_those_without(
-    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """In real time, after each of several events, bit for bit."""
-    assert ros_environment
-    count, epoch = [0], time.time_ns()
-    rehearse = Observer.rehearse
-
-    def counted(watcher: Observer) -> None:
-        rehearse(watcher)
-        count[0] += 1
-
-    monkeypatch.setattr(Observer, "rehearse", counted)
-    given = {**PARAMETERS, "use_sim_time": False, "epoch": epoch, "rehearsal": 0.5}
-    with spinning(ros_arguments(given)) as spinner:
-        spinner.add(node := ObserverNode())
-        probe, states = spinner.probe, list[ObserverState]()
-        impacts = probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
-        many = qos_profile(Quality(depth=1000))
-        probe.create_subscription(ObserverState, "observer/state", states.append, many)
-        spinner.until(lambda: states and impacts.get_subscription_count())
-        told = [event(node._last_stamp - 5_000_000, 1, epoch=epoch)]
-        told += [event(told[0].stamp + k * 2_000_000, k + 1, epoch=epoch) for k in (1, 2)]
-
-        def heard(what: Event) -> None:
-            impacts.publish(ros_messages().event(what))
-            spinner.until(lambda: states[-1].last_sequence == what.sequence)
-            enough = count[0] + 2
-            spinner.until(lambda: count[0] >= enough)
-
-        for each in told:
-            heard(each)
-    wanted = make_observer(SYSTEM, Options("geometric", "random:1", epoch=epoch))
-    for each in told:
-        wanted.receive(each)
-    last = read_estimate(states[-1])[1]
-    assert_same(last, wanted.estimate(last.stamp))
 
 
 def test_a_node_that_wakes_late_tells_where_it_began(rig: Rig) -> None:

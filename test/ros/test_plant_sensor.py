@@ -6,7 +6,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from impact_observer_msgs.msg import ImpactEvent
-from processes import ros_arguments, running, spinning
+from processes import ros_arguments, running_node, spinning
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
@@ -63,9 +63,7 @@ def test_plant_node_tells_what_sense_tells_when_it_arrives(
         spinner.probe.create_subscription(
             Clock, "/clock", lambda m: shown.append(stamp_of(m.clock)), 10
         )
-        with running(
-            "impact_observer.ros.plant", ros_arguments(parameters), ros_environment
-        ) as process:
+        with running_node("plant", ros_arguments(parameters), ros_environment) as process:
             spinner.until(lambda: process.poll() is not None)
             assert process.returncode == 0, process.communicate()
         spinner.settle()
@@ -90,7 +88,7 @@ def test_sensor_that_the_model_cannot_have_ends_the_node(ros_environment: dict[s
     """One line, as for every parameter."""
     arguments = ros_arguments({"model": "two_mass", "sensor.mislabelled": 0.1})
     with (
-        running("impact_observer.ros.plant", arguments, ros_environment) as process,
+        running_node("plant", arguments, ros_environment) as process,
         spinning() as spinner,
     ):
         spinner.until(lambda: process.poll() is not None)

@@ -11,7 +11,7 @@ pytest.importorskip("impact_observer_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray
 from impact_observer_msgs.msg import ContactSwitch, EstimateError, ImpactEvent, ObserverState
-from processes import interrupt, refusal, ros_arguments, running, spinning
+from processes import interrupt, refusal, ros_arguments, running_node, spinning
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -44,10 +44,8 @@ def test_plant_and_observer_processes_converge_on_the_topic(
     errors: list[EstimateError] = []
     times: list[int] = []
     with (
-        running("impact_observer.ros.observer", observer, ros_environment) as first,
-        running(
-            "impact_observer.ros.monitor", ros_arguments(simulated), ros_environment
-        ) as second,
+        running_node("observer", observer, ros_environment) as first,
+        running_node("monitor", ros_arguments(simulated), ros_environment) as second,
         spinning() as spinner,
     ):
         spinner.probe.create_subscription(
@@ -60,7 +58,7 @@ def test_plant_and_observer_processes_converge_on_the_topic(
             qos_profile(STATES),
         )
         spinner.until(lambda: spinner.probe.count_publishers("monitor/error") == 1)
-        with running("impact_observer.ros.plant", plant, ros_environment) as third:
+        with running_node("plant", plant, ros_environment) as third:
             # Until the observer has heard the clock it passes estimates over.
             spinner.until(lambda: times and times[-1] > 0)
             spinner.probe.create_subscription(
@@ -101,7 +99,7 @@ def test_a_body_at_rest_on_its_stop_is_told_as_closed(
     truth: list[JointState] = []
     observer = ros_arguments({**arguments, **told, "events_durability": "transient_local"})
     with (
-        running("impact_observer.ros.observer", observer, ros_environment),
+        running_node("observer", observer, ros_environment),
         spinning() as spinner,
     ):
         probe = spinner.probe
@@ -113,7 +111,7 @@ def test_a_body_at_rest_on_its_stop_is_told_as_closed(
         spinner.until(lambda: probe.count_publishers("observer/state") == 1)
         spinner.settle()
         plant = ros_arguments({**arguments, **simulated})
-        with running("impact_observer.ros.plant", plant, ros_environment) as process:
+        with running_node("plant", plant, ros_environment) as process:
             spinner.until(lambda: process.poll() is not None)
             assert process.returncode == 0, process.communicate()
         spinner.settle()
@@ -129,7 +127,7 @@ def test_a_body_at_rest_on_its_stop_is_told_as_closed(
 def test_a_reset_of_the_plant_is_a_new_episode(ros_environment: dict[str, str]) -> None:
     """The service answers with the episode and the new epoch."""
     arguments = ros_arguments({"model": "three_mass"})
-    with running("impact_observer.ros.plant", arguments, ros_environment), spinning() as spinner:
+    with running_node("plant", arguments, ros_environment), spinning() as spinner:
         client = spinner.probe.create_client(Trigger, "plant/reset")
         spinner.until(client.service_is_ready)
         spinner.settle()  # the plant begins when its timer first fires
@@ -147,7 +145,7 @@ def test_a_signal_ends_a_node_with_exit_code_0(
     """Ctrl-C prints no traceback."""
     arguments = ros_arguments({"model": "two_mass"})
     with (
-        running(f"impact_observer.ros.{name}", arguments, ros_environment) as process,
+        running_node(name, arguments, ros_environment) as process,
         spinning() as spinner,
     ):
         spinner.until(lambda: name in spinner.probe.get_node_names())
@@ -165,7 +163,7 @@ def test_a_signal_ends_a_node_that_compiles(
     wanted = {"model": "two_mass", "law": "minimum-variance", "compiled": True}
     environment = ros_environment | {"NUMBA_CACHE_DIR": str(tmp_path)}
     with (
-        running("impact_observer.ros.observer", ros_arguments(wanted), environment) as process,
+        running_node("observer", ros_arguments(wanted), environment) as process,
         spinning() as spinner,
     ):
         spinner.until(lambda: "observer" in spinner.probe.get_node_names())
@@ -200,7 +198,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
 ) -> None:
     """It names the parameter, what was found and what is expected."""
     arguments = ros_arguments(parameters)
-    line = refusal(f"impact_observer.ros.{module}", arguments, ros_environment)
+    line = refusal(module, arguments, ros_environment)
     assert line.startswith(f"{module}: ")
     assert expected in line
 
@@ -209,7 +207,7 @@ def test_a_misspelt_parameter_is_warned_of(ros_environment: dict[str, str]) -> N
     """ROS itself would pass over it in silence."""
     arguments = ros_arguments({"model": "two_mass", "lwa": "kinematic"})
     with (
-        running("impact_observer.ros.observer", arguments, ros_environment) as process,
+        running_node("observer", arguments, ros_environment) as process,
         spinning() as spinner,
     ):
         spinner.until(lambda: "observer" in spinner.probe.get_node_names())

@@ -12,7 +12,7 @@ pytest.importorskip("visualization_msgs")
 
 from builtin_interfaces.msg import Time
 from impact_observer_msgs.msg import ImpactEvent
-from processes import Spinner, interrupt, refusal, ros_arguments, running, spinning
+from processes import Spinner, interrupt, refusal, ros_arguments, running_node, spinning
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState as JointStateMessage
 from systems import system
@@ -220,8 +220,7 @@ def test_viewer_runs_as_a_process_and_ends_in_good_order(
 ) -> None:
     """Under a name of its own, on Ctrl-C."""
     arguments = ros_arguments({"model": "three_mass"}, "__node:=my_viewer")
-    module = "impact_observer.ros.viewer"
-    with spinning() as spinner, running(module, arguments, ros_environment) as process:
+    with spinning() as spinner, running_node("viewer", arguments, ros_environment) as process:
         names = spinner.probe.get_node_names
         spinner.until(lambda: process.poll() is not None or "my_viewer" in names())
         code, errors = interrupt(process)
@@ -231,7 +230,7 @@ def test_viewer_runs_as_a_process_and_ends_in_good_order(
 def test_wrong_parameters_are_one_line(ros_environment: dict[str, str]) -> None:
     """With the name of the parameter."""
     arguments = ros_arguments({"model": "two_mass", "observers": "'a,,b'"})
-    line = refusal("impact_observer.ros.viewer", arguments, ros_environment)
+    line = refusal("viewer", arguments, ros_environment)
     assert "parameter observers: 'a,,b' has an empty name" in line
     for names, said in (("a-b", "no name of a node"), ("plant", "leave it out")):
         wrong = ros_arguments({"model": "two_mass", "observers": names})

@@ -22,7 +22,7 @@ pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
 from plotting_tools import FIGURES, message_path, plotjuggler_series, resolved
-from processes import PATIENCE, ros_arguments, running
+from processes import PATIENCE, ros_arguments, running_node
 
 from impact_observer.draw.curves import CurveGroup, Observed, curves
 from impact_observer.draw.layouts import message_path as path_of
@@ -61,8 +61,7 @@ def system(environment: dict[str, str]) -> Iterator[None]:
             ("monitor", ros_arguments(simulated)),
             ("plant", plant),
         ):
-            name = f"impact_observer.ros.{module}"
-            stack.enter_context(running(name, arguments, environment))
+            stack.enter_context(running_node(module, arguments, environment))
         yield
 
 

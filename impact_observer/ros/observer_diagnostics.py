@@ -1,0 +1,125 @@
+"""What an observer node reports on ``/diagnostics``."""
+
+from collections import Counter
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+
+from impact_observer.events import Remark, Ruling, Verdict
+from impact_observer.model.free_parameters import with_unit
+from impact_observer.observer import Observer
+from impact_observer.stamps import NS_PER_S
+from impact_observer.states import Estimate
+
+_STALE = 60 * NS_PER_S
+"""Time without an impact after which stamps and clock may disagree, ns."""
+
+
+class ObserverDiagnostics:
+    """Counts, and makes the diagnostic status of one observer.
+
+    Attributes:
+        counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
+            ``invalid``, ``surprising``, ``clock_jumps``.
+        mismatch: an incompatible quality of service; empty for none.
+    """
+
+    def __init__(self, node: str, observer: Observer) -> None:
+        """Report on the ``observer`` of a node, called by its full name."""
+        self._node, self._observer = node, observer
+        self.counts: Counter[str] = Counter()
+        self.mismatch = ""
+        self._reported: Counter[str] = Counter()
+        self._latency = 0.0
+
+    def note_latency(self, latency: float) -> None:
+        """An event was applied ``latency`` (s) after its stamp."""
+        self._latency = max(self._latency, latency)
+
+    def count(self, verdict: Verdict, *, surprising: bool) -> None:
+        """Count a verdict, and whether its innovation was surprising."""
+        self.counts[verdict.ruling.name.lower()] += not verdict.revises
+        self.counts["surprising"] += surprising
+
+    def status(self, now: int, last: Estimate | None) -> DiagnosticStatus:
+        """The status at the time ``now`` (ns), with the ``last`` estimate, if there is one."""
+        level, message = self._health(now, last)
+        observer = self._observer
+        figures = {
+            "law": observer.law.name,
+            "events applied": self.counts["applied"],
+            "events rejected": self.counts["rejected"],
+            "impacts inserted": self.counts["inserted"],
+            **{remark.value: observer.remarks[remark] for remark in Remark},
+            "from the future": self.counts["future"],
+            "invalid messages": self.counts["invalid"],
+            "missing sequence numbers": observer.missing,
+            "estimates corrected": self.counts["corrected"],
+            "estimates passed over": self.counts["passed_over"],
+            "clock jumps back": self.counts["clock_jumps"],
+            "restarts": observer.restarts,
+            "largest latency [s]": f"{self._latency:.6f}",
+            "surprising events": self.counts["surprising"],
+            **({} if last is None else _estimate_figures(last)),
+        }
+        return DiagnosticStatus(
+            level=level,
+            name=f"{self._node}: impacts",
+            message=message,
+            hardware_id=observer.system.name,
+            values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+        )
+
+    def _health(self, now: int, last: Estimate | None) -> tuple[bytes, str]:
+        """Level and message: the worst that holds."""
+        if self.mismatch:
+            return DiagnosticStatus.ERROR, self.mismatch
+        if fault := self._clock_fault(now):
+            return DiagnosticStatus.WARN, fault
+        if last is not None and last.inconsistent:
+            return DiagnosticStatus.WARN, "events contradict the model or initial_deviation"
+        if faults := self._new_faults():
+            return DiagnosticStatus.WARN, ", ".join(faults)
+        return DiagnosticStatus.OK, f"{self.counts['applied']} impacts applied"
+
+    def _clock_fault(self, now: int) -> str:
+        """Why there are no impacts at the time ``now`` (ns); empty where there are."""
+        observer = self._observer
+        if not now:
+            return "use_sim_time is set, but no /clock has come"
+        if observer.start is None:
+            return "no impact has come yet"
+        silence = now - max(observer.last_event, observer.start)
+        if silence <= _STALE:
+            return ""
+        ago = f"the last impact was {silence / NS_PER_S:.0f} s ago by this clock"
+        return f"{ago}; is use_sim_time missing?"
+
+    def _new_faults(self) -> list[str]:
+        """What was wrong with events since the last status."""
+        fine = (Ruling.APPLIED, Ruling.INSERTED)
+        refused = sum(self.counts[each.name.lower()] for each in Ruling if each not in fine)
+        faults = {
+            "are missing": self._observer.missing,
+            "were missed by the sensor, and inserted": self.counts["inserted"],
+            "were not applied": refused + self.counts["invalid"],
+            "surprised the law (is clock_error too small?)": self.counts["surprising"],
+        }
+        new = [f"{n} events {what}" for what, n in faults.items() if n > self._reported[what]]
+        self._reported = Counter(faults)
+        return new
+
+
+def _estimate_figures(last: Estimate) -> dict[str, object]:
+    """What an estimate reports of its own error."""
+    bound, differences = last.bound, last.convergence
+    without = "refuted" if last.inconsistent else "none"
+    estimated = {
+        with_unit(name): f"{value:.6g} +- {deviation:.2g}"
+        for name, value, deviation in last.parameters
+    }
+    return {
+        **estimated,
+        "synchronized": last.synchronized,
+        "convergence [J]": f"{differences:.6g}" if differences >= 0 else "one replica only",
+        "certified bound of V [J]": f"{bound:.6g}" if bound >= 0 else without,
+    }
