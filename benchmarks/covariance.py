@@ -136,7 +136,7 @@ def ideal(name: str, seeds: int = 20) -> Array:
     system, x, count = model.system, np.concatenate(model.initial_state()), 2 * model.system.n + 2
     told = hits(ran(system, x, np.array([EPOCH + 30 * NS_PER_S])))[:count]
     truth = ran(system, x, np.array([stamp + 1 for stamp, _ in told])).states
-    law, ratios = MinimumVariance(system, believing(0.0)), np.empty((seeds, count))
+    law, ratios = MinimumVariance(system, without_faults(0.0)), np.empty((seeds, count))
     for seed in range(seeds):
         wrong = np.random.default_rng(seed).normal(size=x.size)
         for k, each in enumerate(list(followed(law, x + wrong, told))[1:]):
@@ -145,7 +145,7 @@ def ideal(name: str, seeds: int = 20) -> Array:
     return ratios
 
 
-def believing(clock_error: float) -> Uncertainty:
+def without_faults(clock_error: float) -> Uncertainty:
     """What is declared of a sensor that is right but for its clock."""
     return Uncertainty(clock_error=clock_error, missed=0.0, spurious=0.0, mislabelled=0.0)
 
@@ -164,7 +164,7 @@ def surprises(name: str, seed: int, seconds: int) -> Array | None:
     order = np.argsort(asked)
     truth = np.empty((asked.size, twice))
     truth[order] = ran(system, x, asked[order]).states
-    law = MinimumVariance(system, believing(JITTER))
+    law = MinimumVariance(system, without_faults(JITTER))
     beliefs = list(followed(law, x + rng.normal(size=twice), jittered(run, rng)))
     starts = np.array([each.stamp for each in beliefs])
     found = np.full(asked.size, np.nan)
@@ -183,7 +183,7 @@ def jitter(name: str, law: type[Law], clock: float, seeds: int, seconds: int = 6
     system, x = model.system, np.concatenate(model.initial_state())
     end = EPOCH + seconds * NS_PER_S
     run, ratios = ran(system, x, np.array([end])), np.empty(seeds)
-    used = law(system, believing(clock))
+    used = law(system, without_faults(clock))
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         wrong = rng.normal(size=x.size)

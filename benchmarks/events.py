@@ -30,7 +30,7 @@ def _observer(law: str = "geometric", history: float = FOREVER) -> Observer:
 def prepare(_: Path, law: str, compiled: bool) -> Contest:
     """An observer that believes its sensor, and every event in order."""
     events, system = impacts("two_mass", SECONDS), read_model("two_mass").system
-    believing = Options(
+    without_faults = Options(
         law=law,
         clock_error=0.0,
         missed=0.0,
@@ -39,14 +39,14 @@ def prepare(_: Path, law: str, compiled: bool) -> Contest:
         compiled=compiled,
     )
     try:
-        make_observer(system, believing)
+        make_observer(system, without_faults)
     except UsageError as error:
         raise SkippedError(str(error)) from None
 
     def ours(_: Path) -> Figures:
         found = {}
         for name, ensemble in ((ALONE, 1), (TOGETHER, 10)):
-            observer = make_observer(system, replace(believing, ensemble=ensemble))
+            observer = make_observer(system, replace(without_faults, ensemble=ensemble))
             found[name] = statistics.median(each_received(observer, events)[FIRST:])
         return found
 

@@ -1,4 +1,4 @@
-"""Motions with simultaneous impacts and lasting contact, for tests against other programs."""
+"""Motions with simultaneous impacts and persistent contact, for tests against other programs."""
 
 from typing import NamedTuple
 
@@ -118,7 +118,7 @@ def switchings(case: Case) -> list[Switching]:
 
 
 def impacts(case: Case) -> list[Switching]:
-    """Where a speed of the plant jumps: contacts may be told closed at the start without one."""
+    """Switchings with a velocity jump; contacts closed at the start have none."""
     return [
         one
         for one in switchings(case)
@@ -132,5 +132,5 @@ def seconds(switching: Switching) -> float:
 
 
 def kinds(switching: Switching) -> set[Kind]:
-    """What a sensor tells of it."""
+    """Kinds of its switches."""
     return {switch.kind for switch in switching.switches}

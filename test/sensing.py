@@ -1,4 +1,4 @@
-"""Switchings that no plant made, and what a sensor tells of them."""
+"""Switchings made by hand, and the messages of a simulated sensor."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -30,14 +30,17 @@ FULL: dict[str, Any] = {
     "impacts_only": True,
     "transport": 0.6,
 }
-"""Every trouble, so that each is felt within seconds."""
+"""Every fault, large enough to act within seconds."""
 
 
 def switching(
-    seconds: float, told: Sequence[tuple[int, Kind]], speed: float = 1.0, model: System = THREE
+    seconds: float,
+    switchings: Sequence[tuple[int, Kind]],
+    speed: float = 1.0,
+    model: System = THREE,
 ) -> Switching:
     """Contacts that approach with ``speed``, m/s, and switch at ``seconds`` since ``EPOCH``."""
-    which = tuple(i for i, _ in told)
+    which = tuple(i for i, _ in switchings)
     before = np.concatenate([np.zeros(model.n), np.full(model.n, -speed)])
     names = model.contact_names
     return Switching(
@@ -47,7 +50,7 @@ def switching(
         held=(),
         before=before,
         after=before,
-        switches=tuple(Switch(names[i], kind) for i, kind in told),
+        switches=tuple(Switch(names[i], kind) for i, kind in switchings),
     )
 
 
@@ -58,10 +61,14 @@ def impacts(count: int, every: float = 1.0, model: System = THREE) -> list[Switc
     ]
 
 
-def heard(
-    sensor: SensorModel, told: Sequence[Switching], *, model: System = THREE, seconds: float = 0.0
+def messages(
+    sensor: SensorModel,
+    switchings: Sequence[Switching],
+    *,
+    model: System = THREE,
+    seconds: float = 0.0,
 ) -> list[SensorMessage]:
-    """What a sensor tells, in the order of sequence numbers, of a run of ``seconds`` at least."""
-    last = max([EPOCH + round(seconds * NS_PER_S), *(each.instant.stamp for each in told)])
-    found = simulate_sensor(sensor, model, told, epoch=EPOCH, last=last, seed=1)
+    """A sensor's messages, by sequence number, of a run of at least ``seconds``."""
+    last = max([EPOCH + round(seconds * NS_PER_S), *(each.instant.stamp for each in switchings)])
+    found = simulate_sensor(sensor, model, switchings, epoch=EPOCH, last=last, seed=1)
     return sorted(found, key=lambda each: each.event.sequence)

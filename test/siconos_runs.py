@@ -2,7 +2,7 @@
 
 Siconos (Acary, Bonnefon, Bremond, Huber, Perignon and Sinclair, An Introduction to Siconos, INRIA
 technical report 340) lives in the interpreter of the system, where this package need not be, so
-this file knows neither the package nor the tests.
+this file imports neither the package nor the tests.
 """
 
 import json

@@ -243,17 +243,17 @@ def run(
     return simulate(plant, grid(EPOCH, EPOCH + round(seconds * NS_PER_S), rate))
 
 
-def believing(**declared: object) -> Uncertainty:
-    """What is declared of a sensor that is right but for its clock: every event is believed."""
+def without_faults(**declared: object) -> Uncertainty:
+    """Uncertainty of a sensor without faults but for its clock: every event is accepted."""
     right = {"clock_error": 0.0, "missed": 0.0, "spurious": 0.0, "mislabelled": 0.0}
     return Uncertainty(**{**right, **declared})  # type: ignore[arg-type]
 
 
 def observer(model: System, law: str, x: ArrayLike, **options: object) -> Observer:
-    """An observer that starts at ``x``, of one replica and ``believing`` unless told else."""
+    """An observer that starts at ``x``, of one replica, of a sensor ``without_faults``."""
     start = np.asarray(x, float)
     options = {"ensemble": 1, **options}
-    declared = options.pop("uncertainty", None) or believing()
+    declared = options.pop("uncertainty", None) or without_faults()
     return Observer(
         model,
         law_named(law)(model, declared),  # type: ignore[arg-type]

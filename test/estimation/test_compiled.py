@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from systems import (
     EPOCH,
     PRESSED,
-    believing,
     chain,
     examples,
     forcing,
@@ -26,6 +25,7 @@ from systems import (
     sample,
     system,
     systems,
+    without_faults,
 )
 
 from impact_observer.cli.main import main
@@ -315,7 +315,7 @@ def test_one_account_tells_what_a_bank_of_one_would() -> None:
     whole = run(model.system, *model.initial_state(), seconds=10.0, rate=10.0)
     watchers = []
     for sure in (True, False):
-        options = {"epoch": EPOCH, "history": 1e3, "ensemble": 3, "uncertainty": believing()}
+        options = {"epoch": EPOCH, "history": 1e3, "ensemble": 3, "uncertainty": without_faults()}
         watcher = observer(model.system, "minimum-variance", start + 0.2, **options)
         assert isinstance(watcher.law, MinimumVariance)
         assert watcher.law._sure

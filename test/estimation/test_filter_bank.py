@@ -14,7 +14,6 @@ from scipy import special, stats
 from systems import (
     EPOCH,
     Harmonic,
-    believing,
     chain,
     estimates,
     event,
@@ -24,6 +23,7 @@ from systems import (
     run,
     sample,
     system,
+    without_faults,
 )
 
 from impact_observer.estimation import impact_filter
@@ -191,7 +191,7 @@ def test_believing_every_event_is_the_plain_filter(name: str) -> None:
     else:
         model, start, whole = truth(name, 20.0)
     x = start + np.random.default_rng(0).normal(size=start.size)
-    watcher = observer(model, "minimum-variance", x, uncertainty=believing(), epoch=EPOCH)
+    watcher = observer(model, "minimum-variance", x, uncertainty=without_faults(), epoch=EPOCH)
     for each in whole.events:
         watcher.receive(each)
     end = int(whole.stamps[-1]) + 1234

@@ -9,7 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg
-from systems import Harmonic, believing, chain, examples, forcing, sample, system, systems, vectors
+from systems import (
+    Harmonic,
+    chain,
+    examples,
+    forcing,
+    sample,
+    system,
+    systems,
+    vectors,
+    without_faults,
+)
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import FilterBank
@@ -38,7 +48,7 @@ SWINGING = system(
 
 def forecast(model: System, t: float, x: Array, root: Array, closed: tuple[int, ...]) -> Forecast:
     """What is foreseen from ``x`` at ``t`` on."""
-    bank = FilterBank(ImpactFilter(model), believing())
+    bank = FilterBank(ImpactFilter(model), without_faults())
     return bank.forecast(t, GaussianState.of(x[None], root, closed))
 
 

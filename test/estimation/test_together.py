@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from systems import (
     EPOCH,
     Harmonic,
-    believing,
     chain,
     examples,
     forcing,
@@ -17,6 +16,7 @@ from systems import (
     sample,
     system,
     systems,
+    without_faults,
 )
 
 from impact_observer.dynamics.flow.flow import Motion
@@ -113,7 +113,7 @@ def test_estimates_are_those_of_each_stamp_alone(law: str) -> None:
     model = sample("three_mass")
     truth = run(model.system, *model.initial_state(), seconds=3.0)
     start = [0.2, -0.1, 0.1, 0.3, 0.0, -0.2]
-    watcher = observer(model.system, law, start, epoch=EPOCH, uncertainty=believing())
+    watcher = observer(model.system, law, start, epoch=EPOCH, uncertainty=without_faults())
     for each in truth.events:
         watcher.receive(each)
     own = [each.stamp for each in truth.events]

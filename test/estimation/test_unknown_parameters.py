@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, PRESSED, believing, run, sample, system
+from systems import EPOCH, PRESSED, run, sample, system, without_faults
 
 from impact_observer.dynamics import Phases
 from impact_observer.dynamics.lyapunov import distance
@@ -41,7 +41,7 @@ def watching(
 ) -> Observer:
     """An observer of minimum variance that believes every event and learns ``free``."""
     unknowns = Unknowns.named(model, free) if free else None
-    told = believing(clock_error=clock, unknowns=unknowns, **{**TRUSTING, **declared})
+    told = without_faults(clock_error=clock, unknowns=unknowns, **{**TRUSTING, **declared})
     law = law_named("minimum-variance")(model, told)
     n = model.n
     return Observer(model, law, x[:n], x[n:], epoch=EPOCH, history=1e4, ensemble=4)

@@ -1,4 +1,4 @@
-"""A forcing knows its derivatives, how large it can get, where it is not smooth and its end."""
+"""A forcing: its derivatives, bounds, knots and end."""
 
 import numpy as np
 import pytest
@@ -184,7 +184,7 @@ def test_invalid_samples_are_named_by_their_key(
 
 
 def test_model_has_samples_or_other_forces() -> None:
-    """What no file can say no system holds."""
+    """A system refuses what a model file refuses."""
     samples = Samples(TIME, FORCE, "linear")
     assert Forcing.of_samples(samples).checked(2).sampled is samples
     with pytest.raises(ModelError, match=r"forcing.sampled: stands beside constant or harmonics"):

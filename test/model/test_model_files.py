@@ -323,7 +323,7 @@ def test_numbers_are_read_in_every_notation(written: str, meant: float) -> None:
 
 
 def test_gyroscopic_damping_is_accepted() -> None:
-    """Only the symmetric part of C must be semidefinite; the skew part stays as it is."""
+    """Only the symmetric part of C must be semidefinite; the skew part is kept."""
     turning = mistaken(MATRICES, "[[0.2, -0.1], [-0.1, 0.1]]", "[[0.1, 5], [-5, 0]]")
     assert parse_model(turning, "m").system.C.tolist() == [[0.1, 5], [-5, 0]]
 

@@ -224,7 +224,7 @@ def test_odd_names_survive_the_text(name: str) -> None:
 
 
 def test_coordinate_called_time_needs_a_table(tmp_path: Path) -> None:
-    """In a CSV file its column could not be told from the instants."""
+    """In a CSV file its column would have the name of the column of instants."""
     model = MATRICES.replace("[x1, x2]", "[time, x2]")
     with pytest.raises(ModelError, match="a coordinate is named 'time' as the column of instants"):
         read(tmp_path, CSV, model)

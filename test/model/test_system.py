@@ -31,7 +31,7 @@ def arrays(s: System) -> list[np.ndarray]:
 
 
 def test_arrays_are_read_only() -> None:
-    """Nobody can change a system behind another's back."""
+    """Neither arrays nor fields of a system can be changed."""
     for array in arrays(example()):
         assert not array.flags.writeable
         with pytest.raises(ValueError, match="read-only"):
@@ -40,8 +40,8 @@ def test_arrays_are_read_only() -> None:
         example().M = np.eye(2)  # type: ignore[misc]
 
 
-def test_caller_keeps_his_arrays() -> None:
-    """They are copied, not frozen and not symmetrised in place."""
+def test_arrays_of_the_caller_are_copied() -> None:
+    """They are not frozen and not symmetrised in place."""
     M, K = np.eye(2), np.array([[2.0, -1.0 + 1e-10], [-1.0, 1.0]])
     direction = np.array([0.0, 1.0])
     kept = K.copy()
@@ -62,7 +62,7 @@ def test_gaps_and_contact_speeds_are_those_of_the_paper() -> None:
     assert (free.m, free.W.shape, free.gap(np.zeros(1)).shape) == (0, (1, 0), (0,))
 
 
-def test_time_dependence_is_told_by_amplitudes() -> None:
+def test_harmonics_without_amplitude_do_not_depend_on_time() -> None:
     """A harmonic without amplitude needs no epoch."""
     assert not Forcing.none(2).depends_on_time
     assert not forcing(1, 1.0, [Harmonic(2.0, [0], [0])]).depends_on_time

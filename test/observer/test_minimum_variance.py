@@ -12,13 +12,13 @@ from systems import (
     EPOCH,
     PRESSED,
     Harmonic,
-    believing,
     chain,
     estimates,
     forcing,
     run,
     sample,
     system,
+    without_faults,
 )
 
 from impact_observer.dynamics import ImpactLaw, Phases, lyapunov
@@ -76,7 +76,7 @@ def watching(
 ) -> Observer:
     """An observer that starts at ``x``."""
     ensemble = int(options.pop("ensemble", 1))
-    told = law_named(law)(model, believing(clock_error=clock, **options))
+    told = law_named(law)(model, without_faults(clock_error=clock, **options))
     return Observer(
         model, told, x[: model.n], x[model.n :], epoch=EPOCH, history=1e4, ensemble=ensemble
     )
@@ -203,7 +203,7 @@ def test_filter_is_batch_least_squares_over_all_that_was_told(count: int) -> Non
     knows of no filter; positions are thrown back with the speeds.
     """
     model, phase = sample("three_mass").system, Phases(sample("three_mass").system).phase()
-    n, law = model.n, MinimumVariance(model, believing())
+    n, law = model.n, MinimumVariance(model, without_faults())
     switchings = list(truth("three_mass", 30.0).switchings[:count])
     guess = np.random.default_rng(3).normal(size=2 * n)
     F, x, t, rows, values = np.eye(2 * n), guess, 0.0, [], []
@@ -229,7 +229,10 @@ def test_filter_is_batch_least_squares_over_all_that_was_told(count: int) -> Non
 def test_other_replicas_are_corrected_as_the_estimate_s_own_error() -> None:
     """The plant as a replica: it stays the plant, to what stamps allow."""
     model, start = case("two_mass")
-    law, switchings = MinimumVariance(model, believing()), truth("two_mass", 30.0).switchings[:8]
+    law, switchings = (
+        MinimumVariance(model, without_faults()),
+        truth("two_mass", 30.0).switchings[:8],
+    )
     replicas = np.array([start + np.array([0.5, -1, 1, 0.3]), start])
     belief, t = law.begin(replicas, law.uncertainty.root(2), ()), 0.0
     for each in switchings:
@@ -323,7 +326,7 @@ def test_free_floating_hammer_is_known(clock: float) -> None:
 
 def test_release_tells_that_the_load_was_zero() -> None:
     """After CLOSE and OPEN of one contact alone more is known than the CLOSE has told."""
-    law = MinimumVariance(PRESSED, believing(clock_error=JITTER))
+    law = MinimumVariance(PRESSED, without_faults(clock_error=JITTER))
     x = np.array([[0.0, 0.0, 0.0, 0.0]])
     belief = law.begin(x, law.uncertainty.root(2), (0,))
     before = law.predict(0.0, belief, (0,)).belief(0.4)
@@ -343,7 +346,7 @@ def test_release_where_the_force_jumps_tells_nothing() -> None:
     steps = Samples(np.array([0.0, 0.5, 9.0]), np.array([[-3.0], [3.0], [3.0]]), "previous")
     jumping = system(1, 0.1, 1, contacts=[([1], 0.0, 0.5)], force=Forcing.of_samples(steps))
     for model, closed in ((jumping, (0,)), (PRESSED, (0, 1))):
-        law = MinimumVariance(model, believing())
+        law = MinimumVariance(model, without_faults())
         x = np.zeros((1, 2 * model.n))
         start = law.begin(x, law.uncertainty.root(model.n), closed)
         before = law.predict(0.0, start, closed).belief(0.5)
@@ -356,7 +359,7 @@ def test_release_where_the_force_jumps_tells_nothing() -> None:
 
 def test_contacts_closed_at_the_start_hold_at_once() -> None:
     """Nearest in the declared covariance, which is singular along them."""
-    law = MinimumVariance(PRESSED, believing(deviation=np.array([1.0, 2.0, 1.0, 0.5])))
+    law = MinimumVariance(PRESSED, without_faults(deviation=np.array([1.0, 2.0, 1.0, 0.5])))
     belief = law.begin(np.array([[0.3, 0.4, 1, 2], [0, 0, 0, 0]]), law.uncertainty.root(2), (0,))
     gaps = belief.replicas[:, :2] @ PRESSED.W[:, 0] + PRESSED.q_r[0]
     np.testing.assert_allclose(gaps, 0, atol=1e-15)
@@ -425,7 +428,7 @@ def test_instant_is_not_sought_where_no_force_is_known() -> None:
 def test_grazing_impact_divides_by_nothing(speed: float) -> None:
     """Contact speed zero or of the wrong sign; one that leads away is thrown back all the same."""
     model = sample("two_mass").system
-    law = MinimumVariance(model, believing(clock_error=JITTER))
+    law = MinimumVariance(model, without_faults(clock_error=JITTER))
     x = np.array([[0.1, 0.5, 0.0, -speed]])
     belief = law.correct(ContactChange(1.0, (), (0,), ()), law.begin(x, 0.1 * np.eye(4), ()))
     assert belief.root is not None
@@ -444,7 +447,7 @@ def test_contacts_that_hit_together_share_one_instant() -> None:
         contacts=[([1, 0], 0.0, 0.5), ([-1, 1], 0.0, 0.5)],
         force=forcing(2, -1.0),
     )
-    law = MinimumVariance(beads, believing(clock_error=JITTER))
+    law = MinimumVariance(beads, without_faults(clock_error=JITTER))
     start = law.begin(np.array([[0.2, -0.1, -1.0, -2.0]]), law.uncertainty.root(2), ())
     belief = law.correct(ContactChange(0.5, (), (0, 1), ()), start)
     assert sorted(belief.innovations) == [0, 1]
@@ -483,7 +486,7 @@ def test_impact_of_a_closed_contact_says_that_it_opened_unheard() -> None:
 
 def test_mean_alone_is_the_belief_s() -> None:
     """``Course.state`` and ``root`` are parts of ``Course.belief``, in flight and in contact."""
-    law = MinimumVariance(PRESSED, believing(model_error=0.1))
+    law = MinimumVariance(PRESSED, without_faults(model_error=0.1))
     for closed in ((), (0,), (0, 1)):
         belief = law.begin(np.array([[0.3, 0.1, -1.0, 2.0]]), law.uncertainty.root(2), closed)
         course = law.predict(0.3, belief, closed)

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, believing, forcing, run, system
+from systems import EPOCH, forcing, run, system, without_faults
 
 from impact_observer.model import System
 from impact_observer.observer import Law, Observer, ReplicaLaw
@@ -54,7 +54,7 @@ def published_run() -> Run:
 def velocity_errors(law: type[Law], model: System = BALL) -> Array:
     """Estimate less truth just after each of twelve impacts; the estimate begins at (10, 2)."""
     watcher = Observer(
-        model, law(model, believing()), np.array([10.0]), np.array([2.0]), epoch=EPOCH
+        model, law(model, without_faults()), np.array([10.0]), np.array([2.0]), epoch=EPOCH
     )
     found = []
     whole = published_run()

@@ -21,7 +21,7 @@ from impact_observer.plant import Switching
 Array = NDArray[np.float64]
 Function = Callable[[float, Array], float]
 
-_TOUCHES = 1e-9
+_AT_STOP = 1e-9
 """A gap that is closed, m."""
 _RESTS = 1e-6
 """Contact speed of a closed contact that has come to rest, m/s; a flight from it lasts some us."""
@@ -114,7 +114,7 @@ class Other:
         """A gap; of a contact that leaves its stop now, divided by the time since."""
         w, start, begin = self.system.W[:, i], self.x.copy(), self.t
         n = self.system.n
-        if w @ start[:n] + self.system.q_r[i] > _TOUCHES:
+        if w @ start[:n] + self.system.q_r[i] > _AT_STOP:
             return lambda _, x: float(w @ x[:n] + self.system.q_r[i])
 
         def divided(t: float, x: Array) -> float:
@@ -130,21 +130,21 @@ class Other:
         """Newton's law on all closed contacts where one hits, then what stays closed."""
         model, before = self.system, self.x.copy()
         n = model.n
-        touching = np.flatnonzero(np.abs(model.gap(before[:n])) < _TOUCHES).tolist()
-        gamma = model.contact_speed(before[n:])[touching]
-        G, directions = self.G[np.ix_(touching, touching)], model.W[:, touching]
-        hit = bool(np.any(gamma < -_TOUCHES))
+        at_stop = np.flatnonzero(np.abs(model.gap(before[:n])) < _AT_STOP).tolist()
+        gamma = model.contact_speed(before[n:])[at_stop]
+        G, directions = self.G[np.ix_(at_stop, at_stop)], model.W[:, at_stop]
+        hit = bool(np.any(gamma < -_AT_STOP))
         if hit:
-            impulses = complementary(G, (1 + model.eps[touching]) * gamma)
+            impulses = complementary(G, (1 + model.eps[at_stop]) * gamma)
             self.x[n:] += self.inverse @ directions @ impulses
-        self.closed = self.staying([i for i in touching if i not in opened])
-        return Found(self.t, tuple(touching) if hit else (), self.closed, before, self.x.copy())
+        self.closed = self.staying([i for i in at_stop if i not in opened])
+        return Found(self.t, tuple(at_stop) if hit else (), self.closed, before, self.x.copy())
 
-    def staying(self, touching: list[int]) -> tuple[int, ...]:
-        """Which of the touching contacts rest and are pressed; they come to rest entirely."""
+    def staying(self, at_stop: list[int]) -> tuple[int, ...]:
+        """Which of the contacts ``at_stop`` rest and are pressed; their speeds become zero."""
         model, n = self.system, self.system.n
         gamma = model.contact_speed(self.x[n:])
-        resting = [i for i in touching if abs(gamma[i]) < _RESTS]
+        resting = [i for i in at_stop if abs(gamma[i]) < _RESTS]
         b = model.W[:, resting].T @ self.free(self.t, self.x)
         loads = complementary(self.G[np.ix_(resting, resting)], b)
         held = [i for i, load in zip(resting, loads, strict=True) if load > 0]
@@ -201,8 +201,8 @@ def test_resting_beads_stay_closed_under_the_falling_one() -> None:
 
 
 @pytest.mark.parametrize("eps", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
-def test_contact_opens_where_the_known_load_vanishes(eps: float) -> None:
-    """``lambda = 2 - 3 cos t`` at the stop, so a lasting contact ends at ``cos t = 2/3``."""
+def test_contact_opens_where_its_load_vanishes(eps: float) -> None:
+    """``lambda = 2 - 3 cos t`` at the stop, so a persistent contact ends at ``cos t = 2/3``."""
     found = cases.switchings(cases.pressed_mass(eps))
     opened = [cases.seconds(one) for one in found if Kind.OPEN in cases.kinds(one)]
     expected = 2 * np.pi * np.arange(1, 4) - np.arccos(2 / 3)

@@ -139,7 +139,7 @@ def test_equal_runs_are_equal_to_the_last_bit() -> None:
     assert one.events == two.events
 
 
-def test_impacts_do_not_depend_on_who_asks_when() -> None:
+def test_impacts_do_not_depend_on_when_they_are_requested() -> None:
     """A node that asks every millisecond and a run that asks once get the same bits."""
     model, start = sample("three_mass").system, sample("three_mass").initial_state()
     once = run(model, *start, seconds=8.0).impacts
@@ -154,8 +154,8 @@ def test_impacts_do_not_depend_on_who_asks_when() -> None:
         np.testing.assert_array_equal(one.after, two.after)
 
 
-def test_rate_of_the_samples_does_not_decide_what_happens() -> None:
-    """From ten seconds to a millisecond apart, the same switchings to the last bit."""
+def test_sampling_rate_does_not_change_the_switchings() -> None:
+    """Intervals from a millisecond to ten seconds: the same switchings to the last bit."""
     model, start = sample("three_mass").system, sample("three_mass").initial_state()
     runs = [run(model, *start, seconds=10.0, rate=rate) for rate in (0.1, 3.7, 1000.0)]
     for other in runs[1:]:
@@ -167,7 +167,7 @@ def test_rate_of_the_samples_does_not_decide_what_happens() -> None:
             np.testing.assert_array_equal(one.after, two.after)
 
 
-def test_impact_is_told_only_up_to_the_limit() -> None:
+def test_impact_is_returned_only_up_to_the_limit() -> None:
     """Its own stamp is inside, one nanosecond less is not."""
     model = system(1, 0, 0, contacts=[([1], 0.0, 0.5)])
     plant = started(model, [1.0], [-1.0])
@@ -221,9 +221,9 @@ def test_run_without_samples_is_empty() -> None:
     np.testing.assert_allclose(free.states[-1], expected @ [0.1, 0, 0, 0], atol=1e-13)
 
 
-def test_progress_is_told_of_every_impact() -> None:
+def test_progress_is_called_at_every_impact() -> None:
     """For a bar that a command shows."""
-    told: list[int] = []
+    stamps: list[int] = []
     plant = started(sample("bouncing_ball").system, [1.0], [0.0])
-    found = simulate(plant, grid(EPOCH, EPOCH + 3 * NS_PER_S, 10.0), progress=told.append)
-    assert told == [impact.instant.stamp for impact in found.impacts]
+    found = simulate(plant, grid(EPOCH, EPOCH + 3 * NS_PER_S, 10.0), progress=stamps.append)
+    assert stamps == [impact.instant.stamp for impact in found.impacts]

@@ -61,19 +61,19 @@ def test_ball_bounces_at_the_published_times() -> None:
 def test_ball_comes_to_rest_at_the_published_time() -> None:
     """Published is the accumulation at 8.578949178728887 s; we stop up to 1e-7 s before it."""
     plant = started(sample("bouncing_ball").system, [1.0], [0.0])
-    told = []
+    switchings = []
     while (switching := plant.next_switching(EPOCH + 20 * NS_PER_S)) is not None:
         plant.cross(switching)
-        told.append(switching)
-    assert [switch.kind for switch in told[-1].switches] == [Kind.CLOSE]
+        switchings.append(switching)
+    assert [switch.kind for switch in switchings[-1].switches] == [Kind.CLOSE]
     # The first flight that is left out is no longer than 1e-8 s, and all of them ten times that.
-    assert 0 <= 8.578949178728887 - seconds(told[-1]) <= 1e-7
+    assert 0 <= 8.578949178728887 - seconds(switchings[-1]) <= 1e-7
 
 
 def test_siconos_oscillator_hits_at_the_published_times() -> None:
     """LinearOscillatorED: m 1e-3, k 100, gravity, eps 0.9, a stop in the rest position.
 
-    Published are the first three times and the first speed; the rest of the 40 is closed form.
+    Published are the first three times and the first speed; the others of the 40 are closed form.
     """
     model = system(1e-3, 0, 100, contacts=[([1], 0.0, 0.9)], force=forcing(1, -9.81e-3))
     impacts = crossed(started(model, [1.0], [0.0]), 40)

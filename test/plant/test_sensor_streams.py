@@ -1,4 +1,4 @@
-"""A sensor as a stream: asked whenever, all troubles at once, none in the way of another."""
+"""A simulated sensor as a stream, with all faults at once; faults are independent."""
 
 import dataclasses
 from collections import Counter
@@ -26,7 +26,7 @@ from impact_observer.stamps import NS_PER_S
 @st.composite
 def runs(draw: st.DrawFn) -> list[Switching]:
     """Any sequence of switchings of three contacts, each of which closes before it opens."""
-    told, seconds = [], 0.0
+    switchings, seconds = [], 0.0
     closed: set[int] = set()
     for _ in range(draw(st.integers(0, 12))):
         seconds += draw(st.integers(0, 64)) / 64
@@ -37,8 +37,8 @@ def runs(draw: st.DrawFn) -> list[Switching]:
             kind = Kind.OPEN if i in closed else draw(free)
             closed = closed - {i} if kind is Kind.OPEN else closed | ({i} if kind else set())
             pairs.append((i, kind))
-        told.append(switching(seconds, pairs, draw(st.integers(-8, 64)) / 32))
-    return told
+        switchings.append(switching(seconds, pairs, draw(st.integers(-8, 64)) / 32))
+    return switchings
 
 
 def values(name: str) -> st.SearchStrategy[float | bool]:
@@ -49,41 +49,41 @@ def values(name: str) -> st.SearchStrategy[float | bool]:
 sensors = st.builds(SensorModel, **{name: values(name) for name in FULL})
 
 
-def last_of(told: Sequence[Switching]) -> int:
-    """The end of a run, a while after its last switching."""
-    return max([EPOCH, *(each.instant.stamp for each in told)]) + NS_PER_S
+def last_of(switchings: Sequence[Switching]) -> int:
+    """The end of a run, 1 s after its last switching."""
+    return max([EPOCH, *(each.instant.stamp for each in switchings)]) + NS_PER_S
 
 
 @given(runs(), sensors, st.integers(0, 5), st.lists(st.integers(1, 400), max_size=30))
 @examples(40)
 def test_streaming_gives_the_events_of_the_whole_run(
-    told: list[Switching], sensor: SensorModel, seed: int, waits: list[int]
+    switchings: list[Switching], sensor: SensorModel, seed: int, waits: list[int]
 ) -> None:
-    """Whenever it is asked; nothing arrives before it is due, nothing is due unseen."""
-    last = last_of(told)
-    whole = simulate_sensor(sensor, THREE, told, epoch=EPOCH, last=last, seed=seed)
-    sensing = SensorSimulation(sensor, THREE, epoch=EPOCH, last=last, seed=seed)
-    now, left, found = EPOCH - 1, list(told), list[SensorMessage]()
+    """Whenever it is asked; nothing arrives before ``next_stamp`` or is lost."""
+    last = last_of(switchings)
+    whole = simulate_sensor(sensor, THREE, switchings, epoch=EPOCH, last=last, seed=seed)
+    simulation = SensorSimulation(sensor, THREE, epoch=EPOCH, last=last, seed=seed)
+    now, left, found = EPOCH - 1, list(switchings), list[SensorMessage]()
     for wait in [*waits, 10**6]:
         now += wait * 10_000_000
         while left and left[0].instant.stamp <= now:
-            sensing.detect(left.pop(0))
-        expected = sensing.next_stamp
-        arrived = sensing.due(now)
+            simulation.detect(left.pop(0))
+        expected = simulation.next_stamp
+        arrived = simulation.due(now)
         assert all(expected is not None and expected <= each.arrival <= now for each in arrived)
         found += arrived
-    assert sensing.next_stamp is None
+    assert simulation.next_stamp is None
     assert tuple(found) == whole
 
 
 @given(runs(), sensors, st.integers(0, 5))
 @examples(40)
-def test_events_are_what_every_sensor_tells(
-    told: list[Switching], sensor: SensorModel, seed: int
+def test_events_are_consistent_for_every_sensor(
+    switchings: list[Switching], sensor: SensorModel, seed: int
 ) -> None:
     """Numbered without gaps, arriving in order, stamped above zero; no OPEN without CLOSE."""
     found = simulate_sensor(
-        sensor, THREE, told, epoch=EPOCH, last=last_of(told), seed=seed, episode=2
+        sensor, THREE, switchings, epoch=EPOCH, last=last_of(switchings), seed=seed, episode=2
     )
     assert [each.arrival for each in found] == sorted(each.arrival for each in found)
     counted = sorted(found, key=lambda each: each.event.sequence)
@@ -114,7 +114,7 @@ def unchanged(
 
 
 def fewer(without: list[SensorMessage], with_it: list[SensorMessage]) -> bool:
-    """Whether a trouble took switches away, and changed nothing else."""
+    """Whether a fault removed switches, and changed nothing else."""
     left, there = (
         Counter((e.event.stamp, e.arrival, switch) for e in found for switch in e.event.switches)
         for found in (with_it, without)
@@ -142,12 +142,12 @@ def switches_of(each: SensorMessage) -> object:
 
 
 def arrival_of(each: SensorMessage) -> object:
-    """When a message is heard."""
+    """When a message is received."""
     return each.arrival
 
 
 def event_alone(each: SensorMessage) -> ImpactEvent:
-    """What a message says."""
+    """The event of a message."""
     return each.event
 
 
@@ -170,24 +170,24 @@ CHANGES: dict[str, Callable[[list[SensorMessage], list[SensorMessage]], bool]] =
     "threshold": fewer,
     "spurious": lambda without, with_it: set(map(said, without)) <= set(map(said, with_it)),
 }
-"""What each trouble leaves as it was, whatever else is wrong."""
+"""What each fault leaves unchanged, whatever the other faults."""
 
 
 @pytest.mark.parametrize("name", CHANGES)
 @given(runs(), sensors, st.integers(0, 5))
 @examples(12)
-def test_a_trouble_changes_no_draw_of_another(
-    name: str, told: list[Switching], sensor: SensorModel, seed: int
+def test_a_fault_changes_no_draw_of_another(
+    name: str, switchings: list[Switching], sensor: SensorModel, seed: int
 ) -> None:
-    """Switched on, it does its own harm and no other; only a dead time ties them together."""
+    """Switched on, it has its own effect only; dead time is excluded, as it couples faults."""
     off: dict[str, Any] = {"dead_time": 0.0, name: getattr(IDEAL, name)}
     without = dataclasses.replace(sensor, **off)
     with_it = dataclasses.replace(without, **{name: FULL[name]})
-    last = last_of(told)
+    last = last_of(switchings)
     found = [
         sorted(
-            simulate_sensor(each, THREE, told, epoch=EPOCH, last=last, seed=seed),
-            key=lambda sensed: sensed.event.sequence,
+            simulate_sensor(each, THREE, switchings, epoch=EPOCH, last=last, seed=seed),
+            key=lambda message: message.event.sequence,
         )
         for each in (without, with_it)
     ]
@@ -195,15 +195,15 @@ def test_a_trouble_changes_no_draw_of_another(
 
 
 def test_every_episode_has_its_own_draws() -> None:
-    """And every seed; the same again gives the same."""
-    told = impacts(20)
-    last = told[-1].instant.stamp
+    """So has every seed; the same seed and episode repeat theirs."""
+    switchings = impacts(20)
+    last = switchings[-1].instant.stamp
 
     def stamps(seed: int, episode: int) -> list[int]:
         found = simulate_sensor(
             SensorModel(jitter=0.01),
             THREE,
-            told,
+            switchings,
             epoch=EPOCH,
             last=last,
             seed=seed,

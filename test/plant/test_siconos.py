@@ -104,7 +104,7 @@ def test_event_driven_siconos_finds_the_same_impacts(
             np.testing.assert_allclose(speeds[n:], others, rtol=0, atol=1e-8 * speed)
 
 
-def lasting(found: list[Switching], end: float) -> list[tuple[float, float]]:
+def persistent(found: list[Switching], end: float) -> list[tuple[float, float]]:
     """When the first contact closed for good and opened again, s; the last may last to the end."""
     closes = [cases.seconds(one) for one in found if Kind.CLOSE in cases.kinds(one)]
     opens = [cases.seconds(one) for one in found if Kind.OPEN in cases.kinds(one)]
@@ -120,7 +120,7 @@ def loaded(result: Any) -> NDArray[np.int64]:  # noqa: ANN401
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [cases.pressed_mass, cases.pulled_mass])
 @pytest.mark.parametrize("eps", [0.0, 0.3])
-def test_time_stepping_siconos_sticks_and_releases_alike(
+def test_time_stepping_siconos_closes_and_opens_at_the_same_times(
     siconos: Siconos, case: Callable[[float], Case], eps: float
 ) -> None:
     """Contacts close and open within some steps, speeds and positions stay as near.
@@ -133,7 +133,7 @@ def test_time_stepping_siconos_sticks_and_releases_alike(
     spans = loaded(theirs)
     seconds = np.array([0.0, *theirs["seconds"]])
     closes, opens = seconds[spans[np.diff(spans, axis=1)[:, 0] > 20]].T
-    ours = lasting(cases.switchings(given), given.seconds)
+    ours = persistent(cases.switchings(given), given.seconds)
     assert len(ours) == len(closes) > 0
     early = 15 if eps else 5
     np.testing.assert_allclose([one for one, _ in ours], closes, rtol=0, atol=early * _STEP)

@@ -49,7 +49,7 @@ def times(switchings: Sequence[Switching]) -> Array:
 
 
 def kinds(switchings: Sequence[Switching]) -> list[list[tuple[str, Kind]]]:
-    """What a sensor tells."""
+    """Contacts and kinds of each switching."""
     return [[(switch.contact, switch.kind) for switch in each.switches] for each in switchings]
 
 
@@ -100,8 +100,8 @@ def test_ball_comes_to_rest_where_its_impacts_accumulate(eps: float, step: float
     rest = first * (1 + eps) / (1 - eps)
     plant = started(ball(eps), [1.0], [0.0], step)
     found = crossed(plant, rest + 0.8)
-    told = [kind for [(_, kind)] in kinds(found)]
-    assert told == [Kind.IMPACT] * (len(found) - 1) + [Kind.CLOSE]
+    found_kinds = [kind for [(_, kind)] in kinds(found)]
+    assert found_kinds == [Kind.IMPACT] * (len(found) - 1) + [Kind.CLOSE]
     assert plant.closed == (0,)
     assert abs(times(found)[-1] - rest) < 12 * step
     begin = EPOCH + round((rest + 0.8) * NS_PER_S)
@@ -159,31 +159,31 @@ def test_both_integrators_agree_to_first_order(name: str, seconds: float, impact
     assert np.all(orders(errors) > 0.7)
 
 
-def trusted(runs: list[list[Switching]], model: System, until: float) -> int:
-    """How many switchings are far from any that nearly did, or nearly did not, come about.
+def robust(runs: list[list[Switching]], model: System, until: float) -> int:
+    """Number of switchings at the start of a run that small changes do not alter.
 
-    Up to the first that is not told alike from a start beside (so nothing grazes), whose impact is
-    slow, that nearly closes another contact too, or that is close to its neighbours in time. The
-    last of each run has not shown its neighbour.
+    Up to the first that differs for a nearby start (so nothing grazes), whose impact is slow, that
+    nearly closes another contact too, or that is close to its neighbours in time. The neighbour of
+    the last one of each run is not in it.
     """
     differences = np.diff(times(runs[0]), prepend=-1.0, append=until)
     for count, several in enumerate(zip(*(run[:9] for run in runs), strict=False)):
         one = several[0]
         gap, gamma = model.gap(one.before[: model.n]), model.contact_speed(one.before[model.n :])
-        told = {model.contact_names.index(each.contact): each.kind for each in one.switches}
-        others = set(range(model.m)) - {*told, *one.contacts, *one.closed}
-        slow = any(gamma[i] > -0.1 for i, kind in told.items() if kind is not Kind.OPEN)
+        by_contact = {model.contact_names.index(each.contact): each.kind for each in one.switches}
+        others = set(range(model.m)) - {*by_contact, *one.contacts, *one.closed}
+        slow = any(gamma[i] > -0.1 for i, kind in by_contact.items() if kind is not Kind.OPEN)
         delicate = slow or any(gap[i] < 0.03 for i in others)
-        alike = all(kinds([each]) == kinds([one]) for each in several)
-        if not alike or delicate or min(differences[count : count + 2]) < 0.03:
+        same = all(kinds([each]) == kinds([one]) for each in several)
+        if not same or delicate or min(differences[count : count + 2]) < 0.03:
             return count
     return min(len(run[:9]) for run in runs)
 
 
 @pytest.mark.slow
 def test_both_integrators_agree_on_random_systems() -> None:
-    """What can be trusted, most of what happens, is told alike and within some steps."""
-    step, beside, told = 2e-3, 5e-3, [0, 0]
+    """Robust switchings, which are most of them, are the same and within some steps."""
+    step, offset, counts = 2e-3, 5e-3, [0, 0]
 
     @examples(30)
     @given(st.data())
@@ -191,22 +191,22 @@ def test_both_integrators_agree_on_random_systems() -> None:
         model = data.draw(systems(common_restitution=True, gaps=(0.0, 1.0), max_n=3))
         q, u = data.draw(vectors(model.n, -0.5, 0.5)), data.draw(vectors(model.n))
         assume(np.all(model.gap(q) > 0.05))
-        starts = [(q + shift, u + shift) for shift in (0.0, beside, -beside)]
+        starts = [(q + shift, u + shift) for shift in (0.0, offset, -offset)]
         runs = [
             [each for each in crossed(Plant(model, *start, epoch=EPOCH), 3.0, 10) if each.switches]
             for start in starts
         ]
-        count = trusted(runs, model, 3.0)
+        count = robust(runs, model, 3.0)
         one, *others = (times(each[:count]) for each in runs)
         found = crossed(started(model, q, u, step), 3.1, count)
         assert kinds(found) == kinds(runs[0][:count])
-        sensitivity = np.max(np.abs(np.array(others) - one), initial=0.0) / beside
+        sensitivity = np.max(np.abs(np.array(others) - one), initial=0.0) / offset
         assert np.all(np.abs(times(found) - one) < (4 + 20 * sensitivity) * step)
-        told[:] = [told[0] + count, told[1] + len(runs[0][:9])]
+        counts[:] = [counts[0] + count, counts[1] + len(runs[0][:9])]
 
     agree()
-    assert told[0] > 15
-    assert told[0] > told[1] / 4, told
+    assert counts[0] > 15
+    assert counts[0] > counts[1] / 4, counts
 
 
 def test_symmetric_chain_hits_both_walls_at_once() -> None:
@@ -221,7 +221,7 @@ def test_symmetric_chain_hits_both_walls_at_once() -> None:
         np.testing.assert_allclose(each.after[:4], -each.after[3::-1], atol=1e-10)
 
 
-def test_contact_that_is_held_takes_part_in_an_impact_and_tells_nothing() -> None:
+def test_held_contact_takes_part_in_an_impact_without_a_switch() -> None:
     """A ball lies on the floor, a second one falls on it: one IMPACT, of their contact."""
     contacts = [([1, 0], 0.0, 0.5), ([-1, 1], 0.0, 0.5)]
     model = system(
@@ -281,7 +281,7 @@ def test_states_at_the_ends_of_steps_are_the_schemes() -> None:
 
 
 def test_states_within_a_step_are_of_second_order() -> None:
-    """Sampled between the ends of steps, where nothing touches."""
+    """Sampled between the ends of steps, without contact."""
     plain = chain(2, damping=0.2, force=forcing(2, 1.0, [Harmonic(3.0, [1, 0], [0, 2])]))
     exact = Plant(plain, np.array([0.1, 0.2]), np.array([1.0, -1.0]), epoch=EPOCH)
     stamps = grid(EPOCH, EPOCH + NS_PER_S, 777.0)
@@ -294,7 +294,7 @@ def test_states_within_a_step_are_of_second_order() -> None:
 
 
 @pytest.mark.slow
-def test_states_do_not_depend_on_who_asks_when() -> None:
+def test_states_do_not_depend_on_when_they_are_requested() -> None:
     """One by one, backwards or all at once, and looked ahead or not: the same bits."""
     model, start = sample("three_mass").system, sample("three_mass").initial_state()
     stamps = grid(EPOCH, EPOCH + NS_PER_S, 333.0)
@@ -306,8 +306,8 @@ def test_states_do_not_depend_on_who_asks_when() -> None:
     np.testing.assert_array_equal(plant.states(np.array([EPOCH - 5])), once[:1])
 
 
-def test_switchings_do_not_depend_on_who_asks_when() -> None:
-    """A node that asks every few milliseconds and a run that asks once are told the same."""
+def test_switchings_do_not_depend_on_when_they_are_requested() -> None:
+    """A node that asks every few milliseconds and a run that asks once get the same."""
     once = crossed(started(ball(0.5), [0.2], [0.0], 1e-3), 1.5)
     plant, often = started(ball(0.5), [0.2], [0.0], 1e-3), []
     for limit in grid(EPOCH, EPOCH + round(1.5 * NS_PER_S), 300.0).tolist():
@@ -352,7 +352,7 @@ def test_steps_are_whole_nanoseconds_from_the_epoch() -> None:
         ([1.0], [0.0], np.inf, "step: is inf s; expected at least 1e-09 s"),
     ],
 )
-def test_start_that_cannot_be_is_one_line(
+def test_invalid_start_is_one_line(
     position: list[float], velocity: list[float], step: float, message: str
 ) -> None:
     """The thing, what was found, what is expected."""

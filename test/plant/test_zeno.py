@@ -1,4 +1,4 @@
-"""Contacts that come to rest, stay closed, hand over loads and open again."""
+"""Contacts that come to rest by accumulating impacts, stay closed, and open again."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -47,7 +47,7 @@ def seconds(switching: Switching) -> float:
 
 
 def kinds(switching: Switching) -> list[Kind]:
-    """What a sensor tells of it, in the order of the contacts."""
+    """Kinds of its switches, in the order of the contacts."""
     return [switch.kind for switch in switching.switches]
 
 
@@ -57,10 +57,10 @@ def free(n: int, *, force: Forcing, contacts: Sequence[tuple[ArrayLike, float, f
 
 
 class Ball:
-    """Closed form of a ball dropped from 1 m on a floor: all bounces and the rest after them."""
+    """Closed form of a ball dropped from 1 m on a floor: all bounces, and rest after them."""
 
     def __init__(self, eps: float) -> None:
-        """Lay all bounces out until they are shorter than a double can tell."""
+        """Compute all bounces until they are shorter than rounding."""
         self.speeds = np.sqrt(2 * GRAVITY) * eps ** np.arange(1 if eps == 0 else 10_000)
         flights = 2 * eps * self.speeds / GRAVITY
         fall = np.sqrt(2 / GRAVITY)
@@ -116,14 +116,14 @@ def test_errors_of_a_ball_that_rests_are_below_their_bound(eps: float, floor: fl
     ball = Ball(eps)
     model = free(1, contacts=[([1], -floor, eps)], force=forcing(1, -GRAVITY))
     end = np.array([EPOCH + from_seconds(ball.end + 0.1)])
-    told = simulate(started(model, [floor + 1.0], [0.0]), end).switchings
-    gamma = -eps * told[-1].before[1]
-    close = told[-1].instant.stamp
-    step = max(1, from_seconds(ball.end - seconds(told[-1])) // 900)
+    switchings = simulate(started(model, [floor + 1.0], [0.0]), end).switchings
+    gamma = -eps * switchings[-1].before[1]
+    close = switchings[-1].instant.stamp
+    step = max(1, from_seconds(ball.end - seconds(switchings[-1])) // 900)
     around = close + np.arange(-3000, 3000) * step
     stamps = np.unique(np.concatenate([np.linspace(EPOCH, close, 5000).astype(int), around]))
     stamps = stamps[stamps >= EPOCH]
-    impacts = np.array([one.instant.stamp for one in told])
+    impacts = np.array([one.instant.stamp for one in switchings])
     nearest = np.min(np.abs(stamps[:, None] - impacts), axis=1)
     stamps = stamps[(nearest > 1) | (stamps > close)]
     states = simulate(started(model, [floor + 1.0], [0.0]), stamps).states
@@ -139,7 +139,7 @@ def test_errors_of_a_ball_that_rests_are_below_their_bound(eps: float, floor: fl
 
 
 def test_ball_that_lies_on_the_floor_is_closed_at_the_epoch() -> None:
-    """A sensor is told at once, and nothing ever happens."""
+    """CLOSE is reported at the epoch, and nothing else happens."""
     model = free(1, contacts=[([1], 1.0, 0.9)], force=forcing(1, -GRAVITY))
     found = run(model, [-1.0], [0.0], seconds=100.0, rate=1.0)
     assert [event.stamp for event in found.events] == [EPOCH]
@@ -190,9 +190,9 @@ def test_mass_opens_where_a_second_one_pulls_it_off(press: float) -> None:
     assert seconds(opened) == pytest.approx(np.arcsin(press / 3) / omega, abs=1e-11)
 
 
-def alternates(told: Sequence[Switching], contact: str) -> bool:
+def alternates(switchings: Sequence[Switching], contact: str) -> bool:
     """Whether a contact's switches are IMPACT or CLOSE while open, and OPEN while closed."""
-    kind = [s.kind for one in told for s in one.switches if s.contact == contact]
+    kind = [s.kind for one in switchings for s in one.switches if s.contact == contact]
     return all((before is Kind.CLOSE) == (after is Kind.OPEN) for before, after in pairwise(kind))
 
 
@@ -259,7 +259,7 @@ def test_row_of_beads_without_load_collapses_in_few_impacts(eps: float) -> None:
     assert len(found.switchings) < 100
     momentum = found.states[:, 3:].sum(axis=1)
     np.testing.assert_allclose(momentum, -0.3, rtol=0, atol=1e-13)
-    # They go on together, as well as impacts closer than their rounding can be told apart.
+    # They move together, as far as impacts closer than rounding can be resolved.
     np.testing.assert_allclose(found.states[-1, 3:], -0.1, rtol=0, atol=1e-4)
 
 
@@ -275,14 +275,14 @@ def test_graze_deeper_than_rounding_is_one_impact(depth: float) -> None:
     found = grazing(depth)
     assert [kinds(one) for one in found.switchings] == [[Kind.IMPACT]]
     change = found.switchings[0]
-    error = 1e-15 / np.sqrt(depth)  # the gap is known to 1e-15 or so
+    error = 1e-15 / np.sqrt(depth)  # the gap is rounded to 1e-15 or so
     assert seconds(change) == pytest.approx(2 - np.arccos(1 - depth), abs=3 * error + 1e-14)
     assert change.before[1] == pytest.approx(np.sqrt(1 - (1 - depth) ** 2), abs=3 * error + 1e-14)
 
 
 @pytest.mark.parametrize("depth", [DEPTH / 2, 0.0, -1e-12, -1e-6])
 def test_graze_shallower_than_rounding_is_none(depth: float) -> None:
-    """Nothing is told, and nothing is penetrated either."""
+    """No switching, and no penetration either."""
     found = grazing(depth)
     assert found.switchings == ()
     assert np.min(1 - depth - found.states[:, 0]) >= -2 * DEPTH
@@ -350,9 +350,9 @@ def test_sampled_force_opens_a_contact_at_its_instant(
     times = np.array([0.0, 1 / 3, 2 / 3, 3.0])
     force = Forcing.of_samples(Samples(times, np.array([[-1.0], [-1.0], [1.0], [1.0]]), hold))
     model = system(1, 0.2, K, contacts=[([1], 0.0, 0.5)], force=force)
-    told = run(model, [0.0], [0.0], seconds=1.0).switchings
-    assert [kinds(one) for one in told] == [[Kind.CLOSE], [Kind.OPEN]]
-    assert seconds(told[1]) == pytest.approx(expected, abs=2e-14)
+    switchings = run(model, [0.0], [0.0], seconds=1.0).switchings
+    assert [kinds(one) for one in switchings] == [[Kind.CLOSE], [Kind.OPEN]]
+    assert seconds(switchings[1]) == pytest.approx(expected, abs=2e-14)
 
 
 def separation(model: System, t: float, x: Array, closed: Sequence[int]) -> tuple[Array, float]:
@@ -372,13 +372,13 @@ def assert_lawful(model: System, found: Run) -> None:
     law = ImpactLaw(model)
     assert np.min(found.states[:, :n] @ model.W + model.q_r, initial=0.0) >= -1e-10
     for one in found.switchings:
-        known = {*closed, *one.contacts}
-        assert set(one.held) <= set(one.closed) <= known
+        at_stop = {*closed, *one.contacts}
+        assert set(one.held) <= set(one.closed) <= at_stop
         assert np.linalg.matrix_rank(model.W[:, list(one.held)]) == len(one.held)
         if one.contacts:
             assert set(closed) <= set(one.contacts)
         size = 1 + np.abs(one.before[n:]).max()
-        assert np.max(np.abs(model.gap(one.before[:n])[list(known)])) < 1e-10
+        assert np.max(np.abs(model.gap(one.before[:n])[list(at_stop)])) < 1e-10
         assert np.max(np.abs(model.contact_speed(one.after[n:])[list(one.closed)]), initial=0) < (
             1e-11 * size
         )
@@ -457,7 +457,7 @@ def test_heavy_body_does_not_hide_the_impacts_of_a_light_one() -> None:
 
 @pytest.mark.slow
 def test_redundant_supports_close_together_when_their_impacts_accumulate() -> None:
-    """Three legs of a rigid table, two floors in one place: no contact that touches is open."""
+    """Three legs of a rigid table, two floors in one place: no contact at its stop is open."""
     legs = [([1, -1], 0.0, 0.4), ([1, 0], 0.0, 0.4), ([1, 1], 0.0, 0.4)]
     push = forcing(2, [-9.81, 0], [Harmonic(1.0, [0, 0], [0, 3.0])])
     table = system(

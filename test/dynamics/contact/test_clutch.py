@@ -77,7 +77,7 @@ def assert_is_a_motion(closed: Closed, seconds: float) -> None:
 
     ``M du = (-C u - K q + f) dt + W lambda dt`` with ``lambda_i >= 0`` where ``gamma_i`` gets down
     to zero and none elsewhere, ``gamma >= 0``, and ``dq = (u - Z gamma) dt``, ``Z = 0`` without
-    fixed gaps. A piece holds a switch where the integrals over its halves tell another sum.
+    fixed gaps. A piece has a switch where the integrals over its halves have another sum.
     """
     model, contacts = closed.system, list(closed.contacts)
     n, W = model.n, model.W[:, contacts]
@@ -102,7 +102,7 @@ def assert_is_a_motion(closed: Closed, seconds: float) -> None:
     ended = edge[:, n:] @ W
     moving = np.concatenate([gamma, np.stack([ended[:-2:2], ended[1::2], ended[2::2]], 1)], 1)
     moves = moving > 1e-9 * size
-    # A switch beside an edge changes the sums by less than they tell.
+    # A switch close to an edge changes the sums by less than the tolerance.
     smooth &= np.all(np.all(moves, axis=1) | ~np.any(moves, axis=1), axis=1)
     assert np.sum(~smooth) <= PIECES / 2
     change = edge[2::2] - edge[:-2:2]
@@ -123,7 +123,7 @@ def assert_is_a_motion(closed: Closed, seconds: float) -> None:
 def test_every_motion_obeys_the_complementarity_of_speeds_and_loads(
     fix: bool, data: st.DataObject
 ) -> None:
-    """Any contacts closed, redundant ones too, from any state: nothing raises, all holds."""
+    """Any contacts closed, redundant ones too, any state: no error, all equations hold."""
     model = data.draw(systems(max_n=3, contacts=(1, 4), common_restitution=True))
     assert_is_a_motion(drawn(data, model, fix=fix), 3.0)
 
@@ -131,7 +131,7 @@ def test_every_motion_obeys_the_complementarity_of_speeds_and_loads(
 @pytest.mark.slow
 @examples(40)
 @given(st.data())
-def test_motions_of_whole_numbers_obey_it_as_well(data: st.DataObject) -> None:
+def test_motions_with_integer_data_obey_it(data: st.DataObject) -> None:
     """Loads and speeds that are zero together, equal and opposite contacts."""
     model, x = data.draw(whole_numbers())
     closed = started(model, 0.0, x, tuple(range(model.m)), fix=data.draw(st.booleans()))
@@ -205,7 +205,7 @@ def test_pressed_mass_is_released_and_caught_each_turn(
 @BOTH
 @examples(15)
 @given(st.data())
-def test_who_asks_when_decides_nothing(fix: bool, data: st.DataObject) -> None:
+def test_motion_does_not_depend_on_when_it_is_requested(fix: bool, data: st.DataObject) -> None:
     """One by one in any order, far ahead first: the same bits; at once, but for rounding."""
     model = data.draw(systems(max_n=3, contacts=(1, 3), common_restitution=True))
     one = drawn(data, model, fix=fix)
@@ -224,7 +224,7 @@ def test_who_asks_when_decides_nothing(fix: bool, data: st.DataObject) -> None:
 @BOTH
 @examples(15)
 @given(st.data())
-def test_two_replicas_never_part_where_contacts_are_redundant(
+def test_distance_of_two_replicas_never_grows_where_contacts_are_redundant(
     fix: bool, data: st.DataObject
 ) -> None:
     """More contacts than coordinates need, a common restitution, K singular or not."""

@@ -86,7 +86,7 @@ def test_solution_is_the_shortest_separating_vector(data: st.DataObject) -> None
     found = complementary(B, B.T @ towards)
     assert found is not None  # -towards separates all of them
     v = B @ found
-    # Variational inequality on the polyhedron, at the one point that is known to lie in it.
+    # Variational inequality on the polyhedron, at the one point that certainly lies in it.
     assert v @ (-towards - v) >= -1e-8 * (1 + towards @ towards)
     assert v @ v <= towards @ towards * (1 + 1e-9) + 1e-12
 
@@ -113,7 +113,7 @@ def test_units_of_single_columns_do_not_matter(size: float) -> None:
     np.testing.assert_allclose(scaled * unit, plain, rtol=1e-9, atol=1e-12)
 
 
-def test_nothing_pressed_takes_no_load() -> None:
+def test_contact_without_pressure_takes_no_load() -> None:
     """All rows separate by themselves, or there is no row at all."""
     found = complementary(np.eye(2), np.array([0.0, 3.0]))
     assert found is not None
@@ -137,4 +137,4 @@ def test_opposite_columns_that_both_want_to_separate_have_no_solution() -> None:
     """A floor that rises towards a ceiling."""
     B = np.array([[1.0, -1.0]])
     assert complementary(B, np.array([-1.0, 0.5])) is None
-    assert complementary(B, np.array([-1.0, 1.0])) is not None  # they touch
+    assert complementary(B, np.array([-1.0, 1.0])) is not None  # both can separate

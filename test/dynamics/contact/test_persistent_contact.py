@@ -221,7 +221,7 @@ def test_one_contact_leaves_and_others_stay() -> None:
     assert decide(model, np.zeros(6)) == ((0, 2), (0, 2))
 
 
-def test_no_contact_is_no_question() -> None:
+def test_no_contact_gives_no_persistent_contact() -> None:
     """Nor does it look at the motion."""
     assert persistent_contacts(Phases(pushed()), (), 0.0, np.zeros(2), ()) == ((), ())
 
@@ -229,7 +229,7 @@ def test_no_contact_is_no_question() -> None:
 @pytest.mark.parametrize("mass", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("rate", [1e-3, 1.0, 1e4])
 @pytest.mark.parametrize("length", [1e-6, 1.0])
-def test_units_do_not_decide(mass: float, rate: float, length: float) -> None:
+def test_units_do_not_matter(mass: float, rate: float, length: float) -> None:
     """Masses, times and lengths in other units: the same contacts at rest, leaving and pulled.
 
     The load of the first contact is zero and falls, that of the second rises with the square of

@@ -154,7 +154,7 @@ def test_free_body_gives_way_before_a_spring_does() -> None:
 
 
 def test_ties_go_to_the_lightest_motion() -> None:
-    """Two free bodies and one gap between them: they share the way as their masses tell."""
+    """Two free bodies and one gap between them: they share the displacement by their masses."""
     model = system(
         np.diag([1.0, 3.0]), np.zeros((2, 2)), np.zeros((2, 2)), contacts=[([-1, 1], 0.0, 0.5)]
     )

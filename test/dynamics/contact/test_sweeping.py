@@ -33,14 +33,14 @@ PIECES = 24
 SPRING = np.array([[4.0, -4.0], [-4.0, 4.0]])
 
 
-def holds(model: System) -> SweepingProcess:
-    """The holds of ``model``."""
+def sweeping_process(model: System) -> SweepingProcess:
+    """The sweeping process of ``model``."""
     return SweepingProcess(Clutches(model))
 
 
 def joint(model: System) -> UnilateralProjection:
     """The joint projection of ``model``."""
-    return holds(model).projection
+    return sweeping_process(model).projection
 
 
 def nearest(model: System, q: Array, fixed: list[int]) -> Array:
@@ -84,7 +84,7 @@ def enumerated(model: System, q: Array, active: tuple[int, ...]) -> Array | None
 
 @examples(50)
 @given(st.data())
-def test_joint_projection_is_the_nearest_position_of_all(data: st.DataObject) -> None:
+def test_unilateral_projection_is_the_nearest_position_of_all(data: st.DataObject) -> None:
     """Against every set of gaps that could be zero, K singular or not; none where none is."""
     model = data.draw(systems(contacts=(1, 4)))
     active = tuple(sorted(data.draw(st.sets(st.integers(0, model.m - 1), max_size=2))))
@@ -99,8 +99,8 @@ def test_joint_projection_is_the_nearest_position_of_all(data: st.DataObject) ->
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_joint_projection_is_what_a_general_optimiser_finds(seed: int) -> None:
-    """Sequential quadratic programming, five coordinates and six stops of which one is closed."""
+def test_unilateral_projection_is_what_a_general_optimiser_finds(seed: int) -> None:
+    """Sequential quadratic programming, five coordinates and six stops, one of them closed."""
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(5, 5))
     model = system(
@@ -168,7 +168,7 @@ class Held(NamedTuple):
 
 def started(model: System, t: float, x: Array, closed: tuple[int, ...]) -> Held | None:
     """The motion from the nearest possible state on; None where there is none."""
-    n, stops = model.n, holds(model)
+    n, stops = model.n, sweeping_process(model)
     if not stops.projection.is_possible(closed):
         return None
     position = stops.projection.position_after(x[:n], closed)
@@ -204,7 +204,7 @@ def assert_stops_only_push(held: Held, seconds: float) -> None:
     """``K dq = K u dt + W sigma dt`` integrated over short pieces, and no gap is ever negative.
 
     ``sigma_i >= 0`` where the gap is zero, of any sign where ``chi`` is 1, zero elsewhere;
-    ``u`` hears nothing of it. A piece holds a switch where its halves tell another sum.
+    ``u`` is not changed by it. A piece has a switch where its halves have another sum.
     """
     model, n = held.system, held.system.n
     ends = np.linspace(0.0, seconds, 2 * PIECES + 1)
@@ -229,7 +229,7 @@ def assert_stops_only_push(held: Held, seconds: float) -> None:
     away = np.where(np.isin(np.arange(model.m), A), every[:, n:] @ model.W, gap) > 1e-9 * size
     ended, inside = away[: edge.shape[0]], away[edge.shape[0] :].reshape(PIECES, -1, model.m)
     inside = np.concatenate([inside, np.stack([ended[:-2:2], ended[1::2], ended[2::2]], 1)], 1)
-    # A switch beside an edge changes the sums by less than they tell.
+    # A switch close to an edge changes the sums by less than the tolerance.
     smooth &= np.all(np.all(inside, axis=1) | ~np.any(inside, axis=1), axis=1)
     assert np.sum(smooth) >= PIECES / 3
     change = edge[2::2] - edge[:-2:2]
@@ -257,7 +257,7 @@ def test_every_motion_obeys_the_complementarity_of_gaps_and_reactions(
 
 @examples(25)
 @given(st.data())
-def test_motions_of_whole_numbers_obey_it_as_well(data: st.DataObject) -> None:
+def test_motions_with_integer_data_obey_it(data: st.DataObject) -> None:
     """Gaps, rates and reactions that are zero together; equal and opposite stops."""
     model, x = data.draw(whole_numbers())
     some = data.draw(st.sets(st.integers(0, model.m - 1), max_size=1))
@@ -270,7 +270,7 @@ def test_stop_holds_an_oscillator_until_its_velocity_turns() -> None:
     """``x = -sin t`` is stopped at -1/2; held, u rises by 1/2 each second; released at u = 0."""
     model = system(1, 0, 1, contacts=[([1], 0.5, 0.5)])
     s = np.linspace(0.0, 6.0, 121)
-    found = holds(model).motion(0.0, np.array([0.0, -1.0]), ()).states(s)
+    found = sweeping_process(model).motion(0.0, np.array([0.0, -1.0]), ()).states(s)
     struck, released = np.pi / 6, np.pi / 6 + np.sqrt(3)
     free = np.column_stack([-np.sin(s), -np.cos(s)])
     stopped = np.column_stack([np.full(s.size, -0.5), (s - released) / 2])
@@ -317,7 +317,7 @@ CAUGHT = {
 def test_motion_is_what_small_steps_converge_to(model: System, x: list[float]) -> None:
     """Moreau's catching-up algorithm, of first order: a quarter of the step, of the distance."""
     seconds = 2.0
-    motion = holds(model).motion(0.0, np.array(x), ())
+    motion = sweeping_process(model).motion(0.0, np.array(x), ())
     found = motion.state(seconds)
     errors = [
         float(np.max(np.abs(stepped(model, np.array(x), seconds, steps) - found)))
@@ -333,7 +333,7 @@ def test_ball_waits_on_the_floor_for_its_velocity_to_turn() -> None:
     """No stiffness: the whole body stops; pulled up it leaves as soon as it moves up."""
     pull = forcing(1, 0, [Harmonic(1.0, [0.0], [1.0])])
     ball = system(1, 0, 0, contacts=[([1], 0.0, 0.5)], force=pull)
-    motion = holds(ball).motion(0.0, np.array([0.0, -1.0]), ())
+    motion = sweeping_process(ball).motion(0.0, np.array([0.0, -1.0]), ())
     s = np.linspace(0.0, 3.0, 31)
     # u = -cos s
     flying = np.maximum(s, np.pi / 2)
@@ -354,7 +354,7 @@ def hammer(clearance: float) -> System:
 def test_free_hammer_is_stopped_as_a_whole_before_its_spring_gives_way() -> None:
     """Rigid motions cost nothing: thrown at one stop both masses wait there."""
     model = hammer(4.0)
-    motion = holds(model).motion(0.0, np.array([1.0, 1.0, -1.0, -1.0]), ())
+    motion = sweeping_process(model).motion(0.0, np.array([1.0, 1.0, -1.0, -1.0]), ())
     found = motion.states(np.array([0.5, 1.0, 3.0]))
     np.testing.assert_allclose(found[:, :2], [[0.5, 0.5], [0.0, 0.0], [0.0, 0.0]], atol=1e-15)
     np.testing.assert_allclose(found[:, 2:], -1.0, atol=1e-15)
@@ -363,11 +363,11 @@ def test_free_hammer_is_stopped_as_a_whole_before_its_spring_gives_way() -> None
 def test_hammer_that_fits_exactly_between_its_stops_is_held_by_both() -> None:
     """Growing it is pressed on both, and its spring takes the reaction; shrinking it is free."""
     model = hammer(0.0)
-    motion = holds(model).motion(0.0, np.array([0.0, 0.0, -1.0, 1.0]), ())
+    motion = sweeping_process(model).motion(0.0, np.array([0.0, 0.0, -1.0, 1.0]), ())
     s = np.linspace(0.0, 2.0, 21)
     np.testing.assert_allclose(motion.states(s)[:, :2], 0.0, atol=1e-15)
     np.testing.assert_allclose(motion.states(s)[:, 2:], [[-1.0, 1.0]] * 21, atol=1e-15)
-    inwards = holds(model).motion(0.0, np.array([0.0, 0.0, 1.0, -1.0]), ())
+    inwards = sweeping_process(model).motion(0.0, np.array([0.0, 0.0, 1.0, -1.0]), ())
     w = np.sqrt(8.0)
     half = inwards.states(np.linspace(0, np.pi / w, 9))
     np.testing.assert_allclose(
@@ -379,7 +379,7 @@ def test_gap_that_is_zero_with_no_rate_is_decided_by_what_comes_next() -> None:
     """At rest on the stop: pressed it stays, pulled it leaves; with no force it stays for ever."""
     for force, height in ((-1.0, 0.0), (1.0, 2.0), (0.0, 0.0)):
         model = system(1, 0, 0, contacts=[([1], 0.0, 0.5)], force=forcing(1, force))
-        motion = holds(model).motion(0.0, np.zeros(2), ())
+        motion = sweeping_process(model).motion(0.0, np.zeros(2), ())
         np.testing.assert_allclose(motion.state(2.0), [height, 2 * force], atol=1e-14)
 
 
@@ -392,18 +392,18 @@ def test_gap_of_a_two_sided_stop_without_play_never_moves() -> None:
         contacts=[([1, 0], 0.0, 0.5), ([-1, 0], 0.0, 0.5), ([2, 0], 0.0, 0.5)],
         force=forcing(2, 0, [Harmonic(3.0, [2.0, 1.0], [0.0, 1.0])]),
     )
-    motion = holds(model).motion(0.0, np.array([0.0, 1.0, 1.0, -1.0]), ())
+    motion = sweeping_process(model).motion(0.0, np.array([0.0, 1.0, 1.0, -1.0]), ())
     states = motion.states(np.linspace(0.0, 5.0, 26))
     np.testing.assert_allclose(states[:, 0], 0.0, atol=1e-13)
     assert np.ptp(states[:, 1]) > 1
 
 
 def test_gaps_that_no_position_can_open_do_not_stop_anything() -> None:
-    """What was told is not true of any plant: the motion goes on without stops."""
+    """No plant can have this ``chi``: the motion goes on without stops."""
     model = chain(2, contacts=[([1, 0], 0.0, 0.5), ([-1, 0], -1.0, 0.5)])
     assert not joint(model).is_possible(())
     x = np.array([0.5, 0.0, 1.0, 0.0])
-    found = holds(model).motion(0.0, x, ()).state(1.0)
+    found = sweeping_process(model).motion(0.0, x, ()).state(1.0)
     np.testing.assert_allclose(found, Clutches(model).motion(0.0, x, (), fix=True).state(1.0))
 
 
@@ -421,7 +421,7 @@ def test_closed_contact_slips_while_another_stop_holds() -> None:
 @pytest.mark.slow
 @examples(15)
 @given(st.data())
-def test_who_asks_when_decides_nothing(data: st.DataObject) -> None:
+def test_motion_does_not_depend_on_when_it_is_requested(data: st.DataObject) -> None:
     """One by one in any order, far ahead first: the same bits."""
     model = data.draw(systems(max_n=3, contacts=(1, 3), common_restitution=True))
     one = drawn(data, model)
@@ -429,7 +429,7 @@ def test_who_asks_when_decides_nothing(data: st.DataObject) -> None:
         return
     s = np.array(data.draw(st.lists(numbers(0, 4), min_size=1, max_size=12)))
     singly = np.array([one.motion.state(float(at)) for at in s])
-    ahead = holds(model).motion(one.motion.t, one.start, one.closed)
+    ahead = sweeping_process(model).motion(one.motion.t, one.start, one.closed)
     ahead.state(7.0)
     backwards = np.array([ahead.state(float(at)) for at in s[::-1]])
     np.testing.assert_array_equal(backwards[::-1], singly)

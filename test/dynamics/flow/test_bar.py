@@ -38,10 +38,10 @@ def test_modes_of_a_bar_are_found_to_the_last_digits(n: int) -> None:
     expected = 12 * n**2 * np.sin(angle / 2) ** 2 / (2 + np.cos(angle))
     np.testing.assert_allclose(squares, expected, rtol=1e-14)
     np.testing.assert_allclose(shapes.T @ model.M @ shapes, np.eye(n), rtol=0, atol=2e-14)
-    known = np.sin(np.outer(np.arange(1, n + 1), angle))
-    known /= np.sqrt(np.einsum("ij,ij->j", known, model.M @ known))
-    known *= np.sign(np.einsum("ij,ij->j", known, model.M @ shapes))
-    np.testing.assert_allclose(shapes, known, rtol=0, atol=1e-12)
+    exact = np.sin(np.outer(np.arange(1, n + 1), angle))
+    exact /= np.sqrt(np.einsum("ij,ij->j", exact, model.M @ exact))
+    exact *= np.sign(np.einsum("ij,ij->j", exact, model.M @ shapes))
+    np.testing.assert_allclose(shapes, exact, rtol=0, atol=1e-12)
 
 
 def integrated(model: System) -> list[float]:

@@ -1,4 +1,4 @@
-"""Divided differences of the exponential, where points lie apart, close together and in one."""
+"""Divided differences of the exponential, for distinct, close and equal points."""
 
 import math
 

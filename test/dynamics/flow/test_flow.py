@@ -113,7 +113,7 @@ def test_flow_is_exact(model: System) -> None:
 
 @pytest.mark.parametrize("seconds", [1e-6, 1e-3, 1.0, 100.0, 2e4])
 def test_stiff_overdamped_flow_keeps_the_slow_motion(seconds: float) -> None:
-    """Eigenvalues 1e8 apart: both exponentials are known in closed form."""
+    """Eigenvalues that differ by a factor of 1e8: both exponentials have a closed form."""
     c, k = 1e4, 1.0
     fast = -(c + np.sqrt(c * c - 4 * k)) / 2
     slow = k / fast
@@ -173,7 +173,7 @@ def test_flow_of_any_size_agrees_with_a_matrix_exponential(n: int) -> None:
 
 
 def test_flow_of_thirty_masses_agrees_with_a_runge_kutta_method() -> None:
-    """DOP853 with tight tolerances knows nothing of linearity."""
+    """DOP853 with tight tolerances makes no use of linearity."""
     n = 30
     force = forcing(n, 0.1, [Harmonic(3.0, [1.0] + [0.0] * (n - 1), [0.5] * n)])
     model = chain(n, stiffness=25.0, damping=0.06, force=force)
@@ -218,7 +218,7 @@ def test_flow_by_modes_agrees_with_the_matrix_exponential(data: st.DataObject) -
 
 
 @pytest.mark.parametrize("flow", [spectral, DenseFlow])
-def test_flow_of_unforced_system_does_not_know_the_time(flow: type[Flow]) -> None:
+def test_flow_of_unforced_system_does_not_depend_on_the_start_time(flow: type[Flow]) -> None:
     """Shifting an autonomous motion in time changes no bit."""
     model = chain(3)
     x = np.arange(6.0)
@@ -252,7 +252,7 @@ def test_defective_system_is_left_to_the_matrix_exponential() -> None:
     assert error(model, flow_of(model).start(0.0, x).states(s), expected, x) < 1e-13
 
 
-def test_motion_knows_when_it_starts() -> None:
+def test_motion_has_its_start_time() -> None:
     """Seconds since the epoch, for whoever evaluates the forcing along it."""
     model = sample("two_mass").system
     for flow in (spectral(model), DenseFlow(model)):

@@ -78,7 +78,7 @@ def test_resonance_with_an_undamped_mode_stays_exact(distance: float) -> None:
 
 @pytest.mark.parametrize("stiffness", [1e-14, 1e-8, 1e-4, 1e-2, 0.3])
 def test_load_on_a_soft_spring_stays_exact_while_the_motion_is_young(stiffness: float) -> None:
-    """The deflection it will reach is far larger than the motion, and must not be felt yet."""
+    """The deflection it will reach is far larger than the motion, and must not matter yet."""
     force = forcing(1, 1.0, [Harmonic(0.01, [1.0], [0.5])])
     model = system(1, 0, stiffness, force=force)
     seconds, x = np.array([1e-6, 1e-3, 0.1, 1.0, 5.0]), np.array([0.1, -0.2])
@@ -130,7 +130,7 @@ def test_undamped_modes_are_found_to_the_last_digit() -> None:
 
 
 @pytest.mark.parametrize("n", [1, 2, 40, 300])
-def test_chain_of_any_length_moves_in_its_known_modes(n: int) -> None:
+def test_chain_of_any_length_moves_in_its_closed_form_modes(n: int) -> None:
     """``sin(i k pi / (n+1))`` with ``omega_k = 2 sqrt(k/m) sin(k pi / (2n+2))``, each damped."""
     model = chain(n, stiffness=10.0, damping=0.05)
     k = np.arange(1, n + 1)
@@ -176,7 +176,7 @@ def faster(model: System, factor: float) -> System:
 @pytest.mark.parametrize("factor", [1e6, pytest.param(1e-4, marks=pytest.mark.slow)])
 @examples(30)
 @given(data=st.data())
-def test_clock_that_runs_faster_sees_the_same_motion(factor: float, data: st.DataObject) -> None:
+def test_unit_of_time_does_not_change_the_motion(factor: float, data: st.DataObject) -> None:
     """Rates of 1e6 1/s or 1e-4 1/s are as good as those of 1 1/s: there is no unit of time."""
     model = data.draw(systems(contacts=(0, 0)))
     x, t = data.draw(vectors(2 * model.n)), data.draw(numbers(0.0, 4.0))
@@ -191,7 +191,9 @@ def test_clock_that_runs_faster_sees_the_same_motion(factor: float, data: st.Dat
 
 @pytest.mark.parametrize("factor", [1e6, 1e-4])
 @pytest.mark.parametrize("distance", [0.0, 1e-12, 1e-9, 1e-6])
-def test_matrix_exponential_knows_no_unit_of_time(factor: float, distance: float) -> None:
+def test_matrix_exponential_does_not_depend_on_the_unit_of_time(
+    factor: float, distance: float
+) -> None:
     """Nor does the choice between it and the modes."""
     model = system(
         np.eye(2),

@@ -94,7 +94,7 @@ def assert_is_the_integrated_one(
 
 
 def independent(model: System, contacts: list[int]) -> Contacts:
-    """Those of ``contacts`` that are well apart from the span of others before them."""
+    """Those of ``contacts`` clearly outside the span of others before them."""
     chosen: list[int] = []
     for i in contacts:
         W = model.W[:, [*chosen, i]]
@@ -107,7 +107,7 @@ def independent(model: System, contacts: list[int]) -> Contacts:
 
 
 def drawn(data: st.DataObject, model: System, *, fix: bool) -> tuple[Contacts, Contacts]:
-    """Independent held contacts, and fixed ones that contain them, redundant or well apart."""
+    """Independent held contacts, and fixed ones with them, redundant or clearly independent."""
     chosen = sorted(data.draw(st.sets(st.integers(0, model.m - 1), min_size=1)))
     some = [i for i in chosen if data.draw(st.booleans())]
     held = independent(model, some) if some else ()
@@ -201,7 +201,7 @@ def test_contact_that_sees_no_rigid_mode_is_held_where_it_is() -> None:
 
 @examples(40)
 @given(st.data())
-def test_two_motions_of_one_phase_never_part(data: st.DataObject) -> None:
+def test_distance_of_two_motions_of_one_phase_never_grows(data: st.DataObject) -> None:
     """``1/2 du^T M du + 1/2 dq^T K dq`` falls while the same contacts are held and fixed."""
     model = data.draw(systems(contacts=(1, 4)))
     held, fixed = drawn(data, model, fix=data.draw(st.booleans()))

@@ -92,7 +92,7 @@ def test_flow_is_exact_between_samples_and_across_them(
 
 @pytest.mark.parametrize("hold", HOLDS)
 @pytest.mark.parametrize("base", WITHOUT.values(), ids=list(WITHOUT))
-def test_power_series_and_closed_form_give_the_same_answer(base: System, hold: str) -> None:
+def test_power_series_and_closed_form_give_the_same_response(base: System, hold: str) -> None:
     """One serves short steps, the other all; the exponential of one matrix serves both."""
     modes = split(base)
     h = np.array([1e-6, 1e-3, 3e-3])
@@ -222,7 +222,7 @@ def test_sampled_flow_is_a_group(data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("base", [WITHOUT[name] for name in ("three_mass", "defective")])
-def test_nobody_changes_a_bit_by_asking(base: System) -> None:
+def test_requested_instants_do_not_change_a_bit(base: System) -> None:
     """States do not depend on what was asked before, in which order or how much of it."""
     time = np.linspace(0.0, 3.0, 1001)
     flow = flow_of(forced(base, time, noise(base.n, time), "linear"))
@@ -239,7 +239,7 @@ def test_nobody_changes_a_bit_by_asking(base: System) -> None:
 
 @pytest.mark.parametrize("hold", HOLDS)
 def test_motion_beyond_the_samples_is_one_line(hold: str) -> None:
-    """It is known up to the last sample, for both ways to hold; a rounding beyond counts as it."""
+    """For both ways to hold; an instant beyond the last sample by rounding counts as it."""
     flow = flow_of(forced(system(1, 0, 1), [0.0, 1.0, 2.0], [[1], [2], [3]], hold))
     motion = flow.start(0.5, np.zeros(2))
     assert np.all(np.isfinite(motion.states(np.array([1.5, 1.5 + 1e-10]))))
@@ -268,7 +268,7 @@ def test_samples_lie_on_top_of_the_flow_that_would_be_without(
 
 
 def test_no_samples_of_no_load_change_nothing() -> None:
-    """Samples that are all zero leave the free motion as it is."""
+    """Samples that are all zero do not change the free motion."""
     base = chain(3)
     x, s = np.arange(6.0), np.linspace(0.0, 2.0, 5)
     zero = forced(base, EVEN, np.zeros((EVEN.size, 3)), "linear")

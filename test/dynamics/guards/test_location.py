@@ -35,14 +35,14 @@ def traces(phase: Phase, motion: Motion, watched: Watched) -> list[Trace]:
 
 
 def lowest(trace: Trace, s: Array) -> tuple[Rough, Array]:
-    """What is known of functions on intervals with ends ``s``, and the better lower bound."""
+    """Values and slopes of functions on intervals with ends ``s``, and the better lower bound."""
     rough, h = trace.rough(s), np.diff(s)
     least = trace.taylor(s[:-1], s[1:]).extremes(rough.values[:-1], h)[0]
     return rough, np.maximum(trace.lower(rough, h), least)
 
 
 def assert_same(plain: Trace, waves: Trace) -> None:
-    """Both tell the same values and derivatives."""
+    """Both have the same values and derivatives."""
     s = np.linspace(0.0, 3.0, 7)
     values = plain.values(s)
     np.testing.assert_allclose(waves.values(s), values, atol=1e-11 * (1 + np.abs(values).max()))
@@ -140,7 +140,7 @@ def test_gap_that_closes_and_opens_between_two_samples_is_found() -> None:
 
 
 def test_deepest_graze_passed_over_is_as_deep_as_rounding() -> None:
-    """A touch that no double can tell from none is none; it is found at a picometre."""
+    """A graze below rounding is none; one of a picometre is found."""
     start = np.array([np.cos(-2.0), -np.sin(-2.0)])
     shallow = system(1, 0, 1, contacts=[([-1], 1 + 1e-12, 0.5)])
     assert search(shallow, start, 5.0) is None
@@ -164,7 +164,7 @@ def test_earlier_of_two_crossings_in_one_window_is_found() -> None:
     assert found.s == pytest.approx(first, abs=1e-13)
 
 
-def test_contacts_that_close_together_are_told_together() -> None:
+def test_contacts_that_close_together_are_found_together() -> None:
     """A symmetric motion hits both walls at one instant."""
     model = system(
         np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=[([1, 0], 0.5, 1), ([0, -1], 0.5, 1)]
@@ -300,7 +300,7 @@ class Superposed:
     "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))]
 )
 def test_dip_deeper_than_rounding_is_found_wherever_it_hides(modes: int, seed: int) -> None:
-    """Down to twice 1e-13 of the gap's scale; what does not quite touch is never found."""
+    """Down to twice 1e-13 of the gap's scale; a near miss is never found."""
     rng = np.random.default_rng(10 * seed + modes)
     motion = Superposed(rng, modes)
     end = 40 / np.sqrt(motion.k[-1]) if modes > 1 else 6.0
