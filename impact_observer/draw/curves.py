@@ -1,46 +1,27 @@
-"""The one list of curves: what is worth plotting of a plant and its observers.
+"""The list of curves worth plotting of a plant and its observers, for every plotting tool.
 
-A curve is said in no tool's language: the writers of :mod:`impact_observer.draw.layouts` translate
-it. What the list is made from is a bag, or the names that observer nodes go by.
+It is made for the observers of a bag, or for the names of observer nodes. The layouts of
+:mod:`impact_observer.draw.layouts` are written from it.
 """
 
-from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
-from itertools import islice
-from typing import cast
+from pathlib import Path
+from typing import NamedTuple
 
-from impact_observer.errors import UsageError
+from impact_observer.draw.observer_topics import ObserverTopics, observers_in
+from impact_observer.errors import BagError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.messages import EstimateMessage
 from impact_observer.io.reader import BagReader
-from impact_observer.model import System
+from impact_observer.io.recordings import system_of
+from impact_observer.model import System, read_model
 from impact_observer.model.free_parameters import with_unit
-from impact_observer.stamps import NS_PER_S
-
-_BOUNDED = ("geometric", "unilateral")
-"""Laws that certify a bound of V."""
-_FILTERS = ("minimum-variance",)
-"""Laws that carry a covariance and learn the accuracy of the clock."""
-_TAIL = 2 * NS_PER_S
-"""How much of the end of a bag is looked at to see what an observer says, ns."""
-_FIGURES = (
-    "events applied",
-    "events rejected",
-    "impacts inserted",
-    "missing sequence numbers",
-    "estimates corrected",
-    "estimates passed over",
-    "surprising events",
-    "largest latency [s]",
-)
-"""Figures of an observer's diagnostics that are always numbers."""
 
 
 class CurveGroup(Enum):
-    """What curves tell of together; the values are titles."""
+    """Groups of curves; the values are titles of tabs."""
 
     POSITIONS = "positions"
     VELOCITIES = "velocities"
@@ -52,22 +33,21 @@ class CurveGroup(Enum):
     DIAGNOSTICS = "diagnostics"
 
 
-class Shown(Enum):
-    """What is done to a value before it is drawn; plotting tools have no logarithmic axis."""
+class Transform(Enum):
+    """The function of a value that is drawn; plotting tools have no logarithmic axis."""
 
-    AS_IT_IS = ""
+    NONE = ""
     LOGARITHM = "log10"
     ROOT = "sqrt"
 
 
-@dataclass(frozen=True, slots=True)
-class CurveStep:
-    """One step into a message.
+class FieldStep(NamedTuple):
+    """One step of the path from a message to a number in it.
 
     Attributes:
         field: its name.
-        index: of the element of an array; None where the field is none, or ``where`` chooses.
-        where: name and value of a field of the elements that are meant; empty for no choice.
+        index: of the element of an array; None if the field is none, or ``where`` chooses.
+        where: name and value of a field by which elements are chosen; empty for no choice.
     """
 
     field: str
@@ -81,261 +61,239 @@ class Curve:
 
     Attributes:
         name: for the legend.
-        source: whose it is: ``plant``, an observer's name; curves of one source look alike.
+        source: ``plant`` or an observer's name; curves of one source have one colour.
         topic: the absolute name.
-        steps: from the message to the number.
-        group: what it tells of.
+        steps: the path from the message to the number.
+        group: the tab in which it is shown.
         plot: title of the axes that it shares with others, with the unit.
         element: the coordinate, or the model that diagnostics are of; empty for neither.
-        shown: what is drawn of the value.
-        states: whether it is one of a few states, not a quantity.
+        transform: the function of the value that is drawn.
+        is_state: whether it is one of a few states, not a quantity.
     """
 
     name: str
     source: str
     topic: str
-    steps: tuple[CurveStep, ...]
+    steps: tuple[FieldStep, ...]
     group: CurveGroup
     plot: str
     element: str = ""
-    shown: Shown = Shown.AS_IT_IS
-    states: bool = False
+    transform: Transform = Transform.NONE
+    is_state: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Observed:
-    """An observer by its topics, and those of the plant and the monitor beside it.
-
-    Attributes:
-        prefix: the node's absolute name, such as ``/rig/observer_geometric``.
-        bounded: whether it certifies a bound of V.
-        filters: whether it carries a covariance, and weighs events by it.
-        learnt: names of what it learns besides the state.
-    """
-
-    prefix: str
-    bounded: bool = True
-    filters: bool = False
-    learnt: tuple[str, ...] = ()
-
-    @property
-    def name(self) -> str:
-        """The node's name, below its namespace if it has one."""
-        return self.prefix.lstrip("/")
-
-    @property
-    def monitor(self) -> str:
-        """The absolute name of its monitor: ``monitor_<law>`` beside ``observer_<law>``."""
-        name = self.prefix.rpartition("/")[2]
-        own = f"monitor{name.removeprefix('observer')}"
-        return self.beside(own if name.startswith("observer") else f"monitor_{name}")
-
-    def beside(self, name: str) -> str:
-        """The absolute form of a ``name`` in the observer's namespace."""
-        return name if name.startswith("/") else f"{self.prefix.rpartition('/')[0]}/{name}"
-
-    def own(self, interface: Interface) -> str:
-        """The observer's topic of an interface such as ``observer/state``."""
-        return interface.of(self.prefix)
-
-    @property
-    def error(self) -> str:
-        """The topic of its distance from the truth."""
-        return interfaces.MONITOR_ERROR.of(self.monitor)
-
-    @classmethod
-    def named(cls, name: str) -> "Observed":
-        """What a node called ``name`` publishes; ``observer_<law>`` runs that law.
-
-        Raises:
-            UsageError: no node can have that name.
-        """
-        prefix = name if name.startswith("/") else f"/{name}"
-        if not all(part.isidentifier() and part.isascii() for part in prefix[1:].split("/")):
-            raise UsageError(f"observer {name!r}: no name of a node; expected such as observer")
-        last = prefix.rpartition("/")[2]
-        law = last.removeprefix("observer").lstrip("_").replace("_", "-") or _BOUNDED[0]
-        filters = law in _FILTERS
-        return cls(prefix, law in _BOUNDED, filters, ("clock_error",) if filters else ())
-
-
-def observed_in(reader: BagReader) -> tuple[Observed, ...]:
-    """The observers of a bag, with what each of them says.
-
-    Raises:
-        BagError: the bag is damaged.
-    """
-    return tuple(_observed(reader, prefix) for prefix in reader.observers())
-
-
-def _observed(reader: BagReader, prefix: str) -> Observed:
-    """One observer; its last state tells what it carries."""
-    bound = interfaces.OBSERVER_BOUND.of(prefix)
-    bounded = bound in reader.topics and reader.topics[bound].count > 0
-    state = interfaces.OBSERVER_STATES.of(prefix)
-    if state not in reader.topics:
-        return Observed(prefix, bounded)
-    tail = deque(reader.raw([state], max(reader.end - _TAIL, 0)), maxlen=1)
-    said = tail or list(islice(reader.raw([state]), 1))
-    if not said:
-        return Observed(prefix, bounded)
-    message = cast("EstimateMessage", reader.decoder(state)(said[0].data))
-    return Observed(prefix, bounded, len(message.covariance) > 0, tuple(message.parameter_name))
+_V = "V and its bound: log10 of J"
+_DISTANCES = (
+    ("V", interfaces.MONITOR_ERROR, "v", _V),
+    ("bound of V", interfaces.OBSERVER_BOUND, "v", _V),
+    ("convergence", interfaces.OBSERVER_STATES, "convergence", "convergence: log10 of J"),
+)
+"""V and what bounds it: name, interface, field, plot."""
+_VERDICT = "verdict: 0 applied, 1 rejected, 2 inserted, 3 and more refused"
+_EVENTS = (
+    ("verdict", interfaces.OBSERVER_VERDICTS, _VERDICT, True),
+    ("synchronized", interfaces.OBSERVER_STATES, "synchronized: 0 or 1", True),
+    ("latency", interfaces.OBSERVER_VERDICTS, "latency [s]", False),
+    ("innovation", interfaces.OBSERVER_VERDICTS, "innovation [standard deviations]", False),
+)
+"""What observers publish of events: field, interface, plot, and whether it is a state."""
+_DIAGNOSTICS = (
+    "events applied",
+    "events rejected",
+    "impacts inserted",
+    "missing sequence numbers",
+    "estimates corrected",
+    "estimates passed over",
+    "surprising events",
+    "largest latency [s]",
+)
+"""Keys of an observer's diagnostics whose values are always numbers."""
 
 
 def curves(
-    system: System, observers: Sequence[Observed], topics: Iterable[str] | None = None
+    system: System, observers: Sequence[ObserverTopics], topics: Iterable[str] | None = None
 ) -> tuple[Curve, ...]:
     """The list.
 
     Args:
         system: names coordinates and contacts, and itself in the diagnostics.
-        observers: whose estimates are to be seen, each with the plant beside it.
+        observers: whose estimates are drawn, each with the plant in its namespace.
         topics: only curves of these absolute names, such as those of a bag; None for all.
 
     Returns:
-        Curves in the order in which they are to be shown.
+        Curves in the order in which they are shown.
 
     Raises:
         UsageError: there is no observer.
     """
     if not observers:
         raise UsageError("no observer: there is nothing to draw beside the plant; name one")
-    every = (
+    every = [
         *_states(system, observers, CurveGroup.POSITIONS, "position", "m"),
         *_states(system, observers, CurveGroup.VELOCITIES, "velocity", "m/s"),
-        *_errors(system, observers),
-        *(curve for each in observers for curve in _distances(each)),
-        *(curve for each in observers if each.filters for curve in _deviations(system, each)),
+        *_errors(system, observers, "position", "m"),
+        *_errors(system, observers, "velocity", "m/s"),
         *_impacts(system, observers),
-        *(curve for each in observers for curve in _verdicts(each)),
-        *(curve for each in observers for curve in _learnt(each)),
-        *(curve for each in observers for curve in _diagnostics(system, each)),
-    )
+    ]
+    for curves_of in (_distances, _deviations, _events, _learnt, _diagnostics):
+        every += [curve for each in observers for curve in curves_of(system, each)]
     wanted = None if topics is None else set(topics)
     return tuple(each for each in every if wanted is None or each.topic in wanted)
 
 
+def curves_of_model(model: str, observers: Sequence[str]) -> tuple[Curve, ...]:
+    """The curves of a model and of observer nodes with the given names.
+
+    Args:
+        model: a model file or a sample's name.
+        observers: names of nodes, which may be given twice.
+
+    Raises:
+        UsageError, ModelError: a name that no node can have, or the model cannot be read.
+    """
+    topics = dict.fromkeys(ObserverTopics.of_node(name) for name in observers)
+    return curves(read_model(model).system, list(topics))
+
+
+def curves_of_bag(
+    bag: Path, observers: Sequence[str] | None, model: str | None
+) -> tuple[tuple[Curve, ...], tuple[str, ...]]:
+    """The curves that a bag has messages for, and all topics that have messages.
+
+    Args:
+        bag: with estimates.
+        observers: names of nodes; None for all in the bag.
+        model: a model file or a sample's name; None for the model in the bag.
+
+    Raises:
+        BagError: the bag cannot be read, or has no estimates.
+        UsageError, ModelError: an observer that is not in it, or the model cannot be read.
+    """
+    with BagReader(bag) as reader:
+        system, found = system_of(reader, model), observers_in(reader)
+        if not found:
+            raise BagError(f"{bag}: has no estimates; make them with observe, or name a model")
+        by_prefix = {each.prefix: each for each in found}
+        names = by_prefix if observers is None else observers
+        wanted = dict.fromkeys(ObserverTopics.of_node(name).prefix for name in names)
+        if missing := [prefix for prefix in wanted if prefix not in by_prefix]:
+            present = ", ".join(by_prefix)
+            raise UsageError(f"{bag}: no observer {missing[0]}; in the bag: {present}")
+        topics = tuple(name for name, topic in reader.topics.items() if topic.count)
+    return curves(system, [by_prefix[prefix] for prefix in wanted], topics), topics
+
+
 def _states(
-    system: System, observers: Sequence[Observed], group: CurveGroup, field: str, unit: str
+    system: System, observers: Sequence[ObserverTopics], group: CurveGroup, field: str, unit: str
 ) -> Iterator[Curve]:
     """Truth and estimates of each coordinate, in one plot."""
-    truths = _beside(observers, interfaces.PLANT_JOINT_STATES)
-    places = [("plant", f"{rig}plant", topic) for rig, topic in truths]
+    truths = _plant_topics(observers, interfaces.PLANT_JOINT_STATES)
+    sources = [("plant", f"{rig}plant", topic) for rig, topic in truths]
     joints = interfaces.OBSERVER_JOINT_STATES
-    places += [(each.name, each.name, each.own(joints)) for each in observers]
+    sources += [(each.name, each.name, each.topic(joints)) for each in observers]
     for i, name in enumerate(system.coordinates):
-        for source, label, topic in places:
-            steps = (CurveStep(field, i),)
+        for source, label, topic in sources:
+            steps = (FieldStep(field, i),)
             plot = f"{name} {field} [{unit}]"
             yield Curve(f"{name} {label}", source, topic, steps, group, plot, element=name)
 
 
-def _beside(observers: Sequence[Observed], interface: Interface) -> Iterator[tuple[str, str]]:
-    """Each topic of the plants beside observers once, with what tells several plants apart."""
-    topics = dict.fromkeys(each.beside(interface.name) for each in observers)
+def _plant_topics(
+    observers: Sequence[ObserverTopics], interface: Interface
+) -> Iterator[tuple[str, str]]:
+    """Each topic of the plants of observers once, with its namespace if there are several."""
+    topics = dict.fromkeys(each.topic(interface) for each in observers)
     for topic in topics:
         rig = topic.removesuffix(interface.name).lstrip("/")
         yield rig if len(topics) > 1 else "", topic
 
 
-def _errors(system: System, observers: Sequence[Observed]) -> Iterator[Curve]:
-    """Estimate minus truth of each coordinate, as monitors tell it."""
-    for field, unit in (("position_error", "m"), ("velocity_error", "m/s")):
-        for i, name in enumerate(system.coordinates):
-            for each in observers:
-                plot = f"{name} {field.replace('_', ' ')} [{unit}]"
-                label = f"{name} {each.name}"
-                yield Curve(
-                    label, each.name, each.error, (CurveStep(field, i),), CurveGroup.ERRORS, plot
-                )
-
-
-def _distances(observer: Observed) -> Iterator[Curve]:
-    """V, what bounds it, and how far replicas are apart."""
+def _of_observer(
+    observer: ObserverTopics,
+    label: str,
+    interface: Interface,
+    *steps: FieldStep,
+    group: CurveGroup,
+    plot: str,
+) -> Curve:
+    """A curve of an observer; its name is the label and the observer's name."""
     name = observer.name
-    places = [("V", observer.error, "v", "V and its bound: log10 of J")]
-    if observer.bounded:
-        topic = observer.own(interfaces.OBSERVER_BOUND)
-        places.append(("bound of V", topic, "v", "V and its bound: log10 of J"))
-    state = observer.own(interfaces.OBSERVER_STATES)
-    places.append(("convergence", state, "convergence", "convergence: log10 of J"))
-    for what, topic, field, plot in places:
-        steps = (CurveStep(field),)
-        yield Curve(
-            f"{what} {name}", name, topic, steps, CurveGroup.DISTANCE, plot, shown=Shown.LOGARITHM
-        )
+    return Curve(f"{label} {name}", name, observer.topic(interface), steps, group, plot)
 
 
-def _deviations(system: System, observer: Observed) -> Iterator[Curve]:
-    """Standard deviations: roots of the covariance's diagonal."""
-    topic, n = observer.own(interfaces.OBSERVER_STATES), system.n
-    for k, name in enumerate((*system.coordinates, *system.coordinates)):
-        what, unit = ("velocity", "m/s") if k >= n else ("position", "m")
-        yield Curve(
-            f"{name} {observer.name}",
-            observer.name,
-            topic,
-            (CurveStep("covariance", k * (2 * n + 1)),),
-            CurveGroup.DEVIATIONS,
-            f"{what} deviations [{unit}]",
-            shown=Shown.ROOT,
-        )
+def _errors(
+    system: System, observers: Sequence[ObserverTopics], quantity: str, unit: str
+) -> Iterator[Curve]:
+    """Estimate minus truth of each coordinate, from the monitors."""
+    error, group = interfaces.MONITOR_ERROR, CurveGroup.ERRORS
+    for i, name in enumerate(system.coordinates):
+        step, plot = FieldStep(f"{quantity}_error", i), f"{name} {quantity} error [{unit}]"
+        for each in observers:
+            yield _of_observer(each, name, error, step, group=group, plot=plot)
 
 
-def _impacts(system: System, observers: Sequence[Observed]) -> Iterator[Curve]:
+def _impacts(system: System, observers: Sequence[ObserverTopics]) -> Iterator[Curve]:
     """How each contact switches: 0 IMPACT, 1 CLOSE, 2 OPEN."""
     plot = "kind of switch: 0 impact, 1 close, 2 open"
-    for rig, topic in _beside(observers, interfaces.IMPACTS):
+    for rig, topic in _plant_topics(observers, interfaces.IMPACTS):
         for name in system.contact_names:
-            steps = (CurveStep("switches", where=("contact", name)), CurveStep("kind"))
+            steps = (FieldStep("switches", where=("contact", name)), FieldStep("kind"))
             label = f"{rig}{name}"
-            yield Curve(label, "plant", topic, steps, CurveGroup.EVENTS, plot, states=True)
+            yield Curve(label, "plant", topic, steps, CurveGroup.EVENTS, plot, is_state=True)
 
 
-def _verdicts(observer: Observed) -> Iterator[Curve]:
-    """What became of events: the number of the verdict, the innovation, the latency."""
-    verdicts = observer.own(interfaces.OBSERVER_VERDICTS)
-    places = [
-        (verdicts, "verdict", "verdict: 0 applied, 1 rejected, 2 inserted, 3 and more refused"),
-        (observer.own(interfaces.OBSERVER_STATES), "synchronized", "synchronized: 0 or 1"),
-        (verdicts, "latency", "latency [s]"),
-    ]
-    if observer.filters:
-        places.append((verdicts, "innovation", "innovation [standard deviations]"))
-    for topic, field, plot in places:
-        yield Curve(
-            f"{field} {observer.name}",
-            observer.name,
-            topic,
-            (CurveStep(field),),
-            CurveGroup.EVENTS,
-            plot,
-            states=field in {"verdict", "synchronized"},
-        )
+def _distances(_: System, observer: ObserverTopics) -> Iterator[Curve]:
+    """V, its bound if the observer has one, and the distance of the replicas."""
+    group = CurveGroup.DISTANCE
+    for label, interface, field, plot in _DISTANCES:
+        if observer.bounded or interface is not interfaces.OBSERVER_BOUND:
+            curve = _of_observer(
+                observer, label, interface, FieldStep(field), group=group, plot=plot
+            )
+            yield replace(curve, transform=Transform.LOGARITHM)
 
 
-def _learnt(observer: Observed) -> Iterator[Curve]:
-    """What is known besides the state: value and deviation of each parameter."""
-    topic, name = observer.own(interfaces.OBSERVER_STATES), observer.name
+def _deviations(system: System, observer: ObserverTopics) -> Iterator[Curve]:
+    """Standard deviations: square roots of the covariance's diagonal, if there is one."""
+    interface, group, n = interfaces.OBSERVER_STATES, CurveGroup.DEVIATIONS, system.n
+    for k in range(2 * n if observer.filters else 0):
+        step = FieldStep("covariance", k * (2 * n + 1))
+        plot = "velocity deviations [m/s]" if k >= n else "position deviations [m]"
+        name = system.coordinates[k % n]
+        curve = _of_observer(observer, name, interface, step, group=group, plot=plot)
+        yield replace(curve, transform=Transform.ROOT)
+
+
+def _events(_: System, observer: ObserverTopics) -> Iterator[Curve]:
+    """Verdicts, latency, and the innovation if the observer has one."""
+    group = CurveGroup.EVENTS
+    for field, interface, plot, is_state in _EVENTS:
+        if observer.filters or field != "innovation":
+            curve = _of_observer(
+                observer, field, interface, FieldStep(field), group=group, plot=plot
+            )
+            yield replace(curve, is_state=is_state)
+
+
+def _learnt(_: System, observer: ObserverTopics) -> Iterator[Curve]:
+    """Value and standard deviation of each parameter that is estimated with the state."""
+    interface, group = interfaces.OBSERVER_STATES, CurveGroup.LEARNT
     for i, parameter in enumerate(observer.learnt):
-        what = parameter.replace("_", " ")
-        for field, label in (("parameter", what), ("parameter_deviation", f"{what} deviation")):
-            steps = (CurveStep(field, i),)
-            plot = with_unit(parameter)
-            yield Curve(f"{label} {name}", name, topic, steps, CurveGroup.LEARNT, plot)
+        words, plot = parameter.replace("_", " "), with_unit(parameter)
+        for field, label in (("parameter", words), ("parameter_deviation", f"{words} deviation")):
+            yield _of_observer(
+                observer, label, interface, FieldStep(field, i), group=group, plot=plot
+            )
 
 
-def _diagnostics(system: System, observer: Observed) -> Iterator[Curve]:
+def _diagnostics(system: System, observer: ObserverTopics) -> Iterator[Curve]:
     """The level and the figures of an observer's diagnostics."""
-    topic, name = interfaces.DIAGNOSTIC_ARRAYS.topic, observer.name
-    status = CurveStep("status", where=("name", f"{observer.prefix}: impacts"))
-    level: tuple[CurveStep, ...] = (status, CurveStep("level"))
-    places = [("level", level, "level: 0 ok, 1 warning, 2 error")]
-    places += [
-        (key, (status, CurveStep("values", where=("key", key)), CurveStep("value")), key)
-        for key in _FIGURES
-    ]
-    for what, steps, plot in places:
-        label = f"{what} {name}"
-        yield Curve(label, name, topic, steps, CurveGroup.DIAGNOSTICS, plot, element=system.name)
+    interface, group = interfaces.DIAGNOSTIC_ARRAYS, CurveGroup.DIAGNOSTICS
+    status = FieldStep("status", where=("name", f"{observer.prefix}: impacts"))
+    paths = {"level": (status, FieldStep("level"))}
+    for key in _DIAGNOSTICS:
+        paths[key] = (status, FieldStep("values", where=("key", key)), FieldStep("value"))
+    for label, steps in paths.items():
+        plot = "level: 0 ok, 1 warning, 2 error" if label == "level" else label
+        curve = _of_observer(observer, label, interface, *steps, group=group, plot=plot)
+        yield replace(curve, element=system.name)

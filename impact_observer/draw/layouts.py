@@ -1,9 +1,9 @@
-"""Layouts for plotting tools, written from the one list of curves.
+"""Layouts for plotting tools, written from the list of curves.
 
-Foxglove imports JSON: panels by identifier, and a tree that splits the screen between them; paths
-are its message paths. PlotJuggler 3 loads XML: tabs, splitters, plots; it names a series by its
-way through the message, an element of a ``JointState`` by the joint and a diagnostic by its key,
-and computes others by snippets of Lua.
+Foxglove imports JSON: panels by identifier, and a tree that splits the screen between them; curves
+are message paths. PlotJuggler 3 loads XML: tabs, splitters, plots. It names a series by its path
+in the message, an element of a ``JointState`` by the joint and a diagnostic by its key, and
+computes transformed series by snippets of Lua.
 """
 
 import json
@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
 
-from impact_observer.draw.curves import Curve, CurveGroup, CurveStep, Shown
+from impact_observer.draw.curves import Curve, CurveGroup, FieldStep, Transform
 from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import interface
@@ -20,17 +20,28 @@ from impact_observer.io.interfaces import interface
 _Config: TypeAlias = dict[str, Any]
 _Tree: TypeAlias = "str | _Config"
 
-# Blue, vermilion, green, orange, purple of Okabe and Ito, for eyes that see no red or no green;
-# a grey that is seen on white and on black for the plant, whose line is wider too.
+# Blue, vermilion, green, orange, purple of Okabe and Ito, for people who see no red or no green.
+# The plant is grey, visible on white and on black, and its line is wider.
 _PLANT = "#8c8c8c"
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#e69f00", "#cc79a7", "#56b4e9")
 _LONGEST_ARRAY = 100
-"""Arrays of more numbers are not read by PlotJuggler, unless it is told to."""
+"""PlotJuggler does not read longer arrays by default."""
 _SCENE = interfaces.VIEWER_MARKERS.topic
-"""Where plant and estimates are seen moving."""
+"""The topic of the moving drawing of plant and estimates."""
+_PLOT = {
+    "showXAxisLabels": True,
+    "showYAxisLabels": True,
+    "showLegend": True,
+    "legendDisplay": "floating",
+    "showPlotValuesInLegend": False,
+    "isSynced": True,
+    "xAxisVal": "timestamp",
+    "sidebarDimension": 240,
+}
+"""Settings of every plot of Foxglove."""
 _LUA = {
-    Shown.LOGARITHM: "if value > 0 then return time, math.log(value) / math.log(10) end",
-    Shown.ROOT: "if value >= 0 then return time, math.sqrt(value) end",
+    Transform.LOGARITHM: "if value > 0 then return time, math.log(value) / math.log(10) end",
+    Transform.ROOT: "if value >= 0 then return time, math.sqrt(value) end",
 }
 
 
@@ -39,7 +50,7 @@ def foxglove(curves: Sequence[Curve], topics: Iterable[str] | None = None) -> st
 
     Args:
         curves: what to show.
-        topics: absolute names of what there is to see besides; None for all.
+        topics: absolute names of those that other panels may show; None for all.
 
     Returns:
         JSON with a final line end.
@@ -47,7 +58,7 @@ def foxglove(curves: Sequence[Curve], topics: Iterable[str] | None = None) -> st
     Raises:
         UsageError: a path cannot be written.
     """
-    there = None if topics is None else set(topics)
+    present = None if topics is None else set(topics)
     panels = _Panels(curves)
     overview: list[_Tree] = [
         panels.plots(curves, CurveGroup.DISTANCE, most=1),
@@ -57,16 +68,14 @@ def foxglove(curves: Sequence[Curve], topics: Iterable[str] | None = None) -> st
         overview.append(states)
     tabs = [("overview", _split("column", [each for each in overview if each]))]
     tabs += [
-        (group.value, _split("column", [*panels.beside(curves, group, there), tree]))
+        (group.value, _split("column", [*panels.above(curves, group, present), tree]))
         for group in CurveGroup
         if (tree := panels.plots(curves, group))
     ]
-    if there is None or _SCENE in there:
+    if present is None or _SCENE in present:
         tabs.append(("scene", panels.add("3D", {"topics": {_SCENE: {"visible": True}}})))
-    layout = panels.add(
-        "Tab",
-        {"activeTabIdx": 0, "tabs": [{"title": title, "layout": tree} for title, tree in tabs]},
-    )
+    titled = [{"title": title, "layout": tree} for title, tree in tabs]
+    layout = panels.add("Tab", {"activeTabIdx": 0, "tabs": titled})
     whole = {
         "configById": panels.configs,
         "globalVariables": {},
@@ -81,13 +90,13 @@ def message_path(curve: Curve) -> str:
     """A curve in Foxglove's message path syntax, such as ``/monitor/error.v.@log10``.
 
     Raises:
-        UsageError: a name holds both kinds of quotes, which the syntax cannot say.
+        UsageError: a name holds both kinds of quotes, which the syntax cannot express.
     """
-    shown = f".@{curve.shown.value}" if curve.shown.value else ""
+    shown = f".@{curve.transform.value}" if curve.transform.value else ""
     return curve.topic + "".join(map(_message_step, curve.steps)) + shown
 
 
-def _message_step(step: CurveStep) -> str:
+def _message_step(step: FieldStep) -> str:
     """One step of a message path."""
     if step.index is not None:
         return f".{step.field}[{step.index}]"
@@ -101,38 +110,38 @@ def _message_step(step: CurveStep) -> str:
 
 
 class _Panels:
-    """Foxglove's panels: identifiers and what each shows."""
+    """The panels of a Foxglove layout, by identifier."""
 
     def __init__(self, curves: Sequence[Curve]) -> None:
         self.configs: dict[str, _Config] = {}
         self._colours = _colours(curves)
 
     def add(self, kind: str, config: _Config) -> str:
-        """A new panel; its identifier."""
+        """Add a panel; return its identifier."""
         name = f"{kind}!{len(self.configs)}"
         self.configs[name] = config
         return name
 
     def plots(self, curves: Sequence[Curve], group: CurveGroup, most: int | None = None) -> _Tree:
-        """The plots of a group, as many as wanted; empty where it has none."""
-        quantities = [each for each in curves if each.group is group and not each.states]
+        """The plots of a group, at most so many; empty if it has none."""
+        quantities = [each for each in curves if each.group is group and not each.is_state]
         axes = _by_plot(quantities)[:most]
-        return _grid([self._plot(title, on_them) for title, on_them in axes])
+        return _grid([self._plot(title, curves_there) for title, curves_there in axes])
 
     def transitions(self, curves: Sequence[Curve]) -> str:
-        """States over time: contacts, verdicts; empty where there are none."""
-        states = [each for each in curves if each.states]
+        """States over time, such as contacts and verdicts; empty if there are none."""
+        states = [each for each in curves if each.is_state]
         if not states:
             return ""
-        paths = [{**self._path(each), "label": each.name} for each in states]
-        return self.add("StateTransitions", {"isSynced": True, "paths": paths})
+        config = {"isSynced": True, "paths": [_path(each) for each in states]}
+        return self.add("StateTransitions", config)
 
-    def beside(
-        self, curves: Sequence[Curve], group: CurveGroup, there: set[str] | None
+    def above(
+        self, curves: Sequence[Curve], group: CurveGroup, present: set[str] | None
     ) -> list[_Tree]:
-        """What stands above the plots of a group: states, the text of the messages."""
+        """The panels above the plots of a group: states, the text of messages."""
         topic = interfaces.DIAGNOSTIC_ARRAYS.topic
-        if group is CurveGroup.DIAGNOSTICS and (there is None or topic in there):
+        if group is CurveGroup.DIAGNOSTICS and (present is None or topic in present):
             config = {"minLevel": 0, "topicToRender": topic, "sortByLevel": True}
             return [self.add("DiagnosticSummary", {**config, "hardwareIdFilter": ""})]
         if group is not CurveGroup.EVENTS or not (states := self.transitions(curves)):
@@ -145,40 +154,31 @@ class _Panels:
 
     def _plot(self, title: str, curves: Sequence[Curve]) -> str:
         """One pair of axes."""
-        return self.add(
-            "Plot",
+        paths = [
             {
-                "foxglovePanelTitle": title,
-                "yAxisLabel": title,
-                "paths": [
-                    {
-                        **self._path(each),
-                        "label": each.name,
-                        "color": self._colours[each.source],
-                        "lineSize": 3 if each.source == "plant" else 1.5,
-                        "showLine": each.group is not CurveGroup.EVENTS,
-                    }
-                    for each in curves
-                ],
-                "showXAxisLabels": True,
-                "showYAxisLabels": True,
-                "showLegend": True,
-                "legendDisplay": "floating",
-                "showPlotValuesInLegend": False,
-                "isSynced": True,
-                "xAxisVal": "timestamp",
-                "sidebarDimension": 240,
-            },
-        )
+                **_path(each),
+                "color": self._colours[each.source],
+                "lineSize": 3 if each.source == "plant" else 1.5,
+                "showLine": each.group is not CurveGroup.EVENTS,
+            }
+            for each in curves
+        ]
+        titles = {"foxglovePanelTitle": title, "yAxisLabel": title}
+        return self.add("Plot", {**titles, "paths": paths, **_PLOT})
 
-    @staticmethod
-    def _path(curve: Curve) -> _Config:
-        """A path, over the stamps of its messages: an estimate may come later than others."""
-        return {"value": message_path(curve), "enabled": True, "timestampMethod": "headerStamp"}
+
+def _path(curve: Curve) -> _Config:
+    """A path over the stamps of headers: messages may arrive out of order."""
+    return {
+        "value": message_path(curve),
+        "enabled": True,
+        "timestampMethod": "headerStamp",
+        "label": curve.name,
+    }
 
 
 def _split(direction: str, trees: Sequence[_Tree]) -> _Tree:
-    """Panels one beside (``row``) or under (``column``) another, of equal size."""
+    """Panels of equal size side by side (``row``) or below each other (``column``)."""
     first, *others = trees
     if not others:
         return first
@@ -217,11 +217,11 @@ def plotjuggler(curves: Sequence[Curve]) -> str:
     ET.SubElement(root, "Plugins")
     equations = ET.SubElement(root, "customMathEquations")
     for each in readable:
-        if each.shown in _LUA:
+        if each.transform in _LUA:
             snippet = ET.SubElement(equations, "snippet", name=series_drawn(each))
             ET.SubElement(snippet, "global")
-            # What is not to be drawn, as -1 for "none", becomes no sample at all.
-            ET.SubElement(snippet, "function").text = f"{_LUA[each.shown]}\nreturn {{}}"
+            # A value without a transform, such as -1 for "none", gives no sample.
+            ET.SubElement(snippet, "function").text = f"{_LUA[each.transform]}\nreturn {{}}"
             ET.SubElement(snippet, "linked_source").text = series(each)
     ET.SubElement(root, "snippets")
     ET.indent(root, " ")
@@ -229,15 +229,15 @@ def plotjuggler(curves: Sequence[Curve]) -> str:
 
 
 def series(curve: Curve) -> str:
-    """The name of PlotJuggler's series that a curve is drawn of.
+    """The name of PlotJuggler's series of a curve, before its transform.
 
     ``/plant/joint_states/x1/position``, ``/monitor/error/position_error[0]``,
-    ``/diagnostics/two_mass//observer: impacts/level``; of several switches in one event the first.
+    ``/diagnostics/two_mass//observer: impacts/level``; the first of several switches in an event.
     """
-    known = interface(curve.topic)
-    if known is not None and known.type == interfaces.JOINT_STATE:
+    found = interface(curve.topic)
+    if found is not None and found.type == interfaces.JOINT_STATE:
         return f"{curve.topic}/{curve.element}/{curve.steps[0].field}"
-    if known is not None and known.type == interfaces.DIAGNOSTICS:
+    if found is not None and found.type == interfaces.DIAGNOSTICS:
         status, *inside = curve.steps
         key = inside[0].where[1] or inside[0].field
         return f"{curve.topic}/{curve.element}/{status.where[1]}/{key}"
@@ -245,18 +245,18 @@ def series(curve: Curve) -> str:
 
 
 def series_drawn(curve: Curve) -> str:
-    """The name of the series that is drawn: what is computed has a name of its own."""
-    return f"{curve.shown.value} {curve.name}" if curve.shown in _LUA else series(curve)
+    """The name of the series that is drawn; a transformed one has a name of its own."""
+    return f"{curve.transform.value} {curve.name}" if curve.transform in _LUA else series(curve)
 
 
-def _series_step(step: CurveStep) -> str:
+def _series_step(step: FieldStep) -> str:
     """One step of the name of a series."""
     index = 0 if step.where[0] else step.index
     return f"/{step.field}" + ("" if index is None else f"[{index}]")
 
 
 def _readable(curves: Sequence[Curve]) -> list[Curve]:
-    """Those that lie in no array that PlotJuggler finds too long; the last entry tells that."""
+    """Curves in arrays that PlotJuggler reads; the last index shows how long an array is."""
     last = {(each.topic, each.steps[0].field): each.steps[0].index or 0 for each in curves}
     return [each for each in curves if last[each.topic, each.steps[0].field] < _LONGEST_ARRAY]
 
@@ -267,26 +267,20 @@ def _tab(tab: ET.Element, curves: Sequence[Curve], colours: dict[str, str]) -> N
     rows = ET.SubElement(ET.SubElement(tab, "Container"), "DockSplitter", _sizes("|", columns))
     for column in columns:
         splitter = ET.SubElement(rows, "DockSplitter", _sizes("-", column))
-        for title, on_them in column:
+        for title, curves_there in column:
             area = ET.SubElement(splitter, "DockArea", name=title)
-            dots = on_them[0].group is CurveGroup.EVENTS
-            plot = ET.SubElement(
-                area,
-                "plot",
-                mode="TimeSeries",
-                style="Dots" if dots else "Lines",
-                flip_x="false",
-                flip_y="false",
-                line_width="1.5",
-            )
+            dots = curves_there[0].group is CurveGroup.EVENTS
+            settings = {"flip_x": "false", "flip_y": "false", "line_width": "1.5"}
+            style = {"mode": "TimeSeries", "style": "Dots" if dots else "Lines"}
+            plot = ET.SubElement(area, "plot", {**style, **settings})
             ET.SubElement(plot, "limitY")
-            drawn = {series_drawn(each): colours[each.source] for each in on_them}
+            drawn = {series_drawn(each): colours[each.source] for each in curves_there}
             for name, colour in drawn.items():
                 ET.SubElement(plot, "curve", name=name, color=colour)
 
 
 def _sizes(orientation: str, parts: Sequence[object]) -> dict[str, str]:
-    """A splitter of equal parts: ``|`` beside, ``-`` under each other."""
+    """Attributes of a splitter of equal parts: ``|`` side by side, ``-`` below each other."""
     sizes = ";".join([f"{1 / len(parts):.6g}"] * len(parts))
     return {"orientation": orientation, "count": str(len(parts)), "sizes": sizes}
 

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from impact_observer.draw.curves import Observed
+from impact_observer.draw.observer_topics import ObserverTopics
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import Verdict
 from impact_observer.io import interfaces
@@ -51,7 +51,7 @@ _HEADED = (interfaces.OBSERVER_STATE, interfaces.JOINT_STATE, interfaces.ESTIMAT
 class _Heard:
     """What was heard of one observer."""
 
-    observed: Observed
+    observed: ObserverTopics
     distances: ValueBuffer
     convergences: ValueBuffer
     states: Newest = field(default_factory=Newest)
@@ -97,7 +97,7 @@ class Listening:
         Raises:
             UsageError: a name is none of a node.
         """
-        named = None if observers is None else [Observed.named(name) for name in observers]
+        named = None if observers is None else [ObserverTopics.of_node(name) for name in observers]
         self._wanted = None if named is None else {each.prefix for each in named}
         self._system = system
         self._systems: dict[str, System] = {}
@@ -129,7 +129,10 @@ class Listening:
         if self._wanted is None:
             return True
         if known == interfaces.MONITOR_ERROR:
-            return any(Observed.named(name).error == topic for name in self._wanted)
+            return any(
+                ObserverTopics.of_node(name).topic(interfaces.MONITOR_ERROR) == topic
+                for name in self._wanted
+            )
         return not known.name.startswith("observer/") or _owner(topic) in self._wanted
 
     def hear(self, topic: str, data: bytes, arrived: float, wall: int) -> None:
@@ -195,7 +198,9 @@ class Listening:
         """What is heard of an observer."""
         if prefix not in self._heard:
             self._heard[prefix] = _Heard(
-                Observed.named(prefix), ValueBuffer(self._seconds), ValueBuffer(self._seconds)
+                ObserverTopics.of_node(prefix),
+                ValueBuffer(self._seconds),
+                ValueBuffer(self._seconds),
             )
         return self._heard[prefix]
 
@@ -209,7 +214,7 @@ class Listening:
             self._observer(_owner(topic)).joints.add(stamp, data)
         else:
             for each in self._heard.values():
-                if each.observed.error == topic:
+                if each.observed.topic(interfaces.MONITOR_ERROR) == topic:
                     each.errors.add(stamp, data)
 
     def _on_event(self, topic: str, message: EventMessage) -> None:
@@ -250,10 +255,14 @@ class Listening:
     def _look(self, heard: _Heard, now: float) -> ObserverGlance:
         """One observer as it is now."""
         observed = heard.observed
-        topics = [t for t in self._arrivals if _owner(t) == observed.prefix or t == observed.error]
+        topics = [
+            t
+            for t in self._arrivals
+            if _owner(t) == observed.prefix or t == observed.topic(interfaces.MONITOR_ERROR)
+        ]
         seen = ObserverGlance(
             observed.prefix,
-            epoch=self._epochs.get(observed.beside(interfaces.IMPACTS.name), 0),
+            epoch=self._epochs.get(observed.topic(interfaces.IMPACTS), 0),
             bound=heard.bound,
             verdicts=tuple(heard.verdicts),
             counts=tuple(sorted(heard.counts.items())),
@@ -268,7 +277,7 @@ class Listening:
 
     def _with_state(self, seen: ObserverGlance, heard: _Heard) -> ObserverGlance:
         """The same with the newest state, and the truth of its stamp if there is one."""
-        truths = self._truth.get(heard.observed.beside(interfaces.PLANT_JOINT_STATES.name))
+        truths = self._truth.get(heard.observed.topic(interfaces.PLANT_JOINT_STATES))
         kept = heard.joints if heard.states.last() is None else heard.states
         stamp = None if truths is None else kept.last(truths)
         known = stamp is not None
@@ -314,7 +323,7 @@ class Listening:
             message = _message(interfaces.MONITOR_ERROR, heard.errors.data(stamp))
             heard.distances.add(stamp, read_estimate_error(cast("ErrorMessage", message)).v)
             return "monitor"
-        model = heard.observed.beside(interfaces.PLANT_MODEL.name)
+        model = heard.observed.topic(interfaces.PLANT_MODEL)
         system = self._system or self._systems.get(model)
         if true is None or system is None or sorted(system.coordinates) != sorted(names):
             return ""

@@ -4,7 +4,7 @@ from functools import partial
 
 from rclpy.node import Node
 
-from impact_observer.draw.curves import Observed
+from impact_observer.draw.observer_topics import ObserverTopics
 from impact_observer.draw.scene.scene import Scene
 from impact_observer.errors import UsageError
 from impact_observer.events import Kind
@@ -137,6 +137,6 @@ def _rows(observers: str) -> tuple[MarkerRow, ...]:
             )
         if name == PLANT_ROW:
             raise UsageError("parameter observers: the plant is shown in any case; leave it out")
-        Observed.named(name)
+        ObserverTopics.of_node(name)
     rows = [MarkerRow(PLANT_ROW, 0, PLANT)]
     return (*rows, *(MarkerRow(name, i, ESTIMATE) for i, name in enumerate(names, start=1)))

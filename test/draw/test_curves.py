@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 from plotting_tools import everything
 
-from impact_observer.draw.curves import CurveGroup, Observed, Shown, curves, observed_in
+from impact_observer.draw.curves import CurveGroup, Transform, curves
+from impact_observer.draw.observer_topics import ObserverTopics, observers_in
 from impact_observer.errors import UsageError
 from impact_observer.io import BagReader
 from impact_observer.model import read_model
@@ -28,14 +29,14 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_a_name_promises_is_what_the_law_publishes(bag: Path) -> None:
     """Bounds, covariance and learnt parameters: of the name as found in the bag."""
     with BagReader(bag) as reader:
-        found = {each.prefix: each for each in observed_in(reader)}
-    assert found == {f"/{name}": Observed.named(name) for name in LAWS}
+        found = {each.prefix: each for each in observers_in(reader)}
+    assert found == {f"/{name}": ObserverTopics.of_node(name) for name in LAWS}
     assert found["/observer_minimum_variance"].learnt == ("clock_error",)
 
 
 def test_an_observer_without_a_law_in_its_name_has_the_default_one() -> None:
     """The node called observer runs geometric, unless told."""
-    assert Observed.named("observer") == Observed("/observer", bounded=True)
+    assert ObserverTopics.of_node("observer") == ObserverTopics("/observer", bounded=True)
 
 
 @pytest.mark.parametrize(
@@ -52,14 +53,17 @@ def test_plant_and_monitor_are_those_beside_the_observer(
     name: str, error: str, truth: str
 ) -> None:
     """In its namespace, and named alike."""
-    found = {each.topic for each in curves(read_model("two_mass").system, [Observed.named(name)])}
+    found = {
+        each.topic
+        for each in curves(read_model("two_mass").system, [ObserverTopics.of_node(name)])
+    }
     assert {error, truth} <= found
 
 
 def test_every_coordinate_is_drawn_for_plant_and_observer() -> None:
     """Truth and estimate share the axes of a coordinate; errors have their own."""
     system = read_model("three_mass").system
-    found = curves(system, [Observed.named("observer")])
+    found = curves(system, [ObserverTopics.of_node("observer")])
     for group, unit in (
         (CurveGroup.POSITIONS, "position [m]"),
         (CurveGroup.VELOCITIES, "velocity [m/s]"),
@@ -75,7 +79,7 @@ def test_every_coordinate_is_drawn_for_plant_and_observer() -> None:
 
 def test_observers_of_two_rigs_are_told_apart() -> None:
     """By names and colours, and each is drawn beside its own plant and contacts."""
-    rigs = [Observed.named(name) for name in ("/a/observer", "/b/observer")]
+    rigs = [ObserverTopics.of_node(name) for name in ("/a/observer", "/b/observer")]
     found = curves(read_model("two_mass").system, rigs)
     assert len({(each.group, each.plot, each.name) for each in found}) == len(found)
     assert {each.source for each in found} == {"plant", "a/observer", "b/observer"}
@@ -88,29 +92,29 @@ def test_observers_of_two_rigs_are_told_apart() -> None:
 def test_v_and_what_bounds_it_are_drawn_as_logarithms() -> None:
     """On one pair of axes; deviations are roots of variances, on the covariance's diagonal."""
     system = read_model("two_mass").system
-    found = curves(system, [Observed("/observer", bounded=True, filters=True)])
-    logarithms = [each for each in found if each.shown is Shown.LOGARITHM]
+    found = curves(system, [ObserverTopics("/observer", bounded=True, filters=True)])
+    logarithms = [each for each in found if each.transform is Transform.LOGARITHM]
     assert [each.name for each in logarithms] == [
         "V observer",
         "bound of V observer",
         "convergence observer",
     ]
     assert logarithms[0].plot == logarithms[1].plot
-    roots = [each.steps[0].index for each in found if each.shown is Shown.ROOT]
+    roots = [each.steps[0].index for each in found if each.transform is Transform.ROOT]
     assert roots == [0, 5, 10, 15]
 
 
 def test_only_topics_that_are_there_are_drawn() -> None:
     """Such as those of a bag without a monitor."""
     topics = ["/plant/joint_states", "/observer/joint_states", "/elsewhere"]
-    found = curves(read_model("two_mass").system, [Observed.named("observer")], topics)
+    found = curves(read_model("two_mass").system, [ObserverTopics.of_node("observer")], topics)
     assert {each.topic for each in found} == set(topics[:2])
 
 
 def test_a_name_that_no_node_can_have_is_refused() -> None:
     """In one line; and so is drawing nobody."""
     with pytest.raises(UsageError, match="'my observer': no name of a node"):
-        Observed.named("my observer")
+        ObserverTopics.of_node("my observer")
     with pytest.raises(UsageError, match="no observer"):
         curves(read_model("two_mass").system, [])
 
@@ -123,8 +127,8 @@ def test_an_observer_that_said_nothing_still_counts(tmp_path: Path) -> None:
         writer.declare("/observer/state")
         writer.declare("/observer_other/joint_states")
     with BagReader(tmp_path / "bag") as reader:
-        silent = observed_in(reader)
+        silent = observers_in(reader)
     assert silent == (
-        Observed("/observer", bounded=False),
-        Observed("/observer_other", bounded=False),
+        ObserverTopics("/observer", bounded=False),
+        ObserverTopics("/observer_other", bounded=False),
     )

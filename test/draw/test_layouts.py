@@ -11,8 +11,9 @@ from plotting_tools import everything, message_path, messages_in, plotjuggler_se
 from systems import system as make_system
 
 from impact_observer.cli.layout import layout
-from impact_observer.draw.curves import Observed, curves
+from impact_observer.draw.curves import curves
 from impact_observer.draw.layouts import foxglove, plotjuggler
+from impact_observer.draw.observer_topics import ObserverTopics
 from impact_observer.errors import UsageError
 from impact_observer.model import read_model
 
@@ -53,7 +54,7 @@ def series(messages: dict[str, list[object]]) -> dict[str, list[object]]:
 
 def drawn(observers: list[str], model: str = "two_mass") -> tuple[str, str]:
     """Both layouts of a model and the observers that go by these names."""
-    found = curves(read_model(model).system, [Observed.named(name) for name in observers])
+    found = curves(read_model(model).system, [ObserverTopics.of_node(name) for name in observers])
     return foxglove(found), plotjuggler(found)
 
 
@@ -165,7 +166,7 @@ def test_arrays_that_plotjuggler_does_not_read_are_left_out() -> None:
     """More than a hundred numbers: the covariance of six coordinates, but not that of five."""
     for n, there in ((5, True), (6, False)):
         model = make_system(np.eye(n), np.eye(n), np.eye(n))
-        found = curves(model, [Observed.named("observer_minimum_variance")])
+        found = curves(model, [ObserverTopics.of_node("observer_minimum_variance")])
         tabs = [tab.attrib["tab_name"] for tab in ET.fromstring(plotjuggler(found)).iter("Tab")]
         assert ("deviations" in tabs) == there
         assert "deviations" in foxglove(found)
@@ -180,7 +181,7 @@ def test_a_contact_with_quotes_in_its_name_is_found() -> None:
         foxglove(curves(named("a'\"b"), OBSERVER))
 
 
-OBSERVER = [Observed.named("observer")]
+OBSERVER = [ObserverTopics.of_node("observer")]
 
 
 def named(contact: str) -> Any:  # noqa: ANN401 (a System)

@@ -24,9 +24,10 @@ pytest.importorskip("impact_observer_msgs")
 from plotting_tools import FIGURES, message_path, plotjuggler_series, resolved
 from processes import PATIENCE, ros_arguments, running_node
 
-from impact_observer.draw.curves import CurveGroup, Observed, curves
+from impact_observer.draw.curves import CurveGroup, curves
 from impact_observer.draw.layouts import message_path as path_of
 from impact_observer.draw.layouts import series
+from impact_observer.draw.observer_topics import ObserverTopics
 from impact_observer.io.typestores import deserialize, typestore
 from impact_observer.model import read_model
 from impact_observer.ros.snapshot import Glance
@@ -190,7 +191,7 @@ def check_diagnostics(data: list[bytes]) -> None:
     """What layouts draw of an observer's diagnostics is what a node says, as numbers."""
     name = "diagnostic_msgs/msg/DiagnosticArray"
     message = deserialize(typestore(), data[-1], name)
-    found = curves(read_model("two_mass").system, [Observed.named("observer")])
+    found = curves(read_model("two_mass").system, [ObserverTopics.of_node("observer")])
     own = [curve for curve in found if curve.group is CurveGroup.DIAGNOSTICS]
     assert len(own) > 5
     flat = plotjuggler_series("/diagnostics", message)

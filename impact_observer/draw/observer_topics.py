@@ -1,0 +1,97 @@
+"""The topics of an observer and of the plant and monitor beside it, by the names of nodes."""
+
+from collections import deque
+from dataclasses import dataclass
+from itertools import islice
+from typing import cast
+
+from impact_observer.errors import UsageError
+from impact_observer.io import interfaces
+from impact_observer.io.interfaces import Interface
+from impact_observer.io.messages import EstimateMessage
+from impact_observer.io.reader import BagReader
+from impact_observer.stamps import NS_PER_S
+
+_BOUNDED = ("geometric", "unilateral")
+"""Laws that certify a bound of V."""
+_FILTERS = ("minimum-variance",)
+"""Laws that have a covariance and learn the accuracy of the clock."""
+_TAIL = 2 * NS_PER_S
+"""The part of a bag, from its end, that is searched for an observer's last state, ns."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObserverTopics:
+    """The topics of an observer, and of the plant and the monitor in its namespace.
+
+    Attributes:
+        prefix: the node's absolute name, such as ``/rig/observer_geometric``.
+        bounded: whether it certifies a bound of V.
+        filters: whether it has a covariance, and weighs events by it.
+        learnt: names of the parameters that it estimates with the state.
+    """
+
+    prefix: str
+    bounded: bool = True
+    filters: bool = False
+    learnt: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The node's name with its namespace, without the first slash."""
+        return self.prefix.lstrip("/")
+
+    def topic(self, interface: Interface) -> str:
+        """The absolute name of an interface of the observer, its monitor or its plant.
+
+        The monitor of ``observer_<law>`` is ``monitor_<law>``.
+        """
+        if interface.name.startswith("observer/"):
+            return interface.of(self.prefix)
+        namespace, _, node = self.prefix.rpartition("/")
+        if interface.name.startswith("monitor/"):
+            suffix = node.removeprefix("observer") if node.startswith("observer") else f"_{node}"
+            return interface.of(f"{namespace}/monitor{suffix}")
+        return (
+            interface.name if interface.name.startswith("/") else f"{namespace}/{interface.name}"
+        )
+
+    @classmethod
+    def of_node(cls, name: str) -> "ObserverTopics":
+        """The topics of a node called ``name``; ``observer_<law>`` runs that law.
+
+        Raises:
+            UsageError: no node can have that name.
+        """
+        prefix = name if name.startswith("/") else f"/{name}"
+        if not all(part.isidentifier() and part.isascii() for part in prefix[1:].split("/")):
+            raise UsageError(f"observer {name!r}: no name of a node; expected such as observer")
+        node = prefix.rpartition("/")[2]
+        law = node.removeprefix("observer").lstrip("_").replace("_", "-") or _BOUNDED[0]
+        filters = law in _FILTERS
+        return cls(prefix, law in _BOUNDED, filters, ("clock_error",) if filters else ())
+
+
+def observers_in(reader: BagReader) -> tuple[ObserverTopics, ...]:
+    """The observers of a bag, and what each of them publishes.
+
+    Raises:
+        BagError: the bag is damaged.
+    """
+    return tuple(_observer_in(reader, prefix) for prefix in reader.observers())
+
+
+def _observer_in(reader: BagReader, prefix: str) -> ObserverTopics:
+    """One observer, by its last state."""
+    bound = interfaces.OBSERVER_BOUND.of(prefix)
+    bounded = bound in reader.topics and reader.topics[bound].count > 0
+    state = interfaces.OBSERVER_STATES.of(prefix)
+    if state not in reader.topics:
+        return ObserverTopics(prefix, bounded)
+    tail = deque(reader.raw([state], max(reader.end - _TAIL, 0)), maxlen=1)
+    found = tail or list(islice(reader.raw([state]), 1))
+    if not found:
+        return ObserverTopics(prefix, bounded)
+    message = cast("EstimateMessage", reader.decoder(state)(found[0].data))
+    filters = len(message.covariance) > 0
+    return ObserverTopics(prefix, bounded, filters, tuple(message.parameter_name))
