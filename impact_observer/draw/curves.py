@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
-from typing import NamedTuple
 
 from impact_observer.draw.observer_topics import ObserverTopics, observers_in
 from impact_observer.errors import BagError, UsageError
@@ -41,7 +40,8 @@ class Transform(Enum):
     ROOT = "sqrt"
 
 
-class FieldStep(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class FieldStep:
     """One step of the path from a message to a number in it.
 
     Attributes:
@@ -290,7 +290,7 @@ def _diagnostics(system: System, observer: ObserverTopics) -> Iterator[Curve]:
     """The level and the figures of an observer's diagnostics."""
     interface, group = interfaces.DIAGNOSTIC_ARRAYS, CurveGroup.DIAGNOSTICS
     status = FieldStep("status", where=("name", f"{observer.prefix}: impacts"))
-    paths = {"level": (status, FieldStep("level"))}
+    paths: dict[str, tuple[FieldStep, ...]] = {"level": (status, FieldStep("level"))}
     for key in _DIAGNOSTICS:
         paths[key] = (status, FieldStep("values", where=("key", key)), FieldStep("value"))
     for label, steps in paths.items():
