@@ -41,7 +41,7 @@ def write(
     types: dict[str, str] | None = None,
     delay: int = 0,
 ) -> Path:
-    """A bag named ``bag``: two_mass with its truth, but for what is said otherwise."""
+    """A bag named ``bag``: two_mass with its truth; the arguments change that."""
     if truth is None:
         truth = [state(k * S) for k in range(1, 8)]
     with BagWriter(Path("bag")) as writer:
@@ -60,7 +60,7 @@ def write(
     return Path("bag")
 
 
-def told(event: ImpactEvent, **changes: int) -> EventMessage:
+def event_message(event: ImpactEvent, **changes: int) -> EventMessage:
     """An event's message with other numbers in its header."""
     message = MAKE.event(event)
     for name, value in changes.items():

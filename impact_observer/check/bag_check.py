@@ -13,8 +13,8 @@ from impact_observer.check.findings import (
     NOTE,
     WARNING,
     Finding,
-    gravest_first,
     listed,
+    most_severe_first,
     times,
 )
 from impact_observer.check.salvage import Salvage, summary
@@ -28,9 +28,9 @@ from impact_observer.io.typestores import add_definition, deserialize, new_types
 from impact_observer.model import System, parse_model
 from impact_observer.stamps import text
 
-_WANTED = (interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES, interfaces.PLANT_MODEL)
+_INTERFACES = (interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES, interfaces.PLANT_MODEL)
 _MOST = 5
-"""Losses and sensors of a bag that have a line of their own."""
+"""Most losses, and most sensors, that have a line of their own."""
 _SENSORS = {
     "std_msgs/msg/Bool": ("a switch", ""),
     "sensor_msgs/msg/Imu": ("an accelerometer", " --threshold N"),
@@ -45,18 +45,18 @@ _SENSORS = {
     "std_msgs/msg/Empty": ("a message a hit", ""),
     "std_msgs/msg/Header": ("a message a hit", ""),
 }
-"""What ``detect`` makes impacts of: what such a topic looks like, and what it must be told."""
+"""Message types that ``detect`` reads: what such a topic may be, and the options it needs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What came of a check.
+    """The result of a check.
 
     Attributes:
         path: the bag.
-        readable: whether all of it can be read as it is.
+        readable: whether the bag can be read as a whole, without salvage.
         counts: messages of each topic that can be read.
-        findings: the gravest first.
+        findings: the most severe first.
     """
 
     path: Path
@@ -74,39 +74,39 @@ def check_bag(
     path: Path,
     system: System | None = None,
     *,
-    progress: Callable[[int, int], None] = lambda _done, _all: None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Report:
-    """Check a bag, however broken it is.
+    """Check a bag, damaged or not.
 
     Args:
         path: a rosbag2 folder, or a bare file.
         system: of the model that the user names; None for the one in the bag.
-        progress: told how much was done and how much there is to do.
+        progress: called with the work done and all there is to do.
 
     Raises:
         UsageError: there is nothing at ``path``.
     """
     try:
         with BagReader(path) as reader:
-            checker = Checker(path, system)
+            check = BagCheck(path, system)
             for done, raw in enumerate(reader.raw()):
-                checker.hear(reader.topics[raw.topic], raw)
+                check.add(reader.topics[raw.topic], raw)
                 progress(done, reader.message_count)
-            own = checker.findings(reader.topics)
-            return Report(path, True, checker.counts, gravest_first([*_leftovers(path), *own]))
+            found = [*_journals(path), *check.findings(reader.topics)]
+            return Report(path, True, check.counts, most_severe_first(found))
     except BagError as error:
-        trouble = _trouble(error, path)
-    source, checker = Salvage(path), Checker(path, system)
+        reason = str(error).removeprefix(f"{path}: ").partition("; ")[0]
+    source, check = Salvage(path), BagCheck(path, system)
     for raw in source.raw(progress):
-        checker.hear(source.topics[raw.topic], raw)
-    found = [*_damage(source, trouble), *_leftovers(path)]
+        check.add(source.topics[raw.topic], raw)
+    found = [*_damage(source, reason), *_journals(path)]
     if source.counts:
-        found += checker.findings(source.topics)
-    return Report(path, False, checker.counts, gravest_first(found))
+        found += check.findings(source.topics)
+    return Report(path, False, check.counts, most_severe_first(found))
 
 
-class Checker:
-    """Listens to all messages of a bag.
+class BagCheck:
+    """Checks all messages of a bag.
 
     Attributes:
         counts: messages of each topic so far.
@@ -115,84 +115,44 @@ class Checker:
     def __init__(self, path: Path, system: System | None) -> None:
         """Check the bag at ``path`` against a ``system``, or against that of its own model."""
         self.counts: Counter[str] = Counter()
-        self._path = path
+        self._path, self._name = path, _bag_name(path)
         self._system = system
         self._store = new_typestore()
-        self._listeners: dict[str, Callable[[RawMessage], None]] = {}
+        self._checks: dict[str, Callable[[RawMessage], None] | None] = {}
         self._events: dict[str, EventCheck] = {}
         self._states: dict[str, StateCheck] = {}
         self._models: dict[str, str] = {}
-        self._complaints: list[Finding] = []
+        self._wrong_definitions: dict[str, Finding] = {}
 
-    def hear(self, info: TopicInfo, raw: RawMessage) -> None:
-        """One more message, and what the bag says of its topic."""
+    def add(self, info: TopicInfo, raw: RawMessage) -> None:
+        """Add a message; ``info`` is of its topic."""
         self.counts[raw.topic] += 1
-        listener = self._listeners.get(raw.topic)
-        if listener is None:
-            listener = self._listeners[raw.topic] = self._listener(info)
-        listener(raw)
+        if raw.topic not in self._checks:
+            self._checks[raw.topic] = self._check_for(info)
+        if (add := self._checks[raw.topic]) is not None:
+            add(raw)
 
-    def findings(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
-        """What is wrong, when all was heard; ``topics`` with those without a message."""
-        yield from self._complaints
-        system, used = self._system, {}
-        for wanted in _WANTED:
-            topic, about = _chosen(topics, wanted)
-            yield from about
-            used[wanted.name] = topic
-        impacts, truth, model = (used[each.name] for each in _WANTED)
-        if system is None:
-            system, about = self._carried(model)
-            yield from about
-        if impacts is None:
-            yield from self._without_impacts(topics)
-            events = None
-        else:
-            check = self._events.get(impacts) or EventCheck(impacts)
-            if not self._refused(impacts):
-                yield from check.findings(system)
-            events = (check.first, check.last) if check.valid else None
-        if truth is not None and truth in self._states:
-            yield from self._states[truth].findings(system, events)
-        elif truth is None:
-            yield Finding(
-                NOTE,
-                self._name,
-                f"carries no truth ({interfaces.PLANT_JOINT_STATES.topic})",
-                remedy="observe needs --rate, and there is nothing to compare with",
-            )
-        yield from self._unknown_types(topics)
-
-    @property
-    def _name(self) -> str:
-        return _named(self._path)
-
-    def _refused(self, topic: str) -> bool:
-        return any(each.thing == topic for each in self._complaints)
-
-    def _listener(self, info: TopicInfo) -> Callable[[RawMessage], None]:
-        """What listens to a topic, at its first message."""
+    def _check_for(self, info: TopicInfo) -> Callable[[RawMessage], None] | None:
+        """The check for the messages of a topic; None where there is nothing to check."""
         topic = info.name
-        wanted = next((each for each in _WANTED if each.fits(topic)), None)
-        if wanted is None or info.type != wanted.type:
-            return _ignore
-        if (complaint := self._definition_fault(info)) is not None:
-            self._complaints.append(complaint)
-            return _ignore
+        own = next((each for each in _INTERFACES if each.fits(topic)), None)
+        if own is None or info.type != own.type:
+            return None
+        if (finding := self._wrong_definition(info)) is not None:
+            self._wrong_definitions[topic] = finding
+            return None
+        if own is interfaces.PLANT_JOINT_STATES:
+            states = self._states[topic] = StateCheck(
+                topic, lambda data: self._deserialized(info.type, data)
+            )
+            return lambda raw: states.add(raw.data)
+        if own is interfaces.PLANT_MODEL:
+            return self._add_model
+        self._events[topic] = EventCheck(topic)
+        return self._add_event
 
-        def message(data: bytes) -> object:
-            return self._deserialized(info.type, data)
-
-        if wanted is interfaces.PLANT_JOINT_STATES:
-            states = self._states[topic] = StateCheck(topic, message)
-            return lambda raw: states.hear(raw.data)
-        if wanted is interfaces.PLANT_MODEL:
-            return lambda raw: self._hear_model(topic, raw.data)
-        events = self._events[topic] = EventCheck(topic)
-        return lambda raw: self._hear_event(events, raw)
-
-    def _definition_fault(self, info: TopicInfo) -> Finding | None:
-        """What is wrong with the message definition that a bag brings."""
+    def _wrong_definition(self, info: TopicInfo) -> Finding | None:
+        """What is wrong with the message definition in the bag."""
         try:
             differs = info.definition and add_definition(self._store, info.definition, info.type)
         except BagError as error:
@@ -213,61 +173,79 @@ class Checker:
         except Exception as error:
             raise BagError(f"bytes that are no {kind}") from error
 
-    def _hear_event(self, check: EventCheck, raw: RawMessage) -> None:
+    def _add_event(self, raw: RawMessage) -> None:
+        check = self._events[raw.topic]
         try:
             message = self._deserialized(interfaces.IMPACT_EVENT, raw.data)
             event = read_event(cast("EventMessage", message))
-        except BagError as error:
-            check.refuse(str(error))
-        except MessageError as error:
-            check.refuse(str(error))
+        except (BagError, MessageError) as error:
+            check.add_invalid(str(error))
         else:
-            check.hear(event, raw.log_time)
+            check.add(event, raw.log_time)
 
-    def _hear_model(self, topic: str, data: bytes) -> None:
-        """Keep the last model that was published; bytes that are none are an invalid one."""
+    def _add_model(self, raw: RawMessage) -> None:
+        """Keep the last model that was published; bytes that cannot be read are an invalid one."""
         try:
-            message = self._deserialized(interfaces.STRING, data)
-            self._models[topic] = cast("StringMessage", message).data
+            message = self._deserialized(interfaces.STRING, raw.data)
+            self._models[raw.topic] = cast("StringMessage", message).data
         except BagError as error:
-            self._models[topic] = f"({error})"
+            self._models[raw.topic] = f"({error})"
 
-    def _carried(self, topic: str | None) -> tuple[System | None, list[Finding]]:
-        """The system of the bag's own model, and what is wrong with it."""
-        carried = self._models.get(topic or "")
-        if carried is None:
-            return None, [
-                Finding(
-                    WARNING,
-                    self._name,
-                    f"carries no model ({interfaces.PLANT_MODEL.topic})",
-                    remedy="name one with --model MODEL; contacts and epoch are checked then",
-                )
-            ]
+    def findings(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
+        """The findings; ``topics`` has those without a message, too."""
+        yield from self._wrong_definitions.values()
+        used = {}
+        for own in _INTERFACES:
+            used[own], found = _topic_of(own, topics)
+            yield from found
+        system = self._system
+        if system is None:
+            system, found = self._model_in_bag(used[interfaces.PLANT_MODEL])
+            yield from found
+        impacts, span = used[interfaces.IMPACTS], None
+        if impacts is None:
+            yield from self._no_impacts(topics)
+        else:
+            events = self._events.get(impacts, EventCheck(impacts))
+            if impacts not in self._wrong_definitions:
+                yield from events.findings(system)
+            span = (events.first, events.last) if events.valid else None
+        truth = used[interfaces.PLANT_JOINT_STATES]
+        if truth is None:
+            yield Finding(
+                NOTE,
+                self._name,
+                f"carries no truth ({interfaces.PLANT_JOINT_STATES.topic})",
+                remedy="observe needs --rate, and there is nothing to compare with",
+            )
+        elif truth in self._states:
+            yield from self._states[truth].findings(system, span)
+        yield from self._undefined_types(topics)
+
+    def _model_in_bag(self, topic: str | None) -> tuple[System | None, list[Finding]]:
+        """The system of the model in the bag, and what is wrong with that model."""
+        remedy = "name one with --model MODEL"
+        if (model := self._models.get(topic or "")) is None:
+            found = f"carries no model ({interfaces.PLANT_MODEL.topic})"
+            remedy += "; contacts and epoch are checked then"
+            return None, [Finding(WARNING, self._name, found, remedy=remedy)]
         try:
-            return parse_model(carried, "model").system, []
+            return parse_model(model, "model").system, []
         except ModelError as error:
-            return None, [
-                Finding(
-                    WARNING,
-                    topic or "",
-                    f"the model it carries is not valid ({error})",
-                    remedy="name one with --model MODEL",
-                )
-            ]
+            found = f"the model it carries is not valid ({error})"
+            return None, [Finding(WARNING, topic or "", found, remedy=remedy)]
 
-    def _without_impacts(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
-        """No impacts: what they could be made of."""
-        fitting = [topic for topic in topics if interfaces.IMPACTS.fits(topic)]
-        if fitting:
+    def _no_impacts(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
+        """No topic of impacts: what impacts could be made from."""
+        if any(interfaces.IMPACTS.fits(topic) for topic in topics):
             return
         others = [t for t, info in topics.items() if info.type == interfaces.IMPACT_EVENT]
         sensors = [info for info in topics.values() if info.type in _SENSORS]
         remedy = "a table of impact times becomes a bag with `impact-observer import CSV -o BAG`"
-        if sensors:
-            remedy = "detect can make them of its sensors"
         if others:
             remedy = f"play the bag with {others[0]} as /impacts, and record that"
+        elif sensors:
+            remedy = "detect can make them of its sensors"
         yield Finding(
             ERROR,
             self._name,
@@ -285,69 +263,55 @@ class Checker:
                 f" --topic {info.name}{options} -o NEW",
             )
 
-    def _unknown_types(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
-        """Topics that can only be copied."""
-        unknown = [
+    def _undefined_types(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
+        undefined = [
             f"{info.name} ({info.type})"
             for info in topics.values()
             if not info.definition and info.type not in self._store.fielddefs
         ]
-        if unknown:
+        if undefined:
             yield Finding(
                 NOTE,
                 self._name,
-                f"no definition of the messages on {listed(unknown)}",
+                f"no definition of the messages on {listed(undefined)}",
                 remedy="they can be copied and played, not read; MCAP and Jazzy bags have"
                 " definitions",
             )
 
 
-def _ignore(_raw: RawMessage) -> None:
-    """A topic that is none of ours."""
-
-
-def _chosen(
-    topics: Mapping[str, TopicInfo], wanted: Interface
-) -> tuple[str | None, list[Finding]]:
-    """The topic that is used for an interface, as ``BagReader.find``, and what is wrong."""
-    fitting = sorted(topic for topic in topics if wanted.fits(topic))
+def _topic_of(own: Interface, topics: Mapping[str, TopicInfo]) -> tuple[str | None, list[Finding]]:
+    """The topic that is used for an interface, as ``BagReader.find``, and its faults."""
+    fitting = sorted(topic for topic in topics if own.fits(topic))
     if not fitting:
         return None, []
-    if len(fitting) > 1 and wanted.topic not in fitting:
+    if len(fitting) > 1 and own.topic not in fitting:
         fault = Finding(
             ERROR,
             " and ".join(fitting),
-            f"several topics fit {wanted.topic}",
+            f"several topics fit {own.topic}",
             "one of them",
-            "record one only, or play the bag with one as " + wanted.topic,
+            f"record one only, or play the bag with one as {own.topic}",
         )
         return None, [fault]
-    topic = wanted.topic if wanted.topic in fitting else fitting[0]
+    topic = own.topic if own.topic in fitting else fitting[0]
     others = [each for each in fitting if each != topic]
-    about = []
-    if others:
-        about.append(Finding(NOTE, listed(others), f"not used; {topic} is"))
-    if (found := topics[topic].type) != wanted.type:
-        remedy = "" if found not in _SENSORS else "detect makes impacts of such a topic"
-        about.append(Finding(ERROR, topic, f"is {found}", wanted.type, remedy))
-        return None, about
-    return topic, about
+    found = [Finding(NOTE, listed(others), f"not used; {topic} is")] if others else []
+    if (kind := topics[topic].type) != own.type:
+        remedy = "detect makes impacts of such a topic" if kind in _SENSORS else ""
+        return None, [*found, Finding(ERROR, topic, f"is {kind}", own.type, remedy)]
+    return topic, found
 
 
-def _damage(source: Salvage, trouble: str) -> Iterator[Finding]:
-    """What is wrong with the files, and what can still be read."""
-    name, path = _named(source.path), quote(str(source.path))
-    again = f"impact-observer check {path} --salvage -o NEW"
+def _damage(source: Salvage, reason: str) -> Iterator[Finding]:
+    """Why a bag cannot be read as a whole, and what can be read of it."""
+    name = _bag_name(source.path)
     if not source.counts:
-        yield Finding(ERROR, name, trouble, remedy=f"nothing can be read: {summary(source)}")
+        yield Finding(ERROR, name, reason, remedy=f"nothing can be read: {summary(source)}")
         return
-    seems = "" if source.losses else "nothing seems to be lost; "
-    yield Finding(
-        ERROR,
-        name,
-        trouble,
-        remedy=f"{seems}{summary(source)}, can be read: write them to a new bag with `{again}`",
-    )
+    complete = "" if source.losses else "nothing seems to be lost; "
+    command = f"impact-observer check {quote(str(source.path))} --salvage -o NEW"
+    remedy = f"{summary(source)}, can be read: write them to a new bag with `{command}`"
+    yield Finding(ERROR, name, reason, remedy=f"{complete}{remedy}")
     for loss in source.losses[:_MOST]:
         file, _, what = loss.partition(": ")
         yield Finding(WARNING, file, what)
@@ -358,27 +322,19 @@ def _damage(source: Salvage, trouble: str) -> Iterator[Finding]:
         yield Finding(NOTE, topic, f"{times(count, 'message')} can be read, up to {until} s")
 
 
-def _leftovers(path: Path) -> Iterator[Finding]:
-    """Journals that a recorder left which did not end well: nobody reads them."""
-    folder = path if path.is_dir() else path.parent
-    own = "*.db3" if path.is_dir() else path.name
-    for journal in sorted(folder.glob(f"{own}-wal")):
-        if journal.stat().st_size:
-            database = journal.with_name(journal.name.removesuffix("-wal"))
+def _journals(path: Path) -> Iterator[Finding]:
+    """Journals of sqlite3 that a recorder left when it was killed: no reader uses them."""
+    folder, files = (path, "*.db3") if path.is_dir() else (path.parent, path.name)
+    for journal in sorted(folder.glob(f"{files}-wal")):
+        if size := journal.stat().st_size:
+            database = quote(str(journal.with_name(journal.name.removesuffix("-wal"))))
             yield Finding(
                 WARNING,
                 journal.name,
-                f"{journal.stat().st_size} bytes that are not in the database yet",
-                remedy=f"put them in: sqlite3 {quote(str(database))}"
-                " 'PRAGMA wal_checkpoint(TRUNCATE)'",
+                f"{size} bytes that are not in the database yet",
+                remedy=f"put them in: sqlite3 {database} 'PRAGMA wal_checkpoint(TRUNCATE)'",
             )
 
 
-def _trouble(error: BagError, path: Path) -> str:
-    """What the reader says of a bag, without its name and remedy."""
-    return str(error).removeprefix(f"{path}: ").partition("; ")[0]
-
-
-def _named(path: Path) -> str:
-    """A bag's name."""
+def _bag_name(path: Path) -> str:
     return path.name or str(path)

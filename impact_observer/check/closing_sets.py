@@ -1,11 +1,11 @@
-"""Which contacts can close together, and which of them are redundant then.
+"""Which contacts can close together, and which of these are redundant.
 
-A set A can close together when ``{q: g_A = 0, g >= 0}`` is not empty: a linear programme. What can
-close together can in every part of it, so a search starts from all contacts and leaves some out
-only where it must; nothing is enumerated.
+The contacts of a set A can close together when ``{q: g_A = 0, g >= 0}`` is not empty, which a
+linear programme decides. If A can, so can every subset of A. A search therefore starts from all
+contacts and removes some only where it must; the subsets are never enumerated.
 
-With ``q = L^-T y``, ``M = L L^T``, and columns ``B = L^-1 W`` scaled to length one, everything is
-in one metric: ``G`` has a unit diagonal, and gaps are divided by the lengths.
+With ``q = L^-T y``, ``M = L L^T``, and columns ``B = L^-1 W`` scaled to length one, ``G = B^T B``
+has a unit diagonal; gaps are divided by the same lengths.
 """
 
 from collections.abc import Callable
@@ -19,30 +19,30 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 STEPS = 200
-"""Most linear programmes, and sets looked at, for one question; beyond it: "not decided"."""
+"""Most linear programmes and tested sets per question; beyond them it is not decided."""
 LISTED = 100
-"""Most sets listed as an answer."""
-_TOUCHING = 1e-8
+"""Most sets that an answer lists."""
+_CLOSED = 1e-8
 """Gap that counts as closed, relative to the largest gap in the rest position."""
 _FEASIBLE = 1e-10
-"""The same within a linear programme, the least that HiGHS accepts."""
+"""Tolerance of the linear programmes, the least that HiGHS accepts."""
 _INSIDE = 1e-12
-"""Depth inside a stop that is rounding, relative to the largest gap in the rest position."""
+"""Penetration that counts as rounding, relative to the largest gap in the rest position."""
 _RANK = 1e-10
-"""Singular value that counts as zero, of columns of length one."""
+"""Singular value that counts as zero, for columns of length one."""
 
 
 class NotDecidedError(Exception):
-    """The bound on the number of steps was reached; never leaves this module's answers."""
+    """``STEPS`` was reached; the searches catch it and answer "not decided"."""
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """What a search has found.
+class SearchResult:
+    """Sets of contacts that a search has found.
 
     Attributes:
-        sets: sets of contacts, as sorted indices; the smallest ones first.
-        decided: whether it was completed; where sets were found, there may be more of them.
+        sets: as sorted indices.
+        decided: whether the search was completed. Where sets were found, there may be more.
     """
 
     sets: tuple[Contacts, ...]
@@ -50,20 +50,21 @@ class Answer:
 
 
 class ClosingSets:
-    """Which contacts of one system can close together; counts its linear programmes.
+    """Decides which contacts of one system can close together, with at most ``STEPS`` steps.
 
     Attributes:
         B: directions, columns of length one, shape (n, m).
         G: ``B^T B``, shape (m, m).
         eps: restitution coefficients, shape (m,).
-        lengths: of the columns before they were scaled, shape (m,), kg^(-1/2).
+        lengths: of the columns before scaling, shape (m,), kg^(-1/2).
         gap: gaps in the rest position, scaled, shape (m,), the largest 1.
-        clearance: the largest least gap, scaled, at most 1; negative where ``g >= 0`` is empty.
-        conflicts: sets known to be unable to close together.
+        clearance: the maximum over q of the smallest gap, scaled, at most 1; negative where
+            ``g >= 0`` is empty.
+        conflicts: sets found to be unable to close together.
     """
 
     def __init__(self, system: System) -> None:
-        """Scale directions and gaps, and find a position as clear of all stops as can be."""
+        """Scale directions and gaps, and find a position with the largest clearance."""
         factor = linalg.cholesky(system.M, lower=True)
         B = linalg.solve_triangular(factor, system.W, lower=True)
         self.lengths: Vector = np.linalg.norm(B, axis=0)
@@ -77,20 +78,23 @@ class ClosingSets:
         # In coordinates divided by the roots of their masses, rows are about as long as B's.
         roots = np.sqrt(np.diag(system.M))
         self._rows = sparse.csr_matrix(system.W.T / np.outer(self.lengths, roots))
-        self.clearance, self._clear = self._clearest()
+        self.clearance, self._clear_gap = self._largest_clearance()
+        # Two-sided stops, and stops one behind the other, need no programme.
         self.conflicts: set[Contacts] = {
-            (i, j) for i, j in self.parallel() if not self._level(i, j)
-        }  # two-sided stops, and stops one behind the other: no programme needed
+            (i, j)
+            for i, j in self.parallel()
+            if abs(float(self.gap[i] - np.sign(self.G[i, j]) * self.gap[j])) > _CLOSED
+        }
 
     @property
-    def possible(self) -> bool:
+    def feasible(self) -> bool:
         """Whether some position is outside all stops."""
-        return self.clearance >= -_TOUCHING
+        return self.clearance >= -_CLOSED
 
     @property
-    def roomy(self) -> bool:
+    def has_clearance(self) -> bool:
         """Whether some position is clear of all stops at once."""
-        return self.clearance > _TOUCHING
+        return self.clearance > _CLOSED
 
     def parallel(self) -> list[tuple[int, int]]:
         """Pairs ``i < j`` of contacts with the same or the opposite direction."""
@@ -101,10 +105,6 @@ class ClosingSets:
             for i, j in near
             if np.linalg.norm(B[:, i] - np.sign(G[i, j]) * B[:, j]) <= _RANK
         ]
-
-    def _level(self, i: int, j: int) -> bool:
-        """Whether two parallel contacts close at the same place."""
-        return abs(float(self.gap[i] - np.sign(self.G[i, j]) * self.gap[j])) <= _TOUCHING
 
     def step(self) -> None:
         """Count one step.
@@ -117,13 +117,13 @@ class ClosingSets:
         self._steps -= 1
 
     def conflict(self, contacts: Contacts) -> Contacts | None:
-        """Some of ``contacts`` that cannot close together, no more than needed; None if all can.
+        """A subset of ``contacts`` that cannot close together, small if possible; None if all can.
 
         Raises:
             NotDecidedError: too many steps.
         """
-        if (known := self.known_conflict(contacts)) is not None:
-            return known
+        if (earlier := self.conflict_so_far(contacts)) is not None:
+            return earlier
         found = self._blocked(contacts)
         if found is None:
             return None
@@ -133,43 +133,46 @@ class ClosingSets:
         self.conflicts.add(found)
         return found
 
-    def known_conflict(self, contacts: Contacts) -> Contacts | None:
-        """The same as far as it is known without a step."""
-        if not self.possible:
+    def conflict_so_far(self, contacts: Contacts) -> Contacts | None:
+        """As ``conflict``, from what was found before: it takes no step."""
+        if not self.feasible:
             return contacts
         chosen = set(contacts)
         return next((each for each in self.conflicts if chosen.issuperset(each)), None)
 
     def _blocked(self, contacts: Contacts) -> Contacts | None:
-        """Like ``conflict``, not yet reduced: ``min sum g_A`` subject to ``g >= 0``.
+        """As ``conflict``, but not reduced: minimise ``sum g_A`` subject to ``g >= 0``.
 
-        With multipliers ``z`` its value c is ``sum g_A - sum z_j g_j``, so those of A with
-        ``z_i < 1`` alone have ``sum (1 - z_i) g_i >= c``: they cannot be zero together.
+        With multipliers ``z`` the minimum c is ``sum g_A - sum z_j g_j``. So the contacts of A
+        with ``z_i < 1`` alone have ``sum (1 - z_i) g_i >= c``: they cannot be zero together.
         """
         index = list(contacts)
-        if self._touched(index):
+        if self._closes_nearby(index):
             return None
         cost = np.asarray(self._rows[index].sum(axis=0)).ravel()
         found = self._solve(cost, self._rows, self.gap)
-        if found.fun + np.sum(self.gap[index]) <= _TOUCHING * len(index):
+        if found.fun + np.sum(self.gap[index]) <= _CLOSED * len(index):
             return None
         multipliers = -np.asarray(found.ineqlin.marginals)
-        return tuple(i for i in contacts if multipliers[i] < 1 - _TOUCHING) or contacts
+        return tuple(i for i in contacts if multipliers[i] < 1 - _CLOSED) or contacts
 
-    def _touched(self, index: list[int]) -> bool:
-        """Whether the nearest position with ``g_A = 0`` is outside all stops: no programme."""
+    def _closes_nearby(self, index: list[int]) -> bool:
+        """Whether ``g >= 0`` where ``g_A = 0`` is nearest to the clear position.
+
+        It is sufficient for A to close together, and needs no programme.
+        """
         if len(index) > self.B.shape[0]:
             return False
         try:
             factor = linalg.cho_factor(self.G[np.ix_(index, index)])
         except linalg.LinAlgError:
             return False
-        towards = linalg.cho_solve(factor, self._clear[index])
-        gap = self._clear - self.G[:, index] @ towards
+        impulses = linalg.cho_solve(factor, self._clear_gap[index])
+        gap = self._clear_gap - self.G[:, index] @ impulses
         return bool(np.all(np.abs(gap[index]) <= _INSIDE) and np.all(gap >= -_INSIDE))
 
-    def _clearest(self) -> tuple[float, Vector]:
-        """The largest least gap, at most 1, and all gaps in such a position."""
+    def _largest_clearance(self) -> tuple[float, Vector]:
+        """The clearance, and all gaps in a position where it is reached."""
         m, n = self._rows.shape
         if m == 0:
             return 1.0, np.zeros(0)
@@ -177,7 +180,7 @@ class ClosingSets:
         try:
             found = self._solve(np.append(np.zeros(n), -1.0), rows, np.append(self.gap, 1.0))
         except NotDecidedError:
-            self._steps = 0  # nothing that needs a programme will be decided
+            self._steps = 0  # no programme will be solved
             return 1.0, self.gap
         return float(found.x[n]), np.asarray(self._rows @ found.x[:n] + self.gap)
 
@@ -193,20 +196,20 @@ class ClosingSets:
         found = optimize.linprog(
             cost, A_ub=-rows, b_ub=gap, bounds=(None, None), method="highs", options=tolerances
         )
-        if found.status != 0:  # feasible and bounded by construction: out of digits
+        if found.status != 0:  # it is feasible and bounded: a numerical failure
             raise NotDecidedError
         return found
 
 
-def redundant(closing: ClosingSets) -> Answer:
-    """Smallest sets of contacts that depend on each other and can close together.
+def redundant(closing: ClosingSets) -> SearchResult:
+    """Minimal sets of contacts that are linearly dependent and can close together.
 
     Args:
         closing: of any system; its steps are used up.
 
     Returns:
-        Sets with linearly dependent directions, none a part of another: all parallel pairs, and
-        of larger ones enough to name every contact that the others make redundant.
+        All parallel pairs, and enough of the larger sets to name every contact that the others
+        make redundant. No set contains another.
     """
     found: list[Contacts] = []
     try:
@@ -215,20 +218,22 @@ def redundant(closing: ClosingSets) -> Answer:
                 found.append(pair)
         contacts = _on_dependent_lines(closing, {pair[1] for pair in found})
         while contacts and len(found) < LISTED:
-            closed = first(closing, _closing_dependent(closing), closing.conflict, contacts)
+            closed = first_failing(
+                closing, _dependent_where_closed(closing), closing.conflict, contacts
+            )
             if closed is None:
                 break
-            found.append(circuit(closing.B, closed))
+            found.append(minimal_dependent(closing.B, closed))
             contacts = tuple(i for i in contacts if i != found[-1][-1])
     except NotDecidedError:
-        return Answer(tuple(found), False)
-    return Answer(tuple(found), True)
+        return SearchResult(tuple(found), False)
+    return SearchResult(tuple(found), True)
 
 
-def _closing_dependent(closing: ClosingSets) -> Callable[[Contacts], bool]:
-    """The test whether ``W_A a = 0`` and ``q_r,A . a = 0`` for some ``a``.
+def _dependent_where_closed(closing: ClosingSets) -> Callable[[Contacts], bool]:
+    """A test whether ``W_A a = 0`` and ``q_r,A . a = 0`` for some ``a``.
 
-    Where dependent contacts close together both hold, since ``g_A = 0``.
+    Dependent contacts that close together pass it, since ``g_A = 0``.
     """
     columns = np.vstack([closing.B, closing.gap])
 
@@ -236,7 +241,7 @@ def _closing_dependent(closing: ClosingSets) -> Callable[[Contacts], bool]:
         index = list(contacts)
         return all(
             _rank_deficient(matrix[:, index], tolerance)
-            for matrix, tolerance in ((columns, _TOUCHING), (closing.B, _RANK))
+            for matrix, tolerance in ((columns, _CLOSED), (closing.B, _RANK))
         )
 
     return test
@@ -250,7 +255,7 @@ def _rank_deficient(columns: Matrix, tolerance: float) -> bool:
 
 
 def _on_dependent_lines(closing: ClosingSets, without: set[int]) -> Contacts:
-    """Contacts whose line depends on other lines; both sides of a stop are on one line."""
+    """Contacts whose line depends on other lines; parallel contacts share a line."""
     line = np.arange(closing.G.shape[0])
     for i, j in closing.parallel():
         line[j] = min(line[j], line[i])
@@ -258,12 +263,12 @@ def _on_dependent_lines(closing: ClosingSets, without: set[int]) -> Contacts:
     if not _rank_deficient(closing.B[:, lines], _RANK):
         return ()
     null = linalg.null_space(closing.B[:, lines], rcond=_RANK)
-    involved = lines[np.max(np.abs(null), axis=1, initial=0.0) > _TOUCHING]
+    involved = lines[np.max(np.abs(null), axis=1, initial=0.0) > _CLOSED]
     return tuple(i for i in np.flatnonzero(np.isin(line, involved)).tolist() if i not in without)
 
 
-def circuit(B: Matrix, contacts: Contacts) -> Contacts:
-    """Some of ``contacts`` that depend on each other, and no part of them does; () if none."""
+def minimal_dependent(B: Matrix, contacts: Contacts) -> Contacts:
+    """A minimal linearly dependent subset of ``contacts``; empty where they are independent."""
     if not contacts:
         return ()
     R, order = linalg.qr(B[:, list(contacts)], mode="r", pivoting=True)
@@ -272,20 +277,27 @@ def circuit(B: Matrix, contacts: Contacts) -> Contacts:
     if rank == len(contacts):
         return ()
     shares = linalg.solve_triangular(R[:rank, :rank], R[:rank, rank])
-    members = [*order[:rank][np.abs(shares) > _TOUCHING], order[rank]]
+    members = [*order[:rank][np.abs(shares) > _CLOSED], order[rank]]
     return tuple(sorted(contacts[k] for k in members))
 
 
-def first(
+def first_failing(
     closing: ClosingSets,
-    bad: Callable[[Contacts], bool],
+    fails: Callable[[Contacts], bool],
     conflict: Callable[[Contacts], Contacts | None],
     contacts: Contacts,
 ) -> Contacts | None:
-    """A set of ``contacts`` that is bad and without conflict; None if there is none.
+    """A subset of ``contacts`` that fails a test and has no conflict; None if there is none.
 
-    What is not bad has no bad part, and what has no conflict is without one in every part. So a
-    bad set with a conflict leaves those sets to look at that lack one contact of the conflict.
+    Subsets of a set that passes the test pass it too, and subsets of one without conflict have
+    none. So of a failing set with a conflict, only those subsets are searched that lack one
+    contact of the conflict.
+
+    Args:
+        closing: counts the steps.
+        fails: the test.
+        conflict: a subset that makes a set inadmissible, or None.
+        contacts: where the search starts.
 
     Raises:
         NotDecidedError: too many steps.
@@ -294,7 +306,7 @@ def first(
     while waiting:
         chosen = waiting.pop()
         closing.step()
-        if not bad(chosen):
+        if not fails(chosen):
             continue
         found = conflict(chosen)
         if found is None:
@@ -307,15 +319,10 @@ def first(
     return None
 
 
-def smallest(bad: Callable[[Contacts], bool], contacts: Contacts) -> Contacts:
-    """A part of a bad set that is bad and has no bad part: leave out halves, quarters, ..."""
-    size = len(contacts)
-    while size > 1:
-        size, start = (size + 1) // 2, 0
-        while start < len(contacts):
-            fewer = contacts[:start] + contacts[start + size :]
-            if bad(fewer):
-                contacts = fewer
-            else:
-                start += size
+def minimal_failing(fails: Callable[[Contacts], bool], contacts: Contacts) -> Contacts:
+    """A subset of a failing set that fails and has no failing subset."""
+    for i in contacts:
+        fewer = tuple(k for k in contacts if k != i)
+        if fails(fewer):
+            contacts = fewer
     return contacts

@@ -1,17 +1,17 @@
-"""What is found in a bag that is checked: how grave, what, what was wanted, and the remedy."""
+"""Findings of a bag check: how severe, what was found, what was expected, and the remedy."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 ERROR, WARNING, NOTE = "error", "warning", "note"
 SEVERITIES = (ERROR, WARNING, NOTE)
-"""Gravest first. With an error no observer can use the bag; with a warning one can, but part of
-it is lost or an option is needed; a note is good to know."""
+"""Most severe first. With an error no observer can use the bag; with a warning one can, but part
+of it is lost or an option is needed; a note is information only."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is not as it should be, or good to know.
+    """One fault of a bag, or one remark on it.
 
     Attributes:
         severity: ``error``, ``warning`` or ``note``.
@@ -29,7 +29,7 @@ class Finding:
 
     @property
     def line(self) -> str:
-        """All of it in one line."""
+        """The finding as one line."""
         parts = [f"{self.thing}: {self.found}"]
         if self.wanted:
             parts.append(f"expected {self.wanted}")
@@ -38,37 +38,37 @@ class Finding:
         return " ".join("; ".join(parts).split())
 
 
-def gravest_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Ordered by severity, else as they came."""
-    return sorted(findings, key=lambda each: SEVERITIES.index(each.severity))
-
-
-def times(count: int, word: str, plural: str = "s") -> str:
-    """``1 event``, ``2 events``; or another ending."""
-    return f"{count} {word}{'' if count == 1 else plural}"
-
-
-def listed(names: Iterable[str], most: int = 8) -> str:
-    """Names in words; of a long list its beginning."""
-    known = [*names]
-    if len(known) > most:
-        known = [*known[: most - 1], f"{len(known) - most + 1} more"]
-    return ", ".join(known) or "none"
-
-
 @dataclass(slots=True)
-class Seen:
-    """How often something was seen, and where first.
+class Occurrences:
+    """How often a fault occurs, and where first.
 
     Attributes:
         count: how often.
-        first: where, in words; empty while never.
+        first: the place of the first one, in words; empty while there is none.
     """
 
     count: int = 0
     first: str = ""
 
-    def note(self, where: str) -> None:
-        """Once more."""
+    def add(self, where: str) -> None:
+        """Count one more, at the place ``where``."""
         self.count += 1
         self.first = self.first or where
+
+
+def most_severe_first(findings: Iterable[Finding]) -> list[Finding]:
+    """Findings sorted by severity; equal ones keep their order."""
+    return sorted(findings, key=lambda each: SEVERITIES.index(each.severity))
+
+
+def times(count: int, word: str, plural: str = "s") -> str:
+    """``1 event``, ``2 events``; ``plural`` is the ending."""
+    return f"{count} {word}{'' if count == 1 else plural}"
+
+
+def listed(names: Iterable[str], most: int = 8) -> str:
+    """Names separated by commas, at most ``most``; then how many more there are."""
+    shown = [*names]
+    if len(shown) > most:
+        shown = [*shown[: most - 1], f"{len(shown) - most + 1} more"]
+    return ", ".join(shown) or "none"

@@ -1,8 +1,8 @@
-"""Whether an impact can raise ``V``: the eigenvalue test on contacts that can close together.
+"""Whether an impact can raise ``V``: an eigenvalue test on contacts that can close together.
 
-A velocity jump on the contacts A never raises ``V`` when ``H = G - E G E`` is positive
-semidefinite, ``G = W_A^T M^-1 W_A``, ``E = diag(eps)``. It then is on every part of A, so only
-the largest sets that can close together count.
+An impact of the contacts A never raises ``V`` when ``H = G - E G E`` is positive semidefinite,
+with ``G = W_A^T M^-1 W_A`` and ``E = diag(eps)``. ``H`` then is so for every subset of A, so only
+the largest sets that can close together need the test.
 """
 
 from dataclasses import dataclass
@@ -13,34 +13,34 @@ from scipy.sparse import csgraph
 
 from impact_observer.check.closing_sets import (
     LISTED,
-    Answer,
     ClosingSets,
     NotDecidedError,
-    circuit,
-    first,
-    smallest,
+    SearchResult,
+    first_failing,
+    minimal_dependent,
+    minimal_failing,
 )
 from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
 
 _EIGENVALUE = 1e-9
-"""Negative eigenvalue of ``H`` that is rounding, relative to the norm of ``G``."""
+"""Negative eigenvalue of ``H`` that counts as rounding, relative to the norm of ``G``."""
 _COUPLED = 1e-12
 """Entry of ``H`` that counts as zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Growth:
-    """Two solutions that an impact drives apart.
+    """Two solutions whose difference an impact increases.
 
-    Both take an impulse at all contacts; ``one`` closes every contact, so it can be a plant.
+    Both have an impulse at every contact. ``one`` closes every contact, so it can be a plant's.
 
     Attributes:
-        contacts: indices of those that close, sorted.
-        factor: the most that an impact of exactly these contacts multiplies ``V`` by.
+        contacts: indices of the contacts that close, sorted.
+        factor: the most by which an impact of exactly these contacts multiplies ``V``.
         one: contact speeds before the impact, shape (len(contacts),), m/s.
-        two: the same of the other solution, shape (len(contacts),), m/s.
+        two: of the other solution, shape (len(contacts),), m/s.
     """
 
     contacts: Contacts
@@ -49,42 +49,42 @@ class Growth:
     two: Vector
 
 
-def expansive(closing: ClosingSets) -> Answer:
+def expansive(closing: ClosingSets) -> SearchResult:
     """Sets of contacts that can close together where an impact can raise ``V``.
 
-    Pairs are looked at first, larger sets only where no pair is found. Every set found is
-    linearly independent: the law moves any set of contacts as an independent part of it does.
-    Conservative in one case: an impact of the set alone is meant, also where it never closes
-    without some other contact.
+    Pairs are tested first, larger sets only where no pair is found. Every set found is linearly
+    independent, since the impact law acts on dependent contacts as on an independent subset. The
+    test is conservative in one case: where a set never closes without some other contact, its
+    impact alone is tested all the same.
 
     Args:
         closing: of any system; its steps are used up.
 
     Returns:
-        Sets for which ``G - E G E`` has a negative eigenvalue; none and decided where an impact
-        never raises ``V``.
+        Sets for which ``G - E G E`` has a negative eigenvalue. None, and decided, where no impact
+        raises ``V``.
     """
     test = _Expansion(closing)
     try:
         if pairs := test.pairs():
-            return Answer(pairs, True)
-        # Larger sets depend on each other. (numpy before 2 knows no rank of an empty matrix.)
+            return SearchResult(pairs, True)
+        # Larger sets are dependent. (numpy before 2 has no rank of an empty matrix.)
         if closing.B.shape[1] <= 2 or np.linalg.matrix_rank(closing.B) <= 2:
-            return Answer((), True)
+            return SearchResult((), True)
         for component in test.components():
-            if found := first(closing, test.fails, test.conflict, component):
-                return Answer((smallest(test.fails, found),), True)
+            if found := first_failing(closing, test.fails, test.conflict, component):
+                return SearchResult((minimal_failing(test.fails, found),), True)
     except NotDecidedError:
-        return Answer((), False)
-    return Answer((), True)
+        return SearchResult((), False)
+    return SearchResult((), True)
 
 
 class _Expansion:
-    """The eigenvalue test of a system, whole and without what no set to be tested contains.
+    """The eigenvalue test of a system, on ``H`` and on a reduced ``H``.
 
-    Pairs that never close together, or that are parallel, are in no such set: their entries of
-    ``H`` may be anything, zero for one. Where either matrix is positive semidefinite, so are the
-    principal parts that count.
+    Pairs that cannot close together, or that are parallel, are in none of the sets to be tested.
+    Their entries of ``H`` do not count and are zero in the reduced one. A set passes where either
+    matrix is positive semidefinite, since then all its admissible subsets pass.
     """
 
     def __init__(self, closing: ClosingSets) -> None:
@@ -92,9 +92,9 @@ class _Expansion:
         self._whole = (1 - np.outer(closing.eps, closing.eps)) * closing.G
         self._reduced = self._whole.copy()
         for pair in closing.conflicts.union(closing.parallel()):
-            self._leave_out(pair)
+            self._exclude(pair)
 
-    def _leave_out(self, contacts: Contacts) -> None:
+    def _exclude(self, contacts: Contacts) -> None:
         if len(contacts) == 2:
             i, j = contacts
             self._reduced[i, j] = self._reduced[j, i] = 0.0
@@ -103,7 +103,7 @@ class _Expansion:
         """Whether neither matrix is positive semidefinite on ``contacts``."""
         index = list(contacts)
         if not index or np.ptp(self._closing.eps[index]) == 0:
-            return False  # exactly, whatever rounding does to the eigenvalues
+            return False  # exactly zero or positive; rounding must not decide
         at = np.ix_(index, index)
         shift = _EIGENVALUE * float(np.linalg.norm(self._closing.G[at], np.inf))
         return not any(
@@ -111,22 +111,22 @@ class _Expansion:
         )
 
     def conflict(self, contacts: Contacts) -> Contacts | None:
-        """Some of ``contacts`` that depend on each other or cannot close together."""
+        """A subset of ``contacts`` that is dependent or cannot close together; None if none is."""
         closing = self._closing
         found = (
-            closing.known_conflict(contacts)
-            or circuit(closing.B, contacts)
+            closing.conflict_so_far(contacts)
+            or minimal_dependent(closing.B, contacts)
             or closing.conflict(contacts)
         )
-        self._leave_out(found or ())
+        self._exclude(found or ())
         return found
 
     def components(self) -> list[Contacts]:
-        """Contacts that are coupled, directly or through others; each part passes or not."""
+        """Connected components of more than two contacts; each is tested by itself."""
         graph = sparse.csr_matrix(np.abs(self._reduced) > _COUPLED)
         count, labels = csgraph.connected_components(graph, directed=False)
         parts = [tuple(np.flatnonzero(labels == k).tolist()) for k in range(count)]
-        return [part for part in parts if len(part) > 2]  # pairs are looked at before
+        return [part for part in parts if len(part) > 2]
 
     def pairs(self) -> tuple[Contacts, ...]:
         """Pairs that fail and can close together, at most ``LISTED``.
@@ -166,13 +166,13 @@ def _definite(matrix: Matrix) -> bool:
 def growth(closing: ClosingSets, contacts: Contacts) -> Growth:
     """By how much, and for which two solutions, an impact of ``contacts`` can raise ``V``.
 
-    With all contacts pressed ``dgamma+ = -E dgamma-``, measured in ``G^-1``. The factor is the
-    most that this multiplies; sets of fewer pressed contacts multiply by less, since theirs is
+    With an impulse at every contact ``dgamma+ = -E dgamma-``, in the metric ``G^-1``. The factor
+    is the largest ratio of the two norms squared. With impulses at fewer contacts it is smaller:
     the Rayleigh quotient of ``E G E`` over ``G`` on fewer coordinates.
 
     Args:
         closing: of the system.
-        contacts: linearly independent ones.
+        contacts: linearly independent.
     """
     index = list(contacts)
     eps, lengths = closing.eps[index], closing.lengths[index]
@@ -190,7 +190,7 @@ def growth(closing: ClosingSets, contacts: Contacts) -> Growth:
 
 
 def _closing_impulses(G: Matrix) -> Vector:
-    """Impulses ``Lambda > 0`` with ``G Lambda > 0``: they exist for every positive definite G."""
+    """Impulses ``Lambda > 0`` with ``G Lambda > 0``, which every positive definite G has."""
     count = len(G)
     rows = np.vstack([np.hstack([-G, np.ones((count, 1))]), np.eye(count, count + 1) * -1.0])
     rows[count:, count] = 1.0
@@ -203,13 +203,13 @@ def _closing_impulses(G: Matrix) -> Vector:
 def expansive_sets(system: System) -> tuple[Contacts, ...]:
     """Sets of contacts that can close together where an impact can raise ``V``, as indices.
 
-    Empty also where ``is_nonexpansive`` says None, not decided.
+    It is also empty where ``is_nonexpansive`` is None, not decided.
     """
     return expansive(ClosingSets(system)).sets
 
 
 def is_nonexpansive(system: System) -> bool | None:
-    """Whether no impact of contacts that can close together ever raises ``V``.
+    """Whether no impact of contacts that can close together raises ``V``.
 
     Returns:
         None where ``STEPS`` were not enough to decide.

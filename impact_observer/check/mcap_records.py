@@ -1,6 +1,6 @@
-"""The messages of an MCAP file from its beginning on, without index or footer.
+"""The messages of an MCAP file that may be damaged, from its beginning, without index or footer.
 
-Records are parsed by the package ``mcap``; finding the way past what is broken is ours.
+The package ``mcap`` parses the records; this module goes on after broken ones.
 """
 
 import zlib
@@ -14,18 +14,18 @@ from mcap.opcode import Opcode
 
 from impact_observer.io.mcap_layout import CHUNK, FRAME, MAGIC, MESSAGE, summary_of, uncompressed
 
-_KNOWN = range(1, 0x10)
+_OPCODES = range(1, 0x10)
 """Record types of this version of the format."""
 
 
 class Channel(NamedTuple):
-    """Where messages of one topic come from.
+    """The channel of a topic.
 
     Attributes:
         topic: the absolute name.
         type: the message type.
         definition: the text of the message type.
-        metadata: what else the channel says.
+        metadata: of the channel, such as the offered quality of service.
     """
 
     topic: str
@@ -38,7 +38,7 @@ class Message(NamedTuple):
     """A message.
 
     Attributes:
-        channel: where it comes from.
+        channel: of its topic.
         log_time: when it was recorded, ns.
         data: the serialized message.
     """
@@ -48,41 +48,11 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Facts(NamedTuple):
-    """What the index of an MCAP file says of its chunks.
-
-    Attributes:
-        chunks: how many there are.
-        compression: their kinds of compression, such as ``zstd``; ``none`` for none.
-        compressed: bytes in the file.
-        uncompressed: bytes of records.
-    """
-
-    chunks: int
-    compression: str
-    compressed: int
-    uncompressed: int
-
-
-def facts(file: BinaryIO) -> Facts | None:
-    """What the index of an MCAP file says of its chunks; None without one."""
-    summary = summary_of(file)
-    if summary is None or not summary.chunk_indexes:
-        return None
-    kinds = sorted({each.compression or "none" for each in summary.chunk_indexes})
-    return Facts(
-        len(summary.chunk_indexes),
-        " and ".join(kinds),
-        sum(each.compressed_size for each in summary.chunk_indexes),
-        sum(each.uncompressed_size for each in summary.chunk_indexes),
-    )
-
-
 class McapFile:
     """An MCAP file that may be damaged, to be read once.
 
     Attributes:
-        at: where reading is, bytes.
+        at: bytes read so far.
         losses: what could not be read, a line each.
     """
 
@@ -102,7 +72,7 @@ class McapFile:
         if self._file.read(len(MAGIC)) != MAGIC:
             self.losses.append("does not begin as an MCAP file")
             return
-        self._consult_index()
+        self._read_index()
         self.at = len(MAGIC)
         self._file.seek(self.at)
         while (frame := self._frame()) is not None:
@@ -130,7 +100,7 @@ class McapFile:
                 self.losses.append(f"was cut short at byte {self._size}")
                 return None
             opcode, length = FRAME.unpack(head)
-            if opcode in _KNOWN and self.at + FRAME.size + length <= self._size:
+            if opcode in _OPCODES and self.at + FRAME.size + length <= self._size:
                 return opcode, length
             later = min((each for each in self._chunks if each > self.at), default=None)
             if later is None and opcode == Opcode.CHUNK:
@@ -142,8 +112,8 @@ class McapFile:
             self.at = later
             self._file.seek(later)
 
-    def _consult_index(self) -> None:
-        """Note what the index at the end of the file tells, if it is there."""
+    def _read_index(self) -> None:
+        """Read the index at the end of the file, if it is there."""
         if (summary := summary_of(self._file)) is None:
             return
         self._chunks = [each.chunk_start_offset for each in summary.chunk_indexes]
@@ -151,7 +121,7 @@ class McapFile:
             self._schemas[schema.id] = (schema.name, schema.data.decode(errors="replace"))
         for channel in summary.channels.values():
             if channel.schema_id in self._schemas:
-                self._know(channel)
+                self._add_channel(channel)
 
     def _chunk(self, body: bytes, length: int) -> Iterator[Message]:
         """The messages of a chunk, of one that was cut short as many as are whole."""
@@ -161,7 +131,7 @@ class McapFile:
             stream = ReadDataStream(BytesIO(body[CHUNK.size :]))
             compression, stored = stream.read_prefixed_string(), stream.read8()
             data = uncompressed(body[CHUNK.size + stream.count :][:stored], compression)
-        except Exception as error:  # noqa: BLE001 (whatever a decompressor says of broken data)
+        except Exception as error:  # noqa: BLE001 (decompressors raise anything)
             self.losses.append(f"the chunk at byte {self.at} cannot be decompressed ({error})")
             return
         if whole and (len(data) != size or (checksum and zlib.crc32(data) != checksum)):
@@ -176,7 +146,7 @@ class McapFile:
             opcode, length = FRAME.unpack_from(data, place)
             body = data[place + FRAME.size : place + FRAME.size + length]
             try:
-                if opcode not in _KNOWN:
+                if opcode not in _OPCODES:
                     raise ValueError
                 if len(body) < length:
                     return
@@ -184,22 +154,22 @@ class McapFile:
                     yield self._message(body)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._declaration(opcode, body)
-            except Exception:  # noqa: BLE001 (whatever mcap trips over)
+            except Exception:  # noqa: BLE001 (mcap raises anything)
                 self.losses.append(f"the chunk at byte {self.at} is damaged at its byte {place}")
                 return
             place += FRAME.size + length
 
     def _declaration(self, opcode: int, body: bytes) -> None:
-        """Note a message type or a channel."""
+        """Add a message type or a channel."""
         stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.SCHEMA:
             schema = records.Schema.read(stream)
             self._schemas[schema.id] = (schema.name, schema.data.decode())
         else:
-            self._know(records.Channel.read(stream))
+            self._add_channel(records.Channel.read(stream))
 
-    def _know(self, channel: records.Channel) -> None:
-        """Note a channel whose message type is known."""
+    def _add_channel(self, channel: records.Channel) -> None:
+        """Add a channel whose schema has been read."""
         name, definition = self._schemas[channel.schema_id]
         self._channels[channel.id] = Channel(channel.topic, name, definition, channel.metadata)
 

@@ -1,9 +1,9 @@
-"""What a model means for an observer, before anything is run: modes, contacts, the impact law.
+"""What a model means for an observer, before a run: modes, contacts, the impact law.
 
-Modes are those of ``A`` in ``dx/dt = A x`` without contacts. The positions of rigid bodies are
-split off, and the rest is written in the coordinates of energy, ``(a', Omega b, b')`` with
-``q = R a + P b`` in ``M``-orthonormal shapes: there ``A`` has no double eigenvalue 0, and an
-undamped mode is orthogonal to all others, however the damping couples the shapes.
+Modes are those of ``A`` in ``dx/dt = A x`` without contacts. Rigid-body positions are split off;
+the rest is written in energy coordinates ``(a', Omega b, b')``, with ``q = R a + P b`` in
+``M``-orthonormal shapes. There ``A`` has no double eigenvalue 0, and an undamped mode is
+orthogonal to all others, whatever shapes the damping couples.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.check.closing_sets import Answer, ClosingSets, redundant
+from impact_observer.check.closing_sets import ClosingSets, SearchResult, redundant
 from impact_observer.check.impact_expansion import (
     Growth,
     expansive,
@@ -29,7 +29,7 @@ __all__ = ["ModelCheck", "check_model", "expansive_sets", "is_nonexpansive"]
 _RIGID = 1e-12
 """``omega^2`` that counts as zero, relative to the stiffest mode's; as for position jumps."""
 _ROUNDING = 1e-14
-"""Part of an eigenvalue that counts as zero, relative to the largest eigenvalue, times 2n."""
+"""Real or imaginary part that counts as zero, relative to the largest eigenvalue, times 2n."""
 _EQUAL = 1e-8
 """Distance of eigenvalues that count as equal, relative to the largest."""
 _SAME_SHAPE = 1e-6
@@ -37,7 +37,7 @@ _SAME_SHAPE = 1e-6
 _UNSEEN = 1e-9
 """Contact speed of a shape that counts as none, relative to the shape's speed."""
 _CLEAN = 1e-12
-"""Entry of a shape that is what rounding left of a zero."""
+"""Entry of a shape that counts as rounding."""
 _RESONANCE = 1e-6
 """Relative distance of a forcing frequency from a mode's that counts as resonance."""
 
@@ -83,8 +83,8 @@ class Resonance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Unseen:
-    """A motion that moves no contact: nothing that contacts tell depends on it.
+class UnseenMotion:
+    """A motion that moves no contact, so that no event depends on it.
 
     Attributes:
         decay: real part of its eigenvalue, 1/s; 0 for a rigid-body mode.
@@ -99,22 +99,22 @@ class Unseen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelCheck:
-    """What there is to know about a model.
+    """The result of a model check.
 
     Attributes:
         system: the model.
-        undamped: eigenfrequencies with the damping left out, shape (n,), rad/s, ascending.
-        modes: that oscillate with the true damping, the slowest first.
-        rates: real eigenvalues, ascending, 1/s; without those of rigid positions.
+        undamped: eigenfrequencies without the damping, shape (n,), rad/s, ascending.
+        modes: oscillating modes with the damping, the slowest first.
+        rates: real eigenvalues, ascending, 1/s; without those of rigid-body positions.
         rigid: directions of rigid-body modes, shape (r, n), in coordinates.
         resonances: harmonics that make an amplitude grow without bound.
-        unseen: motions that no contact sees.
+        unseen: motions that move no contact.
         effective_mass: ``1 / (w^T M^-1 w)`` of each contact, shape (m,), kg.
-        possible: whether some position is outside all stops.
-        roomy: whether some position is clear of all stops.
-        redundant: contacts that depend on each other and can close together.
+        feasible: whether some position is outside all stops.
+        has_clearance: whether some position is clear of all stops.
+        redundant: contacts that are linearly dependent and can close together.
         expansive: sets that can close together where an impact can raise ``V``.
-        growths: how much, for each of these sets.
+        growths: by how much, for each of these sets.
     """
 
     system: System
@@ -123,12 +123,12 @@ class ModelCheck:
     rates: Vector
     rigid: Matrix
     resonances: tuple[Resonance, ...]
-    unseen: tuple[Unseen, ...]
+    unseen: tuple[UnseenMotion, ...]
     effective_mass: Vector
-    possible: bool
-    roomy: bool
-    redundant: Answer
-    expansive: Answer
+    feasible: bool
+    has_clearance: bool
+    redundant: SearchResult
+    expansive: SearchResult
     growths: tuple[Growth, ...]
 
     @property
@@ -138,12 +138,12 @@ class ModelCheck:
 
     @property
     def damped(self) -> bool:
-        """Whether damping alone takes all energy out of a motion."""
+        """Whether damping alone brings every motion to rest."""
         return all(mode.decay < 0 for mode in self.modes) and bool(np.all(self.rates < 0))
 
 
 def check_model(system: System) -> ModelCheck:
-    """Check a model; takes seconds for some hundred coordinates and contacts."""
+    """Check a model; it takes seconds for some hundred coordinates and contacts."""
     spectrum = _Spectrum(system)
     closing = ClosingSets(system)
     raising = expansive(closing)
@@ -156,8 +156,8 @@ def check_model(system: System) -> ModelCheck:
         resonances=spectrum.resonances(),
         unseen=spectrum.unseen(closing.lengths),
         effective_mass=frozen(closing.lengths**-2.0),
-        possible=closing.possible,
-        roomy=closing.roomy,
+        feasible=closing.feasible,
+        has_clearance=closing.has_clearance,
         redundant=redundant(ClosingSets(system)),
         expansive=raising,
         growths=tuple(growth(closing, contacts) for contacts in raising.sets),
@@ -198,17 +198,20 @@ class _Spectrum:
         return np.concatenate([vectors[: self._r], vectors[self._system.n :]])
 
     def modes(self) -> tuple[Mode, ...]:
-        """The pairs that oscillate."""
+        """The oscillating pairs, the slowest first."""
         upper = self._values[self._values.imag > 0]
         order = np.argsort(np.abs(upper), kind="stable")
         return tuple(Mode(float(value.real), float(value.imag)) for value in upper[order])
 
     def rates(self) -> Vector:
-        """The real eigenvalues."""
+        """The real eigenvalues, ascending."""
         return frozen(np.sort(self._values[self._values.imag == 0].real))
 
     def resonances(self) -> tuple[Resonance, ...]:
-        """An undamped mode is orthogonal to the others: the force along it drives it alone."""
+        """Harmonics at the frequency of an undamped mode, with a force along it.
+
+        An undamped mode is orthogonal to the others, so the force along it drives it alone.
+        """
         forcing = self._system.forcing
         forces = self._shapes.T @ (forcing.cosine - 1j * forcing.sine).T
         found = set()
@@ -220,11 +223,12 @@ class _Spectrum:
                     found.add((int(k), float(forcing.frequency[k])))
         return tuple(Resonance(*each) for each in sorted(found))
 
-    def unseen(self, lengths: Vector) -> tuple[Unseen, ...]:
-        """The test of Popov, Belevitch and Hautus for gaps and contact speeds as outputs."""
+    def unseen(self, lengths: Vector) -> tuple[UnseenMotion, ...]:
+        """The Popov-Belevitch-Hautus test, with gaps and contact speeds as outputs."""
         seen = self._shapes.T @ self._system.W / lengths
         found = [
-            Unseen(0.0, 0.0, shape) for shape in _readable(self.rigid @ _null(seen[: self._r].T)).T
+            UnseenMotion(0.0, 0.0, shape)
+            for shape in _readable(self.rigid @ _null(seen[: self._r].T)).T
         ]
         scale = float(np.max(np.abs(self._values)))
         at = np.flatnonzero((self._values.imag >= 0) & (self._values != 0))
@@ -236,12 +240,14 @@ class _Spectrum:
             speeds = speeds[:, size > _SAME_SHAPE * size[0]]
             value = complex(np.mean(self._values[members]))
             hidden = self._shapes @ speeds @ _null(seen.T @ speeds)
-            found.extend(Unseen(value.real, value.imag, shape) for shape in _readable(hidden).T)
+            found.extend(
+                UnseenMotion(value.real, value.imag, shape) for shape in _readable(hidden).T
+            )
         return tuple(sorted(found, key=lambda each: np.hypot(each.decay, each.frequency)))
 
 
 def _null(seen: Basis) -> Basis:
-    """Combinations of columns that give nothing: an orthonormal basis."""
+    """An orthonormal basis of the null space."""
     rows, columns = seen.shape
     if rows == 0 or columns == 0:
         return np.eye(columns)
@@ -251,7 +257,7 @@ def _null(seen: Basis) -> Basis:
 
 
 def _groups(values: ComplexVector, tolerance: float) -> list[list[int]]:
-    """Indices of values that are equal, directly or through others between them."""
+    """Indices of values that are equal, directly or through a chain of others."""
     groups: list[list[int]] = []
     for i in np.argsort(values.imag, kind="stable").tolist():
         near = [
@@ -265,9 +271,9 @@ def _groups(values: ComplexVector, tolerance: float) -> list[list[int]]:
 
 
 def _readable(directions: Basis) -> Matrix:
-    """Another basis of the columns' span, each with a 1 where the others have a 0.
+    """A basis of the columns' span in which each column has a 1 where the others have a 0.
 
-    Of complex columns it is the real part, at the phase of that 1.
+    Of complex columns the real part is returned, at the phase of that 1.
     """
     n, r = directions.shape
     if r == 0:

@@ -1,14 +1,15 @@
-"""What can still be read of a bag that is damaged, and a new bag of it.
+"""What can still be read of a damaged bag, and a new bag made of it.
 
-Files are read from their beginning, without index, footer or ``metadata.yaml``. What cannot be
-told to be right is left out: a chunk whose checksum does not match, a message that has no end.
+MCAP files are read from their beginning, without index, footer or ``metadata.yaml``. A chunk whose
+checksum does not match is left out, and so is a message without an end. sqlite3 files are read as
+far as sqlite3 reads them.
 """
 
 import re
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TypeAlias, final
@@ -17,21 +18,20 @@ import zstandard
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
-from impact_observer.check.mcap_records import Channel, McapFile, Message
-from impact_observer.check.sqlite_pages import Pages, Row
+from impact_observer.check.mcap_records import McapFile, Message
 from impact_observer.errors import BagError, ImpactObserverError, UsageError
 from impact_observer.io.interfaces import Quality, usual_quality
-from impact_observer.io.reader import RawMessage, TopicInfo
+from impact_observer.io.reader import BagReader, RawMessage, TopicInfo, recover_command
 from impact_observer.io.recordings import all_or_nothing
 from impact_observer.stamps import text
 
 _SUFFIXES = (".mcap", ".db3")
 _COMPRESSED = ".zstd"
 _ZSTD = b"\x28\xb5\x2f\xfd"
-"""How compressed data begins; no serialized message does."""
+"""First bytes of compressed data; no serialized message begins with them."""
 _LATEST = 2**63
-Told: TypeAlias = Callable[[int, int], None]
-"""Told the bytes read and how many there are."""
+Progress: TypeAlias = Callable[[int, int], None]
+"""Called with the bytes read and how many there are."""
 
 
 @final
@@ -40,7 +40,7 @@ class Salvage:
 
     Attributes:
         path: the folder or file.
-        topics: what has been met so far, by absolute name, without counts.
+        topics: the topics found so far, by absolute name, without counts.
         counts: messages of each topic so far.
         last: log time of the last message of each topic so far, ns.
         losses: what could not be read, a line each.
@@ -59,126 +59,96 @@ class Salvage:
         self.counts: Counter[str] = Counter()
         self.last: dict[str, int] = {}
         self.losses: list[str] = []
-        inside = [*path.iterdir()] if path.is_dir() else [path]
-        self.files = sorted((each for each in inside if _is_storage(each)), key=_natural)
+        inside = path.iterdir() if path.is_dir() else [path]
+        self.files = sorted((each for each in inside if _is_storage(each)), key=_file_order)
 
-    def raw(self, progress: Told = lambda _done, _all: None) -> Iterator[RawMessage]:
+    def raw(self, progress: Progress = lambda _done, _total: None) -> Iterator[RawMessage]:
         """The messages in the order of the files."""
-        whole, before = sum(file.stat().st_size for file in self.files), 0
+        total, done = sum(file.stat().st_size for file in self.files), 0
         for file in self.files:
-            done = before
-
-            def told(at: int, done: int = done) -> None:
-                progress(min(done + at, whole), whole)
-
             try:
-                yield from self._file(file, told)
+                for read, message in self._file(file):
+                    progress(min(done + read, total), total)
+                    yield message
             except OSError as error:
                 self._lose(f"{file.name}: {error.strerror or error}")
-            before += file.stat().st_size
+            done += file.stat().st_size
 
-    def _file(self, file: Path, told: Callable[[int], None]) -> Iterator[RawMessage]:
-        """The messages of one file, decompressed first where it is compressed as a whole."""
-        with ExitStack() as stack:
-            opened = file
+    def _file(self, file: Path) -> Iterator[tuple[int, RawMessage]]:
+        """The messages of a file, decompressed first where needed; with the bytes read so far."""
+        with TemporaryDirectory() as folder:
+            plain = file
             if file.suffix == _COMPRESSED:
-                folder = Path(stack.enter_context(TemporaryDirectory()))
-                opened = folder / file.stem
-                self._decompress(file, opened)
-            read = self._mcap if opened.suffix == ".mcap" else self._sqlite
-            yield from read(opened, told)
+                plain = Path(folder) / file.stem
+                self._decompress(file, plain)
+            read = self._mcap if plain.suffix == ".mcap" else self._sqlite
+            for done, topic, log_time, stored in read(file, plain):
+                if (data := self._decompressed(topic, stored)) is not None:
+                    self.counts[topic] += 1
+                    self.last[topic] = log_time
+                    yield done, RawMessage(topic, log_time, data)
 
     def _decompress(self, file: Path, target: Path) -> None:
-        """As much of ``file`` as can be decompressed."""
+        """Write as much of ``file`` as can be decompressed to ``target``."""
         with file.open("rb") as source, target.open("wb") as plain:
             try:
                 with zstandard.ZstdDecompressor().stream_reader(source) as stream:
                     shutil.copyfileobj(stream, plain)
             except (zstandard.ZstdError, EOFError) as error:
-                self.losses.append(f"{file.name}: its compression is damaged ({error})")
+                self._lose(f"{file.name}: its compression is damaged ({error})")
 
-    def _mcap(self, file: Path, told: Callable[[int], None]) -> Iterator[RawMessage]:
-        """The messages of an MCAP file, in the order of its chunks."""
-        with file.open("rb") as stream:
+    def _decompressed(self, topic: str, data: bytes) -> bytes | None:
+        """A message, decompressed where messages are compressed; None if it is broken."""
+        if data[:4] != _ZSTD:
+            return data
+        try:
+            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        except zstandard.ZstdError:
+            self._lose(f"{topic}: messages whose compression is damaged")
+            return None
+
+    def _mcap(self, file: Path, plain: Path) -> Iterator[tuple[int, str, int, bytes]]:
+        """Bytes read, topic, log time and data of the messages, chunk by chunk."""
+        with plain.open("rb") as stream:
             records = McapFile(stream)
-            for item in records.messages():
-                told(records.at)
-                if (topic := self._channel(item)) is not None:
-                    yield from self._told(topic, item.log_time, item.data)
+            for message in records.messages():
+                if self._has_topic(message):
+                    yield records.at, message.channel.topic, message.log_time, message.data
         self.losses += [f"{file.name}: {loss}" for loss in records.losses]
 
-    def _channel(self, message: Message) -> str | None:
-        """The topic of a message; None where it cannot be one of this bag."""
-        if not 0 <= message.log_time < _LATEST:
-            return None
+    def _has_topic(self, message: Message) -> bool:
+        """Note the topic of a message; False where the message cannot be of this bag."""
         channel = message.channel
-        info = self.topics.get(channel.topic)
-        if info is None:
-            definition = channel.definition
-            self._know(channel.topic, channel.type, _qualities(channel), definition)
+        if not 0 <= message.log_time < _LATEST:
+            return False
+        if (info := self.topics.get(channel.topic)) is None:
+            offers = _parsed(channel.metadata.get("offered_qos_profiles", ""))
+            depth = usual_quality(channel.topic).depth
+            qualities = [Quality.recorded(qos, depth) for qos in offers]
+            quality = Quality.common(qualities) if qualities else None
+            self.topics[channel.topic] = TopicInfo(
+                channel.topic, channel.type, 0, quality, channel.definition
+            )
         elif info.type != channel.type:
             self._lose(f"{channel.topic}: messages of a second type, {channel.type}")
-            return None
-        return channel.topic
+            return False
+        return True
 
-    def _sqlite(self, file: Path, told: Callable[[int], None]) -> Iterator[RawMessage]:
-        """The messages of a database, topics being known before any of them."""
-        with file.open("rb") as stream:
-            try:
-                pages = Pages(stream)
-            except ValueError:
-                self._lose(f"{file.name}: does not begin as an sqlite3 file")
-                return
-            known = self._declarations(pages)
-            pages.lost = read = highest = 0
-            for row in pages.rows():
-                told(stream.tell())
-                message = _message(row)
-                if message is None or message[0] not in known:
-                    continue
-                read, highest = read + 1, max(highest, row.number)
-                yield from self._told(known[message[0]], *message[1:])
-            if (missing := pages.promised - pages.count) > 0:
-                self._lose(f"{file.name}: was cut short, {missing} of {pages.promised} pages")
-            # A recorder only adds rows, so their numbers have no gaps.
-            if (missing := max(highest - read, pages.lost)) > 0:
-                self._lose(f"{file.name}: {missing} messages before the last one are broken")
-
-    def _declarations(self, pages: Pages) -> dict[int, str]:
-        """The topics of a database by their number."""
-        topics: dict[int, str] = {}
-        found: list[tuple[str, str, str]] = []
-        definitions: dict[str, str] = {}
-        for number, values in pages.rows():
-            match values:
-                case (None, str(name), str(kind), "cdr", *more) if name.startswith("/"):
-                    topics[number] = name
-                    found.append((name, kind, str(more[0]) if more else ""))
-                case (None, str(kind), "ros2msg" | "ros2idl", str(definition), _):
-                    definitions[kind] = definition
-        for name, kind, profiles in found:
-            self._know(name, kind, _parsed(profiles), definitions.get(kind, ""))
-        return topics
-
-    def _know(self, topic: str, kind: str, offers: list[Qos], definition: str) -> None:
-        """Note a topic, unless it is known from an earlier file."""
-        depth = usual_quality(topic).depth
-        quality = (
-            Quality.common(Quality.recorded(qos, depth) for qos in offers) if offers else None
-        )
-        self.topics.setdefault(topic, TopicInfo(topic, kind, 0, quality, definition))
-
-    def _told(self, topic: str, log_time: int, data: bytes) -> Iterator[RawMessage]:
-        """A message, counted, decompressed where each one was compressed; none if it is broken."""
-        if data[:4] == _ZSTD:
-            try:
-                data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
-            except zstandard.ZstdError:
-                self._lose(f"{topic}: messages whose compression is damaged")
-                return
-        self.counts[topic] += 1
-        self.last[topic] = log_time
-        yield RawMessage(topic, log_time, data)
+    def _sqlite(self, file: Path, plain: Path) -> Iterator[tuple[int, str, int, bytes]]:
+        """Bytes read, topic, log time and data of the messages, as far as sqlite3 reads."""
+        try:
+            with BagReader(plain) as reader:
+                for topic, info in reader.topics.items():
+                    self.topics.setdefault(topic, replace(info, count=0))
+                for done, raw in enumerate(reader.raw()):
+                    yield plain.stat().st_size * done // reader.message_count, *raw
+        except BagError:
+            compressed = f"`zstd -d {file}`, then " if file != plain else ""
+            command = recover_command(file.with_suffix("") if compressed else file)
+            self._lose(
+                f"{file.name}: damaged as an sqlite3 file; {compressed}`{command}` writes what is"
+                " left to a new file"
+            )
 
     def _lose(self, line: str) -> None:
         """Note a loss, once."""
@@ -187,14 +157,14 @@ class Salvage:
 
 
 def salvage(
-    source: Salvage, output: Path, *, progress: Told = lambda _done, _all: None
+    source: Salvage, output: Path, *, progress: Progress = lambda _done, _total: None
 ) -> list[str]:
     """Write a new bag of what can be read of a damaged one.
 
     Args:
         source: not read yet.
         output: the bag to make.
-        progress: told the bytes read and how many there are.
+        progress: called with the bytes read and how many there are.
 
     Returns:
         What was left out, a line each.
@@ -204,12 +174,10 @@ def salvage(
         BagError: nothing can be read, or the new bag cannot be written. Then no bag is left.
     """
     left_out: dict[str, str] = {}
+    declared: set[str] = set()
     with all_or_nothing(output) as writer:
-        declared: set[str] = set()
         for raw in source.raw(progress):
-            if raw.topic in left_out:
-                continue
-            if raw.topic not in declared:
+            if raw.topic not in declared and raw.topic not in left_out:
                 info = source.topics[raw.topic]
                 try:
                     writer.declare(
@@ -218,11 +186,11 @@ def salvage(
                         quality=info.quality,
                         definition=info.definition,
                     )
+                    declared.add(raw.topic)
                 except ImpactObserverError as error:
                     left_out[raw.topic] = f"{raw.topic} is left out: {error}"
-                    continue
-                declared.add(raw.topic)
-            writer.write_raw(*raw)
+            if raw.topic in declared:
+                writer.write_raw(*raw)
         if not writer.message_count:
             raise BagError(f"{source.path}: nothing can be read; {summary(source)}")
     return [*source.losses, *left_out.values()]
@@ -237,23 +205,11 @@ def summary(source: Salvage) -> str:
     return f"{source.counts.total()} messages, up to {text(max(source.last.values()))} s"
 
 
-def _message(row: Row) -> tuple[int, int, bytes] | None:
-    """Topic's number, log time and data, if a row is a message."""
-    match row.values:
-        case (None, int(topic), int(log_time), bytes(data)) if 0 <= log_time < _LATEST:
-            return topic, log_time, data
-    return None
-
-
-def _qualities(channel: Channel) -> list[Qos]:
-    return _parsed(channel.metadata.get("offered_qos_profiles", ""))
-
-
 def _parsed(profiles: str) -> list[Qos]:
     """Qualities of service; none where they are damaged."""
     try:
         return list(parse_qos(profiles))
-    except Exception:  # noqa: BLE001 (whatever rosbags trips over: a bag can do without them)
+    except Exception:  # noqa: BLE001 (rosbags raises anything; a bag is readable without them)
         return []
 
 
@@ -263,6 +219,6 @@ def _is_storage(file: Path) -> bool:
     return inner.suffix in _SUFFIXES and file.is_file()
 
 
-def _natural(file: Path) -> list[int | str]:
+def _file_order(file: Path) -> list[int | str]:
     """For sorting: ``bag_10`` comes after ``bag_9``."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", file.name)]

@@ -1,11 +1,19 @@
-"""What is wrong with the true states of a bag, in one pass and constant memory."""
+"""Checks of the true states in a bag, in one pass and constant memory."""
 
 from collections.abc import Callable, Iterator
 from typing import cast
 
 import numpy as np
 
-from impact_observer.check.findings import ERROR, NOTE, WARNING, Finding, Seen, listed, times
+from impact_observer.check.findings import (
+    ERROR,
+    NOTE,
+    WARNING,
+    Finding,
+    Occurrences,
+    listed,
+    times,
+)
 from impact_observer.errors import BagError
 from impact_observer.io.interfaces import JOINT_STATE
 from impact_observer.io.messages import JointStateMessage, MessageError, read_joint_state
@@ -15,21 +23,21 @@ from impact_observer.stamps import MAX_STAMP, text
 from impact_observer.states import Stamps
 
 _BLOCK = 1024
-"""Messages that are looked at together."""
+"""Messages that are decoded together."""
 
 
 class StateCheck:
-    """Listens to all joint states of a topic, in bag order.
+    """Checks all joint states of a topic, which are added in bag order.
 
     Attributes:
         topic: the absolute name.
-        count: messages, valid or not.
+        count: messages that were decoded, valid or not.
         first: the earliest stamp, ns; 0 before any.
         last: the latest stamp, ns; 0 before any.
     """
 
     def __init__(self, topic: str, deserialize: Callable[[bytes], object]) -> None:
-        """Listen to ``topic``.
+        """Check ``topic``.
 
         Args:
             topic: the absolute name.
@@ -39,98 +47,91 @@ class StateCheck:
         self.count = self.first = self.last = 0
         self._deserialize = deserialize
         self._pending: list[bytes] = []
-        self._invalid, self._renamed = Seen(), Seen()
-        self._names: tuple[str, ...] | None = None
+        self._invalid, self._renamed = Occurrences(), Occurrences()
+        self._names: tuple[str, ...] = ()
 
-    def hear(self, data: bytes) -> None:
-        """One more message, serialized."""
+    def add(self, data: bytes) -> None:
+        """Add a serialized message."""
         self._pending.append(data)
         if len(self._pending) == _BLOCK:
-            self._look()
+            self._check_pending()
 
     def findings(self, system: System | None, events: tuple[int, int] | None) -> Iterator[Finding]:
-        """What is wrong.
+        """The findings.
 
         Args:
-            system: of the model, if one is known.
+            system: of the model; None where there is none.
             events: first and last stamp of the impacts, ns; None without any.
         """
-        self._look()
-        for seen, what in ((self._invalid, "no state"), (self._renamed, "other coordinates")):
-            if seen.count:
-                have = "has" if seen.count == 1 else "have"
+        self._check_pending()
+        for fault, what in ((self._invalid, "no state"), (self._renamed, "other coordinates")):
+            if fault.count:
+                have = "has" if fault.count == 1 else "have"
                 yield Finding(
                     ERROR,
                     self.topic,
-                    f"{times(seen.count, 'message')} {have} {what}, the first is {seen.first}",
+                    f"{times(fault.count, 'message')} {have} {what}, the first is {fault.first}",
                     "one finite position and velocity for every coordinate, the same throughout",
                     "observe and compare refuse it; record again, or leave the topic out",
                 )
-        names = self._names or ()
-        if self._names and system is not None and set(names) != set(system.coordinates):
+        if self._names and system is not None and set(self._names) != set(system.coordinates):
             yield Finding(
                 WARNING,
                 self.topic,
-                f"states of {listed(names)}",
+                f"states of {listed(self._names)}",
                 f"the coordinates {listed(system.coordinates)} of the model {system.name}",
                 "compare cannot use them; name the model's coordinates alike",
             )
         if events is not None and self.last:
-            yield from self._about_time(*events)
+            yield from self._time_findings(*events)
 
-    def _about_time(self, first: int, last: int) -> Iterator[Finding]:
-        """Whether the truth is there when there are events, but for one of its steps."""
+    def _time_findings(self, first: int, last: int) -> Iterator[Finding]:
+        """Whether the truth covers the events, except for one sample at each end."""
         step = (self.last - self.first) // max(self.count - 1, 1)
         if self.first - step <= first and last <= self.last + step:
             return
-        differences = last < self.first or self.last < first
+        disjoint = last < self.first or self.last < first
         yield Finding(
-            WARNING if differences else NOTE,
+            WARNING if disjoint else NOTE,
             self.topic,
             f"the truth is from {text(self.first)} to {text(self.last)} s, the impacts are from"
             f" {text(first)} to {text(last)} s",
             remedy="nothing can be compared; are both stamped by one clock?"
-            if differences
+            if disjoint
             else "only what is common can be compared",
         )
 
-    def _look(self) -> None:
-        """Look at what has been heard."""
+    def _check_pending(self) -> None:
+        """Check the messages added since the last block; the irregular ones one by one."""
         block, self._pending = self._pending, []
         together, alone = decode(JOINT_STATE, block)
         for rows in together:
             try:
-                self._note_names(block, int(rows.at[0]))
+                self._check_names(block, int(rows.at[0]))
             except BagError:  # names that are no text: all of these have them
                 alone += rows.at.tolist()
                 continue
-            sound = rows.sound
-            if not sound.all():
-                alone += rows.at[~sound].tolist()
-            self._note_stamps(rows.stamps[sound])
+            alone += rows.at[~rows.sound].tolist()
+            self._add_stamps(rows.stamps[rows.sound])
         for i in sorted(alone):
-            self._note_alone(block, i)
+            try:
+                message = cast("JointStateMessage", self._deserialize(block[i]))
+                state = read_joint_state(message)
+            except (BagError, MessageError) as error:
+                self._invalid.add(f"message {self.count + i}: {error}")
+                continue
+            self._check_names(block, i)
+            self._add_stamps(np.array([state.stamp]))
         self.count += len(block)
 
-    def _note_names(self, block: list[bytes], i: int) -> None:
-        """Compare the coordinates of a message, and all of its shape, with the first ones."""
+    def _check_names(self, block: list[bytes], i: int) -> None:
+        """Compare the coordinates of message ``i`` with those of the first message."""
         names = tuple(cast("JointStateMessage", self._deserialize(block[i])).name)
-        if self._names is None:
-            self._names = names
+        self._names = self._names or names
         if sorted(names) != sorted(self._names) or len(set(names)) < len(names):
-            self._renamed.note(f"message {self.count + i}: {listed(names)}")
+            self._renamed.add(f"message {self.count + i}: {listed(names)}")
 
-    def _note_alone(self, block: list[bytes], i: int) -> None:
-        """Note a message that is out of the ordinary."""
-        try:
-            state = read_joint_state(cast("JointStateMessage", self._deserialize(block[i])))
-        except (BagError, MessageError) as error:
-            self._invalid.note(f"message {self.count + i}: {error}")
-            return
-        self._note_names(block, i)
-        self._note_stamps(np.array([state.stamp]))
-
-    def _note_stamps(self, stamps: Stamps) -> None:
+    def _add_stamps(self, stamps: Stamps) -> None:
         if stamps.size:
             self.first = min(self.first or MAX_STAMP, int(stamps.min()))
             self.last = max(self.last, int(stamps.max()))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
+from shlex import quote
 from types import TracebackType
 from typing import NamedTuple, TypeVar, cast, final
 
@@ -426,10 +427,23 @@ class BagReader:
         except ImpactObserverError:
             raise
         except Exception as error:  # whatever rosbags trips over in a damaged file
-            raise BagError(
-                f"{self.path}: cannot be read as a bag: {_reason(error)}; if it was cut short, "
-                "`impact-observer check --salvage` saves what is left"
-            ) from error
+            reason = _reason(error)
+            remedy = "if it was cut short, `impact-observer check --salvage` saves what is left"
+            if "database" in reason:  # as sqlite3 says
+                command = recover_command(self.path)
+                remedy = f"`{command}` writes what is left to a new file"
+            raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
+
+
+def recover_command(path: Path) -> str:
+    """The command that writes what is left of a damaged sqlite3 file to a new one.
+
+    Args:
+        path: the file, or the folder of a bag.
+    """
+    files = sorted(path.glob("*.db3")) if path.is_dir() else [path]
+    file = quote(str(files[0])) if len(files) == 1 else "FILE"
+    return f"sqlite3 {file} .recover | sqlite3 NEW.db3"
 
 
 def _storage_of(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""Checking a bag: every fault has its line, and nothing else is said."""
+"""Checking a bag: every fault has its line, and there is no other line."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -80,7 +80,7 @@ def test_no_impacts_and_no_sensors_names_import() -> None:
 
 
 def test_impacts_under_another_name_are_pointed_at() -> None:
-    """Their type tells."""
+    """They are recognised by their type."""
     write(
         None,
         types={"/hits": "impact_observer_msgs/msg/ImpactEvent"},
@@ -236,18 +236,18 @@ def test_every_fault_of_model_and_truth_has_its_line(
     usable: bool,
     expected: str,
 ) -> None:
-    """And nothing else is said."""
+    """And there is no other line."""
     write(**changes)  # type: ignore[arg-type]
     assert lines(usable=usable, name=name) == [expected]
 
 
-def test_a_contact_that_is_never_heard_is_told() -> None:
-    """Of three_mass, whose left stop is silent."""
+def test_a_contact_that_is_never_reported_is_a_warning() -> None:
+    """Of three_mass, whose left stop has no event."""
     events = [ImpactEvent(e.stamp, (Switch("right"),), e.sequence, 1, S) for e in GOOD]
     write(events, text=model("three_mass"), truth=[])
     assert lines(usable=True) == [
         (
-            "warning /impacts left: this contact of the model three_mass is never heard; if it"
+            "warning /impacts left: this contact of the model three_mass is never reported; if it"
             " was hit, its sensor is silent or has another name"
         ),
         (
@@ -257,8 +257,8 @@ def test_a_contact_that_is_never_heard_is_told() -> None:
     ]
 
 
-def test_many_states_are_looked_at_together_and_the_first_fault_is_named() -> None:
-    """Blocks later; of two shapes, since the frame is part of a message."""
+def test_the_first_fault_among_many_states_is_named() -> None:
+    """In a later block, among messages of two layouts: the frame is part of a message."""
     truth = [state(S + k * 5_000_000) for k in range(2500)]
     for k in (1700, 1500, 2400):
         truth[k].velocity = cast("Sequence[float]", np.array([np.inf, 1]))

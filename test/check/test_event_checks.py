@@ -1,10 +1,10 @@
-"""Checking the events of a bag: every fault has its line, and nothing else is said."""
+"""Checking the events of a bag: every fault has its line, and there is no other line."""
 
 import tracemalloc
 from pathlib import Path
 
 import pytest
-from faulty_bags import GOOD, MAKE, STOP, S, model, state, told, write
+from faulty_bags import GOOD, MAKE, STOP, S, event_message, model, state, write
 
 from impact_observer.check import event_checks as event_check
 from impact_observer.check.bag_check import check_bag
@@ -30,7 +30,7 @@ def lines(*, usable: bool) -> list[str]:
 
 
 def observed() -> bool:
-    """Whether an observer applies anything of ``bag``; it is told the epoch where needed."""
+    """Whether an observer applies any event of ``bag``; it is given the epoch where needed."""
     with BagReader(Path("bag")) as reader:
         epoch = 0 if any(event.epoch for event in reader.events()) else S
         observer = make_observer(
@@ -108,7 +108,7 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
     "episodes": (
         [*GOOD[:2], *(ImpactEvent(k * S, STOP, k - 3, 2, S) for k in (4, 5, 6))],
         True,
-        ["note /impacts: 2 episodes: at each, an observer begins anew"],
+        ["note /impacts: 2 episodes: at each, an observer starts again"],
     ),
     "no epoch": (
         [ImpactEvent(event.stamp, STOP, event.sequence, 1) for event in GOOD],
@@ -126,7 +126,7 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
         [
             (
                 "note /impacts: 2 epochs, 1.000000000 to 4.000000000 s: at each later one, an"
-                " observer begins anew"
+                " observer starts again"
             )
         ],
     ),
@@ -147,8 +147,8 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
         [
             (
                 "warning /impacts: 1 event without a contact, the first is message 4 at"
-                " 6.000000000 s; expected the names of the contacts that switch; they tell an"
-                " observer nothing"
+                " 6.000000000 s; expected the names of the contacts that switch; an observer"
+                " learns nothing from them"
             )
         ],
     ),
@@ -214,7 +214,7 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
             (
                 "warning /impacts stop: 8 of 11 hits follow another in less than 5 ms; a switch"
                 " that is not debounced looks like this (run detect on its signal, with a"
-                " dead_time), and so do hits that die out (CLOSE tells rest)"
+                " dead_time), and so do hits that die out (CLOSE reports rest)"
             )
         ],
     ),
@@ -248,24 +248,25 @@ def test_every_fault_of_events_has_its_line(case: str) -> None:
         for case in CASES
     ],
 )
-def test_an_observer_can_use_what_is_said_to_be_usable(case: str) -> None:
-    """And nothing of what is said not to be."""
+def test_an_observer_applies_events_of_a_bag_exactly_where_it_is_usable(case: str) -> None:
+    """A bag with an error gives it nothing to apply."""
     events, usable, _ = CASES[case]
     recorded(events)
     assert observed() is usable
 
 
-def test_messages_that_have_no_event_are_named() -> None:
-    """A stamp of zero, nanoseconds that fill a second, an unknown kind, bytes that are none."""
-    unknown = told(GOOD[0])
+def test_messages_without_a_valid_event_are_errors() -> None:
+    """A stamp of zero, nanoseconds that fill a second, an unknown kind, bytes that are no event."""
+    unknown = event_message(GOOD[0])
     unknown.switches[0].kind = 7
     with BagWriter(Path("bag")) as writer:
         writer.write("/plant/model", S, MAKE.model(model()))
-        writer.write("/impacts", 2 * S, told(GOOD[0], sec=0))
-        writer.write("/impacts", 3 * S, told(GOOD[0], nanosec=4_000_000_000))
+        writer.write("/impacts", 2 * S, event_message(GOOD[0], sec=0))
+        too_many = event_message(GOOD[0], nanosec=4_000_000_000)
+        writer.write("/impacts", 3 * S, too_many)
         writer.write("/impacts", 4 * S, unknown)
         writer.write_raw("/impacts", 5 * S, b"\x00\x01\x00\x00\x01")
-        writer.write("/impacts", 6 * S, told(GOOD[0], sec=0))
+        writer.write("/impacts", 6 * S, event_message(GOOD[0], sec=0))
     assert lines(usable=False)[:5] == [
         (
             "error /impacts: has none but invalid messages (5); expected at least one impact;"
@@ -295,7 +296,7 @@ def test_messages_that_have_no_event_are_named() -> None:
     ]
 
 
-def test_stamps_of_another_clock_are_told() -> None:
+def test_stamps_of_another_clock_are_event_message() -> None:
     """Simulated time in a bag of wall time."""
     write(delay=2_000_000 * S)
     assert lines(usable=True) == [
@@ -308,7 +309,7 @@ def test_stamps_of_another_clock_are_told() -> None:
 
 
 @pytest.mark.slow
-def test_a_long_row_of_events_takes_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_does_not_grow_with_the_number_of_events(monkeypatch: pytest.MonkeyPatch) -> None:
     """Duplicates and gaps are remembered for a while only; a late number still fills its gap."""
     monkeypatch.setattr(event_check, "_RECENT", 300)
 
@@ -318,9 +319,9 @@ def test_a_long_row_of_events_takes_no_more_memory(monkeypatch: pytest.MonkeyPat
         for k in range(1, count):
             number = k + (k % 200 == 0) - (k % 200 == 1 and k > 1)
             event = ImpactEvent(k * S // 50, (Switch(f"c{k % 7}"),), number, 1, 1)
-            check.hear(event, event.stamp)
+            check.add(event, event.stamp)
             if k % 150 == 0:
-                check.hear(event, event.stamp)
+                check.add(event, event.stamp)
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         (twice,) = check.findings(None)

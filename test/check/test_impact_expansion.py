@@ -12,7 +12,7 @@ from scipy import optimize
 from systems import chain, examples, sample, system, systems
 
 from impact_observer.check import closing_sets, impact_expansion
-from impact_observer.check.closing_sets import Answer, ClosingSets
+from impact_observer.check.closing_sets import ClosingSets, SearchResult
 from impact_observer.check.impact_expansion import expansive_sets, growth, is_nonexpansive
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.events import Contacts
@@ -65,7 +65,7 @@ def smallest(sets: list[list[int]]) -> list[Contacts]:
     return [tuple(a) for a in sets if not any(set(b) < set(a) for b in sets)]
 
 
-def redundant(model: System) -> Answer:
+def redundant(model: System) -> SearchResult:
     """Contacts that depend on each other and can close together."""
     return closing_sets.redundant(ClosingSets(model))
 
@@ -92,7 +92,7 @@ def test_no_impact_of_a_sample_raises_v(name: str) -> None:
     model = sample(name).system
     assert is_nonexpansive(model) is True
     assert expansive_sets(model) == ()
-    assert redundant(model) == Answer((), True)
+    assert redundant(model) == SearchResult((), True)
 
 
 def test_the_documented_counterexample_fails() -> None:
@@ -132,12 +132,12 @@ def test_contacts_that_meet_at_rest_can_all_close_together(model: System) -> Non
 
 @examples(25)
 @given(systems(contacts=(1, 4), forced=False), st.integers(0, 1000))
-def test_two_solutions_never_part_where_the_answer_is_no(model: System, seed: int) -> None:
+def test_two_solutions_never_diverge_where_v_cannot_rise(model: System, seed: int) -> None:
     """By the impact law itself, on every set that can close together, dependent ones too."""
     rng = np.random.default_rng(seed)
     law, nonexpansive = ImpactLaw(model), is_nonexpansive(model)
     assert nonexpansive is not None
-    roomy = ClosingSets(model).roomy
+    roomy = ClosingSets(model).has_clearance
     for index in subsets(model.m):
         if not (nonexpansive and roomy and closes(model, index)):
             continue
@@ -150,7 +150,7 @@ def test_two_solutions_never_part_where_the_answer_is_no(model: System, seed: in
 
 @examples(25)
 @given(systems(contacts=(2, 4), common_restitution=False, gaps=(0.0, 0.5), forced=False))
-def test_the_two_solutions_given_part_by_the_factor_given(model: System) -> None:
+def test_the_two_solutions_given_diverge_by_the_factor_given(model: System) -> None:
     """The first of them closes every contact, as a plant does."""
     scaled = ClosingSets(model)
     for contacts in impact_expansion.expansive(scaled).sets:
@@ -161,7 +161,7 @@ def test_the_two_solutions_given_part_by_the_factor_given(model: System) -> None
         assert measured == pytest.approx(found.factor, rel=1e-5)
 
 
-def test_no_two_solutions_part_by_more_than_the_factor() -> None:
+def test_no_two_solutions_diverge_by_more_than_the_factor() -> None:
     """The closed form for two contacts, and pairs at random."""
     model = corner(1.0, 0.0)
     factor = growth(ClosingSets(model), (0, 1)).factor
@@ -178,7 +178,7 @@ def test_two_sided_stops_do_not_warn() -> None:
     contacts = [([1.0], 0.1, 1.0), ([-1.0], 0.2, 0.0)]
     play = system(1, 1, 1, contacts=contacts)
     assert is_nonexpansive(play) is True
-    assert redundant(play) == Answer((), True)
+    assert redundant(play) == SearchResult((), True)
     assert ClosingSets(play).conflict((0, 1)) == (0, 1)
 
 
@@ -186,28 +186,28 @@ def test_stops_without_play_are_closed_for_ever() -> None:
     """Floor and ceiling at one height depend on each other, and leave no room."""
     none = system(1, 1, 1, contacts=[([1.0], 0.1, 0.5), ([-2.0], -0.2, 0.5)])
     scaled = ClosingSets(none)
-    assert scaled.possible
-    assert not scaled.roomy
+    assert scaled.feasible
+    assert not scaled.has_clearance
     assert redundant(none).sets == ((0, 1),)
 
 
 def test_contradicting_stops_close_nothing() -> None:
     """A ceiling below the floor: no position is outside both."""
     model = system(1, 1, 1, contacts=[([1.0], -0.1, 0.5), ([-1.0], -0.1, 1.0)])
-    assert not ClosingSets(model).possible
+    assert not ClosingSets(model).feasible
     assert is_nonexpansive(model) is True
 
 
 def test_a_doubled_contact_of_unequal_restitution_is_redundant_and_raises_nothing() -> None:
-    """The livelier one rules, ``u+ = -0.8 u-``, though ``G - E G E`` is indefinite."""
+    """The larger one counts, ``u+ = -0.8 u-``, though ``G - E G E`` is indefinite."""
     model = system(1, 1, 1, contacts=[([1], 0.0, 0.5), ([1], 0.0, 0.8)])
     assert raises(model, [0, 1])
     assert is_nonexpansive(model) is True
     assert redundant(model).sets == ((0, 1),)
     u, v = np.array([-1.0]), np.array([-0.25])
     law = ImpactLaw(model)
-    parted = law.velocity_after(u, (0, 1)) - law.velocity_after(v, (0, 1))
-    assert abs(parted) == pytest.approx(0.8 * 0.75, rel=1e-12)
+    difference = law.velocity_after(u, (0, 1)) - law.velocity_after(v, (0, 1))
+    assert abs(difference) == pytest.approx(0.8 * 0.75, rel=1e-12)
 
 
 def test_contacts_out_of_reach_of_each_other_do_not_count() -> None:
@@ -258,8 +258,8 @@ def test_hundreds_of_contacts_need_few_programmes() -> None:
     eps = np.linspace(0.0, 1.0, n)
     walls = [(side * unit[i], 0.1, eps[i - side]) for i in range(n - 1) for side in (1, -1)]
     both = chain(n, contacts=walls)
-    assert impact_expansion.expansive(ClosingSets(both)) == Answer((), True)
-    assert redundant(both) == Answer((), True)
+    assert impact_expansion.expansive(ClosingSets(both)) == SearchResult((), True)
+    assert redundant(both) == SearchResult((), True)
     links = [unit[i + 1] - unit[i] for i in range(n - 1)]
     odd = [(link, 0.1, 0.0 if i == 75 else 1.0) for i, link in enumerate(links)]
     assert expansive_sets(chain(n, contacts=odd)) == ((74, 75), (75, 76))
@@ -272,7 +272,7 @@ def test_what_is_not_decided_is_not_passed(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(closing_sets, "STEPS", 1)
     assert is_nonexpansive(model) is None
     assert expansive_sets(model) == ()
-    assert redundant(model) == Answer((), True)
+    assert redundant(model) == SearchResult((), True)
     spread = [([1, 0, 0], 1.0), ([0, 1, 0], 1.0), ([0, 0, 1], 1.0), ([1, 1, 1], 1.0)]
     unit = np.eye(3)
     assert not redundant(system(unit, unit, unit, contacts=[(*w, 0.5) for w in spread])).decided

@@ -19,7 +19,7 @@ def state_matrix(model: System) -> Array:
 
 
 def eigenvalues(checked: ModelCheck) -> Array:
-    """All 2n of them, as the result tells them."""
+    """All 2n of them, from the result."""
     upper = [complex(mode.decay, mode.frequency) for mode in checked.modes]
     pairs = [value for each in upper for value in (each, each.conjugate())]
     return np.array([*pairs, *checked.rates, *np.zeros(len(checked.rigid))])
@@ -45,7 +45,7 @@ def test_eigenfrequencies_of_a_chain_are_the_closed_form() -> None:
 def test_eigenvalues_are_those_of_the_state_matrix(model: System) -> None:
     """Coupled damping, gyroscopic forces and rigid bodies included: 2n of them, same polynomial.
 
-    Double eigenvalues are known to half the digits only, so coefficients are compared.
+    Double eigenvalues have only half the digits, so coefficients are compared.
     """
     found = eigenvalues(check_model(model))
     assert found.size == 2 * model.n
@@ -79,7 +79,7 @@ def test_a_free_chain_has_one_rigid_mode_with_equal_displacements() -> None:
 
 
 def test_friction_on_the_ground_damps_a_rigid_body() -> None:
-    """Its velocity decays at c/m, its displacement is still seen by nobody's V."""
+    """Its velocity decays at c/m, its displacement is still seen by no V."""
     checked = check_model(system(2, 3, 0, contacts=[([1], 0.0, 0.5)]))
     assert checked.rates == pytest.approx([-1.5], rel=1e-14)
     assert len(checked.rigid) == 1
@@ -175,8 +175,8 @@ def test_a_system_without_contacts_hides_every_mode() -> None:
     assert len(checked.unseen) == 3
     assert checked.nonexpansive is True
     assert checked.effective_mass.size == 0
-    assert checked.possible
-    assert checked.roomy
+    assert checked.feasible
+    assert checked.has_clearance
 
 
 def test_every_set_that_raises_v_has_its_factor() -> None:

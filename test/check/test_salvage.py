@@ -1,10 +1,9 @@
-"""Damaged bags: what check says of each, and what comes out of salvage."""
+"""Damaged bags: what check says of each, and what salvage recovers."""
 
 import shutil
 import sqlite3
 from pathlib import Path
 
-import numpy as np
 import pytest
 from faulty_bags import GOOD, MAKE, S, model, state
 from foreign_bags import bare, humble_sqlite, mcap_folder, rewritten
@@ -16,7 +15,7 @@ from systems import examples
 
 from impact_observer.check.bag_check import check_bag
 from impact_observer.check.salvage import Salvage, salvage
-from impact_observer.check.sqlite_pages import Pages
+from impact_observer.cli.main import main
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io import BagReader, BagWriter, interfaces
 from impact_observer.io.reader import RawMessage
@@ -65,7 +64,7 @@ def flip(path: Path, at: int, mask: int = 0x55) -> None:
 
 
 def lines(path: Path) -> list[str]:
-    """What is found in a bag that nobody can use."""
+    """The findings of a bag that no observer can use."""
     report = check_bag(path)
     assert not report.usable
     return [f"{each.severity} {each.line}" for each in report.findings]
@@ -101,17 +100,17 @@ REMEDY = "write them to a new bag with `impact-observer check bag --salvage -o N
 
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
 def test_mcap_that_was_cut_in_a_chunk(whole: Path, compression: str) -> None:
-    """Every message before the cut comes back, those of the open chunk too."""
+    """Every message before the cut is recovered, those of the open chunk too."""
     bag = mcap_folder(whole, Path("bag"), distro="jazzy", compression=compression, chunk=10_000)
     size = cut(bare(bag), 0.5)
     counts = readable(bag)
     last = max(raw.log_time for raw in Salvage(bag).raw())
-    said = lines(bag)
-    assert said[0] == (
+    printed = lines(bag)
+    assert printed[0] == (
         f"error bag: cannot be read as a bag: File end magic is invalid; {sum(counts.values())}"
         f" messages, up to {text(last)} s, can be read: {REMEDY}"
     )
-    assert f"warning bag_0.mcap: was cut short at byte {size}" in said
+    assert f"warning bag_0.mcap: was cut short at byte {size}" in printed
     assert found(bag, whole) == sum(counts.values()) > 120
 
 
@@ -132,13 +131,13 @@ def test_mcap_whose_recorder_was_killed(whole: Path) -> None:
 
 
 def test_mcap_with_a_broken_chunk(whole: Path) -> None:
-    """It is left out: nobody knows which of its messages are right."""
+    """It is left out: which of its messages are right is unknown."""
     bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
     second = chunks(bare(bag))[1]
     flip(bare(bag), second + 3000)
-    said = lines(bag)
-    assert said[0].startswith("error bag: cannot be read as a bag: Chunk checksum mismatch; ")
-    assert said[1:3] == [
+    printed = lines(bag)
+    assert printed[0].startswith("error bag: cannot be read as a bag: Chunk checksum mismatch; ")
+    assert printed[1:3] == [
         f"warning bag_0.mcap: the chunk at byte {second} does not match its checksum",
         (
             "warning /impacts: 1 event missing by the sequence numbers, the first is number 2,"
@@ -149,7 +148,7 @@ def test_mcap_with_a_broken_chunk(whole: Path) -> None:
 
 
 def test_mcap_with_a_broken_length_goes_on_at_the_next_chunk(whole: Path) -> None:
-    """Its index says where that is."""
+    """The index of the file has its place."""
     bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
     (bag / "metadata.yaml").unlink()
     _, second, third, *_ = chunks(bare(bag))
@@ -159,7 +158,7 @@ def test_mcap_with_a_broken_length_goes_on_at_the_next_chunk(whole: Path) -> Non
 
 
 def test_metadata_that_is_missing_or_wrong_loses_nothing(whole: Path) -> None:
-    """The files know themselves."""
+    """The files hold all that is needed."""
     everything = (
         f"nothing seems to be lost; 406 messages, up to 8.980000000 s, can be read: {REMEDY}"
     )
@@ -171,48 +170,51 @@ def test_metadata_that_is_missing_or_wrong_loses_nothing(whole: Path) -> None:
         lines(bag)[0] == f"error bag: 406 messages found, 407 promised by its index; {everything}"
     )
     metadata.write_text("{[", "utf-8")
-    said = lines(bag)[0]
-    assert said.startswith("error bag: cannot be read as a bag: Could not load YAML from bag/")
-    assert said.endswith(everything)
+    printed = lines(bag)[0]
+    assert printed.startswith("error bag: cannot be read as a bag: Could not load YAML from bag/")
+    assert printed.endswith(everything)
     metadata.unlink()
     assert lines(bag)[0] == f"error bag: no metadata.yaml; {everything}"
     assert found(bag, whole) == 406
 
 
-@pytest.mark.parametrize(
-    "share",
-    [0.4, pytest.param(0.6, marks=pytest.mark.slow), pytest.param(0.9, marks=pytest.mark.slow)],
-)
-def test_database_that_was_cut(whole: Path, share: float) -> None:
-    """Its pages tell, whether or not those that lead to them are there."""
+@pytest.mark.parametrize("damage", ["cut", "broken page"])
+def test_damaged_database_names_the_command_that_recovers_it(
+    whole: Path, damage: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In check, in salvage and wherever the bag is opened."""
     bag = humble_sqlite(whole, Path("bag"))
-    pages = bare(bag).stat().st_size // 4096
-    left = cut(bare(bag), share) // 4096
-    count = sum(readable(bag).values())
-    said = lines(bag)
-    assert said[0].startswith(
-        "error bag: cannot be read as a bag: Cannot open database bag/bag_0.db3: database disk"
-        f" image is malformed; {count} messages, up to "
-    )
-    assert f"warning bag_0.db3: was cut short, {pages - left} of {pages} pages" in said
-    assert found(bag, whole) == count > share * 406 - 150
+    file = bare(bag)
+    if damage == "cut":
+        cut(file, 0.6)
+    else:
+        data = file.read_bytes()
+        leaves = [at for at in range(4096, len(data), 4096) if data[at] == 0x0D]
+        flip(file, leaves[len(leaves) // 2])
+    recover = f"`sqlite3 {file} .recover | sqlite3 NEW.db3` writes what is left to a new file"
+    malformed = f"Cannot open database {file}: database disk image is malformed"
+    lost = f"bag_0.db3: damaged as an sqlite3 file; {recover}"
+    assert lines(bag) == [
+        f"error bag: cannot be read as a bag: {malformed}; nothing can be read: {lost}"
+    ]
+    with pytest.raises(BagError, match=r"bag: nothing can be read; bag_0\.db3: .* \.recover"):
+        salvage(Salvage(bag), Path("new"))
+    assert not Path("new").exists()
+    assert main(["info", "bag"]) == 1
+    (error,) = capsys.readouterr().err.splitlines()
+    assert error == f"impact-observer: bag: cannot be read as a bag: {malformed}; {recover}"
 
 
-def test_database_with_a_broken_page(whole: Path) -> None:
-    """The row numbers tell how many are missing."""
+def test_database_without_metadata_is_salvaged_whole(whole: Path) -> None:
+    """sqlite3 opens it: nothing is lost."""
     bag = humble_sqlite(whole, Path("bag"))
-    data = bare(bag).read_bytes()
-    leaves = [at for at in range(4096, len(data), 4096) if data[at] == 0x0D]
-    flip(bare(bag), leaves[len(leaves) // 2])
-    count = sum(readable(bag).values())
-    assert 340 < count < 406
-    said = f"warning bag_0.db3: {406 - count} messages before the last one are broken"
-    assert said in lines(bag)
-    assert found(bag, whole) == count
+    (bag / "metadata.yaml").unlink()
+    assert lines(bag)[0].startswith("error bag: no metadata.yaml; nothing seems to be lost; 406")
+    assert found(bag, whole) == 406
 
 
-def test_journal_that_a_recorder_left_is_told(whole: Path) -> None:
-    """Nobody reads it; the bag without it can be used."""
+def test_journal_that_a_recorder_left_is_reported(whole: Path) -> None:
+    """No reader uses it; the bag without it can be used."""
     bag = humble_sqlite(whole, Path("bag"))
     (bag / "bag_0.db3-wal").write_bytes(b"1234")
     report = check_bag(bag)
@@ -245,7 +247,7 @@ def test_what_is_no_bag_at_all_is_said_so() -> None:
             " be read: x.mcap: does not begin as an MCAP file"
         )
     ]
-    assert lines(Path("x.db3"))[0].endswith("x.db3: does not begin as an sqlite3 file")
+    assert "x.db3: file is not a database; nothing can be" in lines(Path("x.db3"))[0]
     with pytest.raises(UsageError, match=r"absent: does not exist"):
         Salvage(Path("absent"))
 
@@ -270,8 +272,8 @@ def test_type_that_nobody_defines_is_left_out_of_a_new_bag(whole: Path) -> None:
         database.execute("UPDATE topics SET type = 'rig/msg/X' WHERE name = '/plant/model'")
     metadata = (bag / "metadata.yaml").read_text("utf-8")
     (bag / "metadata.yaml").write_text(metadata.replace("std_msgs/msg/String", "rig/msg/X"))
-    said = "note bag: no definition of the messages on /plant/model (rig/msg/X); they can be"
-    assert any(line.startswith(said) for line in lines(bag))
+    printed = "note bag: no definition of the messages on /plant/model (rig/msg/X); they can be"
+    assert any(line.startswith(printed) for line in lines(bag))
     (loss,) = salvage(Salvage(bag), Path("new"))
     assert loss.startswith("/plant/model is left out: ")
     assert len(messages(Path("new"))) == 405
@@ -287,7 +289,7 @@ def test_type_that_nobody_defines_is_left_out_of_a_new_bag(whole: Path) -> None:
 def test_no_damage_is_ever_a_traceback(
     whole: Path, flips: list[tuple[float, int]], keep: float, kind: str
 ) -> None:
-    """Check always says something, in lines; salvage takes what it gets."""
+    """Check always prints findings, each one line; salvage reads what it can."""
     shutil.rmtree("bag", ignore_errors=True)
     if kind == "db3":
         bag = humble_sqlite(whole, Path("bag"))
@@ -304,30 +306,3 @@ def test_no_damage_is_ever_a_traceback(
     assert report.readable or not report.usable
     assert all("\n" not in each.line for each in report.findings)
     readable(bag)
-
-
-@pytest.mark.parametrize("size", [512, 4096, 65536])
-def test_rows_of_a_database_are_those_that_sqlite_reads(size: int) -> None:
-    """Of any page size; long ones go on in pages of their own; numbers of any length."""
-    draw = np.random.default_rng(size)
-    database = sqlite3.connect("x.db3")
-    database.execute(f"PRAGMA page_size = {size}")
-    database.execute("CREATE TABLE t(id INTEGER PRIMARY KEY, a INT, b TEXT, c BLOB)")
-    for k in range(300):
-        number = int(draw.integers(-(2**62), 2**62)) >> int(draw.integers(0, 62))
-        data = draw.bytes(
-            int(draw.choice([0, 3, 400, 5000, 70_000], p=[0.2, 0.3, 0.3, 0.15, 0.05]))
-        )
-        row = (k * k + 1, number, f"ü{k}" if k % 3 else None, data)
-        database.execute("INSERT INTO t VALUES (?, ?, ?, ?)", row)
-    database.commit()
-    rows = database.execute("SELECT * FROM t").fetchall()
-    database.close()
-    with Path("x.db3").open("rb") as stream:
-        pages = Pages(stream)
-        assert pages.size == size
-        mine = {row.number: row.values for row in pages.rows() if len(row.values) == 4}
-    assert pages.lost == 0
-    assert {number: values for number, *values in rows} == {
-        number: [*values[1:]] for number, values in mine.items()
-    }

@@ -35,10 +35,10 @@ def test_a_good_bag_has_nothing_to_remark(capsys: pytest.CaptureFixture[str]) ->
 
 
 @pytest.mark.parametrize("sample", ["two_mass", "three_mass", "clock_offset", "quantisation"])
-def test_bags_that_come_along_have_nothing_to_remark(
+def test_sample_bags_have_nothing_to_remark(
     sample: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nor have some with a sensor that is not ideal."""
+    """Nor have some with sensor faults."""
     assert main(["check", str(shared(f"bags/{sample}"))]) == 0
     assert capsys.readouterr().out.endswith("an observer can use it (nothing to remark)\n")
 
@@ -102,7 +102,7 @@ def test_wrong_use_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str
         check.run(parser.parse_args(["bag", "--salvage"]))
 
 
-def test_what_is_salvaged_is_told_by_topic(capsys: pytest.CaptureFixture[str]) -> None:
+def test_salvage_prints_the_messages_of_each_topic(capsys: pytest.CaptureFixture[str]) -> None:
     """In words and as figures; the new bag has all of it."""
     write()
     Path("bag/metadata.yaml").unlink()

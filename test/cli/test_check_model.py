@@ -9,6 +9,7 @@ import pytest
 from systems import system
 
 from impact_observer.check.model_check import check_model as check
+from impact_observer.check.model_findings import findings
 from impact_observer.cli import check_model
 from impact_observer.errors import ModelError, UsageError
 
@@ -33,7 +34,7 @@ def parsed(*words: str) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+def printed(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     """What the command prints, without line ends."""
     assert check_model.run(parsed(*words)) == 0
     return " ".join(capsys.readouterr().out.split())
@@ -74,20 +75,20 @@ def test_a_sample_fits_on_one_screen_and_is_fine(capsys: pytest.CaptureFixture[s
     assert ["1", "1.9544", "0.311052"] in words
     assert ["2", "5.115", "0.814077", "0.02558", "7.639"] in words
     assert ["stop", "0.5", "0.7", "1"] in words
-    assert [line[0] for line in words[-4:]] == ["ok", "ok", "ok", "of"]
+    assert [line[0] for line in words[-4:]] == ["ok", "ok", "ok", "enough"]
 
 
 @pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball"])
 def test_no_sample_has_a_warning(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """No impact of theirs raises V."""
-    output = said(capsys, name)
+    output = printed(capsys, name)
     assert "ok No impact raises V" in output
     assert "warning" not in output
 
 
-def test_the_ball_is_told_to_be_a_rigid_body(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_ball_is_a_rigid_body(capsys: pytest.CaptureFixture[str]) -> None:
     """And what follows from it."""
-    output = said(capsys, "bouncing_ball")
+    output = printed(capsys, "bouncing_ball")
     assert "1 rigid-body mode: (height 1). V is a seminorm" in output
     assert "Without damping: rigid-body motion. V need not vanish" in output
 
@@ -96,7 +97,7 @@ def test_warnings_say_what_follows_and_the_model_stays_valid(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A corner with unequal restitution, forced at an undamped frequency."""
-    output = said(capsys, written(tmp_path, CORNER))
+    output = printed(capsys, written(tmp_path, CORNER))
     assert (
         "warning Contacts wall[1] and ramp can close together, with restitution 1, 0: an impact"
         " of these alone can raise V by a factor of up to 5.261" in output
@@ -137,63 +138,63 @@ def test_json_has_all_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_a_long_table_shows_its_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """And says how much is left out and where it is; JSON has everything."""
+    """And how many rows are left out and where they are; JSON has everything."""
     path = written(tmp_path, rows(30))
-    output = said(capsys, path)
+    output = printed(capsys, path)
     assert output.count("... 22 more in --json") == 3
     assert " s3 " in output
     assert " s4 " not in output
     assert " s29 " in output
     slowest = [6 * math.sin((2 * j + 1) * math.pi / 122) for j in range(3)]
-    told = ", ".join(f"{omega:.4g} rad/s" for omega in slowest)
-    assert f"Without damping: {told}, 27 more" in output
+    shown = ", ".join(f"{omega:.4g} rad/s" for omega in slowest)
+    assert f"Without damping: {shown}, 27 more" in output
     assert check_model.check(path, json=True) == 0
     assert len(json.loads(capsys.readouterr().out)["modes"]) == 30
 
 
-def test_what_contacts_never_tell_is_a_warning(
+def test_a_mode_that_no_contact_sees_is_a_warning(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A mode, several, or all of them."""
     one = rows(2).replace("stops: [{name: s0", "stops: [{name: s9")
     text = CORNER.replace("[0.9, 0.436]", "[2, 0]")
-    output = said(capsys, written(tmp_path, text))
+    output = printed(capsys, written(tmp_path, text))
     assert "warning No contact sees the mode at 1 rad/s, (y 1): no law ever corrects" in output
     assert "note Contacts wall[1] and ramp depend" not in output  # ramp is half as far away
     level = text.replace(
         "name: ramp, direction: [2, 0], gap: 1", "name: ramp, direction: [2, 0], gap: 2"
     )
-    output = said(capsys, written(tmp_path, level))
+    output = printed(capsys, written(tmp_path, level))
     assert "note Contacts wall[1] and ramp depend on each other and can close together" in output
     assert "of unequal restitutions the larger counts" in output
-    assert "s9" in said(capsys, written(tmp_path, one))
+    assert "s9" in printed(capsys, written(tmp_path, one))
     silent = CORNER[: CORNER.index("contacts:")] + "contacts: []\n" + CORNER.splitlines()[-1]
-    output = said(capsys, written(tmp_path, silent))
-    assert "warning There are no contacts: no event ever tells anything." in output
+    output = printed(capsys, written(tmp_path, silent))
+    assert "warning There are no contacts: no event ever corrects an estimate." in output
 
 
-def test_stops_without_room_are_a_warning(
+def test_stops_without_clearance_are_a_warning(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two that touch the body at once; and two that contradict each other."""
-    touching = CORNER.replace("[0.9, 0.436], gap: 1", "[-1, 0], gap: -1")
-    position = touching.replace("position: [0, 0]", "position: [-1, 0]")
-    assert "No position is clear of all stops" in said(capsys, written(tmp_path, position))
+    """Two that close at once for ever; and two that contradict each other."""
+    without_room = CORNER.replace("[0.9, 0.436], gap: 1", "[-1, 0], gap: -1")
+    position = without_room.replace("position: [0, 0]", "position: [-1, 0]")
+    assert "No position is clear of all stops" in printed(capsys, written(tmp_path, position))
     contacts = [([1.0], -0.1, 0.5), ([-1.0], -0.1, 0.5)]
     contradicting = check(system(1, 1, 1, contacts=contacts))  # no file can: it needs a position
-    assert "Every position is inside some stop" in check_model.findings(contradicting)[1].text
+    assert "Every position is inside some stop" in findings(contradicting)[1].text
 
 
-def test_what_is_not_decided_is_a_warning(
+def test_an_undecided_question_is_a_warning(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Never a silent pass."""
     from impact_observer.check import model_check
-    from impact_observer.check.closing_sets import Answer
+    from impact_observer.check.closing_sets import SearchResult
 
-    monkeypatch.setattr(model_check, "expansive", lambda _: Answer((), False))
-    monkeypatch.setattr(model_check, "redundant", lambda _: Answer((), False))
-    output = said(capsys, "two_mass")
+    monkeypatch.setattr(model_check, "expansive", lambda _: SearchResult((), False))
+    monkeypatch.setattr(model_check, "redundant", lambda _: SearchResult((), False))
+    output = printed(capsys, "two_mass")
     assert "warning Whether an impact can raise V is not decided" in output
     assert "note Whether more contacts that close together depend on each other" in output
     assert check_model.check("two_mass", json=True) == 0

@@ -3,20 +3,17 @@
 import argparse
 import json
 import re
-from collections import Counter
 from pathlib import Path
 
-import numpy as np
 import pytest
 from foreign_bags import humble_sqlite, mcap_folder
 
+from impact_observer.check.bag_summary import summarize
 from impact_observer.cli import info
 from impact_observer.cli.main import main
 from impact_observer.errors import BagError, UsageError
-from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagWriter
 from impact_observer.io.messages import bag_messages
-from impact_observer.observer.event_order import impacts_of
 
 
 def parsed(*words: str) -> argparse.Namespace:
@@ -83,80 +80,26 @@ def test_text_says_the_same_in_words(sample_bag: Path, capsys: pytest.CaptureFix
     assert "/plant/joint_states sensor_msgs/JointState 51 100 reliable, volatile, last 10" in lines
 
 
-def test_impacts_are_counted_by_contact_and_episode(tmp_path: Path) -> None:
-    """A closing is an impact, an opening is none."""
-    make = bag_messages()
-    both = (Switch("left"), Switch("right", Kind.CLOSE))
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.write("/impacts", 1, make.event(ImpactEvent(1, both, 1, 1)))
-        writer.write(
-            "/impacts", 2, make.event(ImpactEvent(2, (Switch("right", Kind.OPEN),), 2, 1))
-        )
-        writer.write("/impacts", 3, make.event(ImpactEvent(3, (Switch("left"),), 3, 2)))
-    summary = info.summarize(tmp_path / "bag")
-    assert summary.impacts == {"left": 2, "right": 1}
-    assert summary.closings == {"right": 1}
-    assert summary.episodes == 2
-    assert summary.model is None
-    assert summary.observers == {}
-
-
-def test_impact_that_a_close_supersedes_is_counted_once(tmp_path: Path) -> None:
-    """As the contact that lasts; what comes twice is counted once too."""
-    make = bag_messages()
-    told = [(1, Kind.IMPACT), (2, Kind.IMPACT), (2, Kind.CLOSE), (3, Kind.OPEN)]
-    events = [
-        ImpactEvent(stamp, (Switch("stop", kind),), k + 1) for k, (stamp, kind) in enumerate(told)
-    ]
-    with BagWriter(tmp_path / "bag") as writer:
-        for event in [*events, events[0]]:
-            writer.write("/impacts", 10, make.event(event))
-    summary = info.summarize(tmp_path / "bag")
-    assert (summary.impacts, summary.closings) == ({"stop": 2}, {"stop": 1})
-
-
-def test_long_rows_of_events_are_counted_piece_by_piece(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in one piece: superseded impacts, disorder, duplicates, several runs."""
-    draw = np.random.default_rng(5)
-    events, number = [], 0
-    for episode in (1, 2):
-        for stamp in np.sort(draw.integers(1, 4000, 600)).tolist():
-            kinds = (Kind.IMPACT, Kind.CLOSE) if draw.random() < 0.2 else (Kind.IMPACT,)
-            for kind in kinds:
-                number += 1
-                name = str(draw.choice(["left", "right"]))
-                events.append(ImpactEvent(stamp, (Switch(name, kind),), number, episode))
-                if kind is Kind.CLOSE:
-                    number += 1
-                    opened = (Switch(name, Kind.OPEN),)
-                    events.append(ImpactEvent(stamp + 1, opened, number, episode))
-    for i in draw.integers(0, len(events) - 8, 200).tolist():
-        events.insert(i + 5, events.pop(i))
-    whole = [hit[1:] for hit in impacts_of(events)]
-    monkeypatch.setattr(info, "_WINDOW", 50)
-    assert Counter(info._hits(iter(events))) == Counter(whole)
-
-
-def test_chunks_are_told_by_compression(
+def test_chunks_are_listed_with_their_compression(
     tmp_path: Path, sample_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With what they hold and what they take; a database has none."""
+    """With their bytes before and after; a database has none."""
     zstd = mcap_folder(sample_bag, tmp_path / "zstd", distro="jazzy", compression="zstd")
     database = humble_sqlite(sample_bag, tmp_path / "database")
     assert info.info(zstd) == info.info(database) == 0
-    said = capsys.readouterr().out
-    assert re.search(r"^chunks +\d+, zstd, [\d.]+ kB in [\d.]+ kB *$", said, re.MULTILINE)
-    assert said.count("\nchunks ") == 1
+    printed = capsys.readouterr().out
+    assert re.search(r"^chunks +\d+, zstd, [\d.]+ kB in [\d.]+ kB *$", printed, re.MULTILINE)
+    assert printed.count("\nchunks ") == 1
 
 
-def test_what_was_wrong_with_the_sensor_is_told(
+def test_sensor_faults_of_a_simulated_bag_are_listed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the names and values that the bag's model carries."""
+    """By the names and values in the bag's model."""
     bag = tmp_path / "bag"
     given = ["--missed", "0.2", "--impacts-only", "--duration", "1", "-o", str(bag)]
     assert main(["simulate", "two_mass", *given]) == 0
-    summary = info.summarize(bag)
+    summary = summarize(bag)
     assert summary.model is not None
     assert summary.model["sensor"] == {"missed": 0.2, "impacts_only": True}
     capsys.readouterr()
@@ -177,11 +120,11 @@ def test_foreign_and_empty_bags_are_described_too(
     with BagWriter(tmp_path / "empty"):
         pass
     assert info.info(tmp_path / "bag") == info.info(tmp_path / "empty") == 0
-    said = capsys.readouterr().out
-    assert "model     cannot be read: model: " in said
-    assert "observer  /observer: law not recorded" in said
-    assert "rig/Torque" in said
-    assert "0 s, 0 messages" in said
+    printed = capsys.readouterr().out
+    assert "model     cannot be read: model: " in printed
+    assert "observer  /observer: law not recorded" in printed
+    assert "rig/Torque" in printed
+    assert "0 s, 0 messages" in printed
 
 
 def test_failures_keep_their_exit_codes(tmp_path: Path) -> None:
@@ -189,11 +132,13 @@ def test_failures_keep_their_exit_codes(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="does not exist") as absent:
         info.run(parsed(str(tmp_path / "absent")))
     (tmp_path / "bag.mcap").write_bytes(b"\x89MCAP0\r\n")
-    said = r"bag\.mcap: cannot be read as a bag: .*; if it was cut short, `impact-observer check"
-    with pytest.raises(BagError, match=said) as damaged:
+    printed = (
+        r"bag\.mcap: cannot be read as a bag: .*; if it was cut short, `impact-observer check"
+    )
+    with pytest.raises(BagError, match=printed) as damaged:
         info.run(parsed(str(tmp_path / "bag.mcap")))
     assert str(damaged.value).count("impact-observer check") == 1, "one remedy is enough"
     (tmp_path / "my bag").mkdir()
-    with pytest.raises(BagError, match=r"no metadata.*; `impact-observer check '.*my bag'` tells"):
+    with pytest.raises(BagError, match=r"no metadata.*; `impact-observer check '.*my bag'` says"):
         info.run(parsed(str(tmp_path / "my bag")))
     assert (absent.value.exit_code, damaged.value.exit_code) == (2, 1)

@@ -1,0 +1,188 @@
+"""What a model check means for an observer: sentences, each a fact with its consequence."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from impact_observer.check.findings import listed, times
+from impact_observer.check.model_check import ModelCheck
+from impact_observer.model import System
+from impact_observer.states import Vector
+
+_SHOWN = 3
+"""Most findings of one kind, and most terms of a list, that are shown."""
+
+
+class ModelFinding(NamedTuple):
+    """A fact with its consequence.
+
+    Attributes:
+        kind: ``ok``, ``note`` or ``warning``.
+        text: one or two lines.
+    """
+
+    kind: str
+    text: str
+
+
+def findings(checked: ModelCheck) -> list[ModelFinding]:
+    """All findings, those on the impact law first."""
+    return [
+        *_impact_law(checked),
+        *_closing(checked),
+        *_rigid_modes(checked),
+        *_damping(checked),
+        *_resonances(checked),
+        *_unseen(checked),
+    ]
+
+
+def _impact_law(checked: ModelCheck) -> Iterator[ModelFinding]:
+    system = checked.system
+    if checked.nonexpansive is None:
+        yield ModelFinding(
+            "warning",
+            "Whether an impact can raise V is not decided: too many sets of contacts to look at."
+            " One restitution for all contacts would settle it.",
+        )
+    elif checked.nonexpansive and system.m:
+        yield ModelFinding(
+            "ok",
+            "No impact raises V, or adds kinetic energy, whichever contacts close together.",
+        )
+    for each in checked.growths[:_SHOWN]:
+        yield ModelFinding(
+            "warning",
+            f"{_contacts(system, each.contacts)} can close together, with restitution"
+            f" {_restitutions(system, each.contacts)}: an impact of these alone can raise V by a"
+            f" factor of up to {each.factor:.4g}, though the plant's own energy never. Give"
+            " contacts that close together one restitution.",
+        )
+    if (more := len(checked.growths) - _SHOWN) > 0:
+        yield ModelFinding(
+            "warning", f"{times(more, 'other set')} of contacts found can do so too."
+        )
+
+
+def _closing(checked: ModelCheck) -> Iterator[ModelFinding]:
+    system, sets = checked.system, checked.redundant.sets
+    if not checked.feasible:
+        yield ModelFinding("warning", "Every position is inside some stop: no plant can start.")
+        return
+    if not checked.has_clearance:
+        yield ModelFinding(
+            "warning",
+            "No position is clear of all stops: some contact never opens. With unequal"
+            " restitution there an impact may have no solution, which ends a run with an error.",
+        )
+    for contacts in sets[:_SHOWN]:
+        unequal = len({float(system.eps[i]) for i in contacts}) > 1
+        rule = "; of unequal restitutions the larger counts"
+        yield ModelFinding(
+            "note",
+            f"{_contacts(system, contacts)} depend on each other and can close together: how they"
+            " share an impulse is not unique, the motion is"
+            f"{rule if unequal and checked.has_clearance else ''}.",
+        )
+    if (more := len(sets) - _SHOWN) > 0:
+        yield ModelFinding("note", f"So do {times(more, 'other set')} of contacts found.")
+    if not checked.redundant.decided:
+        yield ModelFinding(
+            "note",
+            "Whether more contacts that close together depend on each other is not decided: too"
+            " many sets to look at. The motion is unique either way.",
+        )
+
+
+def _rigid_modes(checked: ModelCheck) -> Iterator[ModelFinding]:
+    if count := len(checked.rigid):
+        shapes = "; ".join(_shape(checked.system, each) for each in checked.rigid[:_SHOWN])
+        yield ModelFinding(
+            "note",
+            f"K is singular, {times(count, 'rigid-body mode')}: {shapes}"
+            f"{', ...' * (count > _SHOWN)}. V is a seminorm: it does not see such a displacement.",
+        )
+
+
+def _damping(checked: ModelCheck) -> Iterator[ModelFinding]:
+    undamped = [f"{mode.frequency:.4g} rad/s" for mode in checked.modes if mode.decay == 0]
+    if 0 in checked.rates:
+        undamped.insert(0, "rigid-body motion")
+    if undamped:
+        yield ModelFinding(
+            "note",
+            f"Without damping: {listed(undamped, _SHOWN + 1)}. V need not vanish: only impacts"
+            " reduce it there.",
+        )
+        return
+    slowest = -max([mode.decay for mode in checked.modes] + checked.rates.tolist())
+    yield ModelFinding(
+        "ok",
+        "All motion is damped: V falls between impacts too,"
+        f" in the slowest mode by a factor e in {0.5 / slowest:.3g} s.",
+    )
+
+
+def _resonances(checked: ModelCheck) -> Iterator[ModelFinding]:
+    for each in checked.resonances:
+        yield ModelFinding(
+            "warning",
+            f"Harmonic {each.harmonic + 1} of the forcing, {each.frequency:g} rad/s, is at the"
+            " frequency of an undamped mode: without impacts its amplitude grows without bound.",
+        )
+
+
+def _unseen(checked: ModelCheck) -> Iterator[ModelFinding]:
+    system = checked.system
+    if not system.m:
+        yield ModelFinding("warning", "There are no contacts: no event ever corrects an estimate.")
+        return
+    for each in checked.unseen[:_SHOWN]:
+        if each.frequency:
+            what = f"the mode at {each.frequency:.4g} rad/s"
+        elif each.decay:
+            what = f"the mode that decays at {-each.decay:.4g} 1/s"
+        else:
+            what = "the rigid-body mode"
+        fate = "only damping takes it away" if each.decay else "it stays"
+        yield ModelFinding(
+            "warning",
+            f"No contact sees {what}, {_shape(system, each.shape)}: no law ever corrects an error"
+            f" of it, {fate}.",
+        )
+    if (more := len(checked.unseen) - _SHOWN) > 0:
+        yield ModelFinding("warning", f"No contact sees {more} other modes either.")
+    if not checked.unseen:
+        yield ModelFinding(
+            "ok",
+            "Every mode moves some contact. One impact gives one number for each contact that"
+            f" closes, of {2 * system.n}; enough of them determine the whole state.",
+        )
+
+
+def contact_names(system: System, contacts: Sequence[int]) -> list[str]:
+    """The names of contacts, given by their indices."""
+    return [system.contact_names[i] for i in contacts]
+
+
+def _contacts(system: System, contacts: Sequence[int]) -> str:
+    """``Contacts a, b and c``; of a long list the first names and how many more there are."""
+    names = contact_names(system, contacts)
+    if len(names) > 2 * _SHOWN:
+        names = [*names[:_SHOWN], f"{len(names) - _SHOWN} more"]
+    return f"Contacts {', '.join(names[:-1])} and {names[-1]}"
+
+
+def _restitutions(system: System, contacts: Sequence[int]) -> str:
+    """The coefficients of few contacts, the range of many."""
+    values = [float(system.eps[i]) for i in contacts]
+    if len(values) > 2 * _SHOWN:
+        return f"{min(values):g} to {max(values):g}"
+    return ", ".join(f"{value:g}" for value in values)
+
+
+def _shape(system: System, shape: Vector) -> str:
+    """The largest entries of a mode's shape, by coordinate."""
+    largest = sorted(range(system.n), key=lambda i: -abs(shape[i]))[: 2 * _SHOWN]
+    shown = [f"{system.coordinates[i]} {shape[i]:.3g}" for i in sorted(largest) if shape[i]]
+    more = int(sum(shape != 0)) - len(shown)
+    return f"({', '.join(shown)}{f' and {more} more' if more else ''})"
