@@ -256,7 +256,7 @@ def test_an_observer_applies_events_of_a_bag_exactly_where_it_is_usable(case: st
 
 
 def test_messages_without_a_valid_event_are_errors() -> None:
-    """A stamp of zero, nanoseconds that fill a second, an unknown kind, bytes that are no event."""
+    """Stamp zero, nanoseconds that fill a second, unknown kind, bytes that are no event."""
     unknown = event_message(GOOD[0])
     unknown.switches[0].kind = 7
     with BagWriter(Path("bag")) as writer:
