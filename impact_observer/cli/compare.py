@@ -2,14 +2,14 @@
 
 With --laws, other observers are run on the bags' own impacts and compared as well. The two sides
 of an impact are never mixed: samples at which the truth has jumped and the estimate has not, or
-the other way round, are reported apart.
+the other way round, are counted separately.
 """
 
 import argparse
 import json as json_module
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,12 +21,10 @@ from impact_observer.cli.arguments import (
     positive,
 )
 from impact_observer.compare.comparison import SETTLED
-from impact_observer.compare.error_tables import figures, print_tables, write_csv
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
-    from impact_observer.compare.bag_comparison import BagComparison, Choice
-    from impact_observer.compare.comparison import Comparison
+    from impact_observer.compare.bag_comparison import BagComparison, Selection
     from impact_observer.options import Options
 
 
@@ -88,41 +86,11 @@ def run(args: argparse.Namespace) -> int:
         estimates=args.estimates,
         threshold=args.threshold,
         namespace=args.namespace,
-        output=Output(args.plot, args.report, args.csv, args.json),
+        plot=args.plot,
+        report=args.report,
+        csv=args.csv,
+        json=args.json,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Output:
-    """Where a comparison goes; what is there already is replaced.
-
-    Attributes:
-        plot: a picture of V; None for none.
-        report: a page of HTML; None for none.
-        csv: the figures as CSV; None for none.
-        json: whether to print JSON instead of tables.
-    """
-
-    plot: Path | None = None
-    report: Path | None = None
-    csv: Path | None = None
-    json: bool = False
-
-    def check(self) -> None:
-        """Raise before the work is done if something cannot be written.
-
-        Raises:
-            UsageError: a name does not end as it must, or a folder does not exist.
-        """
-        from impact_observer.draw.pictures import check_output
-
-        for path, endings in (
-            (self.plot, (".png", ".svg", ".pdf")),
-            (self.report, (".html", ".htm")),
-            (self.csv, (".csv",)),
-        ):
-            if path is not None:
-                check_output(path, endings)
 
 
 def laws_in(text: str) -> tuple[str, ...]:
@@ -150,9 +118,12 @@ def compare(
     estimates: Sequence[str] | None = None,
     threshold: float = SETTLED,
     namespace: str = "",
-    output: Output | None = None,
+    plot: Path | None = None,
+    report: Path | None = None,
+    csv: Path | None = None,
+    json: bool = False,
 ) -> int:
-    """Compare bags and print what comes out.
+    """Compare bags, print the figures, and write the files that are asked for.
 
     Args:
         bags: with truth, and with estimates or impacts.
@@ -162,50 +133,50 @@ def compare(
         truth: the topic of the true states; None for the plant's.
         estimates: names of observers or topics; None for every observer.
         threshold: V over V at the start at which an estimate has settled.
-        namespace: of the rig that is meant; empty for the only one.
-        output: where it goes; None for tables on the terminal.
+        namespace: of the rig; empty for the only one.
+        plot: a picture of V; None for none. Files that exist are replaced.
+        report: a page of HTML; None for none.
+        csv: the figures as CSV; None for none.
+        json: print JSON instead of tables.
 
     Returns:
         0.
 
     Raises:
         UsageError, ModelError: the arguments cannot be used.
-        BagError: a bag cannot be read, or holds nothing to compare.
+        BagError: a bag cannot be read, or has nothing to compare.
         ImpactLawError, DynamicsError: an observer cannot follow the events of a bag.
     """
-    from impact_observer.compare.bag_comparison import Choice
+    from impact_observer.compare.bag_comparison import Selection, labelled_by_law
+    from impact_observer.compare.error_pictures import distance_picture
+    from impact_observer.compare.error_tables import print_tables, write_csv
+    from impact_observer.compare.figures import figures_of
+    from impact_observer.compare.report import write_report
+    from impact_observer.draw.pictures import check_output, save
 
-    given = output or Output()
-    given.check()
-    choice = Choice(truth, None if estimates is None else tuple(estimates), threshold)
-    results = [(bag, _compare_one(bag, namespace, model, observers, choice)) for bag in bags]
+    if plot is not None:
+        check_output(plot)
+    if report is not None:
+        check_output(report, (".html", ".htm"))
+    if csv is not None:
+        check_output(csv, (".csv",))
+    selection = Selection(truth, None if estimates is None else tuple(estimates), threshold)
+    results = [(bag, _compare_one(bag, namespace, model, observers, selection)) for bag in bags]
     labelled = labelled_by_law(results)
-    if given.json:
-        print(json_module.dumps({k: figures(v) for k, v in labelled.items()}, indent=2))
+    if json:
+        print(json_module.dumps({k: figures_of(v) for k, v in labelled.items()}, indent=2))
     else:
         print_tables(labelled)
-    _write(given, labelled, results)
-    return 0
-
-
-def _write(
-    output: Output,
-    labelled: "dict[str, Comparison]",
-    results: "Sequence[tuple[Path, BagComparison]]",
-) -> None:
-    """Write the files that are wanted, and say so."""
-    if output.csv is not None:
-        write_csv(labelled, output.csv)
-    if output.plot is not None:
-        draw(labelled, results, output.plot)
-    if output.report is not None:
-        from impact_observer.compare.report import write_report
-
-        write_report(output.report, labelled, results)
-    written = {"figures": output.csv, "picture": output.plot, "report": output.report}
-    for what, path in written.items():
-        if path is not None and not output.json:
+    if csv is not None:
+        write_csv(labelled, csv)
+    if plot is not None:
+        save(distance_picture(labelled, results), plot)
+    if report is not None:
+        write_report(report, labelled, results)
+    for what, path in (("figures", csv), ("picture", plot), ("report", report)):
+        if path is not None and not json:
             print(f"{what}: {path}")
+    return 0
 
 
 def _compare_one(
@@ -213,9 +184,9 @@ def _compare_one(
     namespace: str,
     model: str | None,
     observers: "Sequence[Options]",
-    choice: "Choice",
+    selection: "Selection",
 ) -> "BagComparison":
-    """Compare one bag, and show on a terminal how far that is."""
+    """Compare one bag, with a progress bar on a terminal."""
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_comparison import compare_bag
     from impact_observer.io.reader import BagReader
@@ -225,46 +196,12 @@ def _compare_one(
     with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"{bag}: reading")
         read = model_of(reader, model)
-
-        def show(what: str, done: int, total: int) -> None:
-            progress.step(f"{bag}: {what}", done, total)
-
         alone = [replace(each, ensemble=1) for each in observers]
         if any(map(needs_compiling, alone)):
             progress.show(COMPILING)
         made = [make_observer(read.system, each, read.elements) for each in alone]
-        return compare_bag(reader, read.system, made, choice=choice, progress=show)
 
+        def show(what: str, done: int, total: int) -> None:
+            progress.step(f"{bag}: {what}", done, total)
 
-def draw(
-    labelled: "dict[str, Comparison]",
-    results: "Sequence[tuple[Path, BagComparison]]",
-    plot: Path,
-) -> None:
-    """Draw V over time, of each bag since its epoch."""
-    from impact_observer.compare.error_pictures import distance_figure
-    from impact_observer.draw.pictures import save
-
-    save(distance_figure(labelled, results), plot)
-
-
-def labelled_by_law(results: "Sequence[tuple[Path, BagComparison]]") -> "dict[str, Comparison]":
-    """Name each estimate by its law, and by observer and bag where that is not enough.
-
-    One that was made here, and not recorded, has no observer's prefix.
-    """
-    each = [
-        (bag, "" if prefix == comparison.law else f" {prefix}", comparison)
-        for bag, result in results
-        for prefix, comparison in result.comparisons.items()
-    ]
-    namings = [
-        [comparison.law for _, _, comparison in each],
-        [f"{comparison.law}{prefix}" for _, prefix, comparison in each],
-        [f"{comparison.law} {bag.name}" for bag, _, comparison in each],
-        [f"{comparison.law}{prefix} {bag}" for bag, prefix, comparison in each],
-    ]
-    names = next((n for n in namings if len(set(n)) == len(n)), None)
-    if names is None:
-        names = [f"{name} #{i}" for i, name in enumerate(namings[-1], start=1)]
-    return dict(zip(names, (comparison for _, _, comparison in each), strict=True))
+        return compare_bag(reader, read.system, made, selection=selection, progress=show)

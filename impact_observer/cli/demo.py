@@ -113,9 +113,10 @@ def demo(
 
 def _judge(bag: Path, picture: Path) -> int:
     """Compare, draw, and say whether the geometric law has made it."""
-    from impact_observer.cli.compare import draw, labelled_by_law
-    from impact_observer.compare.bag_comparison import compare_bag
+    from impact_observer.compare.bag_comparison import compare_bag, labelled_by_law
+    from impact_observer.compare.error_pictures import distance_picture
     from impact_observer.compare.error_tables import print_tables
+    from impact_observer.draw.pictures import save
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
 
@@ -124,7 +125,7 @@ def _judge(bag: Path, picture: Path) -> int:
     results = [(bag, result)]
     labelled = labelled_by_law(results)
     print_tables(labelled)
-    draw(labelled, results, picture)
+    save(distance_picture(labelled, results), picture)
     print(f"picture: {picture}\nbag:     {bag}")
     ratio = labelled[LAWS[0]].ratio
     if ratio is None:

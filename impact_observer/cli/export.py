@@ -6,15 +6,12 @@ dq_NAME and du_NAME with V, all in SI units. Parquet needs pyarrow: impact_obser
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import add_model, add_namespace, stamp
 from impact_observer.errors import UsageError
-
-if TYPE_CHECKING:
-    from impact_observer.compare.tables_of_bag import Sink
 
 STATES, ERRORS, EVENTS = WHAT = ("states", "errors", "events")
 
@@ -79,7 +76,7 @@ def export(
     epoch: int | None = None,
     namespace: str = "",
 ) -> int:
-    """Export a bag and say what came out.
+    """Export a bag and print how many rows were written.
 
     Args:
         bag: the bag.
@@ -88,61 +85,36 @@ def export(
         topics: topics of states, or observers' prefixes; None for the truth and all observers.
         model: for errors, a model file or a sample's name; None for the model in the bag.
         epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
-        namespace: of the rig that is meant; empty for the only one.
+        namespace: of the rig; empty for the only one.
 
     Returns:
         0.
 
     Raises:
-        UsageError, ModelError: the arguments cannot be used, or ``pyarrow`` is not here.
+        UsageError, ModelError: the arguments cannot be used, or ``pyarrow`` is not installed.
         BagError: the bag cannot be read or holds nothing to export, or the file cannot be written.
     """
     from impact_observer.cli.progress import Progress
-    from impact_observer.compare import tables_of_bag
+    from impact_observer.compare.bag_export import error_rows, event_rows, state_rows
+    from impact_observer.compare.table_files import table_file
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import system_of
 
     if topics is not None and what == EVENTS:
         raise UsageError(f"topics: {', '.join(topics)} given; {EVENTS} have their own topic")
-    make = _sink(output)
+    written: Counter[str] = Counter()
     with BagReader(bag, namespace) as reader, Progress() as progress:
-
-        def show(done: int, total: int) -> None:
-            progress.step(f"exporting {bag.name}", done, total)
-
-        def written(sink: "Sink") -> Counter[str]:
+        show = partial(progress.step, f"exporting {bag.name}")
+        with table_file(output) as file:
             if what == EVENTS:
-                return tables_of_bag.export_events(reader, sink, epoch=epoch, progress=show)
-            if what == STATES:
-                return tables_of_bag.export_states(
-                    reader, sink, topics, epoch=epoch, progress=show
-                )
-            system = system_of(reader, model)
-            return tables_of_bag.export_errors(
-                reader, sink, system, topics, epoch=epoch, progress=show
-            )
-
-        with tables_of_bag.finished(output, make) as sink:
-            rows = written(sink)
-        each = ", ".join(f"{count} of {topic}" for topic, count in rows.items())
-        progress.line(f"{output}: {rows.total()} rows of {what}: {each}")
+                blocks = event_rows(reader, epoch, show)
+            elif what == ERRORS:
+                blocks = error_rows(reader, system_of(reader, model), topics, epoch, show)
+            else:
+                blocks = state_rows(reader, topics, epoch, show)
+            for block in blocks:
+                file.write(block)
+                written[block.topic] += block.stamps.size
+        each = ", ".join(f"{count} of {topic}" for topic, count in written.items())
+        progress.line(f"{output}: {written.total()} rows of {what}: {each}")
     return 0
-
-
-def _sink(output: Path) -> "Callable[[Path], Sink]":
-    """What makes the file, by its name.
-
-    Raises:
-        UsageError: the name is of neither format, or ``pyarrow`` is not here.
-    """
-    from impact_observer.compare.tables_of_bag import CsvSink
-
-    if output.suffix.lower() != ".parquet":
-        return CsvSink
-    try:
-        from impact_observer.compare.parquet import ParquetSink
-    except ImportError as error:
-        raise UsageError(
-            f"{output}: Parquet needs pyarrow ({error}); pip install impact_observer[parquet]"
-        ) from None
-    return ParquetSink

@@ -8,6 +8,7 @@ import argparse
 import json as json_module
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -107,13 +108,13 @@ def figure(
         UsageError, ModelError: the arguments cannot be used.
         ImpactLawError, DynamicsError: plant or observers have no solution.
     """
-    from rich.console import Console
-
     from impact_observer.cli.progress import Progress
-    from impact_observer.compare import error_tables
     from impact_observer.compare.comparison import impacts_in
-    from impact_observer.compare.error_pictures import lyapunov_figure
+    from impact_observer.compare.error_pictures import lyapunov_picture
+    from impact_observer.compare.error_tables import distance_table, print_blindness
+    from impact_observer.compare.figures import figures_of
     from impact_observer.draw.pictures import check_output, save
+    from impact_observer.draw.text_tables import console
     from impact_observer.model import read_model
     from impact_observer.observer import Options, make_observer
 
@@ -134,20 +135,20 @@ def figure(
             " and Leine, ENOC 2014"
         )
         impacts = impacts_in(done.events)
-        drawn = lyapunov_figure(comparisons, impacts, title=about, epoch=EPOCH, paper=paper)
+        drawn = lyapunov_picture(comparisons, impacts, title=about, epoch=EPOCH, paper=paper)
         save(drawn, output, about=about.replace("\n", "; "))
     if json:
-        found = {law: error_tables.figures(each) for law, each in comparisons.items()}
+        found = {law: figures_of(each) for law, each in comparisons.items()}
         print(json_module.dumps(found, indent=2))
         return 0
-    Console().print(error_tables.table_of(comparisons))
-    error_tables.print_blindness(comparisons)
+    console().print(distance_table(comparisons))
+    print_blindness(comparisons)
     print(f"picture: {output}")
     return 0
 
 
 def _simulated(model: "Model", duration: float, rate: float, progress: "Progress") -> "Run":
-    """The plant's run, told while it goes on."""
+    """The plant's run, with a progress bar."""
     from impact_observer.plant import Plant, simulate
     from impact_observer.stamps import from_seconds, grid, seconds_between
 
@@ -161,18 +162,17 @@ def _simulated(model: "Model", duration: float, rate: float, progress: "Progress
 def _observed(
     observers: "Sequence[Observer]", run: "Run", progress: "Progress"
 ) -> "dict[str, Comparison]":
-    """Each law's estimates against the run, told while it goes on."""
-    from impact_observer.compare.comparison import compare_law
+    """Each law's estimates against the run, with a progress bar."""
+    from impact_observer.compare.comparison import compare_observer
     from impact_observer.io.pairing import Series
 
-    comparisons = {}
-    for observer in observers:
-        law = observer.law.name
-
-        def show(done: int, total: int, law: str = law) -> None:
-            progress.step(law, done, total)
-
-        comparisons[law] = compare_law(
-            observer, run.events, lambda: [Series(run.stamps, run.states)], progress=show
+    truth = [Series(run.stamps, run.states)]
+    return {
+        observer.law.name: compare_observer(
+            observer,
+            run.events,
+            lambda: truth,
+            progress=partial(progress.step, observer.law.name),
         )
-    return comparisons
+        for observer in observers
+    }

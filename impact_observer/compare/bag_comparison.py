@@ -1,21 +1,21 @@
-"""Comparing estimates with the truth in a bag: those in it, and those of observers run on it."""
+"""Comparing estimates in a bag with the truth, and those of observers that are run on the bag."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from impact_observer.compare.comparison import (
     SETTLED,
-    Comparing,
+    Comparator,
     Comparison,
-    compare_law,
+    compare_observer,
     impacts_in,
 )
 from impact_observer.errors import BagError
-from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
 from impact_observer.io.pairing import Series
@@ -33,10 +33,11 @@ class BagComparison:
 
     Attributes:
         system: the system that plant and observers share.
-        comparisons: by the observer's topic prefix, such as ``/observer_geometric``, or by the
-            topic that was named, and of observers that were run on the bag by their law's name.
+        comparisons: recorded estimates by their observer's topic prefix, such as
+            ``/observer_geometric``, or by the topic that was named; those of observers that were
+            run on the bag by the law's name.
         impacts: stamps of the impacts (ns), by contact.
-        epoch: stamp of ``t = 0``, ns; where no event says it, the first stamp of the truth.
+        epoch: stamp of ``t = 0``, ns; the first true stamp where no event says it.
     """
 
     system: System
@@ -46,11 +47,11 @@ class BagComparison:
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
-    """What of a bag to compare, and how.
+class Selection:
+    """Which topics of a bag to compare, and when an estimate has settled.
 
     Attributes:
-        truth: the topic of the plant's true states; None for the one there is.
+        truth: the topic of the plant's true states; None for the only one there is.
         estimates: observers' prefixes, or topics of states; None for every observer.
         threshold: V over V at the start below which an estimate has settled.
     """
@@ -60,7 +61,7 @@ class Choice:
     threshold: float = SETTLED
 
 
-ALL = Choice()
+ALL = Selection()
 """Every observer in the bag against its truth."""
 
 
@@ -69,48 +70,131 @@ def compare_bag(
     system: System,
     observers: Sequence[Observer] = (),
     *,
-    choice: Choice = ALL,
+    selection: Selection = ALL,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
     """Compare with the plant the observers in a bag, and others that are run on its events.
 
-    The states go by block by block: memory does not grow with the length of the bag.
+    States are read block by block: memory does not grow with the length of the bag.
 
     Args:
         reader: the bag.
         system: gives M and K for V.
-        observers: to run on the bag, one a law; they have seen nothing yet.
-        choice: what of the bag to compare, and how.
-        progress: told what is done, how much of it and how much there is.
+        observers: to run on the bag, one a law; they have received nothing yet.
+        selection: which topics to compare, and when an estimate has settled.
+        progress: receives what is being done, how much of it is done, and how much there is.
 
     Raises:
         UsageError: a topic that is named is not in the bag.
-        BagError: the bag has no truth, no estimate, or nothing in common between them, or an
-            observer could not apply any of its events.
+        BagError: the bag has no truth, no estimate, or no stamp that both have, or an observer
+            could not apply any of its events.
         ImpactLawError, DynamicsError, UsageError: an observer cannot follow the events.
     """
-    truth = _truth_topic(reader, choice.truth)
-    topics = _estimate_topics(reader, choice.estimates)
+    truth = _truth_topic(reader, selection.truth)
+    topics = _estimate_topics(reader, selection.estimates)
     if not topics and not observers:
         raise BagError(
             f"{reader.path}: has no estimates; make them with observe, or name laws with --laws"
         )
     events = events_in(reader)
-    comparisons = _compare_recorded(
-        reader, system, (truth, topics), events, choice=choice, progress=progress
-    )
-    for observer in observers:
-        law = observer.law.name
-        with _named(reader):
-            comparisons[law] = compare_law(
+    recorded = {
+        name: RecordedEstimate(
+            topic,
+            Comparator(system, outcomes_in(reader, topic, events), selection.threshold),
+            law=name.rpartition("/")[2],
+        )
+        for name, topic in topics.items()
+    }
+    for done, total in compare_recorded(reader, system, truth, recorded.values()):
+        progress("comparing", done, total)
+
+    def true_states() -> Iterator[Series]:
+        return (_series(block) for _, block in reader.blocks([truth], system.coordinates))
+
+    with _errors_name(reader.path):
+        comparisons = {name: each.comparator.result(each.law) for name, each in recorded.items()}
+        for observer in observers:
+            law = observer.law.name
+            comparisons[law] = compare_observer(
                 observer,
                 events,
-                partial(_truth_of, reader, truth, system),
-                threshold=choice.threshold,
+                true_states,
+                threshold=selection.threshold,
                 progress=partial(progress, law),
             )
     epoch = epoch_of(events) or first_stamp(reader, [truth]) or 0
     return BagComparison(system, comparisons, impacts_in(events), epoch)
+
+
+def labelled_by_law(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, Comparison]:
+    """All estimates by a unique label: the law, with observer and bag where that is not enough.
+
+    An observer that was run on the bag, and not recorded in it, has no prefix.
+    """
+    each = [
+        (bag, "" if prefix == comparison.law else f" {prefix}", comparison)
+        for bag, result in results
+        for prefix, comparison in result.comparisons.items()
+    ]
+    namings = [
+        [comparison.law for _, _, comparison in each],
+        [f"{comparison.law}{prefix}" for _, prefix, comparison in each],
+        [f"{comparison.law} {bag.name}" for bag, _, comparison in each],
+        [f"{comparison.law}{prefix} {bag}" for bag, prefix, comparison in each],
+    ]
+    names = next((n for n in namings if len(set(n)) == len(n)), None)
+    if names is None:
+        names = [f"{name} #{i}" for i, name in enumerate(namings[-1], start=1)]
+    return dict(zip(names, (comparison for _, _, comparison in each), strict=True))
+
+
+@dataclass(slots=True)
+class RecordedEstimate:
+    """The estimates on a topic and their comparison.
+
+    Attributes:
+        topic: of the estimates.
+        comparator: receives the blocks of truth and estimate.
+        law: of the estimates, as their messages say; the observer's name until one is read.
+    """
+
+    topic: str
+    comparator: Comparator
+    law: str
+
+
+def compare_recorded(
+    reader: BagReader, system: System, truth: str, estimates: Collection[RecordedEstimate]
+) -> Iterator[tuple[int, int]]:
+    """Compare recorded estimates with the truth, all in one pass through the bag.
+
+    Args:
+        reader: the bag.
+        system: gives the coordinates.
+        truth: topic of the true states.
+        estimates: to compare.
+
+    Yields:
+        The number of messages read, and of all: after each block of states and at the end.
+    """
+    if not estimates:
+        return
+    topics = [*dict.fromkeys([truth, *(each.topic for each in estimates)])]
+    total, done = sum(reader.topics[topic].count for topic in topics), 0
+    for topic, block in reader.blocks(topics, system.coordinates):
+        series = _series(block)
+        for each in estimates:
+            if topic == truth:
+                each.comparator.pairing.truth.add(series)
+            if topic == each.topic:
+                each.comparator.pairing.estimates.add(series)
+                each.law = getattr(block, "law", "") or each.law
+            each.comparator.update()
+        done += block.stamps.size
+        yield done, total
+    for each in estimates:
+        each.comparator.finish()
+    yield total, total
 
 
 def _truth_topic(reader: BagReader, named: str | None) -> str:
@@ -124,79 +208,18 @@ def _truth_topic(reader: BagReader, named: str | None) -> str:
 
 
 def _estimate_topics(reader: BagReader, named: Sequence[str] | None) -> dict[str, str]:
-    """Topics of estimates by what they are called: an observer's prefix, or the topic itself."""
+    """Topics of estimates by their observer's prefix, or by the topic that was named."""
     names = reader.observers() if named is None else [f"/{each.strip('/')}" for each in named]
     return {name: named_states(reader, name) for name in names}
 
 
-def _compare_recorded(
-    reader: BagReader,
-    system: System,
-    where: tuple[str, dict[str, str]],
-    events: list[ImpactEvent],
-    *,
-    choice: Choice,
-    progress: Callable[[str, int, int], None],
-) -> dict[str, Comparison]:
-    """The estimates that are in the bag, all in one pass."""
-    truth, topics = where
-    if not topics:
-        return {}
-    recorded = {
-        name: RecordedEstimate(
-            topic,
-            Comparing(system, outcomes_in(reader, topic, events), choice.threshold),
-            law=name.rpartition("/")[2],
-        )
-        for name, topic in topics.items()
-    }
-    wanted = dict.fromkeys([truth, *topics.values()])
-    total, done = sum(reader.topics[topic].count for topic in wanted), 0
-    for topic, block in reader.blocks([*wanted], system.coordinates):
-        for each in recorded.values():
-            each.add(topic, block, truth)
-            each.comparing.proceed()
-        done += block.stamps.size
-        progress("comparing", done, total)
-    with _named(reader):
-        return {name: each.comparing.result(each.law) for name, each in recorded.items()}
-
-
-@dataclass(slots=True)
-class RecordedEstimate:
-    """The estimates on a topic, against the truth while both go by.
-
-    Attributes:
-        topic: of the estimates.
-        comparing: takes the blocks of both.
-        law: of the estimates; the observer's name while they have not said it.
-    """
-
-    topic: str
-    comparing: Comparing
-    law: str
-
-    def add(self, topic: str, block: JointStates, truth: str) -> None:
-        """Take the next states of any topic; ``truth`` is that of the plant's."""
-        if topic == truth:
-            self.comparing.pairing.truth.add(_series(block))
-        if topic == self.topic:
-            self.comparing.pairing.estimates.add(_series(block))
-            self.law = getattr(block, "law", "") or self.law
-
-
-def _truth_of(reader: BagReader, topic: str, system: System) -> Iterator[Series]:
-    """The plant's states, block by block."""
-    return (_series(block) for _, block in reader.blocks([topic], system.coordinates))
-
-
 @contextmanager
-def _named(reader: BagReader) -> Iterator[None]:
-    """Errors within say which bag."""
+def _errors_name(bag: Path) -> Iterator[None]:
+    """Put the bag in front of the errors within."""
     try:
         yield
     except BagError as error:
-        where = str(reader.path)
+        where = str(bag)
         raise error if str(error).startswith(where) else BagError(f"{where}: {error}") from None
 
 

@@ -8,12 +8,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from impact_observer.compare.bag_comparison import BagComparison
 from impact_observer.compare.comparison import Comparison
-from impact_observer.draw.pictures import MOST_ROWS, mark_rows, styles
+from impact_observer.draw.pictures import MOST_ROWS, Style, mark_rows, styles
 from impact_observer.stamps import NS_PER_S
-from impact_observer.states import Stamps
+from impact_observer.states import Stamps, Vector
 
 MOST_COORDINATES = 8
 """Most coordinates whose errors are drawn."""
@@ -24,32 +25,32 @@ _FONT, _PAPER_FONT = 10.0, 7.5
 _ROOM, _PAPER_ROOM = 108, 54
 """Letters of a legend side by side above the axes."""
 _HANDLE = 11
-"""Letters that the line before a legend's label takes, with the room about it."""
+"""Letters that the line before a legend's label takes, with the space around it."""
 
 
-def distance_figure(
-    labelled: dict[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
+def distance_picture(
+    labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Figure:
     """V of all estimates in one picture.
 
     Args:
         labelled: every estimate, by its label.
-        results: the bags and what came out of each.
+        results: the bags and the comparison of each.
     """
     since = {label: each for _, _, those in _by_bag(labelled, results) for label, each in those}
     names = ", ".join(dict.fromkeys(result.system.name for _, result in results))
     title = f"{names}: distance of the estimates from the truth"
-    return lyapunov_figure(since, _impacts(results), title=title, epoch=0)
+    return lyapunov_picture(since, _impacts(results), title=title, epoch=0)
 
 
-def error_figures(
-    labelled: dict[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
+def error_pictures(
+    labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Iterator[tuple[list[Path], int, Figure]]:
-    """Sizes of the errors: bags, number of coordinates, and one picture a kind of system.
+    """Sizes of the errors: bags, number of coordinates, and one picture per kind of system.
 
     Args:
         labelled: every estimate, by its label.
-        results: the bags and what came out of each.
+        results: the bags and the comparison of each.
     """
     alike: dict[tuple[str, ...], tuple[list[Path], dict[str, Comparison]]] = {}
     for bag, result, those in _by_bag(labelled, results):
@@ -57,11 +58,11 @@ def error_figures(
         bags.append(bag)
         comparisons.update(those)
     for coordinates, (bags, comparisons) in alike.items():
-        yield bags, len(coordinates), error_figure(comparisons, epoch=0)
+        yield bags, len(coordinates), error_picture(comparisons, epoch=0)
 
 
 def _by_bag(
-    labelled: dict[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
+    labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Iterator[tuple[Path, BagComparison, list[tuple[str, Comparison]]]]:
     """The estimates of each bag, with stamps since its epoch."""
     rest = iter(labelled.items())
@@ -72,15 +73,16 @@ def _by_bag(
 
 
 def _impacts(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, Stamps]:
-    """Stamps of impacts since the epoch, by contact; by bag too where bags are not of one run.
+    """Stamps of impacts since the epoch, by contact; also by bag where the bags' runs differ.
 
-    None where these would be too many to be told apart.
+    Empty where there would be too many rows to distinguish.
     """
     runs = [
         {contact: stamps - result.epoch for contact, stamps in result.impacts.items()}
         for _, result in results
     ]
-    if all(_same(runs[0], run) for run in runs):
+    instants = [{contact: stamps.tolist() for contact, stamps in run.items()} for run in runs]
+    if all(each == instants[0] for each in instants):
         return runs[0]
     paths = [bag for bag, _ in results]
     short = [bag.name for bag in paths]
@@ -93,14 +95,7 @@ def _impacts(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, Stamps]
     return rows if len(rows) <= MOST_ROWS else {}
 
 
-def _same(one: dict[str, Stamps], other: dict[str, Stamps]) -> bool:
-    """Whether two runs have the same impacts."""
-    return one.keys() == other.keys() and all(
-        one[contact].tolist() == other[contact].tolist() for contact in one
-    )
-
-
-def lyapunov_figure(
+def lyapunov_picture(
     comparisons: Mapping[str, Comparison],
     impacts: Mapping[str, Stamps],
     *,
@@ -121,29 +116,31 @@ def lyapunov_figure(
     with mpl.rc_context({"font.size": _PAPER_FONT if paper else _FONT}):
         figure = Figure(figsize=_PAPER_SIZE if paper else _SIZE, layout="constrained")
         axes = figure.add_subplot()
-        for (label, comparison), style in zip(
-            comparisons.items(), styles([c.law for c in comparisons.values()]), strict=True
-        ):
-            # Zero has no logarithm: a gap says that the estimate is exact there.
-            V = np.where(comparison.V > 0, comparison.V, np.nan)
-            shown = _shortened(label, room - _HANDLE)
-            axes.semilogy((comparison.stamps - epoch) / NS_PER_S, V, label=shown, **style)
-            _space_markers(axes, len(comparisons))
+        drawn = styles([each.law for each in comparisons.values()])
+        for (label, each), style in zip(comparisons.items(), drawn, strict=True):
+            style["label"] = _shortened(label, room - _HANDLE)
+            seconds = (each.stamps - epoch) / NS_PER_S
+            _draw_curve(axes, seconds, each.V, len(comparisons), style)
         axes.set_xlabel("time since the epoch [s]")
         axes.set_ylabel("Lyapunov distance V [J]")
         axes.grid(visible=True, which="major", color="0.9")
         axes.margins(x=0.01)
         _mark_impacts(axes, impacts, epoch, room - _HANDLE)
-        _legend(axes, room)
+        axes.legend(
+            loc="lower left",
+            bbox_to_anchor=(0.0, 1.0),  # above the axes it covers no curve
+            borderaxespad=0.2,
+            **_legend_style(axes.get_legend_handles_labels()[1], room),
+        )
         if not paper:
             figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
     return figure
 
 
-def error_figure(comparisons: Mapping[str, Comparison], *, epoch: int) -> Figure:
+def error_picture(comparisons: Mapping[str, Comparison], *, epoch: int) -> Figure:
     """The size of each state's error over time, coordinates at the left, velocities at the right.
 
-    Of more than ``MOST_COORDINATES`` those are shown whose errors are the largest.
+    Of more than ``MOST_COORDINATES`` those with the largest errors are shown.
 
     Args:
         comparisons: one curve a panel each, by label; of one system.
@@ -153,64 +150,51 @@ def error_figure(comparisons: Mapping[str, Comparison], *, epoch: int) -> Figure
     names, n = first.system.coordinates, first.system.n
     rms = np.sum([np.square(each.rms[:n]) for each in comparisons.values()], axis=0)
     shown = np.sort(np.argsort(-rms, kind="stable")[:MOST_COORDINATES])
-    height = 0.6 + 1.5 * shown.size
+    drawn = styles([each.law for each in comparisons.values()])
     with mpl.rc_context({"font.size": _FONT}):
-        figure = Figure(figsize=(_SIZE[0], height), layout="constrained")
+        figure = Figure(figsize=(_SIZE[0], 0.6 + 1.5 * shown.size), layout="constrained")
         grid = figure.subplots(shown.size, 2, sharex=True, squeeze=False)
-        drawn = styles([each.law for each in comparisons.values()])
         for row, i in enumerate(shown):
             for axes, column, label in (
                 (grid[row, 0], i, f"|Δ{names[i]}| [m or rad]"),
                 (grid[row, 1], n + i, f"|Δd{names[i]}/dt| [m/s or rad/s]"),
             ):
-                for (name, each), style in zip(comparisons.items(), drawn, strict=True):
+                for each, style in zip(comparisons.values(), drawn, strict=True):
+                    seconds = (each.stamps - epoch) / NS_PER_S
                     size = np.abs(each.error[:, column])
-                    size = np.where(size > 0, size, np.nan)  # zero has no logarithm
-                    axes.semilogy((each.stamps - epoch) / NS_PER_S, size, label=name, **style)
-                    _space_markers(axes, len(comparisons))
+                    _draw_curve(axes, seconds, size, len(comparisons), style)
                 axes.set_ylabel(label, fontsize="small")
                 axes.grid(visible=True, which="major", color="0.9")
                 axes.margins(x=0.01)
         for axes in grid[-1]:
             axes.set_xlabel("time since the epoch [s]")
         labels = [_shortened(label, _ROOM - _HANDLE) for label in comparisons]
-        figure.legend(
-            grid[0, 0].lines[: len(labels)],
-            labels,
-            loc="outside upper left",
-            ncol=min(max(_ROOM // (max(map(len, labels)) + _HANDLE), 1), 4),
-            fontsize="small",
-            frameon=False,
-            handlelength=3.2,
-        )
+        lines = grid[0, 0].lines[: len(labels)]
+        figure.legend(lines, labels, loc="outside upper left", **_legend_style(labels, _ROOM))
     return figure
 
 
-def _legend(axes: Axes, room: int) -> None:
-    """What the curves are, above the axes: there it covers none, wherever they go."""
-    longest = max(map(len, axes.get_legend_handles_labels()[1]), default=0)
-    axes.legend(
-        loc="lower left",
-        bbox_to_anchor=(0.0, 1.0),
-        ncol=min(max(room // (longest + _HANDLE), 1), 4),
-        fontsize="small",
-        frameon=False,
-        handlelength=3.2,
-        borderaxespad=0.2,
-    )
+def _draw_curve(
+    axes: Axes, seconds: Vector, values: NDArray[np.float64], curves: int, style: Style
+) -> None:
+    """One of several ``curves``, with a few markers beside those of the others."""
+    # Zero has no logarithm: a gap in the curve means that the estimate is exact there.
+    (line,) = axes.semilogy(seconds, np.where(values > 0, values, np.nan), **style)
+    step = max(values.size // _MARKERS_A_CURVE, 1)
+    line.set_markevery((step * (len(axes.lines) - 1) // curves, step))
+
+
+def _legend_style(labels: Sequence[str], room: int) -> Style:
+    """As many columns as have room above the axes."""
+    longest = max(map(len, labels), default=0) + _HANDLE
+    columns = min(max(room // longest, 1), 4)
+    return {"ncol": columns, "fontsize": "small", "frameon": False, "handlelength": 3.2}
 
 
 def _shortened(label: str, most: int) -> str:
     """``label`` with dots for its middle where it has more than ``most`` letters."""
     kept = (most - 1) // 2
     return label if len(label) <= most else f"{label[:kept]}…{label[-kept:]}"
-
-
-def _space_markers(axes: Axes, curves: int) -> None:
-    """A few markers along the curve drawn last, beside those of the other ``curves``."""
-    number, line = len(axes.lines) - 1, axes.lines[-1]
-    step = max(np.size(line.get_xdata()) // _MARKERS_A_CURVE, 1)
-    line.set_markevery((step * number // curves, step))
 
 
 def _mark_impacts(axes: Axes, impacts: Mapping[str, Stamps], epoch: int, most: int) -> None:

@@ -1,34 +1,52 @@
-"""Where of truth and estimate one has jumped already and the other has not.
+"""Samples between the jumps of truth and estimate, where one has jumped and the other has not.
 
-A sensor's stamp that is off by a millisecond makes the estimate jump a millisecond away from the
-truth. In between they differ by the whole jump, which says nothing of the estimate before or
+A stamp that is off by a millisecond makes the estimate jump a millisecond before or after the
+truth. In between they differ by the whole jump, which says nothing about the estimate before or
 after: the *peaking* of Biemond, van de Wouw, Heemels and Nijmeijer, Tracking control for hybrid
 systems with state-triggered jumps, IEEE Transactions on Automatic Control, 2013.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.stamps import NS_PER_S
-from impact_observer.states import Stamps
+from impact_observer.states import Stamps, Vector
 
 REACH = NS_PER_S // 10
-"""How far apart the two jumps of one impact may be, ns: more than any clock error that can be
-declared, less than a contact's usual time between impacts."""
+"""Largest time between the two jumps of one impact, ns: more than any clock error that can be
+declared, less than the usual time between two impacts of a contact."""
 _LEAST = 0.05
-"""Least jump of the truth's contact speed that is one, over the largest speed around it."""
-_LIKE = 0.5
-"""Least jump that is like another, over that."""
+"""Smallest step of the true contact speed that is a jump, over the largest speed around it."""
+_ALIKE = 0.5
+"""Smallest jump that counts beside another one, over that one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """All samples between the jumps of truth and estimate.
+
+    Attributes:
+        windows: impacts with such samples.
+        samples: their number; they are left out of all other figures.
+        longest: the longest window, s.
+        V: the largest distance in a window, J.
+    """
+
+    windows: int
+    samples: int
+    longest: float
+    V: float
 
 
 class Impact(NamedTuple):
     """An impact that an observer used.
 
     Attributes:
-        stamp: when the observer was told, or believed, that it was, ns.
+        stamp: at which the estimate jumps, ns.
         contact: index in the system.
     """
 
@@ -37,11 +55,11 @@ class Impact(NamedTuple):
 
 
 class Window(NamedTuple):
-    """Samples between the two jumps.
+    """The samples between the two jumps of one impact.
 
     Attributes:
         begin: stamp of the first sample, ns.
-        end: stamp of the first sample at which both have jumped, ns.
+        end: stamp of the first sample after both jumps, ns.
     """
 
     begin: int
@@ -49,66 +67,59 @@ class Window(NamedTuple):
 
 
 def window(
-    stamps: Stamps,
-    truth: NDArray[np.float64],
-    estimate: NDArray[np.float64],
-    impact: Impact,
-    others: Sequence[int] = (),
+    stamps: Stamps, truth: Vector, estimate: Vector, impact: Impact, others: Sequence[int] = ()
 ) -> Window | None:
     """The samples between the jumps of truth and estimate at an impact.
 
     Args:
         stamps: of the samples, ns, ascending, shape (samples,).
-        truth: the contact's speed, gamma = w^T u, shape (samples,), m/s.
-        estimate: likewise.
+        truth: the true contact speed, gamma = w^T u, shape (samples,), m/s.
+        estimate: the estimated one, shape (samples,), m/s.
         impact: where to look, ``REACH`` to both sides.
-        others: stamps of the contact's other impacts, ns: a jump that is nearer to one of them
-            belongs to that one.
+        others: stamps of the contact's other impacts, ns. A jump that is nearer to one of them
+            belongs to that impact.
 
     Returns:
-        None where no sample lies between, or the truth has no jump there.
+        None where there is no sample between the jumps, or the truth has no jump.
     """
     low, high = np.searchsorted(stamps, [impact.stamp - REACH, impact.stamp + REACH + 1])
     low = max(int(low) - 2, 0)
     near, here = stamps[low:high], int(np.searchsorted(stamps[low:high], impact.stamp))
     if here >= near.size or near.size < 3:
         return None
-    rises = _rises(near, truth[low:high])
-    # Coarse samples see a speed bend, too: what is small beside the jump is none.
-    own = [not _is_of_another(at, impact, others) for at in near.tolist()]
-    largest = float(np.max(rises, where=own, initial=0.0))
-    least = max(_LEAST * float(np.max(np.abs(truth[low:high]))), _LIKE * largest)
-    of_truth = _nearest(rises, least, here)
-    if of_truth is None or not own[of_truth]:
+    of_this_impact = np.ones(near.size, dtype=np.bool_)
+    for other in others:
+        of_this_impact &= np.abs(near - impact.stamp) <= np.abs(near - other)
+    jumps = _jumps(near, truth[low:high])
+    # Coarse samples show curvature as small steps: they are no jumps beside the largest one.
+    largest = float(np.max(jumps, where=of_this_impact, initial=0.0))
+    least = max(_LEAST * float(np.max(np.abs(truth[low:high]))), _ALIKE * largest)
+    of_truth = _nearest(jumps, least, here)
+    if of_truth is None or not of_this_impact[of_truth]:
         return None
-    # At the stamp an estimate may be thrown either way, or hardly; ahead of it only like the
-    # truth, by a law that knows when the impact must be.
-    least = _LIKE * float(rises[of_truth])
-    of_estimate = _nearest(_rises(near, estimate[low:high]), least, here)
-    if of_estimate is None or not own[of_estimate]:
+    # An estimate that is wrong may jump by any amount at the stamp. Elsewhere only a jump like
+    # that of the truth counts: a law that predicts the impact may jump before its stamp.
+    least = _ALIKE * float(jumps[of_truth])
+    of_estimate = _nearest(_jumps(near, estimate[low:high]), least, here)
+    if of_estimate is None or not of_this_impact[of_estimate]:
         of_estimate = here
     first, last = sorted((of_truth, of_estimate))
     return Window(int(near[first]), int(near[last])) if first < last else None
 
 
-def _is_of_another(at: int, impact: Impact, others: Sequence[int]) -> bool:
-    """Whether a jump at the stamp ``at`` (ns) is nearer to another impact of the contact."""
-    return any(abs(at - other) < abs(at - impact.stamp) for other in others)
+def _jumps(stamps: Stamps, speed: Vector) -> NDArray[np.float64]:
+    """By how much a contact speed rises at each sample beyond what its slope explains.
 
-
-def _rises(stamps: Stamps, speed: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By how much a contact's speed has risen at each sample more than its slope explains.
-
-    The slope over a jump explains nothing, so what follows a fall is no rise.
+    The slope over a jump explains nothing, so a rise that follows a fall is set to zero.
     """
     steps, lengths = np.diff(speed), np.diff(stamps)
     unexplained = steps[1:] - steps[:-1] * (lengths[1:] / lengths[:-1])
-    echo = (unexplained[1:] > 0) & (unexplained[:-1] < -_LIKE * unexplained[1:])
+    echo = (unexplained[1:] > 0) & (unexplained[:-1] < -_ALIKE * unexplained[1:])
     unexplained[1:][echo] = 0.0
     return np.concatenate([[0.0, 0.0], unexplained])
 
 
-def _nearest(rises: NDArray[np.float64], least: float, here: int) -> int | None:
-    """The sample nearest to ``here`` with a rise of more than ``least``."""
-    found = np.flatnonzero(rises > least)
+def _nearest(jumps: NDArray[np.float64], least: float, here: int) -> int | None:
+    """The sample nearest to ``here`` with a jump of more than ``least``."""
+    found = np.flatnonzero(jumps > least)
     return int(found[np.argmin(np.abs(found - here))]) if found.size else None

@@ -1,5 +1,6 @@
-"""Truth and estimates in pairs of equal stamps, while both go by."""
+"""Truth and estimates in pairs of equal stamps, read block by block."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,24 +10,36 @@ from impact_observer.stamps import NS_PER_S, text
 from impact_observer.states import Stamps
 
 HOLD = 10 * NS_PER_S
-"""By which a state may come after one that is stamped later, ns: a live estimate is published
+"""By how much a state may be stamped before the latest one, ns: an observer publishes an estimate
 again when a late event corrects it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """States at stamps, or a part of them.
+    """States at stamps.
 
     Attributes:
         stamps: ns, shape (samples,).
         x: states (q, u), shape (samples, 2n).
-        last_event: for each estimate the stamp of the last event it contains, ns, 0 for none,
-            shape (samples,); None where every estimate contains the events before it.
+        last_event: stamp of the last event that each estimate contains, ns, 0 for none, shape
+            (samples,); None where every estimate contains all events before it.
     """
 
     stamps: Stamps
     x: NDArray[np.float64]
     last_event: Stamps | None = None
+
+    def part(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> "Series":
+        """Some of the states."""
+        last_event = None if self.last_event is None else self.last_event[rows]
+        return Series(self.stamps[rows], self.x[rows], last_event)
+
+    def by_stamp(self) -> "Series":
+        """The same in order of the stamps; of states with equal stamps the last one."""
+        if (np.diff(self.stamps) > 0).all():
+            return self
+        _, from_behind = np.unique(self.stamps[::-1], return_index=True)
+        return self.part(self.stamps.size - 1 - from_behind)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +49,7 @@ class Pairs:
     Attributes:
         stamps: ns, ascending, shape (pairs,).
         truth: states (q, u), shape (pairs, 2n).
-        estimate: likewise.
+        estimate: states (q, u), shape (pairs, 2n).
         last_event: as of ``Series``.
     """
 
@@ -45,40 +58,43 @@ class Pairs:
     estimate: NDArray[np.float64]
     last_event: Stamps | None
 
-    def part(self, rows: slice | NDArray[np.bool_]) -> "Pairs":
+    def part(self, rows: slice) -> "Pairs":
         """Some of the pairs."""
         last_event = None if self.last_event is None else self.last_event[rows]
         return Pairs(self.stamps[rows], self.truth[rows], self.estimate[rows], last_event)
 
-    def before(self, later: "Pairs") -> "Pairs":
-        """These and ``later`` ones."""
-        last_event = None
-        if self.last_event is not None and later.last_event is not None:
-            last_event = np.concatenate([self.last_event, later.last_event])
+    def followed_by(self, later: "Pairs") -> "Pairs":
+        """These and ``later`` pairs."""
         return Pairs(
             np.concatenate([self.stamps, later.stamps]),
             np.concatenate([self.truth, later.truth]),
             np.concatenate([self.estimate, later.estimate]),
-            last_event,
+            _concatenated([self.last_event, later.last_event]),
         )
 
 
-class Pairing:
-    """Pairs two series that come block by block.
+def _concatenated(several: Sequence[Stamps | None]) -> Stamps | None:
+    present = [each for each in several if each is not None]
+    return np.concatenate(present) if len(present) == len(several) else None
 
-    What is kept in memory is what one series is ahead of the other, and ``HOLD``. Of states
-    with the same stamp the last one counts.
+
+class Pairing:
+    """Pairs two series that come block by block; of states with equal stamps the last one counts.
+
+    Attributes:
+        truth: where to add blocks of the true states.
+        estimates: where to add blocks of the estimates.
     """
 
     def __init__(self) -> None:
         self.truth = Stream()
         self.estimates = Stream()
 
-    def settled(self, *, done: bool = False) -> Pairs | None:
-        """The pairs of which nothing more can come; None where there are none.
+    def ready(self, *, done: bool = False) -> Pairs | None:
+        """The pairs that no later block can change, each once; None where there are none.
 
         Args:
-            done: both series have come to their ends.
+            done: whether both series have ended.
         """
         horizon = min(self.truth.newest, self.estimates.newest)
         if not done:
@@ -91,27 +107,27 @@ class Pairing:
         )
         if not common.size:
             return None
-        last_event = None if estimates.last_event is None else estimates.last_event[of_estimates]
-        return Pairs(common, truth.x[of_truth], estimates.x[of_estimates], last_event)
+        estimates = estimates.part(of_estimates)
+        return Pairs(common, truth.x[of_truth], estimates.x, estimates.last_event)
 
     def ranges(self) -> str:
-        """From when to when both series are, in words."""
+        """The first and last stamps of both series, in words."""
         return f"truth {self.truth.range()}, estimate {self.estimates.range()}"
 
 
 class Stream:
-    """One of two series, waiting for the other.
+    """One of two series, kept as far as it is ahead of the other, and ``HOLD``.
 
     Attributes:
         newest: the latest stamp so far, ns; 0 before the first.
-        stale: states that came more than ``HOLD`` after later ones, and are left out.
+        stale: states left out because they came more than ``HOLD`` after later ones.
     """
 
     def __init__(self) -> None:
         self.newest = 0
         self.stale = 0
         self._oldest: int | None = None
-        self._gone = 0
+        self._taken = 0
         self._waiting: list[Series] = []
 
     def add(self, block: Series) -> None:
@@ -121,63 +137,45 @@ class Stream:
         first, last = int(block.stamps.min()), int(block.stamps.max())
         self._oldest = first if self._oldest is None else min(first, self._oldest)
         self.newest = max(self.newest, last)
-        if first <= self._gone:
-            fresh = block.stamps > self._gone
+        if first <= self._taken:
+            fresh = block.stamps > self._taken
             self.stale += int(np.count_nonzero(~fresh))
-            block = _part(block, fresh)
+            block = block.part(fresh)
         self._waiting.append(block)
 
     def take(self, horizon: int) -> Series | None:
         """The states up to ``horizon`` (ns), by stamp, each stamp once; None if there are none."""
-        if horizon <= self._gone or not self._waiting:
+        if horizon <= self._taken or not self._waiting:
             return None
-        whole = _by_stamp(_joined(self._waiting))
-        due = int(np.searchsorted(whole.stamps, horizon, side="right"))
-        self._waiting = [_part(whole, slice(due, None))]
-        self._gone = horizon
-        return _part(whole, slice(0, due)) if due else None
+        waiting = _joined(self._waiting).by_stamp()
+        due = int(np.searchsorted(waiting.stamps, horizon, side="right"))
+        self._waiting = [waiting.part(slice(due, None))]
+        self._taken = horizon
+        return waiting.part(slice(0, due)) if due else None
 
     def range(self) -> str:
-        """From when to when, in words."""
+        """The first and the last stamp, in words."""
         return "none" if self._oldest is None else f"{text(self._oldest)} to {text(self.newest)} s"
 
 
-def _part(series: Series, rows: slice | NDArray[np.bool_]) -> Series:
-    last_event = None if series.last_event is None else series.last_event[rows]
-    return Series(series.stamps[rows], series.x[rows], last_event)
-
-
-def _joined(several: list[Series]) -> Series:
-    if len(several) == 1:
-        return several[0]
-    events = [each.last_event for each in several if each.last_event is not None]
+def _joined(several: Sequence[Series]) -> Series:
     return Series(
         np.concatenate([each.stamps for each in several]),
         np.concatenate([each.x for each in several]),
-        np.concatenate(events) if events else None,
+        _concatenated([each.last_event for each in several]),
     )
 
 
-def _by_stamp(series: Series) -> Series:
-    """In order of the stamps; the last of those with the same."""
-    stamps = series.stamps
-    if (np.diff(stamps) > 0).all():
-        return series
-    _, from_behind = np.unique(stamps[::-1], return_index=True)
-    order = stamps.size - 1 - from_behind
-    last_event = None if series.last_event is None else series.last_event[order]
-    return Series(stamps[order], series.x[order], last_event)
-
-
-def arrived(stamps: Stamps, last_event: Stamps | None, told: Stamps) -> NDArray[np.bool_]:
-    """Which estimates contain the events before them; the others were published too early.
+def arrived(stamps: Stamps, last_event: Stamps | None, reported: Stamps) -> NDArray[np.bool_]:
+    """Which estimates contain all events before them; the others were published too early.
 
     Args:
         stamps: of the estimates, ns, shape (samples,).
         last_event: as of ``Series``.
-        told: stamps of the events that the observer used, ns, ascending, shape (told,).
+        reported: stamps of the reported events that the observer used, ns, ascending, shape
+            (reported,).
     """
     if last_event is None:
         return np.ones(stamps.size, dtype=np.bool_)
-    due = np.concatenate([[0], told])
+    due = np.concatenate([[0], reported])
     return np.asarray(last_event >= due[np.searchsorted(due, stamps, side="right") - 1])

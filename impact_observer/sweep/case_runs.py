@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import lru_cache
 
-from impact_observer.compare.comparison import Comparison, compare_run
+from impact_observer.compare.comparison import Comparison, compare_observer
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import Ruling
 from impact_observer.io.pairing import Series
@@ -104,19 +104,20 @@ def compared(case: Case) -> tuple[Comparison, int]:
     )
     events = sorted((each.event for each in sensed), key=lambda each: (each.stamp, each.sequence))
     observer = make_observer(_parsed(case.replica.text).system, case.options)
-    comparison, _ = compare_run(
+    comparison = compare_observer(
         observer,
         events,
         lambda: [Series(run.stamps, run.states)],
         system=system,
         threshold=case.threshold,
+        needs_event=False,
     )
     return comparison, len(events)
 
 
 def _outcome(case: Case) -> Outcome:
     comparison, events = compared(case)
-    rulings = comparison.heard.rulings
+    rulings = comparison.outcomes.rulings
     return Outcome(
         case=case.number,
         settling_time=comparison.settling_time,
@@ -127,7 +128,7 @@ def _outcome(case: Case) -> Outcome:
         rate_per_second=comparison.rate_per_second,
         rate_per_impact=comparison.rate_per_impact,
         events=events,
-        impacts_used=comparison.heard.until(int(comparison.stamps[-1])),
+        impacts_used=comparison.impacts,
         switches_rejected=None if rulings is None else rulings[Ruling.REJECTED],
         impacts_inserted=None if rulings is None else rulings[Ruling.INSERTED],
     )

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from impact_observer.compare.error_tables import upright
+from impact_observer.draw.text_tables import upright
 
 if TYPE_CHECKING:
     from impact_observer.sweep.plan import Label, Sweep

@@ -59,10 +59,10 @@ def test_laws_run_on_a_bag_equal_those_observed_into_bags(
     assert in_memory == compared(capsys, *map(str, bags))
 
 
-def test_laws_are_laid_over_the_estimates_in_the_bag(
+def test_laws_are_compared_beside_the_estimates_in_the_bag(
     plant_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The recorded one is named by its topic where the law alone does not tell."""
+    """The recorded one is named by its topic where the law alone is ambiguous."""
     bag = str(observed(plant_bag, tmp_path / "recorded", "geometric"))
     assert list(compared(capsys, bag, "--laws", "kinematic")) == ["geometric", "kinematic"]
     found = compared(capsys, bag, "--laws", "geometric,kinematic,geometric")
@@ -71,7 +71,7 @@ def test_laws_are_laid_over_the_estimates_in_the_bag(
 
 
 @pytest.mark.slow
-def test_laws_are_told_what_the_user_does_not_know(
+def test_laws_receive_the_uncertainty_that_is_declared(
     plant_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A clock error makes minimum-variance careful; geometric has no use for it."""

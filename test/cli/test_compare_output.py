@@ -1,4 +1,4 @@
-"""What ``compare`` writes: figures, a picture, a page; what it may be told to compare."""
+"""What ``compare`` writes: figures, a picture, a page; which topics it can compare."""
 
 import csv
 import json
@@ -12,10 +12,9 @@ import pytest
 
 pytest.importorskip("rosbags")
 
-from impact_observer.cli.compare import labelled_by_law
 from impact_observer.cli.main import main
-from impact_observer.compare.bag_comparison import BagComparison, compare_bag
-from impact_observer.compare.error_pictures import distance_figure, error_figures
+from impact_observer.compare.bag_comparison import BagComparison, compare_bag, labelled_by_law
+from impact_observer.compare.error_pictures import distance_picture, error_pictures
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import model_of
 from impact_observer.io.writer import BagWriter, copy_topics
@@ -109,7 +108,7 @@ def test_the_csv_has_every_figure_of_the_json(
                 assert row[key] == ("" if value is None else str(value))
 
 
-def test_a_late_sensor_is_told_apart_from_a_bad_estimate(
+def test_a_late_sensor_does_not_count_as_a_bad_estimate(
     bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two samples of 4 ms lie between the jumps, at each impact."""
@@ -178,7 +177,7 @@ def test_what_cannot_be_compared_or_written_is_one_line(
 
 @pytest.mark.slow
 def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: Path) -> None:
-    """One curve each from 0 on; impacts are told apart where they are not of one run."""
+    """One curve each from 0 on; impacts are labelled by bag where the runs differ."""
     plant, later = tmp_path / "plant", tmp_path / "later"
     simulated = ["simulate", "two_mass", "--duration", "4", "--epoch", "1000"]
     assert main([*simulated, "-o", str(plant)]) == 0
@@ -186,7 +185,7 @@ def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: P
     assert main([*observed, "-o", str(later)]) == 0
     results = [(each, compared(each)) for each in (bag, later)]
     labelled = labelled_by_law(results)
-    axes = distance_figure(labelled, results).axes[0]
+    axes = distance_picture(labelled, results).axes[0]
     times = [np.asarray(line.get_xdata()) for line in axes.lines]
     assert [time[0] for time in times[:2]] == [0.0, 0.0]
     assert [time[-1] for time in times[:2]] == [pytest.approx(6.0), pytest.approx(4.0)]
@@ -194,7 +193,7 @@ def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: P
         "impacts at stop, estimates",
         "impacts at stop, later",
     ]
-    ((bags, n, figure),) = error_figures(labelled, results)
+    ((bags, n, figure),) = error_pictures(labelled, results)
     assert (bags, n) == ([bag, later], 2)
     assert [len(each.lines) for each in figure.axes] == [2] * 4
 
@@ -202,7 +201,7 @@ def test_bags_are_drawn_together_each_since_its_own_epoch(bag: Path, tmp_path: P
 def test_impacts_of_one_run_are_drawn_once(bag: Path) -> None:
     """However many bags have its estimates."""
     results = [(bag, compared(bag)), (bag, compared(bag))]
-    axes = distance_figure(labelled_by_law(results), results).axes[0]
+    axes = distance_picture(labelled_by_law(results), results).axes[0]
     assert [line.get_label() for line in axes.lines[2:]] == ["impacts at stop"]
 
 

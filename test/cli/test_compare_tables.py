@@ -1,4 +1,4 @@
-"""The tables of ``compare``: nothing is cut off, and names stay what they are."""
+"""The tables of ``compare``: nothing is cut off, and names are printed literally."""
 
 import re
 import shutil
@@ -47,7 +47,7 @@ def test_narrow_terminals_have_every_figure_of_wide_ones(
     assert set(figures) <= set(narrow.split())
 
 
-def test_names_of_bags_are_printed_as_they_are(
+def test_names_of_bags_are_printed_literally(
     observed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Brackets and colons in them are no markup."""

@@ -1,4 +1,4 @@
-"""export: what a bag says, as a table of exact numbers."""
+"""export: the states, errors and events of a bag as tables of exact numbers."""
 
 import csv
 import struct
@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from impact_observer.cli.main import main
-from impact_observer.compare import tables_of_bag
+from impact_observer.compare import table_files
 from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader, BagWriter
@@ -102,7 +102,7 @@ def test_errors_are_what_compare_counts(observed: Path, tmp_path: Path, suffix: 
 
 
 def test_estimates_before_their_events_are_left_out(tmp_path: Path, sample_bag: Path) -> None:
-    """As of a live observer: here none has heard of any event."""
+    """As of a live observer: here no estimate contains any event."""
     file = tmp_path / "errors.csv"
     assert main(["export", str(sample_bag), "-o", str(file), "--what", "errors"]) == 1
     assert not file.exists()
@@ -151,9 +151,7 @@ def test_long_bags_are_written_in_row_groups(
 ) -> None:
     """So that memory stays constant."""
     pq = pytest.importorskip("pyarrow.parquet")
-    from impact_observer.compare import parquet
-
-    monkeypatch.setattr(parquet, "_GROUP", 3000)
+    monkeypatch.setattr(table_files, "_GROUP", 3000)
     exported(observed, tmp_path / "states.parquet")
     found = pq.ParquetFile(tmp_path / "states.parquet")
     assert found.metadata.num_row_groups > 1
@@ -169,7 +167,6 @@ def test_without_pyarrow_the_extra_is_named(
 ) -> None:
     """In one line; CSV needs nothing."""
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.delitem(sys.modules, "impact_observer.compare.parquet", raising=False)
     assert main(["export", str(observed), "-o", str(tmp_path / "states.parquet")]) == 2
     error = capsys.readouterr().err
     assert len(error.splitlines()) == 1
@@ -213,7 +210,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
 def test_a_bag_without_states_says_what_it_has(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And without events likewise."""
+    """The same without events."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/impacts")
         writer.declare("/plant/joint_states")
@@ -229,9 +226,9 @@ def test_an_interruption_leaves_what_was_there(tmp_path: Path) -> None:
     path.write_text("kept")
 
     def interrupted() -> None:
-        with tables_of_bag.finished(path, tables_of_bag.CsvSink) as sink:
+        with table_files.table_file(path) as file:
             stamps = np.array([1], dtype=np.int64)
-            sink.write(tables_of_bag.Block(0, stamps, {"topic": "/x"}))
+            file.write(table_files.TableBlock("/x", 0, stamps, {"topic": "/x"}))
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

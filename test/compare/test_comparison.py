@@ -1,4 +1,4 @@
-"""Comparing streams: the same figures however the blocks come, both sides of a jump kept apart."""
+"""Comparing streams: figures do not depend on the blocks, and the sides of a jump do not mix."""
 
 from collections.abc import Iterable
 from itertools import pairwise
@@ -8,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from systems import sample
 
-from impact_observer.compare.comparison import Comparing, Comparison, compare_law
+from impact_observer.compare.comparison import Comparator, Comparison, compare_observer
+from impact_observer.compare.error_tally import MOST_ROWS, ErrorCurve, ErrorRows
 from impact_observer.compare.mismatch import Impact, window
-from impact_observer.compare.tally import MOST_ROWS, ErrorCurve, ErrorRows
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
@@ -40,14 +40,7 @@ RUN = run_of()
 def in_blocks(series: Series, *cuts: int) -> list[Series]:
     """``series`` cut before these rows."""
     edges = [0, *cuts, series.stamps.size]
-    return [
-        Series(
-            series.stamps[a:b],
-            series.x[a:b],
-            None if series.last_event is None else series.last_event[a:b],
-        )
-        for a, b in pairwise(edges)
-    ]
+    return [series.part(slice(a, b)) for a, b in pairwise(edges)]
 
 
 def compared(
@@ -56,16 +49,16 @@ def compared(
     events: Iterable[ImpactEvent] = (),
     verdicts: Iterable[Verdict] | None = None,
 ) -> Comparison:
-    """What comes out when the blocks come in turn."""
-    comparing = Comparing(SYSTEM, outcomes_of(events, verdicts))
+    """The comparison when the blocks of both are added by turns."""
+    comparator = Comparator(SYSTEM, outcomes_of(events, verdicts))
     waiting = [[*truth][::-1], [*estimates][::-1]]
     while any(waiting):
         if waiting[0]:
-            comparing.pairing.truth.add(waiting[0].pop())
+            comparator.pairing.truth.add(waiting[0].pop())
         if waiting[1]:
-            comparing.pairing.estimates.add(waiting[1].pop())
-        comparing.proceed()
-    return comparing.result("some law")
+            comparator.pairing.estimates.add(waiting[1].pop())
+        comparator.update()
+    return comparator.result("some law")
 
 
 def shifted(delay: int) -> NDArray[np.float64]:
@@ -97,10 +90,12 @@ def test_figures_do_not_depend_on_the_blocks(cuts: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize("delay", [1, 3, 8])
 def test_a_late_jump_is_a_mismatch_and_no_error(delay: int) -> None:
-    """As many samples lie between as the estimate is late, at every impact."""
-    told = [ImpactEvent(e.stamp + delay * 1_000_000, e.switches, e.sequence) for e in RUN.events]
+    """As many samples lie between the jumps as the estimate is late, at every impact."""
+    delayed = [
+        ImpactEvent(e.stamp + delay * 1_000_000, e.switches, e.sequence) for e in RUN.events
+    ]
     truth, late = Series(RUN.stamps, RUN.states), Series(RUN.stamps, shifted(delay))
-    found = compared(in_blocks(truth, 5000), in_blocks(late, 9000, 9001), told)
+    found = compared(in_blocks(truth, 5000), in_blocks(late, 9000, 9001), delayed)
     assert found.mismatch.windows == len(RUN.events)
     assert found.mismatch.samples == delay * len(RUN.events)
     assert found.mismatch.longest == pytest.approx(delay * 1e-3, abs=1e-9)
@@ -135,7 +130,7 @@ def test_a_jump_of_the_estimate_at_the_next_impact_belongs_to_that_one() -> None
     assert alone == (first, second), "without another impact it is this one's"
 
 
-def test_an_invented_impact_is_an_error_and_no_mismatch() -> None:
+def test_a_spurious_impact_is_an_error_and_no_mismatch() -> None:
     """Where the truth has not jumped, the estimate's jump is its own."""
     instant = (RUN.events[2].stamp + RUN.events[3].stamp) // 2
     x = RUN.states.copy()
@@ -152,30 +147,31 @@ def test_an_invented_impact_is_an_error_and_no_mismatch() -> None:
     ("rate", "delay", "least"),
     [(20.0, 0.03, 5), pytest.param(1e3, 4e-3, 31, marks=pytest.mark.slow)],
 )
-def test_a_sensor_that_jitters_is_seen_in_the_windows_of_an_observer(
+def test_windows_are_as_long_as_the_errors_of_the_stamps(
     rate: float, delay: float, least: int
 ) -> None:
-    """The windows are those between the plant's true instants and the stamps it heard.
+    """The windows are those between the plant's true instants and the received stamps.
 
-    Also where samples are so far apart that a speed bends visibly between them.
+    Also where samples are so coarse that the curvature of a speed shows.
     """
     sampled = run_of(rate)
     sensor = SensorModel(delay=delay, jitter=delay / 2)
     last = int(sampled.stamps[-1])
-    heard = simulate_sensor(sensor, SYSTEM, sampled.switchings, epoch=EPOCH, last=last, seed=2)
-    events = [each.event for each in heard]
-    observer = make_observer(SYSTEM, Options("geometric", "random:1", clock_error=0.0, ensemble=1))
-    found = compare_law(observer, events, lambda: [Series(sampled.stamps, sampled.states)])
+    sensed = sense(sensor, SYSTEM, sampled.switchings, epoch=EPOCH, last=last, seed=2)
+    events = [each.event for each in sensed]
+    options = Options("geometric", "random:1", clock_error=0.0, ensemble=1)
+    observer = make_observer(SYSTEM, options)
+    found = compare_observer(observer, events, lambda: [Series(sampled.stamps, sampled.states)])
     samples = 0
-    for true, told in zip(sampled.events, events, strict=False):
-        a, b = sorted(np.searchsorted(sampled.stamps, [true.stamp, told.stamp]))
+    for true, received in zip(sampled.events, events, strict=False):
+        a, b = sorted(np.searchsorted(sampled.stamps, [true.stamp, received.stamp]))
         samples += b - a
     assert samples >= least
     assert found.mismatch.samples == samples
-    assert found.heard.until(last) == len(events)
+    assert found.outcomes.until(last) == len(events)
 
 
-def test_the_last_word_on_a_stamp_counts() -> None:
+def test_the_last_estimate_at_a_stamp_counts() -> None:
     """A live estimate is published again when a late event corrects it, blocks later too."""
     wrong = Series(RUN.stamps[:5000], RUN.states[:5000] + 7.0)
     right = Series(RUN.stamps, RUN.states + 0.5)
@@ -193,9 +189,9 @@ def test_states_that_come_long_after_later_ones_are_counted_and_left_out() -> No
     for block in (truth, again):
         pairing.truth.add(block)
         pairing.estimates.add(block)
-        settled = pairing.settled()
-        pairs += 0 if settled is None else settled.stamps.size
-    last = pairing.settled(done=True)
+        ready = pairing.ready()
+        pairs += 0 if ready is None else ready.stamps.size
+    last = pairing.ready(done=True)
     assert last is not None
     assert pairs + last.stamps.size == RUN.stamps.size
     held = HOLD // 1_000_000
@@ -203,7 +199,7 @@ def test_states_that_come_long_after_later_ones_are_counted_and_left_out() -> No
 
 
 def test_an_estimate_without_its_event_is_late() -> None:
-    """It is counted and left out, and neither an error nor a mismatch."""
+    """It is counted and left out: neither an error nor a mismatch."""
     stamps = RUN.stamps
     instants = np.array([e.stamp for e in RUN.events])
     last_event = np.concatenate([[0], instants])[np.searchsorted(instants, stamps, side="right")]
@@ -217,7 +213,7 @@ def test_an_estimate_without_its_event_is_late() -> None:
     assert not found.largest.any()
 
 
-def test_an_impact_that_was_not_heard_makes_no_estimate_late() -> None:
+def test_a_missed_impact_makes_no_estimate_late() -> None:
     """No event was on its way: until it is inserted the estimate is wrong, and that counts."""
     stamps, missed, later = RUN.stamps, RUN.events[4], 60
     instants = np.array([e.stamp for e in RUN.events])
@@ -230,28 +226,30 @@ def test_an_impact_that_was_not_heard_makes_no_estimate_late() -> None:
         Verdict(e.stamp, Ruling.INSERTED if e is missed else Ruling.APPLIED, 0, "stop")
         for e in RUN.events
     ]
-    told = [e for e in RUN.events if e is not missed]
-    found = compared([Series(stamps, RUN.states)], [Series(stamps, x, last_event)], told, verdicts)
+    received = [e for e in RUN.events if e is not missed]
+    found = compared(
+        [Series(stamps, RUN.states)], [Series(stamps, x, last_event)], received, verdicts
+    )
     assert found.late == 0
     assert found.largest[1] == pytest.approx(2.0)
-    assert found.heard.until(int(stamps[-1])) == len(RUN.events)
+    assert found.outcomes.until(int(stamps[-1])) == len(RUN.events)
 
 
 def test_an_insertion_that_was_taken_back_is_no_rejected_event() -> None:
-    """The sensor has told nothing there that could be rejected."""
+    """There is no event at its stamp that could be rejected."""
     events = [ImpactEvent(2 * NS_PER_S, (Switch("stop"),), 1)]
     verdicts = [
         Verdict(2 * NS_PER_S, Ruling.APPLIED, 1, "stop"),
         Verdict(3 * NS_PER_S, Ruling.INSERTED, 0, "stop"),
         Verdict(3 * NS_PER_S, Ruling.REJECTED, 0, "stop", revises=True),
     ]
-    heard = outcomes_of(events, verdicts)
-    assert heard.rulings == {Ruling.APPLIED: 1}
-    assert heard.impacts == ((2 * NS_PER_S, "stop"),)
+    outcomes = outcomes_of(events, verdicts)
+    assert outcomes.rulings == {Ruling.APPLIED: 1}
+    assert outcomes.impacts == ((2 * NS_PER_S, "stop"),)
 
 
-def test_ranges_that_do_not_overlap_are_both_said() -> None:
-    """The line names them in seconds."""
+def test_both_ranges_are_named_where_they_do_not_overlap() -> None:
+    """In seconds, in one line."""
     truth = Series(RUN.stamps, RUN.states)
     estimate = Series(RUN.stamps + 3600 * NS_PER_S, RUN.states)
     with pytest.raises(BagError) as error:
@@ -263,7 +261,7 @@ def test_ranges_that_do_not_overlap_are_both_said() -> None:
     )
 
 
-def test_what_was_rejected_is_not_used_and_what_was_inserted_is() -> None:
+def test_rejected_impacts_are_not_used_and_inserted_ones_are() -> None:
     """The last verdict on each switch counts."""
     events = [ImpactEvent(s * NS_PER_S, (Switch("stop"),), s) for s in (2, 3, 4)]
     verdicts = [
@@ -273,11 +271,11 @@ def test_what_was_rejected_is_not_used_and_what_was_inserted_is() -> None:
         Verdict(4 * NS_PER_S, Ruling.REJECTED, 4, "stop"),
         Verdict(5 * NS_PER_S, Ruling.INSERTED, 0, "stop"),
     ]
-    heard = outcomes_of(events, verdicts)
-    assert heard.impacts == ((2 * NS_PER_S, "stop"), (5 * NS_PER_S, "stop"))
-    assert heard.instants.tolist() == [2 * NS_PER_S, 5 * NS_PER_S]
-    assert heard.rulings == {Ruling.APPLIED: 1, Ruling.REJECTED: 2, Ruling.INSERTED: 1}
-    assert heard.until(3 * NS_PER_S) == 1
+    outcomes = outcomes_of(events, verdicts)
+    assert outcomes.impacts == ((2 * NS_PER_S, "stop"), (5 * NS_PER_S, "stop"))
+    assert outcomes.instants.tolist() == [2 * NS_PER_S, 5 * NS_PER_S]
+    assert outcomes.rulings == {Ruling.APPLIED: 1, Ruling.REJECTED: 2, Ruling.INSERTED: 1}
+    assert outcomes.until(3 * NS_PER_S) == 1
 
 
 def test_a_curve_of_any_length_keeps_its_ends_and_peaks() -> None:
@@ -301,13 +299,13 @@ def test_a_curve_of_any_length_keeps_its_ends_and_peaks() -> None:
     np.testing.assert_array_equal(rows.error[:, 0], rows.V)
 
 
-def test_what_waits_does_not_grow_with_the_length() -> None:
+def test_memory_does_not_grow_with_the_length() -> None:
     """A long run keeps ``HOLD`` of samples in memory and no more."""
     pairing = Pairing()
     for k in range(400):
         stamps = np.arange(k * 1000 + 1, (k + 1) * 1000 + 1, dtype=np.int64) * 1_000_000
         for stream in (pairing.truth, pairing.estimates):
             stream.add(Series(stamps, np.zeros((1000, 4))))
-        pairing.settled()
+        pairing.ready()
         for stream in (pairing.truth, pairing.estimates):
             assert sum(each.stamps.size for each in stream._waiting) <= HOLD // 1_000_000 + 1000

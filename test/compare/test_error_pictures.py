@@ -1,4 +1,4 @@
-"""Pictures: told apart in grey, nothing covered, exact estimates left blank."""
+"""Pictures: laws distinct in grey, nothing covered, exact estimates left blank."""
 
 from itertools import combinations, pairwise
 
@@ -8,8 +8,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from systems import sample
 
-from impact_observer.compare.comparison import Comparing, Comparison
-from impact_observer.compare.error_pictures import lyapunov_figure
+from impact_observer.compare.comparison import Comparator, Comparison
+from impact_observer.compare.error_pictures import lyapunov_picture
 from impact_observer.draw.pictures import STYLES, Style, styles
 from impact_observer.io.pairing import Series
 from impact_observer.observer.event_outcomes import outcomes_of
@@ -22,15 +22,15 @@ def fading(law: str, decades: float) -> Comparison:
     """A comparison whose V falls from 1 J by ``decades``."""
     error = np.zeros((STAMPS.size, 4))
     error[:, 2] = np.sqrt(2.0 * 10.0 ** -np.linspace(0.0, decades, STAMPS.size))  # M = 1 kg
-    comparing = Comparing(sample("two_mass").system, outcomes_of((), ()))
-    comparing.pairing.truth.add(Series(STAMPS, np.zeros_like(error)))
-    comparing.pairing.estimates.add(Series(STAMPS, error))
-    return comparing.result(law)
+    comparator = Comparator(sample("two_mass").system, outcomes_of((), ()))
+    comparator.pairing.truth.add(Series(STAMPS, np.zeros_like(error)))
+    comparator.pairing.estimates.add(Series(STAMPS, error))
+    return comparator.result(law)
 
 
 def picture(laws: dict[str, float], *, contacts: int = 2, paper: bool = False) -> Figure:
     """A picture of curves that fall by so many decades, drawn once so that all has its place."""
-    figure = lyapunov_figure(
+    figure = lyapunov_picture(
         {law: fading(law, decades) for law, decades in laws.items()},
         {f"stop {i}": STAMPS[3 :: 40 + i] for i in range(contacts)},
         title="one line\nand another",
@@ -50,7 +50,7 @@ def luminance(style: Style) -> float:
     return float(np.dot(to_rgb(style["color"]), [0.299, 0.587, 0.114]))
 
 
-def test_laws_are_told_apart_in_grey() -> None:
+def test_laws_are_distinct_in_grey() -> None:
     """Any two differ in dashes or in markers, or in brightness and width."""
     for (one, first), (two, second) in combinations(STYLES.items(), 2):
         dashed = first["linestyle"] != second["linestyle"]
@@ -80,7 +80,7 @@ def test_exact_estimates_leave_a_gap() -> None:
     """Zero has no logarithm: neither a warning nor a line down to nowhere."""
     exact = fading("geometric", 3.0)
     exact.V[200:300] = 0.0
-    figure = lyapunov_figure({"geometric": exact}, {}, title="", epoch=NS_PER_S)
+    figure = lyapunov_picture({"geometric": exact}, {}, title="", epoch=NS_PER_S)
     drawn = np.asarray(figure.axes[0].lines[0].get_ydata(), dtype=float)
     assert np.flatnonzero(np.isnan(drawn)).tolist() == list(range(200, 300))
     figure.draw_without_rendering()

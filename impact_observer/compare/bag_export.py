@@ -1,0 +1,169 @@
+"""The states, errors or events of a bag as rows of a table, block by block."""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.compare.bag_comparison import RecordedEstimate, compare_recorded
+from impact_observer.compare.comparison import Comparator
+from impact_observer.compare.error_tally import ErrorRows
+from impact_observer.compare.table_files import Numbers, TableBlock
+from impact_observer.errors import BagError
+from impact_observer.events import ImpactEvent
+from impact_observer.io import interfaces
+from impact_observer.io.reader import BLOCK, BagReader
+from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
+from impact_observer.io.topic_names import first_block, first_stamp, named_states, states_of
+from impact_observer.model import System
+
+Progress: TypeAlias = Callable[[int, int], None]
+"""Receives the number of messages read, and of all."""
+
+
+def state_rows(
+    reader: BagReader, topics: Collection[str] | None, epoch: int | None, progress: Progress
+) -> Iterator[TableBlock]:
+    """The true states and the estimates, in the order of the bag.
+
+    Args:
+        reader: the bag.
+        topics: topics of states, or observers' prefixes; None for the truth and all observers.
+        epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
+        progress: receives how far it is.
+
+    Raises:
+        UsageError: a topic is not in the bag.
+        BagError: there are no states, topics have different coordinates, or the bag is damaged.
+    """
+    chosen = _state_topics(reader, topics)
+    first = first_block(reader, chosen)
+    if first is None:
+        raise BagError(f"{reader.path}: has no states; topics: {', '.join(reader.topics)}")
+    zero = _epoch(reader, int(first.stamps[0])) if epoch is None else epoch
+    done, total = 0, sum(reader.topics[topic].count for topic in chosen)
+    for topic, block in reader.blocks(chosen, first.names):
+        if block.stamps.size:
+            numbers = _columns(("q", "u"), block.names, np.hstack([block.q, block.u]))
+            yield TableBlock(topic, zero, block.stamps, {"topic": topic}, numbers)
+            done += block.stamps.size
+            progress(done, total)
+
+
+def error_rows(
+    reader: BagReader,
+    system: System,
+    topics: Collection[str] | None,
+    epoch: int | None,
+    progress: Progress,
+) -> Iterator[TableBlock]:
+    """Estimate minus truth, and V, at the stamps that both have.
+
+    What ``compare`` leaves out is left out: estimates that were published before their events
+    arrived, and samples between the jumps of truth and estimate.
+
+    Args:
+        reader: the bag.
+        system: gives M and K for V, and the coordinates.
+        topics: of estimates, or observers' prefixes; None for all observers.
+        epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
+        progress: receives how far it is.
+
+    Raises:
+        UsageError: a topic is not in the bag.
+        BagError: there is no truth, no estimate, or no stamp that both have.
+    """
+    truth = reader.truth_topic()
+    if truth is None:
+        raise BagError(f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic})")
+    chosen = [topic for topic in _state_topics(reader, topics) if topic != truth]
+    if not chosen:
+        raise BagError(f"{reader.path}: has no estimates; make them with observe")
+    zero = _epoch(reader, first_stamp(reader, [truth]) or 0) if epoch is None else epoch
+    events = events_in(reader) if reader.find(interfaces.IMPACTS) else []
+    found: list[tuple[RecordedEstimate, ErrorRows]] = []
+    recorded = [_recorded(reader, system, topic, events, found) for topic in chosen]
+    count = 0
+    for done, total in compare_recorded(reader, system, truth, recorded):
+        count += len(found)
+        for each, (stamps, error, V) in found:
+            texts = {"topic": each.topic, "law": each.law}
+            numbers = {"V": V, **_columns(("dq", "du"), system.coordinates, error)}
+            yield TableBlock(each.topic, zero, stamps, texts, numbers)
+        found.clear()
+        progress(done, total)
+    if not count:
+        ranges = recorded[0].comparator.pairing.ranges()
+        raise BagError(f"{reader.path}: truth and estimates have nothing in common: {ranges}")
+
+
+def _recorded(
+    reader: BagReader,
+    system: System,
+    topic: str,
+    events: Sequence[ImpactEvent],
+    found: list[tuple[RecordedEstimate, ErrorRows]],
+) -> RecordedEstimate:
+    """The estimates on a topic, whose rows are appended to ``found``."""
+
+    def keep(rows: ErrorRows) -> None:
+        found.append((made, rows))
+
+    comparator = Comparator(system, outcomes_in(reader, topic, events), keep=keep)
+    made = RecordedEstimate(topic, comparator, law=topic.split("/")[-2])
+    return made
+
+
+def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iterator[TableBlock]:
+    """The events, a row for each contact that switches; ``import`` reads them again.
+
+    Args:
+        reader: the bag.
+        epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
+        progress: receives how far it is.
+
+    Raises:
+        BagError: there are no events, or the bag is damaged.
+    """
+    events = events_in(reader)
+    if not events:
+        raise BagError(f"{reader.path}: has no events to export")
+    zero = _epoch(reader, events[0].stamp) if epoch is None else epoch
+    flat = [(event, switch) for event in events for switch in event.switches]
+    for begin in range(0, len(flat), BLOCK):
+        part = flat[begin : begin + BLOCK]
+        texts = {
+            "contact": [switch.contact for _, switch in part],
+            "kind": [switch.kind.name.lower() for _, switch in part],
+        }
+        numbers = {
+            "sequence": np.array([event.sequence for event, _ in part], dtype=np.int64),
+            "episode": np.array([event.episode for event, _ in part], dtype=np.int64),
+        }
+        stamps = np.array([event.stamp for event, _ in part], dtype=np.int64)
+        yield TableBlock(reader.find(interfaces.IMPACTS) or "", zero, stamps, texts, numbers)
+        progress(begin + len(part), len(flat))
+
+
+def _columns(
+    kinds: tuple[str, str], names: Sequence[str], x: NDArray[np.float64]
+) -> dict[str, Numbers]:
+    """Columns of coordinates and velocities, such as ``q_x1`` and ``u_x1``."""
+    headings = [f"{kind}_{name}" for kind in kinds for name in names]
+    return dict(zip(headings, x.T, strict=True))
+
+
+def _state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]:
+    """Topics of states: those named, else the truth and those of every observer."""
+    if named is not None:
+        return [*dict.fromkeys(named_states(reader, name) for name in named)]
+    truth = reader.truth_topic()
+    estimates = [states_of(reader, prefix) for prefix in reader.observers()]
+    return [*([truth] if truth else []), *estimates]
+
+
+def _epoch(reader: BagReader, otherwise: int) -> int:
+    """The stamp of ``t = 0`` that the events say, ns."""
+    topic = reader.find(interfaces.IMPACTS)
+    return epoch_of(() if topic is None else reader.events(topic)) or otherwise

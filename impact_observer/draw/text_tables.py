@@ -1,0 +1,66 @@
+"""Tables of text on a terminal, by ``rich``."""
+
+import os
+import sys
+from collections.abc import Collection
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+
+def console(width: int = 140) -> Console:
+    """A console for standard output that prints names literally: brackets are no markup.
+
+    Args:
+        width: columns to use where the output is no terminal and ``COLUMNS`` is not set.
+    """
+    has_width = sys.stdout.isatty() or "COLUMNS" in os.environ
+    return Console(highlight=False, markup=False, emoji=False, width=None if has_width else width)
+
+
+def ruled_table(title: str, *headings: str) -> Table:
+    """An empty table with a title, a rule below the headings, and numbers in all columns but one.
+
+    Args:
+        title: above the table.
+        headings: of the columns; the first one holds words.
+    """
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        title=title,
+        title_justify="left",
+        collapse_padding=True,
+        pad_edge=False,
+    )
+    table.add_column(headings[0], overflow="fold")
+    for heading in headings[1:]:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def plain_table(*headings: str, words: Collection[str] = ()) -> Table:
+    """An empty table without a title and without rules.
+
+    Args:
+        headings: of the columns.
+        words: those headings whose columns hold words; the others hold numbers.
+    """
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
+    for heading in headings:
+        table.add_column(heading, justify="left" if heading in words else "right", overflow="fold")
+    return table
+
+
+def upright(table: Table) -> Table:
+    """The same table for a narrow terminal: the cells of a row stand below each other."""
+    upright = Table(box=None, title=table.title, title_justify="left", show_header=False)
+    upright.add_column()
+    upright.add_column(overflow="fold")
+    headings = [str(column.header) for column in table.columns]
+    for row in zip(*(column.cells for column in table.columns), strict=True):
+        for heading, cell in zip(headings, row, strict=True):
+            if cell:
+                upright.add_row(heading, str(cell))
+        upright.add_row("", "")
+    return upright
