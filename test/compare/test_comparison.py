@@ -157,7 +157,7 @@ def test_windows_are_as_long_as_the_errors_of_the_stamps(
     sampled = run_of(rate)
     sensor = SensorModel(delay=delay, jitter=delay / 2)
     last = int(sampled.stamps[-1])
-    sensed = sense(sensor, SYSTEM, sampled.switchings, epoch=EPOCH, last=last, seed=2)
+    sensed = simulate_sensor(sensor, SYSTEM, sampled.switchings, epoch=EPOCH, last=last, seed=2)
     events = [each.event for each in sensed]
     options = Options("geometric", "random:1", clock_error=0.0, ensemble=1)
     observer = make_observer(SYSTEM, options)
