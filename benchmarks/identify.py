@@ -35,7 +35,7 @@ from benchmarks.harness import new_file
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import IdentificationError
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.estimation.unknown_parameters import Unknowns
+from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent
 from impact_observer.identify.identifying import Identified, identify
 from impact_observer.identify.motion import FlightEnd, shoot
@@ -166,7 +166,7 @@ def floors(name: str) -> Iterator[dict[str, object]]:
     events = told(name, SensorModel(), 0)
     found = identify(parametric_family(off, ["stiffness-scale"]), events)
     exact = Uncertainty(clock_error=0.0)
-    learning = replace(exact, unknowns=Unknowns.named(off, ["stiffness-scale=0.03"]))
+    learning = replace(exact, unknowns=UnknownParameters.named(off, ["stiffness-scale=0.03"]))
     for law in LAWS:
         learns = law_named(law).learns
         yield {
@@ -202,7 +202,7 @@ def _distances(
 def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, object]:
     """A row of the last table."""
     true = read_model(name).system
-    right = Unknowns.named(true, [free])
+    right = UnknownParameters.named(true, [free])
     plain, learning, wrong, squares, ratios = [], [], [], [], []
     least = _least(name, right, jitter) if jitter else np.full(right.family.size, np.nan)
     for seed in track(range(starts), f"{name}: {free} on line", console=Console(stderr=True)):
@@ -216,7 +216,7 @@ def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, objec
         ratios.append([each[2] for each in last.parameters] / least)
         off = np.clip(rng.normal(size=right.family.size), -2, 2) * right.deviations
         model = right.family.system_at(right.family.nominal + off)
-        learns = replace(declared, unknowns=Unknowns.named(model, [free]))
+        learns = replace(declared, unknowns=UnknownParameters.named(model, [free]))
         V, last = _ended(name, _observer(model, start, learns), events)
         wrong.append(V)
         for (_, value, deviation), given, by in zip(
@@ -237,7 +237,7 @@ def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, objec
     }
 
 
-def _least(name: str, unknowns: Unknowns, jitter: float) -> np.ndarray:
+def _least(name: str, unknowns: UnknownParameters, jitter: float) -> np.ndarray:
     """Least deviations of parameters after 30 s, from the exact derivatives of all gaps."""
     true, run = read_model(name).system, recorded(name)
     events = [each for each in run.events if each.stamp <= EPOCH + HALF]

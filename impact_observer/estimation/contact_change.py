@@ -10,14 +10,14 @@ from impact_observer.states import Vector
 
 
 class ContactChange(NamedTuple):
-    """What the plant's contacts do at one instant, as far as a law is told.
+    """What the plant's contacts do at one instant, as it is reported to a law.
 
     Attributes:
         t: the instant, s since the epoch.
         before: contacts with ``chi = 1`` until now.
         hit: contacts that impact now; none where contacts only open.
         closed: contacts with ``chi = 1`` from now on.
-        stamp: of the event, ns; 0 where nobody asks.
+        stamp: of the event, ns; 0 where it is not needed.
         sequence: of the event.
     """
 
@@ -43,9 +43,9 @@ class ContactChange(NamedTuple):
         Args:
             t: s since the epoch.
             before: contacts with ``chi = 1`` until now.
-            switches: contacts and how they switch. An impact that is one instant says too that its
-                contact is not closed afterwards: an ``OPEN`` was lost.
-            stamp: of the event, ns; 0 where nobody asks.
+            switches: contacts and how they switch. A contact that was closed and hits without
+                ``CLOSE`` is open afterwards: an ``OPEN`` was missed.
+            stamp: of the event, ns; 0 where it is not needed.
             sequence: of the event.
         """
         if not before and len(switches) == 1:
@@ -58,7 +58,7 @@ class ContactChange(NamedTuple):
         closed = ({*before} - (hit - stay) | stay) - opened
         return cls(t, before, tuple(sorted(hit)), tuple(sorted(closed)), stamp, sequence)
 
-    def after(self, before: Contacts) -> "ContactChange":
+    def from_closed(self, before: Contacts) -> "ContactChange":
         """The same event where other contacts were closed before it."""
         if before == self.before:
             return self
@@ -68,12 +68,12 @@ class ContactChange(NamedTuple):
 
     @property
     def opened(self) -> Contacts:
-        """Contacts that were closed and are no more."""
+        """Contacts that open."""
         return tuple(i for i in self.before if i not in self.closed)
 
     @property
     def contacts(self) -> Contacts:
-        """All of which the event speaks: those that hit, and those that open."""
+        """All contacts of the event: those that hit, and those that open."""
         opened = self.opened
         return tuple(sorted({*self.hit, *opened})) if opened else self.hit
 
@@ -82,13 +82,13 @@ class ContactChange(NamedTuple):
         """Contacts with ``chi = 1`` at this instant: closed ones take part in every impact."""
         return tuple(sorted({*self.before, *self.hit})) if self.before else self.hit
 
-    def telling(self, held: Contacts, forcing: Forcing) -> Contacts:
-        """The contacts that say something: those that hit, or one alone that opens by itself.
+    def informative(self, held: Contacts, forcing: Forcing) -> Contacts:
+        """The contacts whose guard is measured: those that hit, or one alone that opens.
 
-        Its load has come down to zero, unless the force jumps.
+        The load of one that opens has come down to zero, unless the force jumps.
 
         Args:
-            held: contacts that took the loads until now.
+            held: contacts that carried the loads until now.
             forcing: of the system.
         """
         if self.hit:

@@ -85,17 +85,17 @@ class Ensemble(NamedTuple):
         """States (q, u), shape (N, 2n), the estimate first."""
         return np.concatenate([self.x[None], self.differences.T + self.x])
 
-    def seen(self, functions: Matrix) -> Matrix:
+    def mapped(self, functions: Matrix) -> Matrix:
         """What linear ``functions``, shape (k, 2n) or (2n,), see of the differences."""
         due = functions if self.due is None else functions.dot(self.due)
         return np.asarray(due.dot(self.since.columns))
 
-    def most(self, function: Vector) -> float:
+    def maximum(self, function: Vector) -> float:
         """The largest value of a linear ``function``, shape (2n,), of the differences."""
         due = function if self.due is None else function.dot(self.due)
         return float(np.maximum.reduce(due.dot(self.since.columns)))
 
-    def farthest(self, metric: Matrix) -> float:
+    def largest_distance(self, metric: Matrix) -> float:
         """The largest ``d^T metric d`` between two replicas, at least two; (2n, 2n) is given."""
         if self.due is not None and self.since.are_few:
             seen = self.due.T.dot(metric.dot(self.due))
@@ -106,7 +106,7 @@ class Ensemble(NamedTuple):
         among = squares[:, None] + squares - 2 * products
         return max(float(among.max()), float(squares.max()))  # and from the estimate itself
 
-    def carried(self, x: Vector, map_: Matrix) -> "Ensemble":
+    def propagated(self, x: Vector, map_: Matrix) -> "Ensemble":
         """The estimate is ``x`` now; ``map_``, shape (2n, 2n), has acted on all differences."""
         return Ensemble(x, self.since, map_ if self.due is None else map_.dot(self.due))
 

@@ -1,7 +1,7 @@
-"""What a motion runs into when nothing is heard: gaps and loads that fall below zero.
+"""Predicted penetration: gaps and loads of the estimate that fall below zero.
 
-A plant's gaps and the loads of its closed contacts never do. So an estimate that falls deeper than
-it can be wrong tells of an impact, or of a release, that nobody heard.
+Gaps and loads of the plant are never negative. Where those of the estimate fall below zero by
+more than its deviation explains, an impact or a release was missed.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 from scipy import optimize, special
 
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.linear import Linear
+from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.members import Member, Members
 from impact_observer.estimation.saltation import Measured
 from impact_observer.events import Contacts, Kind
@@ -22,29 +22,29 @@ from impact_observer.states import Matrix, Vector
 FINE = 6.0
 """Samples in the inverse of the fastest rate: 38 a period."""
 _FINER = 8.0 ** np.arange(-8, 0)
-"""Where the first interval is divided: just after an impact a flight may be short."""
+"""Additional samples in the first interval: a flight after an impact may be short."""
 _MOST = 4096
-"""Samples that are looked at together; over a longer silence they lie farther apart."""
+"""Most samples of a flight; in a longer flight their distance is larger."""
 _KEPT = 8
-"""Flights of which the samples are kept: hypotheses share them."""
+"""Durations of which a flight keeps the samples: hypotheses share them."""
 _ROUNDED = 64 * float(np.finfo(np.float64).eps)
-"""What is watched is rounded by, relative to the terms that it is the sum of."""
+"""Rounding of a guard function, relative to the terms of its sum."""
 _ROOT = 4 * float(np.finfo(np.float64).eps)
 _LEAST = 1e-15
 
 
 class Dip(NamedTuple):
-    """A stretch over which something is below zero.
+    """An interval in which a guard function, a gap or a load, is negative.
 
     Attributes:
-        contact: of which.
+        contact: index.
         kind: ``IMPACT`` for a gap, ``OPEN`` for a load.
-        which: number of the function that is watched.
-        above: where it was still above zero, seconds after the start; 0 if it never was.
-        below: where it was below zero first, s.
+        which: index of the guard function.
+        above: the last sample at which it is positive, seconds after the start; 0 if none is.
+        below: the first sample at which it is negative, s.
         deepest: where it is deepest, s.
         depth: there, in standard deviations.
-        over: whether it has come up again.
+        over: whether it becomes positive again.
     """
 
     contact: int
@@ -67,8 +67,8 @@ class _Samples(NamedTuple):
 
     Attributes:
         s: instants, seconds after the start, shape (samples,).
-        rows: shape (samples, watched, 2n).
-        constant: shape (samples, watched).
+        rows: shape (samples, functions, 2n).
+        constant: shape (samples, functions).
     """
 
     s: Vector
@@ -76,23 +76,23 @@ class _Samples(NamedTuple):
     constant: Matrix
 
     def values(self, x: Vector) -> Matrix:
-        """Of a motion that starts at ``x``, shape (samples, watched)."""
+        """Of a motion that starts at ``x``, shape (samples, functions)."""
         return np.asarray(self.rows.dot(x) + self.constant)
 
 
 class Flight:
-    """What must stay above zero from an instant on, while the same contacts are closed.
+    """The guard functions of a flight: gaps of open contacts, then loads of held ones.
 
-    It depends linearly on the state at the start, so that hypotheses of one system share it.
+    They are affine in the state at the start, so that hypotheses of one system share them.
 
     Attributes:
-        contacts: of which something is watched: open ones' gaps, then held ones' loads.
-        gaps: how many of those are gaps.
-        c: what is watched is ``c x`` and an offset, shape (watched, 2n).
+        contacts: the contact of each function.
+        gaps: how many of them are gaps.
+        c: the functions are ``c x`` and an offset, shape (functions, 2n).
     """
 
     def __init__(self, member: Member, t: float, closed: Contacts) -> None:
-        """Look on from ``t``, s since the epoch, with ``closed`` contacts."""
+        """A flight from ``t``, s since the epoch, with ``closed`` contacts."""
         self._system = member.system
         self._t = t
         self._phase = member.moving.phase(closed)
@@ -119,7 +119,7 @@ class Flight:
         return _Samples(s, self.c @ np.stack(moved, axis=2), forced @ self.c.T + self.offset(s))
 
     def size(self, j: int, s: float, x: Vector) -> float:
-        """What function ``j`` is rounded against after ``s`` seconds, at the state ``x``."""
+        """The size of the terms of function ``j`` after ``s`` seconds, at the state ``x``."""
         sizes = self._scales.sizes(x) if j < self.gaps else np.abs(x)
         return abs(self.rest(j, s)) + float(np.abs(self.c[j]).dot(sizes))
 
@@ -128,7 +128,7 @@ class Flight:
         return float(self._distance[j] if j < self.gaps else self.offset(np.array([s]))[0, j])
 
     def offset(self, s: Vector) -> Matrix:
-        """What is watched besides ``c x``, ``s`` seconds after the start, (samples, watched)."""
+        """The functions less ``c x``, ``s`` seconds after the start, (samples, functions)."""
         offset = np.empty((s.size, len(self.c)))
         offset[:, : self.gaps] = self._distance
         if self._phase.held:
@@ -138,28 +138,33 @@ class Flight:
 
 
 class Forecast:
-    """What one knowledge comes to, as long as no event is heard.
+    """The prediction of one state until the next event, and its penetrations.
 
     Attributes:
-        course: how it goes on.
+        prediction: of state and covariance.
     """
 
     def __init__(
-        self, flight: Flight, course: Linear, known: GaussianState, members: Members, t: float
+        self,
+        flight: Flight,
+        prediction: LinearPrediction,
+        state: GaussianState,
+        members: Members,
+        t: float,
     ) -> None:
-        """Look along ``flight`` from ``known``, which goes on as ``course`` from ``t`` on."""
-        self.course = course
+        """The ``prediction`` from ``state`` at ``t`` (s since the epoch), along ``flight``."""
+        self.prediction = prediction
         self._flight = flight
-        self._known = known
+        self._state = state
         self._members = members
         self._t = t
 
     def dips(self, duration: float) -> list[Dip]:
-        """All of them within ``duration`` seconds, in the order in which they begin."""
+        """All dips within ``duration`` seconds, in the order in which they begin."""
         if not (self._flight.contacts and duration > 0):
             return []
         samples = self._flight.over(duration)
-        values = samples.values(self._known.x)
+        values = samples.values(self._state.x)
         found = [dip for j in range(values.shape[1]) for dip in self._of(j, samples, values[:, j])]
         return sorted(found, key=lambda dip: dip.below)
 
@@ -172,9 +177,9 @@ class Forecast:
         for run in np.split(below, np.flatnonzero(np.diff(below) > 1) + 1):
             first, last = int(run[0]), int(run[-1])
             deepest = int(run[np.argmin(values[run])])
-            at, x = float(s[deepest]), self._known.x
+            at, x = float(s[deepest]), self._state.x
             if first == 0 and values[0] - values[deepest] <= _ROUNDED * self._flight.size(j, 0, x):
-                continue  # it comes up: the jump at the start was a little early
+                continue  # it rises: the jump at the start was a little early
             yield Dip(
                 self._flight.contacts[j],
                 Kind.IMPACT if j < self._flight.gaps else Kind.OPEN,
@@ -203,48 +208,48 @@ class Forecast:
 
     def _values(self, j: int, s: Vector) -> Vector:
         """Function ``j`` after ``s`` seconds, shape (samples,)."""
-        x = self.course.motion.states(s)
+        x = self.prediction.motion.states(s)
         return np.asarray(x @ self._flight.c[j] + self._flight.offset(s)[:, j])
 
     def _value(self, j: int, s: float) -> float:
-        x = self.course.state(s)
+        x = self.prediction.state(s)
         return float(self._flight.c[j].dot(x)) + self._flight.rest(j, s)
 
     def _deviation(self, j: int, s: float) -> float:
         """Standard deviation of function ``j`` after ``s`` seconds, rounding included."""
-        if self._known.parameters:
+        if self._state.parameters:
             row = self._row(j, s)
-            spread = row.dot(self.course.whole(s)[: row.size])
+            spread = row.dot(self.prediction.full_root(s)[: row.size])
         else:
-            spread = self._flight.c[j].dot(self.course.root(s))
-        rounded = _ROUNDED * self._flight.size(j, s, self.course.state(s))
+            spread = self._flight.c[j].dot(self.prediction.root(s))
+        rounded = _ROUNDED * self._flight.size(j, s, self.prediction.state(s))
         return math.hypot(*spread.tolist(), rounded)
 
     def _row(self, j: int, s: float) -> Vector:
-        """How function ``j`` changes with state and parameters after ``s`` seconds, (2n + p,)."""
-        which, member = (self._flight.contacts[j],), self._members.at(self._known.theta)
+        """The gradient of function ``j`` by state and parameters after ``s`` seconds, (2n + p,)."""
+        which, member = (self._flight.contacts[j],), self._members.at(self._state.theta)
         if j < self._flight.gaps:
-            turn = self._members.gap_rows(which)
+            sensitivity = self._members.gap_sensitivity(which)
         else:
-            x, closed = self.course.state(s), self._known.closed
-            turn = self._members.load_rows(member, closed, which, x, self._t + s)
-        return np.append(self._flight.c[j], turn)
+            x, closed = self.prediction.state(s), self._state.closed
+            sensitivity = self._members.load_sensitivity(member, closed, which, x, self._t + s)
+        return np.append(self._flight.c[j], sensitivity)
 
     def root(self, dip: Dip) -> float:
-        """Where what dips falls through zero, s."""
+        """Where the function of a dip falls through zero, s."""
         above, below = dip.above, dip.below
         if below == 0 or not self._value(dip.which, above) > 0 > self._value(dip.which, below):
-            return below  # it was below at the start, or is rounded otherwise when alone
+            return below  # negative from the start, or rounded otherwise when evaluated alone
         found = optimize.brentq(
             lambda at: self._value(dip.which, at), above, below, xtol=_LEAST, rtol=_ROOT
         )
         return float(found)
 
-    def sure(self, dip: Dip, enough: float) -> float:
-        """From when on a dip is deeper than ``enough`` deviations, s."""
+    def confident_from(self, dip: Dip, depth: float) -> float:
+        """From when on a dip is deeper than ``depth`` standard deviations, s."""
 
         def beyond(at: float) -> float:
-            return self._value(dip.which, at) + enough * self._deviation(dip.which, at)
+            return self._value(dip.which, at) + depth * self._deviation(dip.which, at)
 
         if not beyond(dip.above) > 0 > beyond(dip.deepest):
             return dip.deepest

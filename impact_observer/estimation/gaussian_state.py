@@ -1,4 +1,4 @@
-"""A state with its square-root covariance, and what a linear map makes of both."""
+"""A state with its square-root covariance, and how a linear map propagates both."""
 
 import math
 from typing import NamedTuple
@@ -11,21 +11,22 @@ from impact_observer.states import Matrix, Vector
 
 
 class GaussianState(NamedTuple):
-    """A state and how surely it is known.
+    """The estimate and the square root of its covariance.
 
     Attributes:
         x: the estimate (q, u), shape (2n,).
-        slow: what stays between events, shape (k,): the parameters theta that are learnt, then,
-            where it is unknown, what the sensor's stamps are late by.
-        root: a square root ``S`` of the covariance ``S S^T`` of (q, u, slow), shape (2n + k, any).
-        differences: (q, u, slow) of the other replicas less the estimate, one a column,
+        constants: what no flight and no impact changes, shape (k,): the parameters theta that
+            are learnt; then, where it is learnt, the offset of the sensor's clock.
+        root: a square root ``S`` of the covariance ``S S^T`` of (q, u, constants), shape
+            (2n + k, any).
+        differences: (q, u, constants) of the other replicas less the estimate, one a column,
             shape (2n + k, N - 1).
         closed: contacts that are closed.
         parameters: how many are learnt, k or k - 1.
     """
 
     x: Vector
-    slow: Vector
+    constants: Vector
     root: Matrix
     differences: Matrix
     closed: Contacts = ()
@@ -33,12 +34,12 @@ class GaussianState(NamedTuple):
 
     @classmethod
     def of(cls, replicas: Matrix, root: Matrix, closed: Contacts = ()) -> "GaussianState":
-        """With nothing slow, or with an offset of 0 where ``root`` has a row for it.
+        """A state without parameters; with an offset of 0 where ``root`` has a row for it.
 
         Args:
             replicas: states (q, u), shape (N, 2n), the estimate first.
-            root: as of ``GaussianState``.
-            closed: likewise.
+            root: see ``GaussianState``.
+            closed: contacts that are closed.
         """
         size = replicas.shape[1]
         differences = np.zeros((len(root), len(replicas) - 1))
@@ -47,14 +48,14 @@ class GaussianState(NamedTuple):
 
     @property
     def theta(self) -> Vector:
-        """The estimate's parameters, shape (p,)."""
-        return np.asarray(self.slow[: self.parameters])
+        """The parameters that are learnt, shape (p,)."""
+        return np.asarray(self.constants[: self.parameters])
 
     @property
     def offset(self) -> float:
-        """What the sensor's stamps are late by to the estimate, s."""
+        """The offset of the sensor's clock, s: by how much its stamps are late."""
         p = self.parameters
-        return float(self.slow[p]) if self.slow.size > p else 0.0
+        return float(self.constants[p]) if self.constants.size > p else 0.0
 
     @property
     def ensemble(self) -> Ensemble:
@@ -63,32 +64,36 @@ class GaussianState(NamedTuple):
 
     @property
     def is_finite(self) -> bool:
-        """Whether the states of all replicas are."""
+        """Whether the states of all replicas are finite."""
         if not math.isfinite(self.x.dot(self.x)):
             return False
         return not self.differences.size or bool(np.isfinite(self.differences).all())
 
-    def carried(self, x: Vector, map_: Matrix, turn: Matrix | None = None) -> "GaussianState":
-        """What ``map_`` makes of errors, and ``x`` of the estimate itself.
+    def propagated(
+        self, x: Vector, map_: Matrix, sensitivity: Matrix | None = None
+    ) -> "GaussianState":
+        """The estimate is ``x``; ``map_`` propagates covariance and differences.
 
         Args:
             x: the estimate (q, u) afterwards, shape (2n,).
             map_: shape (2n, 2n).
-            turn: how the state changes with the parameters, shape (2n, p); None where it does not.
+            sensitivity: of the state to the parameters, shape (2n, p); None where it is zero.
         """
-        root = carried(self.root, 0, map_, turn)
-        differences = carried(self.differences, 0, map_, turn)
-        return GaussianState(x, self.slow, root, differences, self.closed, self.parameters)
+        root = propagate_errors(self.root, 0, map_, sensitivity)
+        differences = propagate_errors(self.differences, 0, map_, sensitivity)
+        return GaussianState(x, self.constants, root, differences, self.closed, self.parameters)
 
 
-def carried(errors: Matrix, first: int, map_: Matrix, turn: Matrix | None = None) -> Matrix:
-    """What a map of states makes of errors of more than a state.
+def propagate_errors(
+    errors: Matrix, first: int, map_: Matrix, sensitivity: Matrix | None = None
+) -> Matrix:
+    """Errors after a map of the state; those of everything else stay.
 
     Args:
         errors: one a column, shape (d, any); after the state's rows come the parameters'.
         first: of the state's rows.
         map_: shape (2n, 2n).
-        turn: how the state changes with the parameters, shape (2n, p); None where it does not.
+        sensitivity: of the state to the parameters, shape (2n, p); None where it is zero.
     """
     found: Matrix
     if len(errors) == len(map_):
@@ -96,6 +101,6 @@ def carried(errors: Matrix, first: int, map_: Matrix, turn: Matrix | None = None
         return found
     last, found = first + len(map_), errors.copy()
     found[first:last] = map_.dot(errors[first:last])
-    if turn is not None:
-        found[first:last] += turn.dot(errors[last : last + turn.shape[1]])
+    if sensitivity is not None:
+        found[first:last] += sensitivity.dot(errors[last : last + sensitivity.shape[1]])
     return found

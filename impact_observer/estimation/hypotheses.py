@@ -1,4 +1,4 @@
-"""One account of the events, the state that follows from it, and how likely it is."""
+"""A hypothesis: what each event was, the state that follows from it, and its probability."""
 
 from collections.abc import Mapping
 from itertools import takewhile
@@ -8,18 +8,18 @@ from typing import NamedTuple
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.events import Kind, Ruling
 
-_NOTHING: Mapping[int, float] = MappingProxyType({})
+_NONE: Mapping[int, float] = MappingProxyType({})
 
 
 class Note(NamedTuple):
-    """What a law made of one contact in one event, or inserted itself.
+    """What a hypothesis decides on one contact of an event, or on an impact it inserts.
 
     Attributes:
-        event: stamp (ns) and sequence of the event with which it was noted.
-        stamp: when it was, ns: of the event, but for what was inserted.
+        event: stamp (ns) and sequence of the event at which it was decided.
+        stamp: of the impact, ns: that of the event, or an earlier one for an inserted impact.
         contact: index.
         ruling: applied, rejected or inserted.
-        reason: in plain words; empty when all is as it should be.
+        reason: in plain words; empty for an event that is accepted as it was reported.
         innovation: in standard deviations; -1 where there is none.
     """
 
@@ -32,65 +32,57 @@ class Note(NamedTuple):
 
     @property
     def is_inserted(self) -> bool:
-        """Whether the law inserted it."""
+        """Whether it is on a missed impact that the hypothesis inserts."""
         return self.ruling is Ruling.INSERTED
 
     @property
-    def gist(self) -> tuple[object, ...]:
-        """What it says, but for figures."""
-        return self.event, self.contact, self.ruling, self.reason[:5]
+    def decision(self) -> tuple[object, ...]:
+        """The decision without its figures, which follow the colon of the reason."""
+        return self.event, self.contact, self.ruling, self.reason.partition(":")[0]
 
 
 class MissedSwitch(NamedTuple):
-    """A switching that was predicted and not heard.
+    """A switch that was predicted and not reported.
 
     Attributes:
         contact: index.
         kind: how it switches.
-        ago: when, seconds before the event that came then.
-        surety: depth that the contact would have reached without it, in standard deviations.
+        ago: when, seconds before the next event.
+        depth: penetration that the estimate would reach without it, in standard deviations.
     """
 
     contact: int
     kind: Kind
     ago: float
-    surety: float
+    depth: float
 
 
 class Hypothesis(NamedTuple):
-    """One way in which the events may have come about, and what follows from it.
+    """One explanation of the events, and the state that follows from it.
 
     Attributes:
-        known: the state, and how surely.
+        state: estimate and covariance.
         clock: standard deviation of a stamp, s.
         weight: logarithm of its probability.
-        notes: what it makes of the latest events, in their order.
-        sunk: contacts of which something is below zero that must not be, with the logarithm of
-            the probability that this is an error of the estimate.
-        missed: what has switched unheard since the last event.
+        notes: its decisions on the latest events, in their order.
+        penetrating: contacts whose gap or load is negative now, with the logarithm of the
+            probability that this is an error of the estimate.
+        missed: missed switches since the last event.
     """
 
-    known: GaussianState
+    state: GaussianState
     clock: float
     weight: float = 0.0
     notes: tuple[Note, ...] = ()
-    sunk: Mapping[int, float] = _NOTHING
+    penetrating: Mapping[int, float] = _NONE
     missed: tuple[MissedSwitch, ...] = ()
 
     @property
-    def whole_weight(self) -> float:
-        """Its weight, and that of what it has fallen through."""
-        return self.weight + sum(self.sunk.values()) if self.sunk else self.weight
+    def penalised_weight(self) -> float:
+        """Its weight, less for the contacts that it penetrates."""
+        return self.weight + sum(self.penetrating.values()) if self.penetrating else self.weight
 
-    def knowing(self, known: GaussianState) -> "Hypothesis":
-        """The same account, with the state as it is ``known``."""
-        return Hypothesis(known, self.clock, self.weight, self.notes, self.sunk, self.missed)
-
-    def weighing(self, weight: float) -> "Hypothesis":
-        """The same, with another ``weight``."""
-        return Hypothesis(self.known, self.clock, weight, self.notes, self.sunk, self.missed)
-
-    def noted(self, event: tuple[int, int]) -> list[Note]:
+    def notes_on(self, event: tuple[int, int]) -> list[Note]:
         """Its notes on the contacts of ``event``, which is the latest."""
         latest = takewhile(lambda note: note.event == event, reversed(self.notes))
         return [note for note in latest if not note.is_inserted][::-1]

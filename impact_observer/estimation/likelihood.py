@@ -1,4 +1,4 @@
-"""How an event fits what was known before it."""
+"""The likelihood of an event, given the prior."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -13,22 +13,22 @@ from impact_observer.events import Contacts
 from impact_observer.states import Vector
 
 STILL = 1e-150
-"""Speed that is none."""
+"""Least speed, m/s: instead of zero in a logarithm or a quotient."""
 _CLOSING = 1e-3
-"""Standard deviation of a closing speed below which its sign is sure, relative to it."""
+"""Least standard deviation of a closing speed, relative to the speed."""
 FAR = 30.0
-"""Innovation, in standard deviations, beyond which an event cannot be what it is said to be."""
+"""Innovation, in standard deviations, beyond which an event cannot be what is reported."""
 _NORMAL = math.log(2 * math.pi) / 2
 
 
 class Likelihood(NamedTuple):
-    """How an event fits what was known.
+    """The likelihood of an event.
 
     Attributes:
         density: logarithm of the probability density of its instant, 1/s for each contact.
-        innovations: by contact, how far the innovation was from zero, in standard deviations.
-        linear: what was expected about what was known, what the event tells of that, and by
-            how much it was something else, whitened; None where that was not needed.
+        innovations: absolute innovation of each contact, in standard deviations.
+        linear: the predicted measurement, linearised about the prior, the correction and the
+            whitened innovations; None where they were not computed.
     """
 
     density: float
@@ -36,37 +36,37 @@ class Likelihood(NamedTuple):
     linear: tuple[Expected, Correction, list[float]] | None = None
 
 
-def likelihood(contacts: Contacts, expected: Expected, prior: Joint) -> Likelihood:
-    """The density of the instant of an event at ``contacts``, of which this is ``expected``.
+def likelihood_of(contacts: Contacts, expected: Expected, prior: Joint) -> Likelihood:
+    """The likelihood of an event at ``contacts``, given its predicted measurement.
 
-    The density of a gap at an instant, times the speed at which it goes through zero, is the
-    density of the instant; and it can only go through it from above.
+    The density of the instant is that of the gap at the stamp, times the speed at which the gap
+    goes through zero, times the probability that it does so from above.
     """
-    learnt, innovation = expected.learnt(prior), expected.innovation.tolist()
-    white = learnt.whitened(innovation)
+    update, innovation = expected.correction(prior), expected.innovation.tolist()
+    white = update.whitened(innovation)
     slopes = expected.expansion.H[:, 0].tolist()
     spreads = lengths(expected.expansion.D.dot(prior.own[1:]))
     density = 0.0
     for i, (each, slope, spread) in enumerate(zip(white, slopes, spreads, strict=True)):
-        density += _density(each, learnt.innovation[i, i], slope, spread)
+        density += _density(each, update.innovation[i, i], slope, spread)
     if len(contacts) == 1:
         density += _from_above(slopes[0], spreads[0])
-    sizes = [abs(each) / s for each, s in zip(innovation, learnt.deviations, strict=True)]
+    sizes = [abs(each) / s for each, s in zip(innovation, update.deviations, strict=True)]
     innovations = dict(zip(contacts, sizes, strict=True))
-    return Likelihood(density, innovations, (expected, learnt, white))
+    return Likelihood(density, innovations, (expected, update, white))
 
 
-def likelihood_of_one(
+def likelihood_of_single(
     contact: int, white: float, deviation: float, slope: float, spread: float
 ) -> Likelihood:
-    """The same of a single contact.
+    """The likelihood of an impact of one contact.
 
     Args:
         contact: index.
         white: innovation of its gap, in standard deviations.
-        deviation: one, of either sign, m.
+        deviation: standard deviation of the gap, of either sign, m.
         slope: of the gap, m/s.
-        spread: standard deviation of that, m/s.
+        spread: standard deviation of the slope, m/s.
     """
     density = _density(white, deviation, slope, spread) + _from_above(slope, spread)
     return Likelihood(density, {contact: abs(float(white))})
@@ -79,30 +79,29 @@ def _density(white: float, deviation: float, slope: float, spread: float) -> flo
 
 
 def _from_above(slope: float, spread: float) -> float:
-    """Logarithm of the probability that a gap of this ``slope`` does so from above."""
-    surely = max(spread, _CLOSING * abs(slope), STILL)
-    return float(special.log_ndtr(slope / surely))
+    """Logarithm of the probability that a gap of this ``slope`` closes."""
+    return float(special.log_ndtr(slope / max(spread, _CLOSING * abs(slope), STILL)))
 
 
-def far_off(
+def outlier_likelihood(
     contacts: Contacts, expected: Expected, prior: Joint, rate: Callable[[], Vector]
 ) -> Likelihood | None:
-    """The evidence of an impact that is so far off that no more need be known; else None.
+    """The likelihood of an impact that is clearly an outlier; None for any other.
 
     Args:
         contacts: that hit.
-        expected: of it.
-        prior: what is known before it.
+        expected: the predicted measurement.
+        prior: before the impact.
         rate: finds ``dx/dt`` at the estimate, shape (2n,).
     """
     value, H, D, _ = expected.expansion
     seen = H[:, 1:].dot(prior.own[1:])
     if prior.parameters:
-        seen += expected.turn.dot(prior.root[prior.of_theta])
+        seen += expected.sensitivity.dot(prior.root[prior.of_theta])
     values, slopes, late = value.tolist(), H[:, 0].tolist(), prior.e
     parts = list(zip(values, slopes, lengths(seen), expected.rounded, strict=True))
     clock, bent = float(prior.root[0, 0]), [0.0] * len(parts)
-    if max(_deviations(parts, bent, late, clock)) < FAR:  # bent ones are less far off
+    if max(_deviations(parts, bent, late, clock)) < FAR:  # curvature only makes it smaller
         return None
     bent = np.abs(D.dot(rate())).tolist()
     sizes = _deviations(parts, bent, late, clock)
@@ -118,13 +117,12 @@ def _deviations(
     late: float,
     clock: float,
 ) -> list[float]:
-    """How far off gaps are at an event, in standard deviations.
+    """Absolute innovations of gaps at an event, in standard deviations.
 
     Args:
-        parts: of each its value and what it changes by per second back, m, m/s, its deviation and
-            rounding, m.
-        bent: what those speeds change by, m/s2.
-        late: of the event's stamp, s.
+        parts: of each gap its value (m), its slope (m/s), its deviation and rounding (m).
+        bent: change of those slopes, m/s2.
+        late: offset of the event's stamp, s.
         clock: standard deviation of the stamp, s.
     """
     return [

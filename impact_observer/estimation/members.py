@@ -1,6 +1,6 @@
-"""Systems that differ by the parameters that are learnt, as a filter needs each of them.
+"""The system with other values of the parameters that are learnt, prepared for the filter.
 
-What only moves stops or throws back otherwise shares the motion between impacts.
+Members that differ only by gaps and restitutions share the motion between impacts.
 """
 
 from functools import cached_property, lru_cache, partial
@@ -18,39 +18,39 @@ from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 _FAR = 0.5
-"""How far towards a bound a step of the motion's parameters may go."""
+"""Largest step of a parameter of the motion, relative to its distance from its bound."""
 _STEP = 1e-6
-"""Least step by which a parameter is moved to see what it does, relative to its size."""
-_ROOM = 1e-3
-"""What a parameter of the motion keeps from its bound, relative to its size."""
+"""Least step of a finite difference by a parameter, relative to the parameter's size."""
+_MARGIN = 1e-3
+"""Distance of a parameter of the motion from its bound, relative to the parameter's size."""
 
 
 class MovingSystem:
     """One system between its impacts.
 
     Attributes:
-        system: what moves; where its stops are does not matter here.
+        system: the system; the places of its stops do not matter here.
         phases: its linear phases.
     """
 
     def __init__(self, system: System) -> None:
-        """Prepare the phases, each when it is needed."""
+        """Each phase is prepared when it is first needed."""
         self.system = system
         self.phases = Phases(system)
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
         self.forces = lru_cache(KEPT)(system.forcing.jet(2))
-        """f, df/dt and the next derivative at an instant, shape (3, n)."""
+        """f, df/dt and d2f/dt2 at an instant, shape (3, n)."""
 
     @cached_property
     def newton(self) -> ImpactLaw:
         """The impact law with its masses."""
         return ImpactLaw(self.system)
 
-    def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> Map:
-        """How states go on from ``t`` (s since the epoch), or back for ``s < 0``, seen at ``x``.
+    def flow_map(self, t: float, x: Vector, s: float, closed: Contacts) -> Map:
+        """The flow from ``t`` (s since the epoch) over ``s`` seconds, also back, about ``x``.
 
-        How far back the forcing is known is for the caller to see to.
+        The caller must not ask for instants at which the forcing is not defined.
         """
         return Map(*self.phase(closed).moved(t, x, s))
 
@@ -61,12 +61,12 @@ class MovingSystem:
         return StateRates(self.phase(closed))
 
 
-class WatchedRows(NamedTuple):
-    """What is zero at an event.
+class GuardRows(NamedTuple):
+    """Functions of the state that are zero at an event.
 
     Attributes:
-        rows: it.
-        jet: it, while the phase before the event lasts.
+        rows: these functions.
+        jet: their expansions in the phase before the event.
     """
 
     rows: Measured
@@ -77,34 +77,34 @@ class Member:
     """One system of a family.
 
     Attributes:
-        system: it.
+        system: the system.
         values: its parameters, shape (p,).
-        moving: how it moves between impacts.
+        moving: its motion between impacts.
         newton: its impact law.
     """
 
     def __init__(self, system: System, values: Vector, moving: MovingSystem) -> None:
-        """Share how ``moving`` moves."""
+        """A system whose motion between impacts is ``moving``."""
         self.system = system
         self.values = values
         self.moving = moving
         self.newton = moving.newton if moving.system is system else ImpactLaw(system)
         self.gaps = lru_cache(KEPT)(partial(Measured.gaps, system))
-        self.watched = lru_cache(KEPT)(self._watched_of)
+        self.guard = lru_cache(KEPT)(self._guard_of)
         self.mirror = lru_cache(KEPT)(self._mirror_of)
         self.jump = lru_cache(KEPT)(self._jump_of)
 
     @cached_property
     def projection(self) -> PositionProjection:
-        """Its position jumps."""
+        """Its position projection."""
         own = self.moving.system is self.system
         return self.moving.phases.projection if own else PositionProjection(self.system)
 
-    def _watched_of(self, before: Contacts, contacts: Contacts, hit: bool) -> WatchedRows:
-        """What is zero at an event: the gaps of those that hit, or the load of one that opens."""
+    def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> GuardRows:
+        """The guards of an event: gaps of contacts that hit, or the load of one that opens."""
         moving = self.moving
         rows = self.gaps(contacts) if hit else Measured.loads(moving.phase(before), contacts)
-        return WatchedRows(rows, rows.along(moving.rates(before)))
+        return GuardRows(rows, rows.along(moving.rates(before)))
 
     def _mirror_of(self, pressed: Contacts) -> Mirror:
         return Mirror.of(self.system, self.newton.jump(pressed), pressed)
@@ -115,30 +115,32 @@ class Member:
 
 
 class Members:
-    """The family of a system, member by member.
+    """The members of a family; each is prepared when it is first needed.
 
     Attributes:
-        family: what is learnt; none of its parameters changes the motion between impacts after
-            one that does not.
-        given: the member that the model says.
+        family: the system and the parameters that are learnt; first those that change the
+            motion between impacts.
+        given: the member with the parameters of the model.
         moving: how many of the parameters change the motion between impacts.
         low: least that each parameter may be, shape (p,).
         high: most, shape (p,).
     """
 
     def __init__(self, family: ParametricFamily) -> None:
-        """Prepare nothing but the given member."""
+        """Prepare the given member."""
         self.family = family
         self.moving = sum(each.moves for each in family.parameters)
-        assert all(each.moves for each in family.parameters[: self.moving]), "an order"
+        assert all(each.moves for each in family.parameters[: self.moving]), (
+            "parameters of the motion come first"
+        )
         self._gap = np.array([each.effect.gap for each in family.parameters])
         self._gap = self._gap.reshape(family.size, family.system.m)
         self._still = [bool(np.any(each.effect.eps)) for each in family.parameters]
         self._weighs = [bool(np.any(each.effect.M)) for each in family.parameters]
-        keeps = np.where([each.moves for each in family.parameters], _ROOM * family.sizes, 0.0)
+        keeps = np.where([each.moves for each in family.parameters], _MARGIN * family.sizes, 0.0)
         low, high = family.bounds
         self.low, self.high = low + keeps, high - keeps
-        self.gap_rows = lru_cache(KEPT)(self._gap_rows)
+        self.gap_sensitivity = lru_cache(KEPT)(self._gap_sensitivity)
         self._at = lru_cache(KEPT)(self._member)
         self._moving = lru_cache(KEPT)(self._motion)
         self.given = self.at(family.nominal)
@@ -147,55 +149,54 @@ class Members:
         """The member whose parameters are ``values``, shape (p,), all within their bounds."""
         return self._at(tuple(values.tolist()))
 
-    def unmoved(self, member: Member) -> Member:
-        """One that differs from ``member`` by restitutions only: the given ones."""
+    def with_given_restitution(self, member: Member) -> Member:
+        """``member`` with the restitutions of the model."""
         values = np.where(self._still, self.family.nominal, member.values)
         return self.at(values) if self.family.size else member
 
     def motion(self, values: Vector) -> MovingSystem:
-        """How the member with ``values`` moves between impacts; the others need no bounds."""
+        """The motion between impacts of the member with ``values``; only these need bounds."""
         return self._moving(tuple(values[: self.moving].tolist()))
 
-    def _massive(self, values: Vector) -> MovingSystem:
-        """A motion with the masses of the member with ``values``."""
+    def _with_masses(self, values: Vector) -> MovingSystem:
+        """The model's motion with the masses of the member with ``values``."""
         heavy = np.where(self._weighs, values, self.family.nominal)
         return self.motion(heavy)
 
-    def bounces(self, contacts: Contacts) -> NDArray[np.bool_]:
-        """Whether the restitutions of ``contacts`` are learnt, shape (k,)."""
+    def learns_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
+        """Whether each of ``contacts`` has a restitution that is learnt, shape (k,)."""
         changes = [each.effect.eps != 0 for each in self.family.parameters]
         learnt = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
         return np.asarray(learnt[list(contacts)], dtype=np.bool_)
 
-    def _gap_rows(self, contacts: Contacts) -> Matrix:
-        """How the gaps of ``contacts`` change with the parameters, shape (k, p)."""
+    def _gap_sensitivity(self, contacts: Contacts) -> Matrix:
+        """Of the gaps of ``contacts`` to the parameters, shape (k, p)."""
         return np.asarray(self._gap[:, list(contacts)].T)
 
-    def turning(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
-        """How ``dx/dt`` changes with the parameters, shape (2n, p)."""
-        pull = self._pull(member, closed, x, t)
-        return np.vstack([np.zeros_like(pull), member.moving.phase(closed).inverse @ pull])
+    def rate_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
+        """Of ``dx/dt`` to the parameters, shape (2n, p)."""
+        forces = self._force_sensitivity(member, closed, x, t)
+        return np.vstack([np.zeros_like(forces), member.moving.phase(closed).inverse @ forces])
 
-    def load_rows(
+    def load_sensitivity(
         self, member: Member, closed: Contacts, contacts: Contacts, x: Vector, t: float
     ) -> Matrix:
-        """How the loads of held ``contacts`` change with the parameters, shape (k, p)."""
+        """Of the loads of held ``contacts`` to the parameters, shape (k, p)."""
         phase = member.moving.phase(closed)
         loads = phase.loads[[phase.held.index(i) for i in contacts]]
-        return np.asarray(-loads @ self._pull(member, closed, x, t))
+        return np.asarray(-loads @ self._force_sensitivity(member, closed, x, t))
 
-    def jumped(self, values: Vector, x: Vector, pressed: Contacts) -> Map:
+    def impact(self, values: Vector, x: Vector, pressed: Contacts) -> Map:
         """The mirror of an impact in which ``pressed`` take part; see ``dynamics.Mirror``."""
-        numbers, heavy = self.family.at(values), self._massive(values)
+        numbers, heavy = self.family.at(values), self._with_masses(values)
         J = heavy.newton.jump(pressed, numbers.eps)
         mirror = Mirror.of(heavy.system, J, pressed, numbers.gap)
         return Map(mirror.J @ x + mirror.offset, mirror.J)
 
     def steps(self, theta: Vector, root: Matrix) -> Vector:
-        """By how much parameters are moved to see what they do: about what they may be wrong by.
+        """Steps of finite differences by the parameters: about their standard deviations.
 
-        They are powers of two, so that hypotheses that know about as much look at the same
-        systems.
+        They are powers of two, so that hypotheses of similar covariance share the same members.
 
         Args:
             theta: parameters, shape (p,).
@@ -209,19 +210,19 @@ class Members:
         least = _STEP * self.family.sizes[:q]
         wanted = np.maximum(np.linalg.norm(root, axis=1), least)
         room = _FAR * np.minimum(theta - low, high - theta)[:q]
-        room[self.moving :] = np.inf  # those that only impacts know are never out of bounds there
+        room[self.moving :] = np.inf  # impacts need no bounds of their parameters
         return np.asarray(np.exp2(np.floor(np.log2(np.minimum(wanted, room)))))
 
-    def inward(self, theta: Vector, root: Matrix, rows: slice) -> Vector:
-        """The change by which parameters that cannot be come to their bounds, others with them.
+    def bound_correction(self, theta: Vector, root: Matrix, rows: slice) -> Vector:
+        """The correction that takes parameters beyond their bounds back to them.
 
-        What is then to be expected of all the rest, given those bounds (Simon and Chia, Kalman
+        All else moves to its conditional mean given those bounds (Simon and Chia, Kalman
         filtering with state equality constraints, 2002).
 
         Args:
             theta: parameters, shape (p,).
-            root: a square root of the covariance of all that is estimated, shape (d, any).
-            rows: of ``root`` that are those of ``theta``.
+            root: a square root of the whole covariance, shape (d, any).
+            rows: of ``root`` for ``theta``.
 
         Returns:
             Shape (d,).
@@ -235,15 +236,15 @@ class Members:
         change[rows] = np.clip(theta + change[rows], self.low, self.high) - theta
         return change
 
-    def _pull(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
-        """How the forces that accelerate masses change with the parameters, shape (n, p)."""
+    def _force_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
+        """Of the forces that accelerate the masses to the parameters, shape (n, p)."""
         n, rates = self.family.system.n, member.moving.rates(closed)
         acceleration = rates.along(x, member.moving.forces(t))[0][n:]
-        pull = self.family.force_changes(member.values, t).T
+        forces = self.family.force_changes(member.values, t).T
         for j, each in enumerate(self.family.parameters[: self.moving]):
             effect = each.effect
-            pull[:, j] -= effect.K @ x[:n] + effect.C @ x[n:] + effect.M @ acceleration
-        return np.asarray(pull)
+            forces[:, j] -= effect.K @ x[:n] + effect.C @ x[n:] + effect.M @ acceleration
+        return np.asarray(forces)
 
     def _member(self, values: tuple[float, ...]) -> Member:
         theta, moving = np.array(values), self._moving(values[: self.moving])
@@ -251,7 +252,7 @@ class Members:
         return Member(moving.system if same else self.family.system_at(theta), theta, moving)
 
     def _motion(self, values: tuple[float, ...]) -> MovingSystem:
-        """How the system moves with the first parameters as they are, the others as given."""
+        """The motion with the first parameters at ``values``, the others as given."""
         theta = np.array(self.family.nominal)
         theta[: self.moving] = values
         same = np.array_equal(theta, self.family.nominal)

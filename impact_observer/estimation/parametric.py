@@ -1,11 +1,12 @@
-"""What unknown parameters make of the error of a state, to second order.
+"""How unknown parameters add to the error of a state, to second order.
 
 A map ``F(x, theta)`` is affine in the state ``x`` for every ``theta``. Its derivatives with
 ``theta`` are differences over steps about as large as ``theta`` may be wrong: where the map is
-curved they are what matters over that distance, and as more is known they become derivatives
+curved they average over that distance, and as the deviations fall they become derivatives
 (Norgaard, Poulsen and Ravn, New developments in state estimation for nonlinear systems, 2000).
 Terms of second order are noise whose variance follows from that of state and parameters. So
-a filter is never surer than its linearisation allows, and the noise vanishes with what is unknown.
+a filter never claims more than its linearisation allows, and the noise vanishes with the
+deviations of the parameters.
 """
 
 import math
@@ -25,7 +26,7 @@ _TAILS = 1.5
 
 
 class Map(NamedTuple):
-    """A map of states that is affine, seen at one of them.
+    """An affine map of states, evaluated at one state.
 
     Attributes:
         value: of that state, shape (k,).
@@ -41,23 +42,23 @@ class Sensitivity(NamedTuple):
 
     Attributes:
         first: derivatives of its value, shape (p, k).
-        turns: derivatives of its linear part, shape (p, k, d).
+        mixed: derivatives of its linear part, shape (p, k, d).
         second: second derivatives of its value, shape (p, p, k).
     """
 
     first: Matrix
-    turns: NDArray[np.float64]
+    mixed: NDArray[np.float64]
     second: NDArray[np.float64]
 
     @classmethod
     def of(cls, at: Callable[[Vector], Map], theta: Vector, steps: Vector) -> "Sensitivity":
-        """Look at a map on both sides of ``theta``.
+        """Central differences of a map about ``theta``.
 
-        It is looked at on a grid, so that who asks for parameters nearby shares what was prepared
-        for them.
+        They are taken on a grid of parameters, so that calls with parameters nearby share the
+        members that were prepared.
 
         Args:
-            at: the map for given parameters, seen at one state.
+            at: the map for given parameters, evaluated at one state.
             theta: the estimate of the parameters, shape (p,).
             steps: width of the grid, shape (p,), positive.
         """
@@ -65,36 +66,36 @@ class Sensitivity(NamedTuple):
         centre, aside = at(near), np.diag(steps)
         count, d = centre.linear.shape
         plus = [at(near + step) for step in aside]
-        turns, second = np.zeros((p, count, d)), np.zeros((p, p, count))
+        mixed, second = np.zeros((p, count, d)), np.zeros((p, p, count))
         first = np.zeros((p, count))
         for j, step in enumerate(steps.tolist()):
             minus = at(near - aside[j])
             first[j] = (plus[j].value - minus.value) / (2 * step)
-            turns[j] = (plus[j].linear - minus.linear) / (2 * step)
+            mixed[j] = (plus[j].linear - minus.linear) / (2 * step)
             second[j, j] = (plus[j].value - centre.value) + (minus.value - centre.value)
             for k in range(j):
                 both = at(near + aside[j] + aside[k]).value
                 crossed = (both - plus[j].value) - (plus[k].value - centre.value)
                 second[j, k] = second[k, j] = crossed
         second /= np.multiply.outer(steps, steps)[:, :, None]
-        return cls(first + np.tensordot(theta - near, second, axes=1), turns, second)
+        return cls(first + np.tensordot(theta - near, second, axes=1), mixed, second)
 
     def added(self, root: Matrix, steps: Matrix) -> tuple[Matrix, Matrix]:
-        """What the parameters add to the error of ``F`` besides ``linear @ root``.
+        """The error that the parameters add to ``linear @ root``.
 
         Args:
-            root: square root of the covariance of ``x``, its first columns those that the
-                parameters have, shape (d, c).
-            steps: the parameters' own, lower triangular, shape (p, p).
+            root: square root of the covariance of ``x``, shape (d, c); it shares its first p
+                columns with the parameters.
+            steps: square root of the parameters' covariance, lower triangular, shape (p, p).
 
         Returns:
-            What is added to the first columns, shape (k, p), and further columns, of noise.
+            Added to the first columns, shape (k, p); and further columns, of noise.
         """
         p = len(steps)
-        turns = np.tensordot(steps.T, self.turns, axes=1)
+        mixed = np.tensordot(steps.T, self.mixed, axes=1)
         curved = np.einsum("ic,ijk,jd->cdk", steps, self.second, steps)
-        across = turns @ root[:, :p]
-        noise = [turn @ root[:, p:] for turn in turns]
+        across = mixed @ root[:, :p]
+        noise = [each @ root[:, p:] for each in mixed]
         for c in range(p):
             own = curved[c, c] + 2 * across[c, :, c]
             noise.append(_MEAN_TOO * own[:, None])
@@ -103,7 +104,7 @@ class Sensitivity(NamedTuple):
         return self.first.T @ steps, _TAILS * np.hstack(noise)
 
 
-def led(root: Matrix, rows: slice) -> Matrix:
+def leading_triangular(root: Matrix, rows: slice) -> Matrix:
     """The same covariance's square root in which ``rows`` are lower triangular in front."""
     turn, _ = np.linalg.qr(root[rows].T, mode="complete")
     return np.asarray(root @ turn)

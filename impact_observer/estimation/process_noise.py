@@ -1,16 +1,48 @@
-"""What white noise of the accelerations makes of a state: process noise of a linear phase."""
+"""Process noise: accelerations that the model does not have, and parameters that drift."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from impact_observer.dynamics.flow.flow import balanced_state_matrix
 from impact_observer.dynamics.flow.phase import Phase
 from impact_observer.estimation.square_root import triangular
-from impact_observer.states import Matrix
+from impact_observer.states import Matrix, Vector
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Of Gauss and Legendre on [-1, 1]: over the inverse of the fastest rate exact to rounding."""
+_MINUTE = 60.0
+"""s"""
+
+
+class ProcessNoise(NamedTuple):
+    """Process noise of a flight.
+
+    Attributes:
+        model_error: of the accelerations, as white noise, m/s^1.5.
+        drift: standard deviation of the random walk of the parameters in a minute, shape (p,).
+    """
+
+    model_error: float
+    drift: Vector
+
+    def added_to(self, root: Matrix, phase: Phase, s: float) -> Matrix:
+        """A covariance's root with the process noise of ``s`` seconds of ``phase``.
+
+        Args:
+            root: of (q, u), or of (q, u, constants), shape (2n or more, any).
+            phase: in which the system moves.
+            s: seconds.
+        """
+        size, columns = 2 * phase.equations.n, [root]
+        if self.model_error and s > 0:
+            added = diffusion(phase, s, self.model_error)
+            columns.append(np.pad(added, ((0, len(root) - size), (0, 0))))
+        if np.any(self.drift) and s > 0 and len(root) > size:
+            added = np.diag(self.drift * math.sqrt(s / _MINUTE))
+            columns.append(np.pad(added, ((size, len(root) - size - len(added)), (0, 0))))
+        return triangular(np.hstack(columns)) if len(columns) > 1 else root
 
 
 def diffusion(phase: Phase, s: float, intensity: float) -> Matrix:
@@ -18,10 +50,10 @@ def diffusion(phase: Phase, s: float, intensity: float) -> Matrix:
 
     ``Q(s)``, the integral of ``Phi(r) B B^T Phi(r)^T`` for r from 0 to s, by quadrature over a
     step shorter than the fastest rate's inverse, and then by ``Q(2h) = Phi(h) Q(h) Phi(h)^T +
-    Q(h)``. Only motion forward in time is asked for, which never overflows.
+    Q(h)``. Only motion forward in time is needed, which never overflows.
 
     Args:
-        phase: in which the system moves; what is held does not go astray.
+        phase: in which the system moves; contacts that are held get no noise.
         s: seconds, not negative.
         intensity: of the noise on every velocity, m/s^1.5.
 

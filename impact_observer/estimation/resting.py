@@ -1,4 +1,4 @@
-"""What is known of contacts that come to rest: their gaps are closed, and they have no speed."""
+"""Contacts that come to rest: their gaps and speeds are measured to be zero."""
 
 import numpy as np
 from scipy import linalg
@@ -11,51 +11,55 @@ from impact_observer.events import Contacts
 from impact_observer.states import Vector
 
 
-def rested(members: Members, known: GaussianState, new: Contacts, left: Vector) -> GaussianState:
-    """``g = 0`` and ``gamma = 0`` on closed contacts; those that are ``new`` tell it.
+def rested(
+    members: Members, state: GaussianState, new: Contacts, leftover: Vector
+) -> GaussianState:
+    """``state`` corrected by ``g = 0`` and ``gamma = 0`` on its closed contacts.
 
     Args:
-        members: the family of what moves.
-        known: when they close.
-        new: contacts that were not closed before.
-        left: speeds that a plant may leave out before these rest, shape (len(new),), m/s.
+        members: the family of the system.
+        state: when the contacts close.
+        new: closed contacts that were open before: these are measured.
+        leftover: speeds that a plant may neglect before these rest, shape (len(new),), m/s.
     """
-    if not known.closed:
-        return known
-    member, size, p = members.at(known.theta), known.x.size, known.parameters
-    # What comes to rest may have bounced before, unheard: that it rests says nothing of how well.
-    sure = ~members.bounces(new)
-    tells = tuple(i for i, each in zip(new, sure.tolist(), strict=True) if each)
-    gaps, speeds = member.gaps(new), Measured.speeds(member.system, tells)
+    if not state.closed:
+        return state
+    member, size, p = members.at(state.theta), state.x.size, state.parameters
+    # A contact that comes to rest may have bounced unreported before, so its speed is no
+    # measurement where its restitution is learnt.
+    certain = ~members.learns_restitution(new)
+    slow = tuple(i for i, each in zip(new, certain.tolist(), strict=True) if each)
+    gaps, speeds = member.gaps(new), Measured.speeds(member.system, slow)
     c = np.vstack([gaps.c, speeds.c])
-    value = np.concatenate([gaps.value(known.x), speeds.value(known.x)])
-    sizes = members.given.moving.phases.scales.sizes(known.x)
-    floor = [*gaps.rounding(sizes), *np.hypot(speeds.rounding(sizes), left[sure])]
-    H = np.hstack([c, np.zeros((len(c), known.root.shape[0] - size))])
-    H[: len(new), size : size + p] = members.gap_rows(new)
-    learnt = correction(known.root, H, np.empty((len(c), 0)), floor)
-    change = -learnt.change(value)
+    value = np.concatenate([gaps.value(state.x), speeds.value(state.x)])
+    sizes = members.given.moving.phases.scales.sizes(state.x)
+    floor = [*gaps.rounding(sizes), *np.hypot(speeds.rounding(sizes), leftover[certain])]
+    H = np.hstack([c, np.zeros((len(c), state.root.shape[0] - size))])
+    H[: len(new), size : size + p] = members.gap_sensitivity(new)
+    update = correction(state.root, H, np.empty((len(c), 0)), floor)
+    change = -update.change(value)
     if p:
-        theta = known.theta + change[size : size + p]
-        change += members.inward(theta, learnt.root, slice(size, size + p))
-    told = known._replace(
-        x=known.x + change[:size],
-        slow=known.slow + change[size:],
-        root=learnt.root,
-        differences=known.differences - learnt.change(H.dot(known.differences)),
+        theta = state.theta + change[size : size + p]
+        change += members.bound_correction(theta, update.root, slice(size, size + p))
+    corrected = state._replace(
+        x=state.x + change[:size],
+        constants=state.constants + change[size:],
+        root=update.root,
+        differences=state.differences - update.change(H.dot(state.differences)),
     )
-    return _stopped(members, told)
+    return _projected(members, corrected)
 
 
-def _stopped(members: Members, known: GaussianState) -> GaussianState:
-    """What is known, where it is as good as exact that closed contacts rest.
+def _projected(members: Members, state: GaussianState) -> GaussianState:
+    """``state``, nearly at rest on its closed contacts, projected onto ``g = 0, gamma = 0``.
 
-    What is left goes by the way the plant itself comes to rest.
+    The projection is that by which the plant itself comes to rest.
     """
-    closed, n, member = known.closed, known.x.size // 2, members.at(known.theta)
+    closed, n, member = state.closed, state.x.size // 2, members.at(state.theta)
     W, projection = member.system.W[:, list(closed)].T, member.projection
-    x, Z = member.moving.phases.stopped(known.x, closed, projection), projection.jump(closed)
+    x, Z = member.moving.phases.stopped(state.x, closed, projection), projection.jump(closed)
     still = member.moving.phase(closed).inverse @ member.system.M
-    turn = np.zeros((2 * n, known.parameters))
-    turn[:n] = -Z @ members.gap_rows(closed)
-    return known.carried(x, linalg.block_diag(np.eye(n) - Z @ W, still), turn)
+    sensitivity = np.zeros((2 * n, state.parameters))
+    sensitivity[:n] = -Z @ members.gap_sensitivity(closed)
+    map_ = linalg.block_diag(np.eye(n) - Z @ W, still)
+    return state.propagated(x, map_, sensitivity)

@@ -1,8 +1,8 @@
 """Two phases and the jump between them as functions of a state and of when the jump is.
 
 A plant jumps ``e`` seconds before an instant at which its state would be ``y`` without the jump.
-What is measured at the jump, and what has become of the state at that instant, are functions of
-``(e, y)``. Here are their expansions about ``e = 0``: linear in ``y``, of second order in ``e``.
+The guard at the jump, and the state at that instant after the jump, are functions of ``(e, y)``.
+Here are their expansions about ``e = 0``: linear in ``y``, of second order in ``e``.
 
 For ``x+ = J x-`` the first order in ``e`` is ``f+ - J f-``, the rates ``f = dx/dt`` before and
 after. With ``e = g / gamma`` from the gap this is the saltation matrix (Kong, Payne, Zhu and
@@ -21,9 +21,9 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 ROUNDING = 4 * float(np.finfo(np.float64).eps)
-"""Of what is measured, relative to the terms that it is the sum of."""
+"""Rounding of a measurement, relative to the terms of its sum."""
 LEAST = 1e-150
-"""Standard deviation of a measurement in which nothing is rounded."""
+"""Least standard deviation of a measurement."""
 _ONE = np.ones(1)
 
 
@@ -71,12 +71,12 @@ class Expansion(NamedTuple):
 
 
 class Jet(NamedTuple):
-    """Expansions of the same functions at any ``y``: only what is affine in it is left to find.
+    """Expansions of the same functions at any ``y``, whose coefficients are affine in ``y``.
 
     Attributes:
         now: value, slope and E as rows, each shape (k,), of (1, y, f, df/dt, d2f/dt2),
             shape (3 k, 1 + 2n + 3n).
-        maps: what each of the three changes by with ``y``, shape (3, k, 2n).
+        maps: derivatives of each of the three by ``y``, shape (3, k, 2n).
     """
 
     now: Matrix
@@ -84,12 +84,12 @@ class Jet(NamedTuple):
 
     @classmethod
     def of(cls, *rows: list[Matrix | Vector]) -> "Jet":
-        """From the parts of ``now``, a row for each of value, slope and E."""
+        """From the parts of ``now``: one row each for value, slope and E."""
         now = np.concatenate([np.column_stack(row) for row in rows])
         return cls(now, np.array([row[1] for row in rows]))
 
     def expanded(self, y: Vector, forces: Matrix, e: float = 0.0) -> Expansion:
-        """About ``(e, y)``, itself found to second order in ``e``.
+        """The expansion about ``(e, y)``, which is itself of second order in ``e``.
 
         Args:
             y: shape (2n,).
@@ -107,12 +107,12 @@ class Jet(NamedTuple):
 
 
 class Measured(NamedTuple):
-    """Functions ``c x + rest - load f(t)`` that are zero when something switches.
+    """Guard functions ``c x + rest - load f(t)``: zero when a contact switches.
 
     Attributes:
         c: shape (k, 2n).
         rest: shape (k,).
-        load: shape (k, n); None for nothing.
+        load: shape (k, n); None for zero.
     """
 
     c: Matrix
@@ -142,7 +142,7 @@ class Measured(NamedTuple):
         return np.asarray(self.c.dot(x) + self._rest(force))
 
     def rounding(self, x: Vector, force: Vector | None = None) -> list[float]:
-        """Standard deviation of what is rounded in each of them, positive."""
+        """Standard deviation of the rounding of each of them, positive."""
         terms = np.abs(self.c).dot(np.abs(x)).tolist()
         rests = self._rest(force).tolist()
         return [
@@ -152,11 +152,11 @@ class Measured(NamedTuple):
     def _rest(self, force: Vector | None) -> Vector:
         if self.load is None:
             return self.rest
-        assert force is not None, "what is loaded depends on the force"
+        assert force is not None, "a load depends on the force"
         return np.asarray(self.rest - self.load.dot(force))
 
     def along(self, rates: StateRates) -> Jet:
-        """Their expansions while a phase lasts."""
+        """Their expansions in one phase."""
         nothing = np.zeros((len(self.c), rates.B.shape[1]))
         load = nothing if self.load is None else self.load
         still, first = np.zeros_like(self.rest), self.c @ rates.A
@@ -168,10 +168,10 @@ class Measured(NamedTuple):
 
 
 class Mirror(NamedTuple):
-    """``x+ = J x- + offset``: velocities jump, and so does what a gap is not closed by.
+    """The jump ``x+ = J x- + offset``: a gap that is left is reversed like its speed.
 
-    A gap that is left is thrown back like its speed, so that ``gamma e = g`` stays true: where
-    the jump is a little early or late, positions do not notice.
+    So ``gamma e = g`` stays true, and a jump that is a little early or late leaves the positions
+    as they are.
 
     Attributes:
         J: shape (2n, 2n).
@@ -188,7 +188,7 @@ class Mirror(NamedTuple):
         """The mirror of ``u+ = J u-`` in which ``pressed`` take part.
 
         Args:
-            system: what is hit.
+            system: the system.
             J: shape (n, n).
             pressed: indices of contacts.
             gaps: in the rest position, to use instead of the system's, shape (m,), m.

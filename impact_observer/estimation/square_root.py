@@ -1,12 +1,12 @@
 """Linear estimation by square roots of covariances, ``P = S S^T``.
 
-The roots are carried, never ``P``: stamps of 1 ns let variances fall to 1e-18 of what they were,
+The roots are propagated, never ``P``: stamps of 1 ns let variances fall to 1e-18 of what they were,
 and the difference of two such matrices would be rounding. Every step is one orthogonal
 triangulation (Kailath, Sayed and Hassibi, Linear Estimation, 2000, chapter 12).
 
-A quantity that is the product of two unknown ones is linear about the best estimate of both, and
-what is left of it is noise whose mean and variance follow from theirs: about the estimate before
-a measurement, and once more about that after it (Garcia-Fernandez, Svensson, Morelande and
+A product of two estimated quantities is linearised about the best estimate of both. The remainder
+is noise whose mean and variance follow from theirs: first about the prior of a measurement, then
+once more about its posterior (Garcia-Fernandez, Svensson, Morelande and
 Särkkä, Posterior linearization filter, 2015).
 """
 
@@ -26,12 +26,12 @@ _SQRT2 = math.sqrt(2.0)
 
 
 class Correction(NamedTuple):
-    """What a measurement does to a state of ``d`` numbers.
+    """The correction of a state of ``d`` numbers by a measurement.
 
     Attributes:
-        gain: what the state moves by per ``whitened`` innovation, shape (d, k).
+        gain: change of the state per ``whitened`` innovation, shape (d, k).
         innovation: a square root of the innovation's covariance, lower triangular, shape (k, k).
-        root: a square root of the covariance after it, lower triangular, shape (d, d).
+        root: a square root of the posterior covariance, lower triangular, shape (d, d).
     """
 
     gain: Matrix
@@ -47,17 +47,17 @@ class Correction(NamedTuple):
         """``innovation^-1 seen``: innovations, or rows of several ones, in standard deviations."""
         found: list[Any] = []
         for row, value in zip(self.innovation.tolist(), seen, strict=True):
-            known = sum(map(mul, row, found))  # row by row: there are hardly ever many
-            found.append((value - known) / row[len(found)])
+            explained = sum(map(mul, row, found))  # row by row: there are hardly ever many
+            found.append((value - explained) / row[len(found)])
         return found
 
     def change(self, seen: Matrix) -> Matrix:
-        """What the state moves by, shape (d, ...), of innovations, shape (k, ...)."""
+        """The change of the state, shape (d, ...), by innovations ``seen``, shape (k, ...)."""
         return np.asarray(self.gain.dot(np.reshape(self.whitened(seen), seen.shape)))
 
 
 def lengths(rows: Matrix) -> list[float]:
-    """Euclidean lengths of ``rows``: deviations, of rows of a covariance's root."""
+    """Euclidean lengths of ``rows``: standard deviations, of rows of a covariance's root."""
     return [math.hypot(*row) for row in rows.tolist()]
 
 
@@ -81,14 +81,14 @@ def _upper(d: int) -> Matrix:
 def correction(
     root: Matrix, H: Matrix, noise: Matrix, rounded: Sequence[float] = ()
 ) -> Correction:
-    """What measuring ``H z + noise`` tells of ``z``: the Kalman filter's array form.
+    """The correction of ``z`` by measuring ``H z + noise``: the Kalman filter's array form.
 
     Args:
         root: a square root of the covariance of ``z``, shape (d, any).
-        H: rows measured, shape (k, d).
-        noise: a root of the measurement's own covariance, with ``rounded`` positive definite,
+        H: the measurement matrix, shape (k, d).
+        noise: a root of the measurement noise's covariance, with ``rounded`` positive definite,
             shape (k, any).
-        rounded: standard deviations of noise that each measurement has of its own, k or none.
+        rounded: standard deviations of independent noise of each measurement, k or none.
     """
     (k, d), first = H.shape, noise.shape[1]
     last = first + len(rounded)

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from impact_observer.errors import UsageError
-from impact_observer.estimation.unknown_parameters import Unknowns
+from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -56,7 +56,7 @@ class Uncertainty:
     missed: float = 0.1
     spurious: float = 0.1
     mislabelled: float = 0.01
-    unknowns: Unknowns | None = None
+    unknowns: UnknownParameters | None = None
 
     def __post_init__(self) -> None:
         """Check that every number is from 0 to the most that may be declared.
@@ -74,7 +74,7 @@ class Uncertainty:
                 raise UsageError(f"{name}: {found} found; expected 0 to {most:g}")
 
     @property
-    def trusting(self) -> bool:
+    def trusts_events(self) -> bool:
         """Whether every event is believed."""
         return not (self.missed or self.spurious or self.mislabelled)
 

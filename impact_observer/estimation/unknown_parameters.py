@@ -25,7 +25,7 @@ SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Unknowns:
+class UnknownParameters:
     """Parameters of the model that are not known, and are learnt with the state.
 
     Attributes:
@@ -68,7 +68,7 @@ class Unknowns:
         wanted: Sequence[str],
         elements: Sequence[Element] = (),
         drift: float = 0.0,
-    ) -> "Unknowns":
+    ) -> "UnknownParameters":
         """Those that users name.
 
         Args:
@@ -76,7 +76,7 @@ class Unknowns:
             wanted: names as of ``identify --free``, such as ``restitution`` or ``gap.stop``, each
                 perhaps with a standard deviation, as in ``restitution=0.05``.
             elements: what the system was assembled of.
-            drift: see ``Unknowns``.
+            drift: see ``UnknownParameters``.
 
         Raises:
             UsageError: a name that there is not or that comes twice, or a deviation that is none.

@@ -195,7 +195,7 @@ class _Errors:
 
     def telling(self, change: ContactChange) -> Contacts:
         """The contacts that say something: those that hit, or one alone that opens by itself."""
-        return change.telling(self._phases.independent(change.before), self._system.forcing)
+        return change.informative(self._phases.independent(change.before), self._system.forcing)
 
     def cross(self, change: ContactChange) -> Matrix:
         """Go on to ``change`` and across it.

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from impact_observer.errors import UsageError
 from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
-from impact_observer.estimation.unknown_parameters import Unknowns
+from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.observer.initial_state import initial_state
@@ -58,7 +58,7 @@ def make_observer(
 
 def _unknown_parameters(
     system: System, options: Options, elements: Sequence[Element]
-) -> Unknowns | None:
+) -> UnknownParameters | None:
     """The parameters that are estimated with the state; None for none."""
     if not options.estimate_parameters:
         if options.parameter_drift:
@@ -68,7 +68,7 @@ def _unknown_parameters(
             )
         return None
     wanted, drift = options.estimate_parameters, options.parameter_drift
-    unknowns = Unknowns.named(system, wanted, elements, drift)
+    unknowns = UnknownParameters.named(system, wanted, elements, drift)
     if not law_named(options.law).learns:
         raise UsageError(
             f"estimate_parameters: the law {options.law} estimates none; expected"

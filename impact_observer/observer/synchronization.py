@@ -105,10 +105,10 @@ class SynchronizationTest:
         if not ensemble.others:
             return -1.0, energy
         if ensemble.others >= _MOST_COMPARED:
-            lengths = ensemble.seen(self._lengths)
+            lengths = ensemble.mapped(self._lengths)
             squares = np.einsum("ij,ij->j", lengths, lengths)
             return 2 * float(squares.max()), energy  # half of twice the radius, squared
-        return ensemble.farthest(self._metric) / 2, energy
+        return ensemble.largest_distance(self._metric) / 2, energy
 
     @cached_property
     def _lengths(self) -> Matrix:

@@ -101,7 +101,7 @@ class IssuedVerdicts:
         for subject, latest in notes.items():
             issued = self._issued.get(subject)
             outdated.pop(subject, None)
-            if issued is not None and issued.gist == latest.gist:
+            if issued is not None and issued.decision == latest.decision:
                 continue
             note = latest if issued is None else latest._replace(stamp=issued.stamp)
             if subject.inserted or subject.event != own:

@@ -26,7 +26,7 @@ def test_maps_that_are_due_act_in_their_order() -> None:
     np.testing.assert_allclose(ensemble.replicas - y, expected, atol=1e-13)
     np.testing.assert_array_equal(ensemble.replicas[0], y)
     functions = random.normal(size=(2, 4))
-    np.testing.assert_allclose(ensemble.seen(functions).T, expected[1:] @ functions.T, atol=1e-12)
+    np.testing.assert_allclose(ensemble.mapped(functions).T, expected[1:] @ functions.T, atol=1e-12)
     np.testing.assert_allclose(Ensemble.of(replicas).replicas, replicas, rtol=1e-14)
 
 
@@ -40,7 +40,7 @@ def test_farthest_is_that_of_all_pairs(size: int, count: int) -> None:
     for _ in range(3):
         pairs = combinations(ensemble.replicas - ensemble.x, 2)
         largest = max((one - two) @ metric @ (one - two) for one, two in pairs)
-        assert ensemble.farthest(metric) == pytest.approx(largest, rel=1e-12)
+        assert ensemble.largest_distance(metric) == pytest.approx(largest, rel=1e-12)
         ensemble = ensemble.carried(random.normal(size=size), random.normal(size=(size, size)))
 
 

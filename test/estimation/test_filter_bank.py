@@ -261,7 +261,7 @@ def checked(watcher: Observer, stamp: int) -> None:
     assert watcher._timeline is not None
     for entry in watcher._timeline.entries:
         hypotheses = entry.belief.hypotheses
-        if watcher.law.uncertainty.trusting:
+        if watcher.law.uncertainty.trusts_events:
             assert not hypotheses  # nothing is weighed
             continue
         assert 1 <= len(hypotheses) <= 2 * (MOST + len(CLOCK_ERRORS))

@@ -10,7 +10,7 @@ from systems import PRESSED, sample
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.estimation.members import Members
 from impact_observer.estimation.saltation import Measured, Mirror
-from impact_observer.estimation.unknown_parameters import Unknowns
+from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ STEP = 1e-5
 
 def members(model: System, *wanted: str) -> Members:
     """The family with ``wanted`` parameters."""
-    return Members(Unknowns.named(model, wanted or EVERYTHING).family)
+    return Members(UnknownParameters.named(model, wanted or EVERYTHING).family)
 
 
 def slopes(all_: Members, of: Callable[[Array], Array]) -> Array:
@@ -52,17 +52,17 @@ def test_accelerations_and_loads_change_as_those_of_other_systems(closed: tuple[
         moving = all_.at(theta).moving
         return Measured.loads(moving.phase(closed), closed).value(x, moving.forces(t)[0])
 
-    found = all_.turning(all_.given, closed, x, t)
+    found = all_.rate_sensitivity(all_.given, closed, x, t)
     np.testing.assert_allclose(found, slopes(all_, rate), atol=1e-7)
     if closed:
-        found = all_.load_rows(all_.given, closed, closed, x, t)
+        found = all_.load_sensitivity(all_.given, closed, closed, x, t)
         np.testing.assert_allclose(found, slopes(all_, loads), atol=1e-6)
 
 
 def test_gaps_change_by_those_that_are_learnt() -> None:
     """And by nothing else."""
     all_ = members(PRESSED)
-    rows = all_.gap_rows((1, 0))
+    rows = all_.gap_sensitivity((1, 0))
     names = all_.family.names
     assert rows.shape == (2, len(names))
     for name, column in zip(names, rows.T, strict=True):
@@ -76,7 +76,7 @@ def test_an_impact_is_that_of_the_system_with_these_parameters(pressed: tuple[in
     all_ = members(PRESSED)
     theta = all_.family.nominal + 0.01 * np.arange(1, all_.family.size + 1)
     x = np.array([0.3, -0.2, 0.5, 0.4])
-    found, model = all_.jumped(theta, x, pressed), all_.family.system_at(theta)
+    found, model = all_.impact(theta, x, pressed), all_.family.system_at(theta)
     mirror = Mirror.of(model, ImpactLaw(model).jump(pressed), pressed)
     np.testing.assert_allclose(found.linear, mirror.J, atol=1e-13)
     np.testing.assert_allclose(found.value, mirror.J @ x + mirror.offset, atol=1e-13)
@@ -90,8 +90,8 @@ def test_members_that_only_bounce_otherwise_share_their_motion() -> None:
     other = all_.at(given + np.array([0.0, 0.01, 0.02, 0.03, 0.04]))
     assert other.moving is all_.given.moving
     assert other.system.eps.tolist() != PRESSED.eps.tolist()
-    assert all_.unmoved(other).system.q_r.tolist() == other.system.q_r.tolist()
-    assert all_.unmoved(other).system.eps.tolist() == PRESSED.eps.tolist()
+    assert all_.with_given_restitution(other).system.q_r.tolist() == other.system.q_r.tolist()
+    assert all_.with_given_restitution(other).system.eps.tolist() == PRESSED.eps.tolist()
     assert all_.at(given + 0.1 * np.eye(5)[0]).moving is not all_.given.moving
 
 
@@ -101,11 +101,11 @@ def test_parameters_beyond_their_bounds_come_back_with_what_depends_on_them() ->
     rng = np.random.default_rng(3)
     root = rng.normal(size=(6, 6))
     P, rows = root @ root.T, slice(4, 6)
-    assert not np.any(all_.inward(np.array([0.2, 0.9]), root, rows))
-    change = all_.inward(np.array([0.2, 1.3]), root, rows)
+    assert not np.any(all_.bound_correction(np.array([0.2, 0.9]), root, rows))
+    change = all_.bound_correction(np.array([0.2, 1.3]), root, rows)
     assert change[5] == pytest.approx(-0.3)
     np.testing.assert_allclose(change[:4], P[:4, 5] / P[5, 5] * -0.3)
-    both = all_.inward(np.array([-0.4, 1.3]), root, rows)
+    both = all_.bound_correction(np.array([-0.4, 1.3]), root, rows)
     theta = np.array([-0.4, 1.3]) + both[rows]
     assert np.all((theta >= 0.0) & (theta <= 1.0))
 
@@ -113,7 +113,7 @@ def test_parameters_beyond_their_bounds_come_back_with_what_depends_on_them() ->
 def test_steps_are_as_large_as_what_is_not_known_and_stay_inside() -> None:
     """Powers of two; not so small that differences would be rounding."""
     model = sample("three_mass")
-    told = Unknowns.named(model.system, ["stiffness.ground-x1"], model.elements)
+    told = UnknownParameters.named(model.system, ["stiffness.ground-x1"], model.elements)
     all_ = Members(told.family)
     for deviation in (1e-12, 1e-3, 1.0, 1e3):
         for theta in (0.1, 25.0, 500.0):

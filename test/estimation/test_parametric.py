@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from systems import examples, matrices, vectors
 
-from impact_observer.estimation.parametric import Map, Sensitivity, led
+from impact_observer.estimation.parametric import Map, Sensitivity, leading_triangular
 
 Array = NDArray[np.float64]
 P, N = 2, 3
@@ -23,7 +23,7 @@ class Quadratic:
         self.c = bent + bent.transpose(1, 0, 2)
         self.x, self.theta = rng.normal(size=N), rng.normal(size=P)
         root = np.tril(rng.normal(size=(N + P, N + P)))
-        self.root = led(np.roll(root, -P, axis=0), slice(N, N + P))
+        self.root = leading_triangular(np.roll(root, -P, axis=0), slice(N, N + P))
 
     def value(self, x: Array, theta: Array) -> Array:
         """``F`` of one state and one theta, or of as many as there are rows of both."""
@@ -48,7 +48,7 @@ def test_differences_of_a_quadratic_map_are_its_derivatives(
     first = F.b + np.einsum("jkn,k->jn", F.c, F.theta) + F.B @ F.x
     rounding = 1e-12 / np.min(steps) ** 2
     np.testing.assert_allclose(seen.first, first, atol=1e-11 + rounding)
-    np.testing.assert_allclose(seen.turns, F.B, atol=1e-11 + rounding)
+    np.testing.assert_allclose(seen.mixed, F.B, atol=1e-11 + rounding)
     np.testing.assert_allclose(seen.second, F.c, atol=1e-10 + rounding)
 
 
@@ -78,7 +78,7 @@ def test_noise_covers_what_is_left_of_a_quadratic_map(seed: int) -> None:
 def test_a_root_that_is_led_has_the_same_covariance(root: Array, first: int) -> None:
     """And its rows begin as a lower triangle."""
     rows = slice(first, first + 2)
-    found = led(root, rows)
+    found = leading_triangular(root, rows)
     np.testing.assert_allclose(found @ found.T, root @ root.T, atol=1e-12)
     np.testing.assert_allclose(np.triu(found[rows], 1), 0.0, atol=1e-14)
 

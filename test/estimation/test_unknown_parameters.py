@@ -15,7 +15,7 @@ from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.unknown_parameters import MOST_DRIFT, Unknowns
+from impact_observer.estimation.unknown_parameters import MOST_DRIFT, UnknownParameters
 from impact_observer.events import ImpactEvent
 from impact_observer.identify.motion import FlightEnd, shoot
 from impact_observer.model import System
@@ -40,7 +40,7 @@ def watching(
     model: System, x: Array, free: Sequence[str] = (), clock: float = 0.0, **declared: object
 ) -> Observer:
     """An observer of minimum variance that believes every event and learns ``free``."""
-    unknowns = Unknowns.named(model, free) if free else None
+    unknowns = UnknownParameters.named(model, free) if free else None
     told = without_faults(clock_error=clock, unknowns=unknowns, **{**TRUSTING, **declared})
     law = law_named("minimum-variance")(model, told)
     n = model.n
@@ -157,7 +157,7 @@ def linearised(
 @pytest.mark.parametrize("closed", [(), (0,)])
 def test_small_errors_go_on_by_the_derivatives_of_the_motion(closed: tuple[int, ...]) -> None:
     """State and parameters, also while a contact is held; the other replicas likewise."""
-    told = Unknowns.named(PRESSED, ["stiffness-scale=1e-5", "mass-scale=2e-5", "gap.c2=1e-5"])
+    told = UnknownParameters.named(PRESSED, ["stiffness-scale=1e-5", "mass-scale=2e-5", "gap.c2=1e-5"])
     filter_ = ImpactFilter(PRESSED, 0.0, told)
     rng = np.random.default_rng(5)
     root = 1e-5 * np.tril(rng.normal(size=(7, 7)))
@@ -178,7 +178,7 @@ def test_small_errors_are_learnt_from_as_by_least_squares() -> None:
     """The filter's parameters and deviations are those of all impacts fitted at once."""
     model, true, jitter, size = sample("two_mass").system, truth("two_mass", 12.0), 1e-6, 1e-5
     free = [f"{name}={size}" for name in ("stiffness-scale", "restitution", "gap")]
-    told = Unknowns.named(model, free)
+    told = UnknownParameters.named(model, free)
     rng = np.random.default_rng(8)
     start = np.concatenate([true.states[0] + size * rng.normal(size=4), told.family.nominal])
     late = [from_seconds(each) for each in jitter * rng.normal(size=len(true.events))]
@@ -207,7 +207,7 @@ def test_what_is_said_of_parameters_is_true_over_many_starts(free: str) -> None:
     """Errors are as large as their deviations: the mean of their squares is near one."""
     model, true = sample("two_mass").system, truth("two_mass", 20.0)
     name, _, deviation = free.partition("=")
-    family = Unknowns.named(model, [free]).family
+    family = UnknownParameters.named(model, [free]).family
     squares = []
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -229,7 +229,7 @@ def test_a_parameter_that_drifts_is_known_less_as_time_goes_by() -> None:
     x = np.concatenate(sample("two_mass").initial_state())
     for free in ("restitution", "stiffness-scale"):
         for drift in (0.0, 0.4):
-            told = Unknowns.named(model, [f"{free}=0.02"], drift=drift)
+            told = UnknownParameters.named(model, [f"{free}=0.02"], drift=drift)
             root = np.diag([1e-3] * 4 + [0.005])
             known = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
             found = ImpactFilter(model, 0.0, told).course(0.0, known).known(s)
@@ -252,10 +252,10 @@ def test_a_restitution_that_cannot_be_is_never_reached() -> None:
 def test_names_and_deviations_are_read_as_users_write_them() -> None:
     """A kind is all of its members; what is said of one beats what is said of its kind."""
     model = sample("three_mass")
-    told = Unknowns.named(model.system, ["gap = 0.01", "restitution"])
+    told = UnknownParameters.named(model.system, ["gap = 0.01", "restitution"])
     assert told.family.names == ("gap.right", "gap.left", "restitution.right", "restitution.left")
     assert told.deviations.tolist() == [0.01, 0.01, 0.1, 0.1]
-    told = Unknowns.named(
+    told = UnknownParameters.named(
         model.system, ["gap.left=0.02", "stiffness.x1-x2", "mass.x2=0.3"], model.elements
     )
     assert told.family.names == ("stiffness.x1-x2", "mass.x2", "gap.left")
@@ -305,7 +305,7 @@ def test_a_drift_of_nothing_is_refused() -> None:
 def test_a_contact_that_rests_says_nothing_of_its_restitution() -> None:
     """A switch may have told of many bounces as of one: it stays what impacts have told."""
     model = sample("two_mass").system
-    told = Unknowns.named(model, ["restitution=0.1"])
+    told = UnknownParameters.named(model, ["restitution=0.1"])
     filter_ = ImpactFilter(model, 0.0, told)
     x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
     known = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
@@ -320,7 +320,7 @@ def test_a_contact_that_rests_says_nothing_of_its_restitution() -> None:
 def test_an_estimate_that_is_made_less_sure_knows_parameters_as_at_first_at_least() -> None:
     """However far the state is opened again; one row is as any other of a covariance."""
     model = sample("two_mass").system
-    told = Unknowns.named(model, ["restitution=0.1", "gap=0.02"])
+    told = UnknownParameters.named(model, ["restitution=0.1", "gap=0.02"])
     filter_ = ImpactFilter(model, 0.0, told)
     rng = np.random.default_rng(4)
     root = np.vstack([rng.normal(size=(4, 6)), 1e-3 * np.eye(2, 6)])
@@ -334,12 +334,12 @@ def test_an_estimate_that_is_made_less_sure_knows_parameters_as_at_first_at_leas
 
 def test_unknowns_check_themselves() -> None:
     """Their number, and how far they drift."""
-    family = Unknowns.named(sample("two_mass").system, ["restitution"]).family
+    family = UnknownParameters.named(sample("two_mass").system, ["restitution"]).family
     with pytest.raises(UsageError, match="2 found; expected 1"):
-        Unknowns(family, np.array([0.1, 0.2]))
+        UnknownParameters(family, np.array([0.1, 0.2]))
     for drift in (-0.1, float("nan"), 2 * MOST_DRIFT):
         with pytest.raises(UsageError, match=r"parameter_drift: .* found; expected 0 to"):
-            Unknowns(family, np.array([0.1]), drift)
+            UnknownParameters(family, np.array([0.1]), drift)
 
 
 def test_late_events_change_nothing_of_what_is_learnt() -> None:

@@ -101,9 +101,9 @@ class Geometric(ReplicaLaw):
             return super().impact_ensemble(before, x, active, closed)
         jump = self._jump(active[0])
         gamma = float(jump.gamma.dot(before.x))
-        if gamma <= 0 and before.most(jump.gamma) <= -gamma:
-            return before.carried(x, jump.map).without_faded()
-        differences, speeds = before.seen(jump.map), before.seen(jump.gamma)
+        if gamma <= 0 and before.maximum(jump.gamma) <= -gamma:
+            return before.propagated(x, jump.map).without_faded()
+        differences, speeds = before.mapped(jump.map), before.mapped(jump.gamma)
         kept = np.maximum(speeds + gamma, 0.0) - max(gamma, 0.0)
         differences[self.system.n :] += jump.kick[:, None] * kept
         return Ensemble(x, Differences(differences))

@@ -78,7 +78,7 @@ class MinimumVariance(Law):
         self._learns = bool(
             self._names or len(self.clocks) > 1 or self.uncertainty.clock_offset_error
         )
-        self._sure = self.uncertainty.trusting and not self._learns
+        self._sure = self.uncertainty.trusts_events and not self._learns
 
     def compile(self) -> None:
         """Have machine code for the numbers of nearly every event.
@@ -121,7 +121,7 @@ class MinimumVariance(Law):
             found = self._bank.predicted(hypotheses, t, s)
             return self._belief(found, Fallback(motion.state(s), fallback.reach))
 
-        if self.uncertainty.trusting:
+        if self.uncertainty.trusts_events:
             return _Heard(self._bank.filter, t, hypotheses, later)
         return _Foreseen(self._bank, t, hypotheses, later)
 
@@ -249,7 +249,7 @@ class _Sure(Prediction):
     def belief(self, s: float) -> Belief:
         x, map_ = self._phase.flow.moved(self._motion, s)
         before = self._belief.ensemble
-        after = before.carried(x, map_) if before.others else Ensemble(x, before.since)
+        after = before.propagated(x, map_) if before.others else Ensemble(x, before.since)
         return Belief(after, self._carried(map_, s))
 
     def _carried(self, map_: Matrix, s: float) -> Matrix:

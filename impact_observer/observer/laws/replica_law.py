@@ -217,7 +217,7 @@ class _CommonPhase(Prediction):
     def belief(self, s: float) -> Belief:
         before = self._belief.ensemble
         if before.others:
-            after = before.carried(*self._phase.flow.moved(self._first, s))
+            after = before.propagated(*self._phase.flow.moved(self._first, s))
         else:
             after = Ensemble(self._first.state(s), before.since)
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)

@@ -1,0 +1,100 @@
+"""A missed switch: an impact, a rest or a release that was predicted and not reported."""
+
+import math
+
+import numpy as np
+
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.forecast import Dip
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.joint import Joint
+from impact_observer.estimation.likelihood import STILL
+from impact_observer.estimation.square_root import lengths, triangular
+from impact_observer.events import Kind
+
+_BRIEF = 1e-2
+"""Flights that count as rest where the gap stays within its deviation, relative to the model's
+time scale."""
+
+
+def insert_switch(
+    filter_: ImpactFilter, t: float, state: GaussianState, dip: Dip
+) -> tuple[GaussianState, Kind]:
+    """The state after the switch that a dip predicts, and how the contact switches.
+
+    A contact that would leave its stop by less than the deviation of its gap rests on it.
+
+    Args:
+        filter_: of the system.
+        t: where the dip begins, s since the epoch.
+        state: then.
+        dip: of a gap or a load.
+    """
+    closed = state.closed
+    if dip.kind is Kind.OPEN:
+        stay = tuple(i for i in closed if i != dip.contact)
+        return posterior_of_missed(filter_, ContactChange(t, closed, (), stay), state), Kind.OPEN
+    change = ContactChange(t, closed, (dip.contact,), closed)
+    after = posterior_of_missed(filter_, change, state)
+    speed = float(filter_.system.W[:, dip.contact].dot(after.x[filter_.system.n :]))
+    if not _comes_to_rest(filter_, t, dip.contact, after, speed):
+        return after, Kind.IMPACT
+    resting = change._replace(closed=tuple(sorted({*closed, dip.contact})))
+    return posterior_of_missed(filter_, resting, state, max(speed, 0.0)), Kind.CLOSE
+
+
+def posterior_of_missed(
+    filter_: ImpactFilter, change: ContactChange, state: GaussianState, leftover: float = 0.0
+) -> GaussianState:
+    """The state after a missed event, at the instant of ``change``.
+
+    The instant is the root of the estimate's own guard. It measures nothing, and its error
+    follows from that of the state.
+
+    Args:
+        filter_: of the system.
+        change: the missed event.
+        state: then.
+        leftover: speed that a contact which closes may neglect before it rested, m/s.
+    """
+    x, root, member = state.x, state.root, filter_.member(state)
+    contacts = change.contacts[:1]
+    jet = member.guard(change.before, contacts, bool(change.hit)).jet
+    value, H, D, E = jet.expanded(x, member.moving.forces(change.t))
+    sensitivity = filter_.measured_sensitivity(member, change, contacts, x, change.t)
+    seen = np.hstack([H[:, 1:], sensitivity])
+    late, bend = -float(value[0]), float(E[0])
+    deviation = lengths(seen.dot(root[: seen.size]))[0]
+    # Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
+    falling = math.sqrt(abs(bend) * (deviation + abs(late)))
+    slope = max(float(H[0, 0]), falling, STILL)
+    row, e, deviation = -seen / slope, late / slope, deviation / slope
+    nonlinear = deviation * lengths(D.dot(root[: x.size]))[0] / slope
+    nonlinear += bend / slope * deviation**2 / 2
+    differences = Joint.differences_of(state)
+    differences[:1] = row.dot(differences[1 : 1 + row.size])
+    whole = np.zeros((1 + len(root), 1 + root.shape[1]))
+    whole[0, 0], whole[0, 1:], whole[1:, 1:] = nonlinear, row.dot(root[: row.size]), root
+    joint = Joint.of(change.t, e, state, triangular(whole), differences)
+    return filter_.posterior(change, joint, leftover)
+
+
+def _comes_to_rest(
+    filter_: ImpactFilter, t: float, contact: int, state: GaussianState, speed: float
+) -> bool:
+    """Whether ``contact`` rests after an impact at ``t`` (s) that leaves it a ``speed`` (m/s).
+
+    It does if its next flight is one that a plant may neglect, or short and not higher than the
+    deviation of its gap.
+    """
+    n, w, moving = filter_.system.n, filter_.system.W[:, contact], filter_.member(state).moving
+    rate = moving.rates(state.closed).along(state.x, moving.forces(t))[0]
+    fall = -float(w.dot(rate[n:]))
+    if fall <= 0:
+        return False
+    seen = w.dot(state.root[:n])
+    deviation = math.sqrt(seen.dot(seen))
+    flight = 2 * speed / fall
+    brief = _BRIEF * filter_.phases.scales.timescale
+    return flight <= filter_.short or (speed * flight / 4 <= deviation and flight <= brief)
