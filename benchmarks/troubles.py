@@ -299,18 +299,20 @@ def oracle(case: Case, scenario: Scenario, seed: int, x: Vector, end: int) -> Ve
     system, index = case.system, case.system.contact_names.index
     clock = MinimumVariance(system, Uncertainty(clock_error=scenario.sensor.jitter)).clocks[0]
     filter_, since = ImpactFilter(system), 0.0
-    known = filter_.begin(GaussianState.of(x[None], Uncertainty().root(system.n)))
+    state = filter_.begin(GaussianState.of(x[None], Uncertainty().root(system.n)))
     for stamp, switching, heard in case.felt(scenario, seed):
         if stamp > end:
             break
         t = seconds_between(EPOCH, stamp) if heard else -switching.instant.until(EPOCH)
-        known = filter_.course(since, known).known(t - since)
+        state = filter_.predict(since, state).prior(t - since)
         switches = [(index(each.contact), each.kind) for each in switching.switches]
-        change = ContactChange.of(t, known.closed, switches)
-        prior = filter_.prior(change, known, clock if heard else 0.0)
-        known = filter_.after(change, filter_.heard(change, prior) if heard else prior)
+        change = ContactChange.of(t, state.closed, switches)
+        prior = filter_.joint_prior(change, state, clock if heard else 0.0)
+        state = filter_.posterior(
+            change, filter_.joint_posterior(change, prior) if heard else prior
+        )
         since = t
-    return filter_.course(since, known).state(seconds_between(EPOCH, end) - since)
+    return filter_.predict(since, state).state(seconds_between(EPOCH, end) - since)
 
 
 def surprise(covariance: Matrix, error: Vector) -> float:

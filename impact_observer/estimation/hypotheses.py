@@ -1,11 +1,14 @@
 """A hypothesis: what each event was, the state that follows from it, and its probability."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import takewhile
 from types import MappingProxyType
 from typing import NamedTuple
 
+import numpy as np
+
 from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Kind, Ruling
 
 _NONE: Mapping[int, float] = MappingProxyType({})
@@ -86,3 +89,16 @@ class Hypothesis(NamedTuple):
         """Its notes on the contacts of ``event``, which is the latest."""
         latest = takewhile(lambda note: note.event == event, reversed(self.notes))
         return [note for note in latest if not note.is_inserted][::-1]
+
+
+def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:
+    """The state of the first of ``hypotheses``, with the covariance of all of them about it."""
+    best = hypotheses[0].state
+    if len(hypotheses) == 1:
+        return best
+    weights = np.exp([h.weight for h in hypotheses])
+    columns = []
+    for weight, h in zip(np.sqrt(weights / np.sum(weights)), hypotheses, strict=True):
+        differences = np.append(h.state.x - best.x, h.state.constants - best.constants)
+        columns += [weight * h.state.root, weight * differences[:, None]]
+    return best._replace(root=triangular(np.hstack(columns)))

@@ -138,7 +138,9 @@ class ImpactFilter:
                 return likelihood_of_single(change.hit[0], *fit), lambda: posterior
         prior = self.joint_prior(change, state, clock)
         likelihood = self.likelihood(change, prior)
-        return likelihood, lambda: self.posterior(change, self.joint_posterior(change, prior, likelihood))
+        return likelihood, lambda: self.posterior(
+            change, self.joint_posterior(change, prior, likelihood)
+        )
 
     def _contact_of(self, contact: int) -> Contact:
         """The constants of an impact of one contact while none is closed, for ``single``."""

@@ -59,11 +59,11 @@ def machine() -> Single:
 
 
 class Case(NamedTuple):
-    """An impact of one contact, and what is known before it."""
+    """An impact of one contact, and what is state before it."""
 
     filter: ImpactFilter
     change: ContactChange
-    known: GaussianState
+    state: GaussianState
     clock: float
 
     def asked(self) -> tuple[float, State, float, Contact]:
@@ -75,22 +75,22 @@ class Case(NamedTuple):
             return single(*question)  # type: ignore[arg-type]
 
         self.filter._single = kept
-        self.filter.told(self.change, self.known, self.clock)
+        self.filter.correct(self.change, self.state, self.clock)
         self.filter._single = single
         (question,) = found
         return question
 
     def in_general(self) -> tuple[Likelihood, GaussianState]:
         """What it tells, as any event is heard."""
-        prior = self.filter.prior(self.change, self.known, self.clock)
-        evidence = self.filter.evidence(self.change, prior)
-        heard = self.filter.heard(self.change, prior, evidence)
-        return evidence, self.filter.after(self.change, heard)
+        prior = self.filter.joint_prior(self.change, self.state, self.clock)
+        evidence = self.filter.likelihood(self.change, prior)
+        heard = self.filter.joint_posterior(self.change, prior, evidence)
+        return evidence, self.filter.posterior(self.change, heard)
 
 
 @st.composite
 def cases(draw: st.DrawFn) -> Case:
-    """Any system, contact and instant; a state that is known well or badly, as far off as told."""
+    """Any system, contact and instant; a state that is state well or badly, as far off as told."""
     model = draw(systems(max_n=4, contacts=(1, 3)))
     contact, size = draw(st.integers(0, model.m - 1)), 2 * model.n
     random = np.random.default_rng(draw(st.integers(0, 999)))
@@ -99,7 +99,7 @@ def cases(draw: st.DrawFn) -> Case:
     x, w = random.normal(size=size), model.W[:, contact]
     change = ContactChange(draw(st.integers(0, 640)) / 64, (), (contact,), ())
     filter_ = ImpactFilter(model)
-    rows, _ = filter_.members.given.watched((), (contact,), True)
+    rows, _ = filter_.members.given.guard((), (contact,), True)
     at_rest = float(rows.rest[0])
     x[: model.n] -= w * (w @ x[: model.n] + at_rest) / (w @ w)
     if w @ x[model.n :] > 0:
@@ -111,18 +111,18 @@ def cases(draw: st.DrawFn) -> Case:
 
 
 def turning(near: float = 0.5) -> Case:
-    """A mass whose speed is as unsure as its place, and known as soon as that is.
+    """A mass whose speed is as unsure as its place, and state as soon as that is.
 
     Args:
         near: deviation of its stamp, over what counts as near.
     """
     model = system([[1.0]], [[0.0]], [[0.0]], contacts=[([1], 0.0, 0.5)], force=forcing(1, [-9.8]))
     root = np.array([[0.1, 0.0], [1.0, 0.01]])
-    known = GaussianState(
+    state = GaussianState(
         np.array([0.05, -2.0]), np.zeros(0), root, np.array([[0.1, 0.3], [0.2, -0.4]])
     )
     filter_ = ImpactFilter(model)
-    return Case(filter_, ContactChange(1.0, (), (0,), ()), known, near * filter_._near)
+    return Case(filter_, ContactChange(1.0, (), (0,), ()), state, near * filter_._near)
 
 
 def assert_near(found: Array, wanted: Array, error: float) -> None:
@@ -155,7 +155,7 @@ def assert_general(case: Case, error: float) -> None:
     assert_near(differences, after.differences, error)
     (innovation,) = evidence.innovations.values()
     assert abs(white) == pytest.approx(innovation, rel=1e-13)
-    told, later = case.filter.told(case.change, case.known, case.clock)
+    told, later = case.filter.correct(case.change, case.state, case.clock)
     assert told.density == pytest.approx(evidence.density, rel=1e-13, abs=1e-13)
     assert list(told.innovations) == list(evidence.innovations)
     assert all(type(each) is float for each in told.innovations.values())
@@ -188,8 +188,8 @@ def test_what_is_far_off_or_not_near_is_not_usual(
     machine: Single, q: float, clock: float, usual: bool
 ) -> None:
     """A gap of a hundred deviations; a stamp that leaves the instant open."""
-    known = GaussianState(np.array([q, -2.0]), np.zeros(0), 0.01 * np.eye(2), np.zeros((2, 1)))
-    case = turning()._replace(known=known, clock=clock)
+    state = GaussianState(np.array([q, -2.0]), np.zeros(0), 0.01 * np.eye(2), np.zeros((2, 1)))
+    case = turning()._replace(state=state, clock=clock)
     assert [how(*case.asked())[0] for how in (single, machine)] == [usual, usual]
 
 
@@ -220,8 +220,8 @@ def test_root_of_few_columns_is_one(machine: Single) -> None:
     case = turning()
     model = chain(4, contacts=[([1, 0, 0, 0], 0.0, 0.5)])
     x = np.array([0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 2.0, 0.0])
-    known = GaussianState(x, np.zeros(0), 0.1 * np.ones((8, 1)), np.zeros((8, 0)))
-    question = case._replace(filter=ImpactFilter(model), known=known, clock=STAMP).asked()
+    state = GaussianState(x, np.zeros(0), 0.1 * np.ones((8, 1)), np.zeros((8, 0)))
+    question = case._replace(filter=ImpactFilter(model), state=state, clock=STAMP).asked()
     assert single(*question)[0]
     assert_same(machine(*question), single(*question))
 
@@ -255,8 +255,8 @@ def counted(watcher: Observer) -> list[bool]:
     filter_, found = watcher.law._bank.filter, list[bool]()
     own = filter_._single
 
-    def asked(t: float, known: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
-        told = own(t, known, clock, contact)
+    def asked(t: float, state: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
+        told = own(t, state, clock, contact)
         found.append(told[0])
         return told
 
@@ -318,8 +318,8 @@ def test_one_account_tells_what_a_bank_of_one_would() -> None:
         options = {"epoch": EPOCH, "history": 1e3, "ensemble": 3, "uncertainty": without_faults()}
         watcher = observer(model.system, "minimum-variance", start + 0.2, **options)
         assert isinstance(watcher.law, MinimumVariance)
-        assert watcher.law._sure
-        watcher.law._sure = sure
+        assert watcher.law._single
+        watcher.law._single = sure
         watchers.append(watcher)
     found, wanted = (told_by(watcher, whole.events) for watcher in watchers)
     assert found.verdicts == wanted.verdicts

@@ -21,12 +21,14 @@ def test_maps_that_are_due_act_in_their_order() -> None:
     random = np.random.default_rng(1)
     replicas, one, two = (random.normal(size=size) for size in ((5, 4), (4, 4), (4, 4)))
     x, y = random.normal(size=(2, 4))
-    ensemble = Ensemble.of(replicas).carried(x, one).carried(y, two)
+    ensemble = Ensemble.of(replicas).propagated(x, one).propagated(y, two)
     expected = (replicas - replicas[0]) @ one.T @ two.T
     np.testing.assert_allclose(ensemble.replicas - y, expected, atol=1e-13)
     np.testing.assert_array_equal(ensemble.replicas[0], y)
     functions = random.normal(size=(2, 4))
-    np.testing.assert_allclose(ensemble.mapped(functions).T, expected[1:] @ functions.T, atol=1e-12)
+    np.testing.assert_allclose(
+        ensemble.mapped(functions).T, expected[1:] @ functions.T, atol=1e-12
+    )
     np.testing.assert_allclose(Ensemble.of(replicas).replicas, replicas, rtol=1e-14)
 
 
@@ -41,14 +43,14 @@ def test_farthest_is_that_of_all_pairs(size: int, count: int) -> None:
         pairs = combinations(ensemble.replicas - ensemble.x, 2)
         largest = max((one - two) @ metric @ (one - two) for one, two in pairs)
         assert ensemble.largest_distance(metric) == pytest.approx(largest, rel=1e-12)
-        ensemble = ensemble.carried(random.normal(size=size), random.normal(size=(size, size)))
+        ensemble = ensemble.propagated(random.normal(size=size), random.normal(size=(size, size)))
 
 
 def test_differences_that_have_faded_are_none() -> None:
     """They do not go on as numbers that are slow to reckon with."""
     ensemble = Ensemble.of(np.eye(4))
     for _ in range(12):
-        ensemble = ensemble.carried(np.ones(4), 1e-10 * np.eye(4)).without_faded()
+        ensemble = ensemble.propagated(np.ones(4), 1e-10 * np.eye(4)).without_faded()
     assert ensemble.others == 3
     np.testing.assert_array_equal(ensemble.replicas, np.ones((4, 4)))
 

@@ -28,7 +28,7 @@ from systems import (
 
 from impact_observer.estimation import impact_filter
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.filter_bank import MOST
+from impact_observer.estimation.filter_bank import MOST_HYPOTHESES
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.joint import Joint
@@ -94,8 +94,8 @@ def test_evidence_is_the_density_of_the_first_passage(
     Phi = np.array([[1.0, dt], [0.0, 1.0]])
     then = Phi @ x - gravity * np.array([dt * dt / 2, dt])
     filter_, change = ImpactFilter(model), ContactChange(dt, (), (0,), ())
-    prior = filter_.prior(change, GaussianState.of(then[None], Phi @ S), clock)
-    found = filter_.evidence(change, prior)
+    prior = filter_.joint_prior(change, GaussianState.of(then[None], Phi @ S), clock)
+    found = filter_.likelihood(change, prior)
     bin_ = spread / 5
     instants = passages(x, S, gravity)
     low, high = (dt - bin_ / 2 - instants) / clock, (dt + bin_ / 2 - instants) / clock
@@ -106,16 +106,16 @@ def test_evidence_is_the_density_of_the_first_passage(
 
 @pytest.mark.parametrize("speed", [-1.0, -0.3, 0.0, 0.2])
 def test_evidence_knows_that_a_gap_closes_from_above(speed: float) -> None:
-    """Rice's formula for uniform motion: speeds that are hardly known, or hardly closing."""
+    """Rice's formula for uniform motion: speeds that are hardly state, or hardly closing."""
     S = np.diag([0.1, 0.3])
     filter_, change = ImpactFilter(ball(0.0)), ContactChange(0.0, (), (0,), ())
-    prior = filter_.prior(change, GaussianState.of(np.array([[0.0, speed]]), S), 1e-9)
-    found = filter_.evidence(change, prior).density
+    prior = filter_.joint_prior(change, GaussianState.of(np.array([[0.0, speed]]), S), 1e-9)
+    found = filter_.likelihood(change, prior).density
     closing = -speed * special.ndtr(-speed / 0.3) + 0.3 * stats.norm.pdf(speed / 0.3)
     exact = math.log(stats.norm.pdf(0.0, scale=0.1) * closing)
     assert found == pytest.approx(exact, abs=0.7 if speed > 0 else 0.3)
-    faster = filter_.prior(change, GaussianState.of(np.array([[0.0, speed - 1.0]]), S), 1e-9)
-    assert filter_.evidence(change, faster).density > found
+    faster = filter_.joint_prior(change, GaussianState.of(np.array([[0.0, speed - 1.0]]), S), 1e-9)
+    assert filter_.likelihood(change, faster).density > found
 
 
 def test_evidence_of_what_cannot_be_goes_on_falling() -> None:
@@ -124,8 +124,8 @@ def test_evidence_of_what_cannot_be_goes_on_falling() -> None:
     found = []
     for gap in (0.2, 1.0, 30.0, 1e6):
         change = ContactChange(0.0, (), (0,), ())
-        known = GaussianState.of(np.array([[gap, -2.0]]), 0.01 * np.eye(2))
-        found.append(filter_.evidence(change, filter_.prior(change, known, 1e-9)).density)
+        state = GaussianState.of(np.array([[gap, -2.0]]), 0.01 * np.eye(2))
+        found.append(filter_.likelihood(change, filter_.joint_prior(change, state, 1e-9)).density)
     assert np.all(np.isfinite(found))
     assert found == sorted(found, reverse=True)
 
@@ -135,7 +135,7 @@ def mixture(belief: Belief) -> Array:
     size = belief.x.size
     P = np.zeros((size, size))
     for each in belief.hypotheses:
-        differences, root = each.known.x - belief.x, each.known.root[:size]
+        differences, root = each.state.x - belief.x, each.state.root[:size]
         P += math.exp(each.weight) * (root @ root.T + np.outer(differences, differences))
     return P
 
@@ -154,34 +154,39 @@ def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
         weights = [each.weight for each in belief.hypotheses]
         assert sum(map(math.exp, weights)) == pytest.approx(1.0, abs=1e-12)
         assert weights == sorted(weights, reverse=True)
-        assert len(weights) <= MOST + len(CLOCK_ERRORS)
+        assert len(weights) <= MOST_HYPOTHESES + len(CLOCK_ERRORS)
         assert belief.root is not None
-        np.testing.assert_array_equal(belief.x, belief.hypotheses[0].known.x)
+        np.testing.assert_array_equal(belief.x, belief.hypotheses[0].state.x)
         P = mixture(belief)
         size = np.sqrt(np.outer(np.diag(P), np.diag(P)))
         np.testing.assert_allclose((belief.root @ belief.root.T - P) / size, 0.0, atol=1e-10)
-        several += len({each.known.x.tobytes() for each in belief.hypotheses}) > 1
+        several += len({each.state.x.tobytes() for each in belief.hypotheses}) > 1
     assert several >= 5
 
 
 def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) -> tuple[Array, ...]:
     """State and root by ``ImpactFilter`` alone, at the stamp ``end``."""
     filter_, index = ImpactFilter(model), model.contact_names.index
-    known = filter_.begin(GaussianState.of(x[None], np.eye(x.size)))
+    state = filter_.begin(GaussianState.of(x[None], np.eye(x.size)))
     since = EPOCH
     for each in events:
-        before = filter_.course(seconds_between(EPOCH, since), known)
-        known = before.known(seconds_between(since, each.stamp))
+        before = filter_.predict(seconds_between(EPOCH, since), state)
+        state = before.prior(seconds_between(since, each.stamp))
         switches = [(index(switch.contact), switch.kind) for switch in each.switches]
-        change = ContactChange.of(seconds_between(EPOCH, each.stamp), known.closed, switches)
-        prior = filter_.prior(change, known, 1e-9 / math.sqrt(12))
-        known, since = filter_.after(change, filter_.heard(change, prior)), each.stamp
-    course = filter_.course(seconds_between(EPOCH, since), known)
+        change = ContactChange.of(seconds_between(EPOCH, each.stamp), state.closed, switches)
+        prior = filter_.joint_prior(change, state, 1e-9 / math.sqrt(12))
+        state, since = (
+            filter_.posterior(change, filter_.joint_posterior(change, prior)),
+            each.stamp,
+        )
+    prediction = filter_.predict(seconds_between(EPOCH, since), state)
     s = seconds_between(since, end)
-    return course.state(s), course.root(s)
+    return prediction.state(s), prediction.root(s)
 
 
-@pytest.mark.parametrize("name", ["three_mass", pytest.param("pressed", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["three_mass", pytest.param("pressed", marks=pytest.mark.slow)]
+)
 def test_believing_every_event_is_the_plain_filter(name: str) -> None:
     """With all three probabilities at 0: the same bits as ``ImpactFilter`` by hand."""
     if name == "pressed":
@@ -207,14 +212,14 @@ def test_event_that_is_near_needs_no_other_look(monkeypatch: pytest.MonkeyPatch)
     model, start, whole = truth("three_mass", 20.0)
     x = start + np.random.default_rng(0).normal(size=start.size)
     end = int(whole.stamps[-1]) + 1234
-    moved = Joint.moved
+    moved = Joint.propagated
     looks: list[float] = []
 
     def counted(joint: Joint, s: float, map_: Map, turn: Array | None = None) -> Joint:
         looks.append(s)
         return moved(joint, s, map_, turn)
 
-    monkeypatch.setattr(Joint, "moved", counted)
+    monkeypatch.setattr(Joint, "propagated", counted)
     state, root = by_hand(model, x, whole.events, end)
     assert not looks
     monkeypatch.setattr(impact_filter, "_NEAR", 0.0)
@@ -264,7 +269,7 @@ def checked(watcher: Observer, stamp: int) -> None:
         if watcher.law.uncertainty.trusts_events:
             assert not hypotheses  # nothing is weighed
             continue
-        assert 1 <= len(hypotheses) <= 2 * (MOST + len(CLOCK_ERRORS))
+        assert 1 <= len(hypotheses) <= 2 * (MOST_HYPOTHESES + len(CLOCK_ERRORS))
         if any(kind is not Kind.OPEN for _, kind in entry.key.switches):
             total = sum(math.exp(each.weight) for each in hypotheses)
             assert total == pytest.approx(1.0, abs=1e-9)

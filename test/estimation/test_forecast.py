@@ -26,6 +26,7 @@ from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.forecast import Dip, Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.missed_switch import posterior_of_missed
 from impact_observer.events import Kind
 from impact_observer.model import System
 
@@ -201,7 +202,7 @@ def test_sure_is_where_it_is_deep_enough() -> None:
     """The gap there, over its deviation, is what was asked for; a shallower dip never is."""
     found = forecast(SWINGING, 0.0, np.array([1.5, 0.0, 0.0, 0.0]), 0.01 * np.eye(4), ())
     dip = found.dips(4.0)[0]
-    at = found.sure(dip, 3.0)
+    at = found.confident_from(dip, 3.0)
     assert at > found.root(dip)
     assert 1.5 * math.cos(at) + 0.9 == pytest.approx(-0.03, abs=1e-12)
     shallow = forecast(SWINGING, 0.0, np.array([1.5, 0.0, 0.0, 0.0]), np.eye(4), ()).dips(4.0)[0]
@@ -263,13 +264,15 @@ def test_unheard_impact_leaves_the_moments_of_nonlinear_jumps(deviation: float) 
     rng = np.random.default_rng(5)
     root = deviation * np.tril(rng.normal(size=(4, 4)) / 4 + np.eye(4))
     filter_ = ImpactFilter(model)
-    known = filter_.missed(ContactChange(t, (), (0,), ()), GaussianState.of(x[None], root))
+    state = posterior_of_missed(
+        filter_, ContactChange(t, (), (0,), ()), GaussianState.of(x[None], root)
+    )
     drawn = rng.normal(size=(4000, 4)) @ root.T
     after = thrown(model, t, x + np.vstack([drawn, -drawn]), 0)
     mean, covariance = after.mean(axis=0), np.cov(after.T)
-    P = known.root @ known.root.T
+    P = state.root @ state.root.T
     deviations = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose((known.x - mean) / deviations, 0.0, atol=max(0.5 * deviation, 1e-3))
+    np.testing.assert_allclose((state.x - mean) / deviations, 0.0, atol=max(0.5 * deviation, 1e-3))
     scaled = (P - covariance) / np.outer(deviations, deviations)
     np.testing.assert_allclose(scaled, 0.0, atol=0.06 + deviation)
 
@@ -278,9 +281,11 @@ def test_unheard_impact_that_is_early_jumps_at_its_own_root() -> None:
     """A gap that is not yet zero: the state then is that of a plant that hits a little later."""
     model, t = sample("two_mass").system, 0.3
     x = np.array([0.1, 0.499, -0.4, 1.6])
-    known = ImpactFilter(model).missed(
-        ContactChange(t, (), (0,), ()), GaussianState.of(x[None], 1e-9 * np.eye(4))
+    state = posterior_of_missed(
+        ImpactFilter(model),
+        ContactChange(t, (), (0,), ()),
+        GaussianState.of(x[None], 1e-9 * np.eye(4)),
     )
     expected = thrown(model, t, x[None], 0)[0]
-    np.testing.assert_allclose(known.x, expected, atol=1e-6)
-    np.testing.assert_allclose(known.x[1], 0.499 - 1e-3, atol=2e-2)
+    np.testing.assert_allclose(state.x, expected, atol=1e-6)
+    np.testing.assert_allclose(state.x[1], 0.499 - 1e-3, atol=2e-2)

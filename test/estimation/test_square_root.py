@@ -50,7 +50,7 @@ def test_correction_is_that_of_the_kalman_filter(k: int) -> None:
 
 
 def test_correction_keeps_digits_where_variances_differ_by_eighteen_decades() -> None:
-    """One number known to 1e-9 of another: the sum of both is measured, exactly but for 1e-12.
+    """One number state to 1e-9 of another: the sum of both is measured, exactly but for 1e-12.
 
     By hand, with a = 1 and b = 1e-9: the variance left of either is b^2 + r^2, r = 1e-12.
     """

@@ -157,21 +157,23 @@ def linearised(
 @pytest.mark.parametrize("closed", [(), (0,)])
 def test_small_errors_go_on_by_the_derivatives_of_the_motion(closed: tuple[int, ...]) -> None:
     """State and parameters, also while a contact is held; the other replicas likewise."""
-    told = UnknownParameters.named(PRESSED, ["stiffness-scale=1e-5", "mass-scale=2e-5", "gap.c2=1e-5"])
+    told = UnknownParameters.named(
+        PRESSED, ["stiffness-scale=1e-5", "mass-scale=2e-5", "gap.c2=1e-5"]
+    )
     filter_ = ImpactFilter(PRESSED, 0.0, told)
     rng = np.random.default_rng(5)
     root = 1e-5 * np.tril(rng.normal(size=(7, 7)))
     x = np.array([0.1, 0.05, 0.0, -0.4])
     differences = 1e-5 * rng.normal(size=(7, 2))
-    known = GaussianState(x, told.family.nominal, root, differences, closed, parameters=3)
-    found = filter_.course(0.3, known).known(0.8)
+    state = GaussianState(x, told.family.nominal, root, differences, closed, parameters=3)
+    found = filter_.predict(0.3, state).prior(0.8)
     Phi, turn = linearised(told.family, 0.3, x, 0.8, closed)
     whole = np.block([[Phi, turn], [np.zeros((3, 4)), np.eye(3)]])
     P = whole @ root @ root.T @ whole.T
     size = np.sqrt(np.outer(np.diag(P), np.diag(P))) + 1e-20
     assert np.max(np.abs(found.root @ found.root.T - P) / size) < 1e-3
     np.testing.assert_allclose(found.differences, whole @ differences, atol=2e-9)
-    np.testing.assert_array_equal(found.slow, told.family.nominal)
+    np.testing.assert_array_equal(found.constants, told.family.nominal)
 
 
 def test_small_errors_are_learnt_from_as_by_least_squares() -> None:
@@ -224,15 +226,15 @@ def test_what_is_said_of_parameters_is_true_over_many_starts(free: str) -> None:
 
 
 def test_a_parameter_that_drifts_is_known_less_as_time_goes_by() -> None:
-    """By its share of what was declared, as a random walk; one that does not stays known."""
+    """By its share of what was declared, as a random walk; one that does not stays state."""
     model, s = sample("two_mass").system, 15.0
     x = np.concatenate(sample("two_mass").initial_state())
     for free in ("restitution", "stiffness-scale"):
         for drift in (0.0, 0.4):
             told = UnknownParameters.named(model, [f"{free}=0.02"], drift=drift)
             root = np.diag([1e-3] * 4 + [0.005])
-            known = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
-            found = ImpactFilter(model, 0.0, told).course(0.0, known).known(s)
+            state = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
+            found = ImpactFilter(model, 0.0, told).predict(0.0, state).prior(s)
             wanted = np.hypot(0.005, 0.02 * drift * np.sqrt(s / 60.0))
             assert np.linalg.norm(found.root[4]) == pytest.approx(wanted)
 
@@ -308,9 +310,11 @@ def test_a_contact_that_rests_says_nothing_of_its_restitution() -> None:
     told = UnknownParameters.named(model, ["restitution=0.1"])
     filter_ = ImpactFilter(model, 0.0, told)
     x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
-    known = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
+    state = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
     change = ContactChange(1.0, (), (0,), (0,))
-    after = filter_.after(change, filter_.heard(change, filter_.prior(change, known, 1e-4)))
+    after = filter_.posterior(
+        change, filter_.joint_posterior(change, filter_.joint_prior(change, state, 1e-4))
+    )
     assert after.closed == (0,)
     assert after.theta[0] == pytest.approx(0.7, abs=1e-6)
     assert np.linalg.norm(after.root[4]) == pytest.approx(0.1)
@@ -324,10 +328,10 @@ def test_an_estimate_that_is_made_less_sure_knows_parameters_as_at_first_at_leas
     filter_ = ImpactFilter(model, 0.0, told)
     rng = np.random.default_rng(4)
     root = np.vstack([rng.normal(size=(4, 6)), 1e-3 * np.eye(2, 6)])
-    known = GaussianState(
+    state = GaussianState(
         np.ones(4), told.family.nominal, root, np.empty((6, 0)), (), parameters=2
     )
-    wider = filter_.wider(known, 50.0)
+    wider = filter_.widened(state, 50.0)
     np.testing.assert_allclose(wider.root[:4], 50.0 * root[:4])
     np.testing.assert_allclose(np.linalg.norm(wider.root[4:], axis=1), [0.05, 0.02])
 

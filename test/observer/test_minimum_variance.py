@@ -121,7 +121,9 @@ def after(events: Sequence[ImpactEvent], k: int) -> int:
     return stamp
 
 
-@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)]
+)
 def test_state_is_known_to_rounding_after_twice_as_many_impacts_as_coordinates(name: str) -> None:
     """Stamps of 1 ns, 2n + 2 impacts, median of 20 wrong starts."""
     (model, start), events = case(name), truth(name, 30.0).events
@@ -197,7 +199,7 @@ def followed(model: System, law: MinimumVariance, x: Array, switchings: list[Swi
 
 @pytest.mark.parametrize("count", [1, 3, 5])
 def test_filter_is_batch_least_squares_over_all_that_was_told(count: int) -> None:
-    """Instants known: the rows ``w^T Phi .. J .. Phi`` stacked, and the start nearest to them.
+    """Instants state: the rows ``w^T Phi .. J .. Phi`` stacked, and the start nearest to them.
 
     What is left unknown is the projection onto their null space. The oracle flies the states and
     knows of no filter; positions are thrown back with the speeds.
@@ -297,7 +299,7 @@ def test_estimate_locks_on_in_lasting_contact_and_stays(clock: float) -> None:
 
 @pytest.mark.slow
 def test_ball_is_followed_through_accumulation_to_rest() -> None:
-    """K = 0 and 170 impacts within eight seconds: after the second it is known."""
+    """K = 0 and 170 impacts within eight seconds: after the second it is state."""
     model, whole = sample("bouncing_ball").system, truth("bouncing_ball", 10.0)
     watcher = watching(model, np.array([1.7, 0.4]), ensemble=3)
     for each in whole.events:
@@ -312,7 +314,7 @@ def test_ball_is_followed_through_accumulation_to_rest() -> None:
 
 @pytest.mark.parametrize("clock", [0.0, JITTER])
 def test_free_floating_hammer_is_known(clock: float) -> None:
-    """K singular: its place is known too, as V cannot tell."""
+    """K singular: its place is state too, as V cannot tell."""
     whole, start = truth("hammer", 20.0), case("hammer")[1]
     rng = np.random.default_rng(1)
     watcher = watching(HAMMER, start + rng.normal(size=4), clock=clock)
@@ -325,7 +327,7 @@ def test_free_floating_hammer_is_known(clock: float) -> None:
 
 
 def test_release_tells_that_the_load_was_zero() -> None:
-    """After CLOSE and OPEN of one contact alone more is known than the CLOSE has told."""
+    """After CLOSE and OPEN of one contact alone more is state than the CLOSE has told."""
     law = MinimumVariance(PRESSED, without_faults(clock_error=JITTER))
     x = np.array([[0.0, 0.0, 0.0, 0.0]])
     belief = law.begin(x, law.uncertainty.root(2), (0,))
@@ -439,7 +441,7 @@ def test_grazing_impact_divides_by_nothing(speed: float) -> None:
 
 
 def test_contacts_that_hit_together_share_one_instant() -> None:
-    """Two beads and a wall: both gaps are known after, and the stamp's error by both."""
+    """Two beads and a wall: both gaps are state after, and the stamp's error by both."""
     beads = system(
         np.eye(2),
         np.zeros((2, 2)),
@@ -489,8 +491,8 @@ def test_mean_alone_is_the_belief_s() -> None:
     law = MinimumVariance(PRESSED, without_faults(model_error=0.1))
     for closed in ((), (0,), (0, 1)):
         belief = law.begin(np.array([[0.3, 0.1, -1.0, 2.0]]), law.uncertainty.root(2), closed)
-        course = law.predict(0.3, belief, closed)
+        prediction = law.predict(0.3, belief, closed)
         for s in (0.0, 0.4, 3.0):
-            whole = course.belief(s)
-            np.testing.assert_array_equal(course.state(s), whole.x)
-            np.testing.assert_array_equal(course.root(s), whole.root)
+            whole = prediction.belief(s)
+            np.testing.assert_array_equal(prediction.state(s), whole.x)
+            np.testing.assert_array_equal(prediction.root(s), whole.root)

@@ -1,4 +1,4 @@
-"""Sensors as they are: what is left of an error in the end, and what is known in between."""
+"""Sensors as they are: what is left of an error in the end, and what is state in between."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -214,13 +214,13 @@ def recovered(watcher: Observer, whole: Run, told: Sequence[ImpactEvent]) -> lis
 
 def explained(verdicts: Sequence[Verdict]) -> bool:
     """Whether one says that what was believed before is not believed any more."""
-    words = ("believed: the estimate is made", "nothing before it is believed any more")
+    words = ("accepted: the covariance is made", "restart: the estimate before it is rejected")
     return any(word in each.reason for each in verdicts for word in words)
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_start_that_is_declared_far_too_sure_is_forgotten(seed: int) -> None:
-    """Wrong by 1 and said to be known to 1e-6: right after a few impacts, and that is said."""
+    """Wrong by 1 and said to be state to 1e-6: right after a few impacts, and that is said."""
     model, start, whole = truth("two_mass", 30.0)
     x = start + np.random.default_rng(seed).normal(size=4)
     watcher = watching(model, x, {**EXACT, "deviation": 1e-6})

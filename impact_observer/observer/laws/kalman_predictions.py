@@ -1,0 +1,179 @@
+# ruff: noqa: D102 (overrides have the docstrings of ``Prediction``)
+"""Predictions of the minimum-variance law: estimate and covariance until the next event."""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.estimation.filter_bank import CONFIDENT, FilterBank
+from impact_observer.estimation.forecast import FINE, Forecast
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis, mixture
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.linear import LinearPrediction
+from impact_observer.estimation.missed_switch import insert_switch
+from impact_observer.estimation.square_root import triangular
+from impact_observer.events import Contacts, Kind
+from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.states import Matrix, Vector
+
+_MOST_MISSED = 1024
+"""Missed switches that are inserted one after the other."""
+_WINDOW = 64 / FINE
+"""First window in which penetrations are searched, in the inverse of the fastest rate."""
+
+
+class SinglePrediction(Prediction):
+    """Of one hypothesis, where every event is trusted and no parameter is estimated."""
+
+    def __init__(self, filter_: ImpactFilter, t: float, belief: Belief, closed: Contacts) -> None:
+        self._noise = filter_.noise
+        self._belief = belief
+        self._phase = filter_.members.given.moving.phase(closed)
+        self._motion = self._phase.start(t, belief.x)
+
+    def state(self, s: float) -> Vector:
+        return self._motion.state(s)
+
+    def root(self, s: float) -> Matrix:
+        return self._root_after(self._phase.transition(s), s)
+
+    def belief(self, s: float) -> Belief:
+        x, map_ = self._phase.flow.moved(self._motion, s)
+        before = self._belief.ensemble
+        after = before.propagated(x, map_) if before.others else Ensemble(x, before.since)
+        return Belief(after, self._root_after(map_, s))
+
+    def _root_after(self, map_: Matrix, s: float) -> Matrix:
+        """The covariance's root after ``s`` seconds, whose transition matrix is ``map_``."""
+        assert self._belief.root is not None, "a belief of another law"
+        root = map_.dot(self._belief.root)
+        return root if self._noise is None else self._noise.added_to(root, self._phase, s)
+
+
+class MixturePrediction(Prediction):
+    """Of several hypotheses, where every event is trusted."""
+
+    def __init__(
+        self,
+        filter_: ImpactFilter,
+        t: float,
+        hypotheses: Sequence[Hypothesis],
+        prior: Callable[[float], Belief],
+    ) -> None:
+        self._filter = filter_
+        self._t = t
+        self._hypotheses = hypotheses
+        self._prior = prior
+
+    @cached_property
+    def _linear(self) -> LinearPrediction:
+        return self._filter.predict(self._t, mixture(self._hypotheses))
+
+    def state(self, s: float) -> Vector:
+        return self._linear.state(s)
+
+    def root(self, s: float) -> Matrix:
+        return self._linear.root(s)
+
+    def belief(self, s: float) -> Belief:
+        return self._prior(s)
+
+
+class _Stretch(NamedTuple):
+    """The likeliest hypothesis between two missed switches.
+
+    Attributes:
+        since: from when on it is the estimate, s since the last event.
+        start: when it begins, s since the last event.
+        forecast: its prediction and penetrations.
+        closed: contacts that it holds closed.
+        spread: the prediction whose covariance is that of the whole mixture.
+    """
+
+    since: float
+    start: float
+    forecast: Forecast
+    closed: Contacts
+    spread: LinearPrediction
+
+
+class MissedSwitchPrediction(Prediction):
+    """Of several hypotheses, where events may be missed: missed switches are inserted.
+
+    The estimate is a function of time alone: a missed switch counts from when on its dip is
+    ``CONFIDENT``, in whatever order instants are asked for.
+    """
+
+    def __init__(
+        self,
+        bank: FilterBank,
+        t: float,
+        hypotheses: Sequence[Hypothesis],
+        prior: Callable[[float], Belief],
+    ) -> None:
+        self._bank = bank
+        self._t = t
+        self._hypotheses = hypotheses
+        self._prior = prior
+        self._first = _WINDOW * bank.filter.phases.scales.timescale
+        self._searched, self._window = 0.0, self._first
+
+    def state(self, s: float) -> Vector:
+        stretch = self._stretch(s)
+        return stretch.forecast.prediction.state(s - stretch.start)
+
+    def root(self, s: float) -> Matrix:
+        stretch = self._stretch(s)
+        return stretch.spread.root(s - stretch.start)
+
+    def closed(self, s: float) -> Contacts:
+        return self._stretch(s).closed
+
+    def belief(self, s: float) -> Belief:
+        return self._prior(s)
+
+    def _stretch(self, s: float) -> _Stretch:
+        """The stretch that holds after ``s`` seconds."""
+        while self._searched < s:
+            self._search()
+        return next(each for each in reversed(self._stretches) if each.since <= s)
+
+    @cached_property
+    def _stretches(self) -> list[_Stretch]:
+        root = mixture(self._hypotheses).root
+        return [self._begun(0.0, 0.0, self._hypotheses[0].state, root)]
+
+    def _begun(self, since: float, start: float, state: GaussianState, root: Matrix) -> _Stretch:
+        """A stretch from ``start`` on."""
+        t = self._t + start
+        spread = self._bank.filter.predict(t, state._replace(root=root))
+        return _Stretch(since, start, self._bank.forecast(t, state), state.closed, spread)
+
+    def _search(self) -> None:
+        """Search to the end of a window, twice as long as the last, or to a missed switch."""
+        if len(self._stretches) > _MOST_MISSED:
+            self._searched = math.inf
+            return
+        _, start, forecast, _, spread = self._stretches[-1]
+        confident = (dip for dip in forecast.dips(self._window) if dip.depth >= CONFIDENT)
+        dip = next(confident, None)
+        if dip is None:
+            self._searched, self._window = start + self._window, 2 * self._window
+            return
+        at, since = forecast.root(dip), start + forecast.confident_from(dip, CONFIDENT)
+        filter_ = self._bank.filter
+        t, before = self._t + start + at, forecast.prediction.prior(at)
+        state, kind = insert_switch(filter_, t, before, dip)
+        # The other hypotheses jump with it, so their differences are reversed in the same way.
+        differences, size = spread.full_root(at).copy(), state.x.size
+        if kind is not Kind.OPEN:
+            pressed = tuple(sorted({*state.closed, dip.contact}))
+            differences[:size] = filter_.member(state).mirror(pressed).J @ differences[:size]
+        root = triangular(np.hstack([state.root, differences]))
+        self._stretches.append(self._begun(since, start + at, state, root))
+        self._searched, self._window = since, self._first
