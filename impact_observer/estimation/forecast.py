@@ -226,7 +226,7 @@ class Forecast:
         return math.hypot(*spread.tolist(), rounded)
 
     def _row(self, j: int, s: float) -> Vector:
-        """The gradient of function ``j`` by state and parameters after ``s`` seconds, (2n + p,)."""
+        """Gradient of function ``j`` by state and parameters after ``s`` seconds, (2n + p,)."""
         which, member = (self._flight.contacts[j],), self._members.at(self._state.theta)
         if j < self._flight.gaps:
             sensitivity = self._members.gap_sensitivity(which)

@@ -1,6 +1,6 @@
 """Linear estimation by square roots of covariances, ``P = S S^T``.
 
-The roots are propagated, never ``P``: stamps of 1 ns let variances fall to 1e-18 of what they were,
+Roots are propagated, never ``P``: stamps of 1 ns let variances fall to 1e-18 of what they were,
 and the difference of two such matrices would be rounding. Every step is one orthogonal
 triangulation (Kailath, Sayed and Hassibi, Linear Estimation, 2000, chapter 12).
 

@@ -184,9 +184,7 @@ def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) ->
     return prediction.state(s), prediction.root(s)
 
 
-@pytest.mark.parametrize(
-    "name", ["three_mass", pytest.param("pressed", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", ["three_mass", pytest.param("pressed", marks=pytest.mark.slow)])
 def test_believing_every_event_is_the_plain_filter(name: str) -> None:
     """With all three probabilities at 0: the same bits as ``ImpactFilter`` by hand."""
     if name == "pressed":

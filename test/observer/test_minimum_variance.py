@@ -121,9 +121,7 @@ def after(events: Sequence[ImpactEvent], k: int) -> int:
     return stamp
 
 
-@pytest.mark.parametrize(
-    "name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)])
 def test_state_is_known_to_rounding_after_twice_as_many_impacts_as_coordinates(name: str) -> None:
     """Stamps of 1 ns, 2n + 2 impacts, median of 20 wrong starts."""
     (model, start), events = case(name), truth(name, 30.0).events
