@@ -17,7 +17,7 @@ def test_zero_is_rest_in_the_rest_position() -> None:
 
 
 def test_numbers_are_positions_then_velocities() -> None:
-    """In every notation of Python."""
+    """In every notation of numbers that Python reads."""
     q, u = initial_state("1, -2e-3,.5,4", SYSTEM)
     assert (q.tolist(), u.tolist()) == ([1, -0.002], [0.5, 4])
 

@@ -1,4 +1,4 @@
-"""Contacts that stay closed, as an observer is told of them: CLOSE, OPEN and what lies between."""
+"""Contacts that stay closed: CLOSE, OPEN, and the motion in between."""
 
 from functools import cache
 from itertools import permutations
@@ -38,7 +38,7 @@ def pressed() -> Run:
     return run(PRESSED, [0.0, 0.0], [0.0, 0.0], seconds=11.5, rate=50.0)
 
 
-def told(
+def report(
     *switches: tuple[str, Kind], seconds: float, sequence: int = 0, epoch: int = EPOCH
 ) -> ImpactEvent:
     """An event of any kinds at ``seconds`` since ``EPOCH``."""
@@ -52,7 +52,7 @@ def gap_and_speed(model: System, states: Array) -> tuple[Array, Array]:
     return q @ model.W + model.q_r, u @ model.W
 
 
-def test_runs_here_have_what_they_are_here_for() -> None:
+def test_sample_runs_contain_closing_lasting_and_opening_contacts() -> None:
     """Both contacts close, stay and open, several times, also together."""
     kinds = [(s.contact, s.kind) for each in pressed().events for s in each.switches]
     for contact in ("c1", "c2"):
@@ -72,7 +72,7 @@ def test_observer_in_the_true_state_stays_there(law: str, model: System, start: 
         assert {verdict.ruling for verdict in watcher.receive(each)} == {Ruling.APPLIED}
     np.testing.assert_allclose(estimates(watcher, truth.stamps), truth.states, atol=1e-5)
     away = np.abs(estimates(watcher, truth.stamps) - truth.states).max(axis=1)
-    # Only between the last impact told and true rest, some microseconds, is it more than this.
+    # Only in the microseconds between the last reported impact and true rest it is larger.
     assert np.mean(away > 1e-7) < 0.02
 
 
@@ -95,7 +95,7 @@ def test_distance_to_the_plant_never_rises_in_contact_either(law: str) -> None:
 def test_geometric_replica_keeps_closed_gaps_closed_while_its_clutch_slips() -> None:
     """``g = 0`` all the time, ``gamma > 0`` until the clutch holds, never below zero."""
     watcher = observer(PRESSED, "geometric", [0.3, -0.4, 1.0, -2.0], epoch=EPOCH)
-    watcher.receive(told(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
+    watcher.receive(report(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
     stamps = EPOCH + np.arange(500_000_000, 1_500_000_000, 2_000_000)
     gap, speed = gap_and_speed(PRESSED, estimates(watcher, stamps))
     np.testing.assert_allclose(gap[:, 0], 0.0, atol=1e-13)
@@ -108,7 +108,7 @@ def test_geometric_replica_keeps_closed_gaps_closed_while_its_clutch_slips() -> 
 def test_kinematic_replica_keeps_its_gap_once_its_clutch_holds() -> None:
     """The gap is not zero; it only stops closing."""
     watcher = observer(PRESSED, "kinematic", [0.3, -0.4, 1.0, -2.0], epoch=EPOCH)
-    watcher.receive(told(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
+    watcher.receive(report(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
     stamps = EPOCH + np.arange(500_000_000, 1_200_000_000, 1_000_000)
     gap, speed = gap_and_speed(PRESSED, estimates(watcher, stamps))
     held = speed[:, 0] < 1e-13
@@ -120,12 +120,12 @@ def test_kinematic_replica_keeps_its_gap_once_its_clutch_holds() -> None:
 @pytest.mark.slow
 @LAWS
 def test_any_order_of_arrival_gives_equal_bits(law: str) -> None:
-    """CLOSE, IMPACT of another, OPEN, CLOSE: each is put in its place, and so is what follows."""
+    """CLOSE, IMPACT of another, OPEN, CLOSE: each is inserted at its stamp."""
     events = [
-        told(("c1", Kind.CLOSE), seconds=0.3, sequence=1),
-        told(("c2", Kind.IMPACT), seconds=0.7, sequence=2),
-        told(("c1", Kind.OPEN), seconds=1.1, sequence=3),
-        told(("c2", Kind.CLOSE), seconds=1.3, sequence=4),
+        report(("c1", Kind.CLOSE), seconds=0.3, sequence=1),
+        report(("c2", Kind.IMPACT), seconds=0.7, sequence=2),
+        report(("c1", Kind.OPEN), seconds=1.1, sequence=3),
+        report(("c2", Kind.CLOSE), seconds=1.3, sequence=4),
     ]
     stamps = EPOCH + np.arange(0, 2_000_000_000, 50_000_000)
     found = []
@@ -139,12 +139,12 @@ def test_any_order_of_arrival_gives_equal_bits(law: str) -> None:
     assert all(np.array_equal(found[0], each) for each in found[1:])
 
 
-def test_estimate_tells_which_contacts_are_closed() -> None:
-    """From the event on, and no more from the next; by name, in the model's order."""
+def test_estimate_names_the_closed_contacts() -> None:
+    """From the CLOSE to the OPEN; by name, in the model's order."""
     watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
-    watcher.receive(told(("c2", Kind.CLOSE), seconds=1.0, sequence=1))
-    watcher.receive(told(("c1", Kind.CLOSE), seconds=2.0, sequence=2))
-    watcher.receive(told(("c2", Kind.OPEN), seconds=3.0, sequence=3))
+    watcher.receive(report(("c2", Kind.CLOSE), seconds=1.0, sequence=1))
+    watcher.receive(report(("c1", Kind.CLOSE), seconds=2.0, sequence=2))
+    watcher.receive(report(("c2", Kind.OPEN), seconds=3.0, sequence=3))
     at = [watcher.estimate(EPOCH + k * NS_PER_S // 2).closed for k in range(1, 8)]
     assert at == [(), ("c2",), ("c2",), ("c1", "c2"), ("c1", "c2"), ("c1",), ("c1",)]
 
@@ -155,9 +155,9 @@ def test_contact_that_opens_by_an_impact_takes_part_in_it(law: str) -> None:
     x = [0.3, -0.4, 1.0, -2.0]
     watcher, before = (observer(PRESSED, law, x, epoch=EPOCH) for _ in range(2))
     for each in (watcher, before):
-        each.receive(told(("c1", Kind.CLOSE), seconds=0.3, sequence=1))
+        each.receive(report(("c1", Kind.CLOSE), seconds=0.3, sequence=1))
     moment = EPOCH + round(0.35 * NS_PER_S)
-    watcher.receive(told(("c2", Kind.IMPACT), ("c1", Kind.OPEN), seconds=0.35, sequence=2))
+    watcher.receive(report(("c2", Kind.IMPACT), ("c1", Kind.OPEN), seconds=0.35, sequence=2))
     was, now = before.estimate(moment), watcher.estimate(moment)
     assert isinstance(before.law, ReplicaLaw)
     expected = before.law.impact(np.concatenate([was.q, was.u]), (0, 1), ())
@@ -165,34 +165,34 @@ def test_contact_that_opens_by_an_impact_takes_part_in_it(law: str) -> None:
     assert now.closed == ()
 
 
-def test_switches_that_change_nothing_are_applied_and_change_nothing() -> None:
-    """A contact opened twice, or opened before it was closed: chi is what it was."""
+def test_redundant_switches_are_applied_without_effect() -> None:
+    """A contact opened twice, or opened before it was closed: chi stays the same."""
     plain, repeated = (observer(PRESSED, "geometric", np.ones(4), epoch=EPOCH) for _ in range(2))
-    plain.receive(told(("c3", Kind.OPEN), seconds=0.2, sequence=1))  # there is no such contact
-    repeated.receive(told(("c1", Kind.OPEN), seconds=0.2, sequence=1))
+    plain.receive(report(("c3", Kind.OPEN), seconds=0.2, sequence=1))  # there is no such contact
+    repeated.receive(report(("c1", Kind.OPEN), seconds=0.2, sequence=1))
     for watcher in (plain, repeated):
-        watcher.receive(told(("c1", Kind.CLOSE), seconds=0.5, sequence=2))
-        watcher.receive(told(("c1", Kind.OPEN), seconds=0.8, sequence=3))
-    verdict = repeated.receive(told(("c1", Kind.OPEN), seconds=0.9, sequence=4))[0]
+        watcher.receive(report(("c1", Kind.CLOSE), seconds=0.5, sequence=2))
+        watcher.receive(report(("c1", Kind.OPEN), seconds=0.8, sequence=3))
+    verdict = repeated.receive(report(("c1", Kind.OPEN), seconds=0.9, sequence=4))[0]
     assert verdict.ruling is Ruling.APPLIED
     stamps = EPOCH + np.arange(0, 2_000_000_000, 100_000_000)
     np.testing.assert_allclose(estimates(repeated, stamps), estimates(plain, stamps), atol=1e-12)
 
 
-def test_impact_of_a_closed_contact_says_that_it_opened_unheard() -> None:
-    """An IMPACT is one instant: where the OPEN got lost, the contact is not held for ever."""
+def test_impact_of_a_closed_contact_implies_a_missed_opening() -> None:
+    """An IMPACT is one instant: where the OPEN was lost, the contact is open afterwards."""
     watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
-    watcher.receive(told(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
-    watcher.receive(told(("c1", Kind.IMPACT), seconds=2.0, sequence=3))
+    watcher.receive(report(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    watcher.receive(report(("c1", Kind.IMPACT), seconds=2.0, sequence=3))
     assert watcher.estimate(EPOCH + 5 * NS_PER_S // 2).closed == ()
     assert watcher.missing == 1
 
 
 @LAWS
 def test_state_set_from_outside_leaves_contacts_closed(law: str) -> None:
-    """``chi`` is the plant's: what it says of the new state holds at once, and goes on."""
+    """Closed contacts constrain the given state at once, and afterwards."""
     watcher = observer(PRESSED, law, np.zeros(4), epoch=EPOCH)
-    watcher.receive(told(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    watcher.receive(report(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
     moment = EPOCH + 2 * NS_PER_S
     watcher.set_state(moment, [0.2, 0.3], [0.1, 0.5])
     now, next_one = watcher.estimate(moment), watcher.estimate(moment + 1)
@@ -204,40 +204,40 @@ def test_state_set_from_outside_leaves_contacts_closed(law: str) -> None:
     np.testing.assert_allclose(next_one.u, now.u, atol=1e-7)
 
 
-def test_event_that_fails_has_not_been_received() -> None:
-    """Sent again it fails again; it is missing, and no duplicate."""
+def test_failing_event_counts_as_missing() -> None:
+    """Sent again it fails again; it is no duplicate."""
     jammed = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
     watcher = observer(jammed, "geometric", [0.0, -1.0], epoch=EPOCH)
-    watcher.receive(told(("c1", Kind.IMPACT), seconds=0.5, sequence=1))
+    watcher.receive(report(("c1", Kind.IMPACT), seconds=0.5, sequence=1))
     watcher.set_state(EPOCH + NS_PER_S, [0.0], [-1.0])
-    both = told(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2)
+    both = report(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2)
     for _ in range(2):
         with pytest.raises(ImpactLawError, match="'c1', 'c2'"):
             watcher.receive(both)
 
 
 def test_new_episode_begins_with_all_contacts_open() -> None:
-    """What was closed before belongs to the past."""
+    """Contacts closed in the episode before do not count."""
     watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
-    watcher.receive(told(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
-    anew = EPOCH + 10 * NS_PER_S
-    watcher.receive(ImpactEvent(anew + NS_PER_S, (Switch("c2"),), 1, 1, anew))
-    assert watcher.estimate(anew + 2 * NS_PER_S).closed == ()
+    watcher.receive(report(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    epoch = EPOCH + 10 * NS_PER_S
+    watcher.receive(ImpactEvent(epoch + NS_PER_S, (Switch("c2"),), 1, 1, epoch))
+    assert watcher.estimate(epoch + 2 * NS_PER_S).closed == ()
 
 
 def test_open_loop_has_no_contacts_to_close() -> None:
-    """It moves on as if nothing had been told."""
-    deaf, silent = (observer(PRESSED, "open-loop", np.ones(4), epoch=EPOCH) for _ in range(2))
-    deaf.receive(told(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
+    """It moves as without any event."""
+    open_loop, silent = (observer(PRESSED, "open-loop", np.ones(4), epoch=EPOCH) for _ in range(2))
+    open_loop.receive(report(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
     stamps = EPOCH + np.arange(0, 2_000_000_000, 100_000_000)
-    np.testing.assert_allclose(estimates(deaf, stamps), estimates(silent, stamps), atol=1e-12)
+    np.testing.assert_allclose(estimates(open_loop, stamps), estimates(silent, stamps), atol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("law", "height"), [pytest.param("kinematic", 1.2, marks=pytest.mark.slow), ("geometric", 0.0)]
 )
-def test_ball_at_rest_is_known_at_rest(law: str, height: float) -> None:
-    """The geometric estimate is exact; the kinematic one, K = 0, never learns its height."""
+def test_estimate_of_a_ball_comes_to_rest_with_it(law: str, height: float) -> None:
+    """The geometric estimate is exact; the kinematic one, K = 0, keeps its error of height."""
     model = sample("bouncing_ball").system
     truth = run(model, [1.0], [0.0], seconds=10.0)
     watcher = observer(model, law, [1.7, 0.4], epoch=EPOCH, history=100.0)

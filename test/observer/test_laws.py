@@ -49,7 +49,7 @@ def passes_eigenvalue_test(model: System) -> bool:
 
 
 def rounding(*states: Array) -> float:
-    """What V of large states is rounded by."""
+    """Rounding error of V at large states."""
     return 1e-13 * max(float(np.max(np.abs(x))) for x in states) ** 2
 
 
@@ -57,10 +57,10 @@ def rounding(*states: Array) -> float:
 @CORRECTING
 @examples(60)
 @given(st.data())
-def test_two_replicas_never_part_under_any_switching(
+def test_distance_of_two_replicas_never_rises_under_any_switching(
     law: type[ReplicaLaw], data: st.DataObject
 ) -> None:
-    """No plant at all: random instants and contacts, pulses and intervals, K singular or not."""
+    """Without a plant: random instants and contacts, pulses and intervals, K singular or not."""
     model = data.draw(systems(contacts=(1, 3)))
     assume(passes_eigenvalue_test(model))
     replica, t = law(model), data.draw(st.integers(0, 3)) / 2
@@ -87,7 +87,7 @@ def test_two_replicas_never_part_under_any_switching(
 
 
 def switchings_of(model: System, x: Array, seconds: float, most: int = 12) -> list[Switching]:
-    """What a plant does from ``x`` until it has done enough."""
+    """The first switchings of a plant that starts from ``x``, at most about ``most``."""
     found: list[Switching] = []
     try:
         plant = Plant(model, *np.split(x, 2), epoch=EPOCH)
@@ -106,7 +106,9 @@ def switchings_of(model: System, x: Array, seconds: float, most: int = 12) -> li
 @CORRECTING
 @examples(25)
 @given(st.data())
-def test_replica_never_parts_from_its_plant(law: type[ReplicaLaw], data: st.DataObject) -> None:
+def test_distance_of_a_replica_to_its_plant_never_rises(
+    law: type[ReplicaLaw], data: st.DataObject
+) -> None:
     """Under the true switching, at the true instants: V falls in every phase and every jump."""
     model = data.draw(systems(contacts=(1, 3), gaps=(0.0, 1.0)))
     assume(passes_eigenvalue_test(model))
@@ -150,8 +152,8 @@ def test_true_state_is_left_alone(law: type[ReplicaLaw]) -> None:
             np.testing.assert_allclose(found, impact.after, atol=1e-13)
 
 
-def test_open_loop_hears_nothing() -> None:
-    """The state after is the state before."""
+def test_open_loop_ignores_events() -> None:
+    """The state after the impact is that before it."""
     x = np.arange(4.0)
     assert OpenLoop(sample("two_mass").system).impact(x, (0,), ()).tolist() == x.tolist()
 
@@ -175,7 +177,7 @@ def test_geometric_law_also_closes_the_gap() -> None:
 
 @CORRECTING
 def test_law_does_not_change_what_it_is_given(law: type[ReplicaLaw]) -> None:
-    """The state before the impact stays the caller's."""
+    """The state before the impact is not written to."""
     x = np.array([0.1, 0.2, 1.0, 2.0])
     kept = x.copy()
     law(sample("two_mass").system).impact(x, (0,), ())
@@ -183,7 +185,7 @@ def test_law_does_not_change_what_it_is_given(law: type[ReplicaLaw]) -> None:
 
 
 class Mirror(ReplicaLaw):
-    """Another package's law."""
+    """A law of another package."""
 
     name: ClassVar[str] = "mirror"
 
@@ -194,7 +196,7 @@ class Mirror(ReplicaLaw):
 
 
 class Later(Geometric):
-    """A law that moves otherwise than what it derives from."""
+    """A law that redefines ``motion``."""
 
     def motion(self, t: float, x: Array, closed: tuple[int, ...]) -> Motion:
         """As if the forcing had begun a second later."""
@@ -202,8 +204,8 @@ class Later(Geometric):
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_law_that_moves_otherwise_is_asked_how(count: int) -> None:
-    """For each replica, whatever the law that it derives from knows of all together."""
+def test_law_that_redefines_motion_does_not_inherit_phase(count: int) -> None:
+    """Each replica moves by the new ``motion``, alone or with others."""
     model, replicas = sample("two_mass").system, np.arange(12.0).reshape(3, 4)[:count]
     law, geometric = Later(model), Geometric(model)
     found = law.predict(2.0, Belief(Ensemble.of(replicas)), ()).belief(0.3)
@@ -212,15 +214,15 @@ def test_law_that_moves_otherwise_is_asked_how(count: int) -> None:
 
 
 class Halfway(Geometric):
-    """A law that jumps otherwise than what it derives from."""
+    """A law that redefines ``impact``."""
 
     def impact(self, x: Array, active: tuple[int, ...], closed: tuple[int, ...]) -> Array:
         """Half of it."""
         return (x + super().impact(x, active, closed)) / 2
 
 
-def test_law_that_jumps_otherwise_certifies_nothing_by_itself() -> None:
-    """What a geometric impact takes away from V is not known of another one."""
+def test_law_that_redefines_impact_does_not_inherit_the_bound() -> None:
+    """The energy that a geometric impact removes is not that of another impact."""
     model, replicas = sample("two_mass").system, np.ones((1, 4))
     bounds = [law(model).begin(replicas, np.eye(4), ()).bound for law in (Geometric, Halfway)]
     assert bounds[0] is not None
@@ -270,8 +272,8 @@ def test_entry_point_that_is_no_law_is_one_line(
         law_named("broken")
 
 
-def test_unknown_law_is_told_with_those_that_exist(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The names to choose from, others' included."""
+def test_unknown_law_is_one_line_with_the_existing_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those of other packages included."""
     install(monkeypatch, a_mirror="x:y")
     with pytest.raises(
         UsageError, match=r"law 'geo': .*open-loop, kinematic, geometric, .*a-mirror"

@@ -1,4 +1,4 @@
-"""The observer: what it makes of events, and that an estimate depends on nothing else."""
+"""The observer: estimates depend on the events received, and on nothing else."""
 
 from itertools import permutations
 
@@ -35,7 +35,7 @@ def random_start(n: int, seed: int) -> Array:
     return np.random.default_rng(seed).normal(size=2 * n)
 
 
-def told(watcher: Observer, run: Run) -> list[Ruling]:
+def rulings_of(watcher: Observer, run: Run) -> list[Ruling]:
     """The verdicts on all events of a run."""
     return [verdict.ruling for each in run.events for verdict in watcher.receive(each)]
 
@@ -61,7 +61,7 @@ def test_distance_to_the_plant_never_rises(name: str, law: str) -> None:
     model, truth = sample(name).system, true_run(name, 30.0, rate=20.0)
     for seed in range(5):
         watcher = observer(model, law, random_start(model.n, seed), epoch=EPOCH, history=100.0)
-        assert set(told(watcher, truth)) == {Ruling.APPLIED}
+        assert set(rulings_of(watcher, truth)) == {Ruling.APPLIED}
         V = distances(model, watcher, truth)
         assert np.max(np.diff(V)) <= 1e-9 * V[0]
         assert V[-1] < 0.5 * V[0]
@@ -76,7 +76,7 @@ def test_geometric_law_ends_closer_than_kinematic(name: str) -> None:
         ends = []
         for seed in range(20):
             watcher = observer(model, law, random_start(model.n, seed), epoch=EPOCH, history=100.0)
-            told(watcher, truth)
+            rulings_of(watcher, truth)
             V = distances(model, watcher, truth)
             ends.append(V[-1] / V[0])
         ratios[law] = np.median(ends)
@@ -84,10 +84,10 @@ def test_geometric_law_ends_closer_than_kinematic(name: str) -> None:
 
 
 def test_open_loop_is_the_flow_without_contact() -> None:
-    """Whatever it is told, to the last bit."""
+    """Whatever events it receives."""
     x, truth = random_start(2, 3), true_run("two_mass", 8.0)
     watcher = observer(TWO_MASS, "open-loop", x)
-    told(watcher, truth)
+    rulings_of(watcher, truth)
     motion = flow_of(TWO_MASS).start(0.0, x)
     for seconds in (0.25, truth.impacts[0].instant.stamp / NS_PER_S - 5, 7.5):
         np.testing.assert_allclose(state(watcher, seconds), motion.state(seconds), atol=1e-12)
@@ -101,16 +101,16 @@ def test_observer_that_starts_in_the_true_state_stays_there(name: str, law: str)
     """To what stamps of 1 ns allow."""
     model, truth = sample(name), true_run(name, 5.0)
     watcher = observer(model.system, law, np.concatenate(model.initial_state()))
-    told(watcher, truth)
+    rulings_of(watcher, truth)
     np.testing.assert_allclose(estimates(watcher, truth.stamps), truth.states, atol=2e-7)
 
 
 @pytest.mark.slow
 def test_geometric_observer_of_a_ball_finds_its_height() -> None:
-    """K = 0: each bounce tells the height exactly, and the speed converges with eps."""
+    """K = 0: each bounce determines the height exactly, and the speed converges with eps."""
     model, truth = sample("bouncing_ball").system, true_run("bouncing_ball", 7.5)
     watcher = observer(model, "geometric", [3.0, -2.0])
-    told(watcher, truth)
+    rulings_of(watcher, truth)
     error = np.abs(estimates(watcher, truth.stamps) - truth.states)
     assert error[0].tolist() == [2.0, 2.0]
     bounce = np.searchsorted(truth.stamps, truth.impacts[0].instant.stamp)
@@ -130,7 +130,7 @@ def test_order_of_arrival_does_not_matter(law: str, order: list[int]) -> None:
     """Any permutation within the history: the same estimates to the last bit."""
     model, x = sample("three_mass").system, random_start(3, 1)
     ordered, shuffled = (observer(model, law, x, history=60.0) for _ in range(2))
-    told(ordered, PERMUTED)
+    rulings_of(ordered, PERMUTED)
     rulings = [v.ruling for i in order for v in shuffled.receive(PERMUTED.events[i])]
     assert set(rulings) == {Ruling.APPLIED}
     assert estimates(shuffled, PERMUTED.stamps).tolist() == (
@@ -157,8 +157,8 @@ def test_order_of_arrival_does_not_decide_where_a_late_observer_starts() -> None
     "law",
     [pytest.param(law, marks=pytest.mark.slow if law != "geometric" else ()) for law in LAWS],
 )
-def test_estimate_does_not_depend_on_who_asked_before(law: str) -> None:
-    """A node that is asked at 1 kHz and a command that asks once get the same bits."""
+def test_estimate_does_not_depend_on_estimates_before_it(law: str) -> None:
+    """One estimate and estimates at 1 kHz give the same bits."""
     truth = true_run("two_mass", 4.0)
     asked, alone = (observer(TWO_MASS, law, random_start(2, 5), epoch=EPOCH) for _ in range(2))
     pending = list(truth.events)
@@ -166,12 +166,12 @@ def test_estimate_does_not_depend_on_who_asked_before(law: str) -> None:
         while pending and pending[0].stamp <= stamp:
             asked.receive(pending.pop(0))
         asked.estimate(stamp)
-    told(alone, truth)
+    rulings_of(alone, truth)
     assert estimates(asked, truth.stamps).tolist() == estimates(alone, truth.stamps).tolist()
 
 
-def test_moving_everything_in_time_moves_nothing_else() -> None:
-    """Epoch and stamps later by years: the same bits."""
+def test_shifting_epoch_and_stamps_changes_no_estimate() -> None:
+    """By years: the same bits."""
     truth, moved = true_run("two_mass", 4.0), 1_600_000_000_000_000_001
     here, there = (observer(TWO_MASS, "geometric", random_start(2, 5)) for _ in range(2))
     for each in truth.events:
@@ -204,8 +204,8 @@ def test_initial_state_holds_at_the_first_stamp_of_a_late_observer() -> None:
     np.testing.assert_allclose(state(watcher, 2.7), expected, atol=1e-14)
 
 
-def test_given_epoch_lets_one_ask_before_the_first_event() -> None:
-    """A late first event then moves the beginning, as the contract says."""
+def test_given_epoch_allows_estimates_before_the_first_event() -> None:
+    """A first event with a higher number then moves the start, as the contract says."""
     x = random_start(2, 1)
     watcher = observer(TWO_MASS, "open-loop", x, epoch=EPOCH)
     assert state(watcher, 0.0) == pytest.approx(x.tolist(), abs=1e-14)
@@ -216,7 +216,7 @@ def test_given_epoch_lets_one_ask_before_the_first_event() -> None:
 
 
 def test_system_without_time_needs_no_epoch() -> None:
-    """It starts at the first stamp it sees."""
+    """It starts at the first stamp received."""
     model = chain(1, contacts=[([-1], 0.5, 0.7)])
     watcher = observer(model, "geometric", [0.3, 1.0])
     watcher.receive(event(2.0, "c1", epoch=0))
@@ -224,8 +224,8 @@ def test_system_without_time_needs_no_epoch() -> None:
     np.testing.assert_allclose(state(watcher, 2.0), [0.5, -0.7], rtol=1e-14)
 
 
-def test_duplicate_is_told_and_changes_nothing() -> None:
-    """By its sequence number, or by everything where nobody counts."""
+def test_duplicate_gets_a_verdict_and_changes_nothing() -> None:
+    """By its sequence number, or where it has none by stamp and switches."""
     for sequence in (0, 7):
         watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
         watcher.receive(event(1.0, "stop", sequence=sequence))
@@ -237,7 +237,7 @@ def test_duplicate_is_told_and_changes_nothing() -> None:
         assert state(watcher, 1.5) == before
 
 
-def test_unknown_contact_is_told_and_the_others_applied() -> None:
+def test_unknown_contact_gets_a_verdict_and_the_others_are_applied() -> None:
     """One verdict a switch; the reason names the contacts that exist."""
     with_it, without = (observer(TWO_MASS, "geometric", random_start(2, 1)) for _ in range(2))
     verdicts = with_it.receive(event(1.0, "wall", "stop", sequence=1))
@@ -251,7 +251,7 @@ def test_unknown_contact_is_told_and_the_others_applied() -> None:
 
 
 def test_event_with_unknown_contacts_only_is_not_missing() -> None:
-    """It came; there was nothing to do."""
+    """It was received, without effect."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
     watcher.receive(event(1.0, "wall", sequence=1))
     watcher.receive(event(2.0, "stop", sequence=2))
@@ -259,7 +259,7 @@ def test_event_with_unknown_contacts_only_is_not_missing() -> None:
     assert watcher.last_event == EPOCH + 2 * NS_PER_S
 
 
-def test_event_before_the_known_past_is_too_late() -> None:
+def test_event_before_the_kept_past_is_too_late() -> None:
     """Beyond the history, or before the epoch; the reason says where the past begins."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH, history=2.0)
     assert watcher.receive(event(-1.0, "stop"))[0].ruling is Ruling.TOO_LATE
@@ -275,7 +275,7 @@ def test_event_before_the_known_past_is_too_late() -> None:
 
 
 def test_event_of_an_old_episode_is_rejected() -> None:
-    """A straggler from before the sender's reset."""
+    """One that arrives after the sender's reset."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
     watcher.receive(event(1.0, "stop", sequence=1, episode=3))
     before = state(watcher, 2.0)
@@ -287,8 +287,8 @@ def test_event_of_an_old_episode_is_rejected() -> None:
 @pytest.mark.parametrize(
     "change", [{"episode": 1, "epoch": EPOCH + 9}, {"episode": 0, "epoch": EPOCH + 9}]
 )
-def test_new_episode_or_epoch_begins_again(change: dict[str, int]) -> None:
-    """As an observer that has just been made, with the same sequence numbers once more."""
+def test_new_episode_or_epoch_restarts_the_observer(change: dict[str, int]) -> None:
+    """It estimates like a new one; the sequence numbers start again."""
     x = random_start(2, 1)
     used, fresh = observer(TWO_MASS, "geometric", x), observer(TWO_MASS, "geometric", x)
     used.receive(event(1.0, "stop", sequence=1))
@@ -303,7 +303,7 @@ def test_new_episode_or_epoch_begins_again(change: dict[str, int]) -> None:
 
 
 def test_lost_events_are_counted() -> None:
-    """Between the first and the last number seen; late ones are taken off again."""
+    """Between the first and the last number received; late ones are subtracted."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
     for sequence in (3, 4, 8):
         watcher.receive(event(float(sequence), "stop", sequence=sequence))
@@ -317,7 +317,7 @@ def test_lost_events_are_counted() -> None:
 
 @pytest.mark.slow
 def test_memory_is_bounded() -> None:
-    """Thousands of events leave the history only, and old duplicates are still known as such."""
+    """Of thousands of events the history is kept, and old duplicates are still refused."""
     model = chain(1, contacts=[([-1], 0.5, 0.7)])
     watcher = observer(model, "kinematic", [0.3, 1.0], history=1.0)
     first = event(0.1, "c1", sequence=1)
@@ -333,18 +333,18 @@ def test_memory_is_bounded() -> None:
 
 
 def test_forcing_without_an_epoch_is_one_line() -> None:
-    """The event is neither applied nor remembered; an observer that was told applies it."""
+    """The event is neither applied nor remembered; with a given epoch it is applied."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
     silent = event(1.0, "stop", sequence=1, epoch=0)
     for _ in range(2):
         with pytest.raises(UsageError, match="epoch: the forcing of two_mass depends on time"):
             watcher.receive(silent)
-    knowing = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
-    assert knowing.receive(silent)[0].ruling is Ruling.APPLIED
+    informed = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
+    assert informed.receive(silent)[0].ruling is Ruling.APPLIED
 
 
 def test_impact_without_a_solution_is_not_applied() -> None:
-    """The error names the stamp, and the replica goes on as if nothing had come."""
+    """The error names the stamp, and the replica moves as without the event."""
     model = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
     watcher = observer(model, "kinematic", [0.0, -1.0], epoch=EPOCH)
     with pytest.raises(ImpactLawError, match=r"at 5\.000000000 s: contacts 'c1', 'c2'"):
@@ -354,7 +354,7 @@ def test_impact_without_a_solution_is_not_applied() -> None:
 
 
 def test_simultaneous_impacts_are_one_event_or_two() -> None:
-    """One event is one law for both contacts; two of equal stamp follow each other."""
+    """One event applies the impact law to both contacts; two of equal stamp act in turn."""
     model = chain(2, contacts=[([1, 0], 0.1, 0.5), ([-1, 1], 0.1, 0.5)])
     x = [0.0, 0.0, -2.0, -3.0]
     together, differences = (observer(model, "kinematic", x, epoch=EPOCH) for _ in range(2))
@@ -369,8 +369,8 @@ def test_simultaneous_impacts_are_one_event_or_two() -> None:
     assert state(differences, 1.0) == pytest.approx(successive.tolist(), abs=1e-14)
 
 
-def test_estimate_tells_what_it_knows() -> None:
-    """Stamp, law, and the last event at or before the stamp, not the last that came."""
+def test_estimate_names_its_stamp_law_and_last_event() -> None:
+    """The last event at or before the stamp, not the last received."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
     watcher.receive(event(1.0, "stop", sequence=1))
     watcher.receive(event(2.0, "stop", sequence=2))
@@ -383,8 +383,8 @@ def test_estimate_tells_what_it_knows() -> None:
     assert watcher.last_event == EPOCH + 2 * NS_PER_S
 
 
-def test_estimate_where_nothing_is_known_is_one_line() -> None:
-    """Before the first event, and before the known past."""
+def test_estimate_outside_the_kept_past_is_one_line() -> None:
+    """Before the first event is received, and before the start of the past."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
     with pytest.raises(UsageError, match=r"estimate at 5\.000000000 s: no event has come"):
         watcher.estimate(EPOCH)
@@ -394,7 +394,7 @@ def test_estimate_where_nothing_is_known_is_one_line() -> None:
 
 
 def test_given_state_replaces_the_past() -> None:
-    """From its stamp on; what comes later is applied, what came before is too late."""
+    """From its stamp on; later events are applied, earlier ones are too late."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
     watcher.receive(event(1.0, "stop", sequence=1))
     watcher.set_state(EPOCH + 2 * NS_PER_S, np.array([0.1, 0.2]), np.array([0.3, 0.4]))
@@ -406,8 +406,8 @@ def test_given_state_replaces_the_past() -> None:
         watcher.set_state(EPOCH, np.zeros(1), np.zeros(2))
 
 
-def test_state_given_before_anything_is_known_is_the_initial_state() -> None:
-    """It holds where the one it replaces would have held."""
+def test_state_given_before_any_event_is_the_initial_state() -> None:
+    """It holds at the start, whatever stamp it is given for."""
     watcher = observer(TWO_MASS, "open-loop", random_start(2, 1))
     watcher.set_state(EPOCH + 99, np.array([0.1, 0.2]), np.array([0.3, 0.4]))
     watcher.receive(event(2.0, "stop", sequence=1))
@@ -415,7 +415,7 @@ def test_state_given_before_anything_is_known_is_the_initial_state() -> None:
 
 
 def test_restart_forgets_everything() -> None:
-    """A clock that jumped back: the observer is as it was made."""
+    """As for a clock that jumped back: the observer estimates like a new one."""
     x = random_start(2, 1)
     used, fresh = (observer(TWO_MASS, "geometric", x, epoch=EPOCH) for _ in range(2))
     used.receive(event(5.0, "stop", sequence=4))

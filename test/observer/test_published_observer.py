@@ -1,7 +1,7 @@
 """A published observer of impact times, with its published figures, and what is better.
 
 P. Bernard and R. Sanfelice, on observers for hybrid systems with linear maps and known jump times
-(2018 and later): a bouncing ball with drag of which only the impacts are heard.
+(2018 and later): a bouncing ball with drag, of which only the impacts are measured.
 """
 
 from functools import cache
@@ -86,7 +86,7 @@ def test_geometric_law_is_the_position_reset() -> None:
 
 
 def test_minimum_variance_beats_the_published_gain() -> None:
-    """Two impacts say all there is to say of a ball; from then on only the stamps are wrong."""
+    """Two impacts determine the state of a ball; only the rounding of the stamps is left."""
     ours, theirs = np.abs(velocity_errors(MinimumVariance)), np.abs(velocity_errors(HybridGain))
     assert np.all(ours[1:] < 1e-6 * theirs[1:])
     assert np.max(ours[1:]) < 1e-7

@@ -1,4 +1,4 @@
-"""A recording through an observer: fed as it was sent, whatever its stamps say."""
+"""A recording through an observer: events are received in the order of sending."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ MS = NS_PER_S // 1000
 
 
 def watcher() -> Observer:
-    """An observer that has seen nothing."""
+    """An observer that has received nothing."""
     return observer(MODEL, "geometric", [0.3, -0.4, 1.0, -2.0], ensemble=1)
 
 
@@ -36,7 +36,7 @@ def replayed(events: list[ImpactEvent]) -> tuple[Observer, list[Estimate], list[
 
 
 def bits(estimate: Estimate) -> tuple[bytes, bytes, int]:
-    """What an estimate says."""
+    """An estimate, by its bits."""
     return estimate.q.tobytes(), estimate.u.tobytes(), estimate.stamp
 
 
@@ -80,7 +80,7 @@ def test_gap_that_stays_is_named() -> None:
 def test_every_estimate_contains_all_events_at_or_before_it(
     gaps: list[int], errors: list[int], numbered: bool
 ) -> None:
-    """Whatever the stamps: it is that of an observer that has heard everything."""
+    """For any stamps: it equals that of an observer that has received all events."""
     true = 800 + np.cumsum(gaps)
     events = [
         event((t + e) / 1000, f"c{1 + k % 2}", sequence=(k + 1) * numbered)
@@ -98,18 +98,18 @@ def test_every_estimate_contains_all_events_at_or_before_it(
 
 
 def test_stamp_from_far_ahead_moves_no_estimate() -> None:
-    """It is fed at its own instant, however low its number: the past would be forgotten."""
+    """It is received at its own stamp, however low its number: the past would be forgotten."""
     events = [event(0.1 * k, "c1", sequence=k) for k in range(1, 10)]
-    astray = replace(events[4], stamp=EPOCH + 1000 * NS_PER_S)
-    found, estimates, _ = replayed([*events[:4], astray, *events[5:]])
+    ahead = replace(events[4], stamp=EPOCH + 1000 * NS_PER_S)
+    found, estimates, _ = replayed([*events[:4], ahead, *events[5:]])
     _, without, _ = replayed([*events[:4], *events[5:]])
     assert len(estimates) == len(STAMPS)
     assert list(map(bits, estimates)) == list(map(bits, without))
-    assert found.last_event == astray.stamp
+    assert found.last_event == ahead.stamp
 
 
 @pytest.mark.parametrize("moved", [{"episode": 1}, {"epoch": EPOCH + 2 * NS_PER_S}])
-def test_numbers_of_another_run_are_its_own(moved: dict[str, int]) -> None:
+def test_sequence_numbers_of_two_runs_are_separate(moved: dict[str, int]) -> None:
     """They begin at 1 again, after those of the run before."""
     first = [event(0.1 * k, "c1", sequence=k) for k in range(1, 8)]
     second = [replace(event(2 + 0.1 * k, "c1", sequence=k), **moved) for k in range(1, 8)]  # type: ignore[arg-type]

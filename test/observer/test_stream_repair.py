@@ -23,6 +23,10 @@ from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
 LAWS = pytest.mark.parametrize("law", BUILT_IN)
+UNILATERAL_SLOW = pytest.mark.parametrize(
+    "law",
+    [pytest.param(law, marks=pytest.mark.slow if law == "unilateral" else ()) for law in BUILT_IN],
+)
 MODEL = chain(
     2,
     damping=0.3,
@@ -150,7 +154,7 @@ def test_order_of_arrival_and_duplicates_change_no_bit(law: str, data: st.DataOb
     assert internal_state(shuffled) == internal_state(ordered)
 
 
-@LAWS
+@UNILATERAL_SLOW
 @examples(4)
 @given(data=st.data())
 def test_estimates_in_between_change_no_bit(law: str, data: st.DataObject) -> None:
@@ -171,7 +175,7 @@ def test_estimates_in_between_change_no_bit(law: str, data: st.DataObject) -> No
     assert internal_state(asked) == internal_state(silent)
 
 
-@LAWS
+@UNILATERAL_SLOW
 @examples(4)
 @given(data=st.data())
 def test_contradictory_stream_acts_like_the_consistent_one_it_means(

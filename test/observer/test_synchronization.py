@@ -1,4 +1,4 @@
-"""Convergence without ground truth: an ensemble, its agreement, and a certified bound."""
+"""Convergence without ground truth: ensemble, synchronization and certified bound."""
 
 import itertools
 from dataclasses import replace
@@ -41,22 +41,22 @@ TRUTH = run(THREE_MASS.system, *THREE_MASS.initial_state(), seconds=30.0, rate=1
 def started(
     model: System, law: str, start: Array, deviation: float, **options: object
 ) -> Observer:
-    """An observer at ``start`` that was told how uncertain that is."""
+    """An observer at ``start`` with a declared ``deviation`` of that."""
     made = law_named(law)(model, Uncertainty(deviation))
     return Observer(model, made, *np.split(start, 2), epoch=EPOCH, history=LONG, **options)  # type: ignore[arg-type]
 
 
 def observer(model: System, law: str, x: ArrayLike, **options: object) -> Observer:
-    """An observer with an ensemble as everybody has it."""
+    """An observer with the default ensemble."""
     return observer_of(model, law, x, **{"ensemble": DEFAULT_ENSEMBLE, **options})
 
 
 def random_start(seed: int) -> Array:
-    """The truth of three masses at first, and a standard normal error."""
+    """The initial state of the plant with a standard normal error."""
     return np.asarray(TRUTH.states[0] + np.random.default_rng(seed).normal(size=6))
 
 
-def heard(watcher: Observer, plant: Run = TRUTH) -> list[float]:
+def distances(watcher: Observer, plant: Run = TRUTH) -> list[float]:
     """``V`` at each state of the plant's run, after the events at or before it."""
     events, found = list(reversed(plant.events)), []
     for stamp, x in zip(plant.stamps.tolist(), plant.states, strict=True):
@@ -75,7 +75,7 @@ def V(model: System, one: Array, two: Array) -> float:  # noqa: N802
 @pytest.mark.slow
 @LAWS
 def test_estimate_does_not_depend_on_the_ensemble(law: str) -> None:
-    """Not in a single bit, whether it has one replica or hundreds."""
+    """It has the same bits with one replica and with hundreds."""
     bits = set()
     for count in (1, 2, 10, 20 if law == "unilateral" else 300):  # which moves each by itself
         watcher = observer(THREE_MASS.system, law, random_start(1), epoch=EPOCH, ensemble=count)
@@ -90,20 +90,20 @@ PRESSED = chain(2, contacts=[([1, 0], 0.1, 0.5), ([-1, 1], 0.1, 0.5)])
 
 
 @ALIKE
-def test_replicas_together_move_as_each_alone(law: str) -> None:
+def test_replicas_of_an_ensemble_move_as_each_does_alone(law: str) -> None:
     """Through impacts of one contact, of two at once, and while contacts stay closed."""
 
-    def told(seconds: float, *switches: tuple[str, Kind]) -> ImpactEvent:
+    def report(seconds: float, *switches: tuple[str, Kind]) -> ImpactEvent:
         stamp = EPOCH + round(seconds * NS_PER_S)
         return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), epoch=EPOCH)
 
     events = [
-        told(0.3, ("c1", Kind.IMPACT)),
-        told(0.7, ("c1", Kind.IMPACT), ("c2", Kind.IMPACT)),
-        told(1.1, ("c2", Kind.CLOSE)),
-        told(1.4, ("c1", Kind.IMPACT)),
-        told(1.9, ("c2", Kind.OPEN)),
-        told(2.2, ("c1", Kind.IMPACT)),
+        report(0.3, ("c1", Kind.IMPACT)),
+        report(0.7, ("c1", Kind.IMPACT), ("c2", Kind.IMPACT)),
+        report(1.1, ("c2", Kind.CLOSE)),
+        report(1.4, ("c1", Kind.IMPACT)),
+        report(1.9, ("c2", Kind.OPEN)),
+        report(2.2, ("c1", Kind.IMPACT)),
     ]
     together = observer(PRESSED, law, [0.2, -0.1, 0.5, -0.4], epoch=EPOCH, ensemble=6)
     timeline = together._timeline
@@ -140,16 +140,16 @@ def test_convergence_is_the_largest_distance_of_two_replicas() -> None:
             assert largest <= found <= 4 * largest
 
 
-def test_one_replica_agrees_with_nobody() -> None:
-    """Its convergence is -1, and it is never synchronized, not even in the true state."""
+def test_one_replica_is_never_synchronized() -> None:
+    """Its convergence is -1, even in the true state."""
     watcher = observer(THREE_MASS.system, "geometric", TRUTH.states[0], epoch=EPOCH, ensemble=1)
-    heard(watcher)
+    distances(watcher)
     last = watcher.estimate(int(TRUTH.stamps[-1]))
     assert (last.convergence, last.synchronized) == (-1.0, False)
 
 
 def test_convergence_never_rises() -> None:
-    """Replicas under the same events are what V never rises between."""
+    """V between replicas under the same events does not rise."""
     watcher = observer(THREE_MASS.system, "geometric", random_start(3), epoch=EPOCH)
     found = []
     for each in TRUTH.events:
@@ -167,19 +167,19 @@ def test_replicas_must_agree_for_several_events() -> None:
         assert watcher.estimate(each.stamp).synchronized is (count >= REQUIRED_EVENTS)
 
 
-def test_law_that_hears_nothing_is_never_synchronized() -> None:
-    """Damping brings open-loop replicas together, and not to the plant."""
+def test_law_without_events_is_never_synchronized() -> None:
+    """Damping brings open-loop replicas to each other, but not to the plant."""
     watcher = started(THREE_MASS.system, "open-loop", TRUTH.states[0], deviation=1e-9)
-    heard(watcher)
+    distances(watcher)
     last = watcher.estimate(int(TRUTH.stamps[-1]))
     assert last.convergence < 1e-15
     assert not last.synchronized
 
 
-def test_event_that_nobody_expects_ends_the_agreement() -> None:
-    """All replicas are far from a stop that the plant is said to touch: they were all wrong."""
+def test_impact_far_from_all_replicas_ends_the_agreement() -> None:
+    """An impact is reported at a stop from which all replicas are far: all are wrong."""
     watcher = started(THREE_MASS.system, "geometric", TRUTH.states[0], deviation=1e-9)
-    heard(watcher)
+    distances(watcher)
     stamp = int(TRUTH.stamps[-1])
     assert watcher.estimate(stamp).synchronized
     gap = THREE_MASS.system.gap(TRUTH.states[-1][:3])
@@ -196,7 +196,7 @@ def test_certified_bound_holds(law: str, seed: int) -> None:
     """It begins above V, falls, and V stays below it."""
     start = random_start(seed)
     watcher = observer(THREE_MASS.system, law, start, epoch=EPOCH, history=LONG, ensemble=1)
-    found = heard(watcher)
+    found = distances(watcher)
     bounds = [watcher.estimate(int(stamp)).bound for stamp in TRUTH.stamps]
     bounds = [watcher.estimate(EPOCH).bound, *bounds]
     assert np.all(np.diff(bounds) <= 0)
@@ -209,7 +209,7 @@ def test_certified_bound_holds(law: str, seed: int) -> None:
 @examples(15)
 @given(st.data())
 def test_certified_bound_holds_on_random_systems(law: str, data: st.DataObject) -> None:
-    """Whatever the system, from a start within what was declared."""
+    """From an initial state within the declared uncertainty."""
     model = data.draw(systems(contacts=(1, 2), gaps=(0.0, 1.0), common_restitution=True))
     x = np.concatenate([data.draw(vectors(model.n, -0.5, 0.5)), data.draw(vectors(model.n))])
     assume(np.all(model.gap(x[: model.n]) >= 0))
@@ -217,7 +217,7 @@ def test_certified_bound_holds_on_random_systems(law: str, data: st.DataObject) 
     watcher = observer(model, law, start, epoch=EPOCH, ensemble=1)
     try:
         plant = run(model, x[: model.n], x[model.n :], seconds=4.0, rate=5.0)
-        found = heard(watcher, plant)
+        found = distances(watcher, plant)
     except ImpactLawError:
         assume(False)
     bounds = [watcher.estimate(int(stamp)).bound for stamp in plant.stamps]
@@ -225,18 +225,18 @@ def test_certified_bound_holds_on_random_systems(law: str, data: st.DataObject) 
     assert all(v <= bound + size for v, bound in zip(found, bounds, strict=True))
 
 
-def test_bound_that_is_refuted_is_given_up() -> None:
-    """Who declares a start to be certain that is wrong is told that nothing is certified."""
+def test_refuted_bound_is_dropped() -> None:
+    """A wrong start with a small declared deviation: nothing is certified in the end."""
     watcher = started(THREE_MASS.system, "geometric", random_start(5), deviation=1e-3)
-    heard(watcher)
+    distances(watcher)
     assert watcher.estimate(EPOCH).bound > 0
     assert watcher.estimate(int(TRUTH.stamps[-1])).bound == -1.0
 
 
-def test_law_that_measures_no_gap_certifies_nothing() -> None:
-    """Kinematic constraints never look where the replica is."""
+def test_law_that_corrects_no_gap_certifies_nothing() -> None:
+    """Kinematic constraints do not use the position of the replica."""
     watcher = observer(THREE_MASS.system, "kinematic", random_start(5), epoch=EPOCH, history=LONG)
-    heard(watcher)
+    distances(watcher)
     assert {watcher.estimate(int(stamp)).bound for stamp in TRUTH.stamps} == {-1.0}
 
 
@@ -251,7 +251,7 @@ def test_nothing_is_certified_after_an_impact_that_may_raise_V() -> None:  # noq
 
 
 def test_covariance_given_with_a_state_spreads_the_replicas() -> None:
-    """A narrow one makes them agree at once; the wide one of the start comes back with reset."""
+    """A small one makes them agree at once; without one, the initial covariance is used."""
     watcher = observer(THREE_MASS.system, "geometric", random_start(6), epoch=EPOCH)
     wide = watcher.estimate(EPOCH).convergence
     x = random_start(6)[:3], random_start(6)[3:]
@@ -262,8 +262,8 @@ def test_covariance_given_with_a_state_spreads_the_replicas() -> None:
     assert watcher.estimate(EPOCH + NS_PER_S).convergence == pytest.approx(wide, rel=1e-12)
 
 
-def test_replica_whose_impact_has_no_solution_stays_apart() -> None:
-    """It never hinders the estimate, and it does not agree with it."""
+def test_replica_whose_impact_has_no_solution_keeps_its_state() -> None:
+    """The estimate is made without it, and does not agree with it."""
     stops = [([1.0], 0.0, 0.0), ([-1.0], 0.0, 1.0)]  # no play between them
     watcher = observer(chain(1, contacts=stops), "kinematic", [0.0, 0.0], epoch=EPOCH)
     assert watcher.receive(event(1.0, "c1", "c2", sequence=1))[0].ruling is Ruling.APPLIED
@@ -273,19 +273,19 @@ def test_replica_whose_impact_has_no_solution_stays_apart() -> None:
 
 
 @pytest.mark.slow
-def test_ball_that_has_come_to_rest_is_known() -> None:
-    """Its energy is gone, and so is that of all differences but what stamps of 1 ns leave."""
+def test_ball_at_rest_is_synchronized() -> None:
+    """Differences fall below its largest energy as far as stamps of 1 ns allow."""
     ball = sample("bouncing_ball")
     plant = run(ball.system, *ball.initial_state(), seconds=12.0, rate=1.0)
     watcher = observer(ball.system, "geometric", [1.3, 0.2], epoch=EPOCH, history=LONG)
-    heard(watcher, plant)
+    distances(watcher, plant)
     last = watcher.estimate(int(plant.stamps[-1]))
     assert last.closed == ("floor",)
     assert last.synchronized
 
 
-def test_events_that_contradict_what_was_declared_end_the_agreement() -> None:
-    """A stiffness off by 3 %: replicas agree, and impacts come when they should not."""
+def test_large_innovations_end_the_agreement() -> None:
+    """A stiffness off by 3 %: replicas agree, but impacts come at unexplained times."""
     stiffer = replace(THREE_MASS.system, K=1.03 * THREE_MASS.system.K)
     watcher = observer(stiffer, "minimum-variance", random_start(1), epoch=EPOCH, history=LONG)
     surprises = []
@@ -296,10 +296,10 @@ def test_events_that_contradict_what_was_declared_end_the_agreement() -> None:
     assert sum(surprises) > 5
 
 
-def test_refuted_bound_is_no_agreement() -> None:
-    """Replicas that began too close together agree at once, and with nobody else."""
+def test_refuted_bound_ends_the_agreement() -> None:
+    """Replicas with too small a spread agree at once, but not with the plant."""
     watcher = started(THREE_MASS.system, "geometric", random_start(5), deviation=1e-6)
-    heard(watcher)
+    distances(watcher)
     last = watcher.estimate(int(TRUTH.stamps[-1]))
     assert last.inconsistent
     assert last.convergence < 1e-10

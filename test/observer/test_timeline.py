@@ -1,4 +1,4 @@
-"""The replica's past: events in their places, and no more of it than is needed."""
+"""The observer's past: events in order, and no more of them than needed."""
 
 from collections.abc import Sequence
 
@@ -28,7 +28,7 @@ def update(previous: Entry, event: EventKey, neighbours: Sequence[EventKey]) -> 
 
 
 def key(stamp: int, sequence: int = 0, contact: int = 0) -> EventKey:
-    """An event's place."""
+    """An impact of one contact."""
     return EventKey(stamp, sequence, ((contact, Kind.IMPACT),))
 
 
@@ -52,7 +52,7 @@ def test_late_event_is_inserted_and_the_later_ones_are_applied_again() -> None:
 
 
 def test_equal_stamps_are_successive_by_sequence() -> None:
-    """And by contact where nobody counts; never by arrival."""
+    """And by contact where there are no numbers; never by arrival."""
     timeline = filled(key(1, 8), key(1, 7), key(1, 9))
     assert [entry.key.sequence for entry in timeline.entries[1:]] == [7, 8, 9]
     unnumbered = filled(key(1, 0, 1), key(1, 0, 0))

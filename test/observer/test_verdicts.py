@@ -1,4 +1,4 @@
-"""What is said of true, spurious and missed impacts in the end, and of what was said before."""
+"""Verdicts on true, spurious, missed and mislabelled impacts, and their revisions."""
 
 from collections.abc import Iterable, Sequence
 from functools import cache
@@ -19,10 +19,10 @@ from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
 NEAR = 2
-"""How near to its true stamp a missed impact is inserted once all is known, ns."""
+"""How near to its true stamp a missed impact is inserted in the end, ns."""
 MOVED = 2000
 """By which an inserted impact may move unsaid, ns."""
-Told = dict[tuple[int, int, str], Ruling]
+Rulings = dict[tuple[int, int, str], Ruling]
 
 
 @cache
@@ -34,7 +34,7 @@ def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
     return model.system, np.concatenate(start), whole
 
 
-def spoilt(
+def with_faults(
     events: Sequence[ImpactEvent],
     seed: int,
     *,
@@ -44,7 +44,7 @@ def spoilt(
     since: float = 0.0,
     until: float,
 ) -> tuple[list[ImpactEvent], set[int]]:
-    """What is told, and which numbers are spurious; all right before ``since``, s."""
+    """Events with faults, and the numbers of the spurious ones; none before ``since``, s."""
     rng = np.random.default_rng(seed)
     late = EPOCH + round(since * NS_PER_S)
     kept = [
@@ -56,21 +56,23 @@ def spoilt(
         stamp, name = EPOCH + round(at * NS_PER_S), names[rng.integers(len(names))]
         kept.append((stamp, (Switch(name),), True))
     ordered = sorted(kept, key=lambda each: each[0])
-    told = [ImpactEvent(s, w, k + 1, 0, EPOCH) for k, (s, w, _) in enumerate(ordered)]
-    return told, {k + 1 for k, (_, _, wrong) in enumerate(ordered) if wrong}
+    reported = [ImpactEvent(s, w, k + 1, 0, EPOCH) for k, (s, w, _) in enumerate(ordered)]
+    return reported, {k + 1 for k, (_, _, wrong) in enumerate(ordered) if wrong}
 
 
 def watching(name: str, seconds: float, seed: int, **declared: float) -> Observer:
-    """An observer that begins wrong."""
+    """An observer with a wrong initial state."""
     model, start, _ = truth(name, seconds)
     x = start + np.random.default_rng(seed).normal(size=start.size)
     everything: dict[str, Any] = {"clock_error": 0.0, **declared}
-    told = Uncertainty(**everything)
-    return observer(model, "minimum-variance", x, uncertainty=told, epoch=EPOCH, history=1e4)
+    uncertainty = Uncertainty(**everything)
+    return observer(
+        model, "minimum-variance", x, uncertainty=uncertainty, epoch=EPOCH, history=1e4
+    )
 
 
-def final(verdicts: Iterable[Verdict]) -> Told:
-    """The last ruling on everything; what was inserted and taken back is as if it never was."""
+def final(verdicts: Iterable[Verdict]) -> Rulings:
+    """The last ruling on everything, without insertions that were withdrawn."""
     last = {
         (each.stamp, each.sequence, each.contact): each.ruling
         for each in verdicts
@@ -79,8 +81,8 @@ def final(verdicts: Iterable[Verdict]) -> Told:
     return {k: ruling for k, ruling in last.items() if k[1] or ruling is Ruling.INSERTED}
 
 
-def believed(watcher: Observer) -> Told:
-    """The same, by the account that is the likeliest after the last event."""
+def likeliest(watcher: Observer) -> Rulings:
+    """The same, by the likeliest hypothesis after the last event."""
     assert watcher._timeline is not None
     notes = watcher._timeline.entries[-1].belief.hypotheses[0].notes
     names = watcher.system.contact_names
@@ -90,7 +92,7 @@ def believed(watcher: Observer) -> Told:
 
 
 LOCKED = {"two_mass": 12.0, "three_mass": 14.0}
-"""From when on all that was heard before is enough, s."""
+"""From then on the events before suffice to judge the others, s."""
 
 
 @pytest.mark.parametrize(
@@ -101,11 +103,11 @@ LOCKED = {"two_mass": 12.0, "three_mass": 14.0}
         pytest.param("three_mass", 1, marks=pytest.mark.slow),
     ],
 )
-def test_once_locked_every_event_is_what_it_is(name: str, seed: int) -> None:
+def test_rulings_are_right_once_the_estimate_has_converged(name: str, seed: int) -> None:
     """Spurious: rejected. True: applied. Missed: inserted where it was, within 2 ns."""
     seconds, since = 30.0, LOCKED[name]
     model, _, whole = truth(name, seconds)
-    told, spurious = spoilt(
+    reported, spurious = with_faults(
         whole.events,
         seed,
         names=model.contact_names,
@@ -115,18 +117,18 @@ def test_once_locked_every_event_is_what_it_is(name: str, seed: int) -> None:
         until=seconds,
     )
     watcher = watching(name, seconds, seed)
-    rulings = final(verdict for each in told for verdict in watcher.receive(each))
+    rulings = final(verdict for each in reported for verdict in watcher.receive(each))
     late = EPOCH + round(since * NS_PER_S)
-    heard = [key for key in rulings if key[1] and key[0] >= late]
+    keys = [key for key in rulings if key[1] and key[0] >= late]
     assert len(spurious) >= 2
-    for key in heard:
+    for key in keys:
         assert rulings[key] is (Ruling.REJECTED if key[1] in spurious else Ruling.APPLIED)
-    stamps = {each.stamp for each in told if each.sequence not in spurious}
+    stamps = {each.stamp for each in reported if each.sequence not in spurious}
     missed = [
         (each.stamp, switch.contact)
         for each in whole.events
         for switch in each.switches
-        if each.stamp not in stamps and each.stamp < told[-1].stamp
+        if each.stamp not in stamps and each.stamp < reported[-1].stamp
     ]
     inserted = sorted((key[0], key[2]) for key in rulings if not key[1] and key[0] >= late)
     assert missed
@@ -137,8 +139,8 @@ def test_once_locked_every_event_is_what_it_is(name: str, seed: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
-def test_mislabelled_impacts_are_named_once_locked(seed: int) -> None:
-    """The verdict on an impact of another contact is APPLIED and says of which."""
+def test_mislabelled_impacts_are_named_once_the_estimate_has_converged(seed: int) -> None:
+    """The verdict on an impact of another contact is APPLIED and names that contact."""
     _, _, whole = truth("three_mass", 30.0)
     rng = np.random.default_rng(seed)
     watcher, wrong, rulings = watching("three_mass", 30.0, seed), {}, {}
@@ -148,8 +150,8 @@ def test_mislabelled_impacts_are_named_once_locked(seed: int) -> None:
             wrong[each.sequence] = switch.contact
             other = "left" if switch.contact == "right" else "right"
             switch = Switch(other)
-        told = ImpactEvent(each.stamp, (switch,), each.sequence, 0, EPOCH)
-        for verdict in watcher.receive(told):
+        reported = ImpactEvent(each.stamp, (switch,), each.sequence, 0, EPOCH)
+        for verdict in watcher.receive(reported):
             rulings[verdict.sequence] = verdict
     assert len(wrong) >= 2
     rulings.pop(0, None)  # what was inserted at first
@@ -159,55 +161,55 @@ def test_mislabelled_impacts_are_named_once_locked(seed: int) -> None:
         assert verdict.reason.removeprefix("on second thought: ").startswith(expected)
 
 
-def assert_same(one: Told, other: Told) -> None:
-    """The same rulings, but that stamps of what was inserted may have moved a little."""
-    for said, meant in zip(sorted(one.items()), sorted(other.items()), strict=True):
-        (stamp, *rest), ruling = said
+def assert_same(one: Rulings, other: Rulings) -> None:
+    """The same rulings; stamps of inserted impacts may differ a little."""
+    for found, meant in zip(sorted(one.items()), sorted(other.items()), strict=True):
+        (stamp, *rest), ruling = found
         assert (*rest, ruling) == (*meant[0][1:], meant[1])
         assert abs(stamp - meant[0][0]) <= (0 if rest[0] else MOVED)
 
 
 @cache
 def run_of(seed: int, *, late: bool = False) -> tuple[Observer, list[ImpactEvent], list[Verdict]]:
-    """Twelve seconds of two_mass from a start that is known, troubled from the first impact on."""
+    """Twelve seconds of two_mass from a certain start, with faults from the first impact on."""
     _, _, whole = truth("two_mass", 30.0)
     events = [each for each in whole.events if each.stamp < EPOCH + 12 * NS_PER_S]
-    told, _ = spoilt(events, seed, names=("stop",), missed=0.25, rate=0.2, until=12.0)
+    reported, _ = with_faults(events, seed, names=("stop",), missed=0.25, rate=0.2, until=12.0)
     if late:
-        told = [*told[: len(told) // 2], *told[len(told) // 2 + 1 :], told[len(told) // 2]]
+        reported.append(reported.pop(len(reported) // 2))
     watcher = watching("two_mass", 30.0, seed)
-    return watcher, told, [verdict for each in told for verdict in watcher.receive(each)]
+    return watcher, reported, [verdict for each in reported for verdict in watcher.receive(each)]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("late", [False, True])
-def test_what_was_told_last_is_what_is_believed(late: bool) -> None:
-    """Of every event, and of everything that was inserted, whatever came late."""
+def test_last_verdicts_are_those_of_the_likeliest_hypothesis(late: bool) -> None:
+    """On every event and on every insertion, also with late events."""
     for seed in range(3):
         watcher, _, verdicts = run_of(seed, late=late)
-        assert_same(final(verdicts), believed(watcher))
+        assert_same(final(verdicts), likeliest(watcher))
 
 
 @pytest.mark.slow
 def test_final_rulings_do_not_depend_on_the_order_of_arrival() -> None:
-    """One event comes last of all: in the end the same is said of each."""
+    """One event arrives last of all: the final rulings are the same."""
     for seed in range(3):
         assert_same(final(run_of(seed)[2]), final(run_of(seed, late=True)[2]))
 
 
 @pytest.mark.slow
-def test_verdict_that_is_taken_back_says_so_and_is_counted() -> None:
-    """``revises`` and the reason; of an event that was ruled upon; as often as is remarked."""
+def test_revised_verdict_says_so_and_is_counted() -> None:
+    """By ``revises`` and the reason; each revises an earlier one; ``remarks`` counts them."""
     count = 0
     for seed in range(3):
         watcher, _, verdicts = run_of(seed)
-        known: dict[tuple[int, int], Verdict] = {}
+        issued: dict[tuple[int, int], Verdict] = {}
         for each in verdicts:
             key = (each.stamp, each.sequence)
             assert each.revises == each.reason.startswith("on second thought: ")
             if each.revises and each.ruling is not Ruling.INSERTED:
-                assert each.ruling is not known[key].ruling or each.reason != known[key].reason
-            known[key] = each
+                assert each.ruling is not issued[key].ruling or each.reason != issued[key].reason
+            issued[key] = each
         revised = sum(each.revises for each in verdicts)
         assert watcher.remarks[Remark.SECOND_THOUGHT] == revised
         count += revised
@@ -215,7 +217,7 @@ def test_verdict_that_is_taken_back_says_so_and_is_counted() -> None:
 
 
 @pytest.mark.slow
-def test_comparison_counts_what_was_applied_in_the_end() -> None:
+def test_outcomes_are_those_of_the_final_verdicts() -> None:
     """``outcomes_of`` goes by the last verdict on each event and on what was inserted."""
     differs = 0
     for seed in range(3):
@@ -229,8 +231,8 @@ def test_comparison_counts_what_was_applied_in_the_end() -> None:
     assert differs > 0
 
 
-def test_nothing_is_said_twice() -> None:
-    """In a long run with a short history: each event has one verdict, but for second thoughts."""
+def test_no_verdict_is_issued_twice() -> None:
+    """In a long run with a short history: each event has one verdict, except revisions."""
     model, start, whole = truth("two_mass", 60.0)
     watcher = observer(
         model,
@@ -246,8 +248,8 @@ def test_nothing_is_said_twice() -> None:
 
 
 @pytest.mark.parametrize("history", [2.0, 3.0, 6.0])
-def test_what_is_forgotten_is_not_told_anew_where_an_event_is_late(history: float) -> None:
-    """What a late event has run again reaches no further back than what is remembered."""
+def test_late_event_repeats_no_verdict_on_the_forgotten_past(history: float) -> None:
+    """Its verdicts reach no further back than the history."""
     model, start, whole = truth("two_mass", 20.0)
     given = {"uncertainty": Uncertainty(clock_error=0.0), "epoch": EPOCH, "history": history}
     watcher = observer(model, "minimum-variance", start, **given)
@@ -259,8 +261,8 @@ def test_what_is_forgotten_is_not_told_anew_where_an_event_is_late(history: floa
     assert first == [each.sequence for each in events]
 
 
-def test_innovation_of_an_applied_impact_is_told() -> None:
-    """In deviations, below what surprises; -1 for what was rejected or inserted."""
+def test_verdict_on_an_applied_impact_has_its_innovation() -> None:
+    """In standard deviations, below the gate; -1 for what was rejected or inserted."""
     _, _, verdicts = run_of(1)
     for each in verdicts:
         if each.ruling is Ruling.APPLIED and not each.reason:
