@@ -257,9 +257,6 @@ class Observer:
             self._timeline.restart_after(first)
             self._is_state_given = True
 
-    def rehearse(self) -> None:
-        """Do nothing; the node's call goes next."""
-
     @property
     def start(self) -> int | None:
         """The earliest stamp of an estimate, ns; None before an epoch or event is received."""
