@@ -7,7 +7,8 @@ import numpy as np
 
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io import BagWriter, JointState
-from impact_observer.io.messages import EventMessage, JointStateMessage, bag_messages
+from impact_observer.io.message_types import EventMessage, JointStateMessage
+from impact_observer.io.messages import bag_messages
 from impact_observer.resources import shared
 
 S = 1_000_000_000

@@ -21,9 +21,11 @@ from impact_observer.check.salvage import Salvage, summary
 from impact_observer.check.state_checks import StateCheck
 from impact_observer.errors import BagError, ModelError
 from impact_observer.io import interfaces
+from impact_observer.io.bag_topics import TopicInfo
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.messages import EventMessage, MessageError, StringMessage, read_event
-from impact_observer.io.reader import BagReader, RawMessage, TopicInfo
+from impact_observer.io.message_types import EventMessage, StringMessage
+from impact_observer.io.messages import MessageError, read_event
+from impact_observer.io.reader import BagReader, RawMessage
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
 from impact_observer.model import System, parse_model
 from impact_observer.stamps import text

@@ -11,7 +11,7 @@ from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io.interfaces import IMPACT_EVENT
 from impact_observer.io.mcap_layout import summary_of
-from impact_observer.io.messages import EstimateMessage
+from impact_observer.io.message_types import EstimateMessage
 from impact_observer.io.reader import BagReader
 from impact_observer.model import parse_model
 from impact_observer.observer.event_order import impacts_of

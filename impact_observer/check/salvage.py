@@ -20,8 +20,9 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from impact_observer.check.mcap_records import McapFile, Message
 from impact_observer.errors import BagError, ImpactObserverError, UsageError
+from impact_observer.io.bag_topics import TopicInfo, recover_command
 from impact_observer.io.interfaces import Quality, usual_quality
-from impact_observer.io.reader import BagReader, RawMessage, TopicInfo, recover_command
+from impact_observer.io.reader import BagReader, RawMessage
 from impact_observer.io.recordings import all_or_nothing
 from impact_observer.stamps import text
 

@@ -16,7 +16,8 @@ from impact_observer.check.findings import (
 )
 from impact_observer.errors import BagError
 from impact_observer.io.interfaces import JOINT_STATE
-from impact_observer.io.messages import JointStateMessage, MessageError, read_joint_state
+from impact_observer.io.message_types import JointStateMessage
+from impact_observer.io.messages import MessageError, read_joint_state
 from impact_observer.io.state_blocks import decode
 from impact_observer.model import System
 from impact_observer.stamps import MAX_STAMP, text
@@ -111,8 +112,8 @@ class StateCheck:
             except BagError:  # names that are no text: all of these have them
                 alone += rows.at.tolist()
                 continue
-            alone += rows.at[~rows.sound].tolist()
-            self._add_stamps(rows.stamps[rows.sound])
+            alone += rows.at[~rows.valid].tolist()
+            self._add_stamps(rows.stamps[rows.valid])
         for i in sorted(alone):
             try:
                 message = cast("JointStateMessage", self._deserialize(block[i]))

@@ -8,7 +8,7 @@ from typing import cast
 from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.messages import EstimateMessage
+from impact_observer.io.message_types import EstimateMessage
 from impact_observer.io.reader import BagReader
 from impact_observer.stamps import NS_PER_S
 

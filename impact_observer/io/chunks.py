@@ -1,8 +1,7 @@
-"""The messages of an indexed MCAP file, chunk by chunk.
+"""Reading the messages of an indexed MCAP file, chunk by chunk.
 
-``rosbags`` reads each message in eight steps. Here the records of a chunk are gone through with
-one each, and those of other topics are stepped over. The order is that of ``rosbags``: by log
-time, then by place in the file.
+This is faster than ``rosbags``, which reads each message in eight steps: here one step is enough.
+The order is that of ``rosbags``: by log time, then by position in the file.
 """
 
 import heapq
@@ -34,13 +33,13 @@ _Load: TypeAlias = "Callable[[ChunkIndex], list[Message]]"
 
 
 def index_of(path: Path) -> Summary | None:
-    """The index of an MCAP file; None where it has none that says where its messages are."""
+    """The index of an MCAP file; None if it has none, or one without positions of messages."""
     with path.open("rb") as file:
-        summary = summary_of(file)  # where it cannot be read, rosbags shall say why
+        summary = summary_of(file)  # if it cannot be read, rosbags reports why
     if summary is None or summary.statistics is None or not summary.chunk_indexes:
         return None
-    told = all(chunk.message_index_offsets for chunk in summary.chunk_indexes)
-    return summary if told else None
+    complete = all(chunk.message_index_offsets for chunk in summary.chunk_indexes)
+    return summary if complete else None
 
 
 def messages(
@@ -72,7 +71,7 @@ def messages(
 
 
 def _in_order(chunks: Iterable[ChunkIndex], load: _Load) -> Iterator[list[Message]]:
-    """What is in ``chunks``; those that reach into each other are merged."""
+    """The messages of ``chunks``; chunks that overlap in time are merged."""
     together: list[ChunkIndex] = []
     end = offset = -1
     for chunk in sorted(chunks, key=_place):
@@ -91,7 +90,7 @@ def _place(chunk: ChunkIndex) -> tuple[int, int]:
 
 
 def _merged(chunks: Sequence[ChunkIndex], load: _Load) -> Iterator[list[Message]]:
-    """What is in ``chunks``, none of which is loaded before its time."""
+    """The messages of ``chunks``, each of which is loaded when its first message is due."""
     if len(chunks) == 1:
         yield load(chunks[0])
         return
@@ -107,10 +106,10 @@ def _merged(chunks: Sequence[ChunkIndex], load: _Load) -> Iterator[list[Message]
 
 
 def _messages(records: bytes, topics: dict[int, str], start: int) -> list[Message]:
-    """The messages of some channels among ``records``, by log time."""
+    """The messages of some channels in ``records``, by log time."""
     found: list[Message] = []
     size, at = len(records), 0
-    padded = records + bytes(LOGGED.size)  # the last one need not be a message
+    padded = records + bytes(LOGGED.size)  # the last record may be shorter than a message
     unpack, frame, before = LOGGED.unpack_from, FRAME.size, FRAMED_MESSAGE.size
     while at < size:
         opcode, length, channel, _, log_time = unpack(padded, at)

@@ -1,4 +1,4 @@
-"""The states of a topic as columns of one order, block by block."""
+"""The states of a topic as arrays with one order of coordinates, block by block."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -9,13 +9,8 @@ from numpy.typing import NDArray
 
 from impact_observer.errors import BagError
 from impact_observer.io.interfaces import OBSERVER_STATE
-from impact_observer.io.messages import (
-    EstimateMessage,
-    JointStateMessage,
-    MessageError,
-    read_estimate,
-    read_joint_state,
-)
+from impact_observer.io.message_types import EstimateMessage, JointStateMessage
+from impact_observer.io.messages import MessageError, read_estimate, read_joint_state
 from impact_observer.io.state_blocks import StateRows, decode
 from impact_observer.states import Matrix, Stamps
 
@@ -55,8 +50,8 @@ class ObserverStates(JointStates):
 class Columns:
     """Collects the messages of one topic and makes blocks of them.
 
-    Messages of one shape are decoded together; what is out of the ordinary is read one by one,
-    so that an error names the message.
+    Messages of one shape are decoded together. Invalid messages and those without a layout are
+    read one by one, so that an error names the message.
     """
 
     def __init__(
@@ -69,10 +64,10 @@ class Columns:
         """Collect messages of ``type_name``.
 
         Args:
-            source: bag and topic, for errors.
+            source: bag and topic, named in errors.
             type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.
-            names: the columns wanted, by name; None for those of the first message.
-            deserialize: makes a message of bytes.
+            names: of the columns; None for those of the first message.
+            deserialize: a message from its bytes.
         """
         self._source = source
         self._type = type_name
@@ -84,7 +79,7 @@ class Columns:
         self._law: str | None = None
 
     def __len__(self) -> int:
-        """Messages that wait to be taken."""
+        """Messages added since the last block."""
         return len(self._pending)
 
     def add(self, data: Sequence[bytes]) -> None:
@@ -92,11 +87,11 @@ class Columns:
         self._pending += data
 
     def take(self) -> JointStates:
-        """A block of all that was added since the last; of estimates, ``ObserverStates``.
+        """A block of the messages added since the last one; of estimates, ``ObserverStates``.
 
         Raises:
             BagError: a message has no finite position and velocity for every name, its names are
-                others than expected, or the law has changed.
+                not the expected ones, or the law has changed.
         """
         block, self._pending = self._pending, []
         together, alone = decode(self._type, block)
@@ -105,8 +100,8 @@ class Columns:
             self._names = self._one(block, 0)[0]
         for rows in together:
             names, first = self._one(block, int(rows.at[0]))
-            # Where a row could be refused each is read alone, to say which and why.
-            if rows.sound.all() and _begins_with(rows, first):
+            # If one of them is invalid, each is read alone, so that an error can name it.
+            if rows.valid.all() and _first_row_equals(rows, first):
                 table.put(rows, self._order(names))
             else:
                 alone += rows.at.tolist()
@@ -156,7 +151,7 @@ class Columns:
         return names, row
 
     def _check_law(self, law: str) -> None:
-        """Raise if the law is another than before."""
+        """Check that the law is that of the messages before."""
         if self._law not in (None, law):
             raise BagError(
                 f"{self._source} changes its law from {self._law} to {law}; "
@@ -165,7 +160,7 @@ class Columns:
         self._law = law
 
     def _order(self, found: tuple[str, ...]) -> list[int]:
-        """Which entry of a state goes to each column."""
+        """For each column, the index of its coordinate in a message with the names ``found``."""
         if (order := self._orders.get(found)) is not None:
             return order
         wanted = self._names or ()
@@ -191,7 +186,7 @@ class _Table:
         self.x = np.zeros((size, 0))
 
     def put(self, rows: StateRows, order: list[int]) -> None:
-        """Put ``rows`` into their places, their coordinates in ``order``."""
+        """Fill in ``rows``, their coordinates in ``order``."""
         if self.x.shape[1] != 2 * len(order):
             self.x = np.zeros((len(self.stamps), 2 * len(order)))
         self.stamps[rows.at] = rows.stamps
@@ -200,8 +195,8 @@ class _Table:
         self.last_event[rows.at] = rows.last_event
 
 
-def _begins_with(rows: StateRows, first: StateRows) -> bool:
-    """Whether the layout says of its first message what ``rosbags`` says."""
+def _first_row_equals(rows: StateRows, first: StateRows) -> bool:
+    """Whether the layout and ``rosbags`` decode the first message alike."""
     return all(
         np.asarray(ours[0]).tobytes() == np.asarray(theirs[0]).tobytes()
         for ours, theirs in zip(rows, first, strict=True)
@@ -209,7 +204,7 @@ def _begins_with(rows: StateRows, first: StateRows) -> bool:
 
 
 def joined(blocks: Iterable[JointStates]) -> JointStates:
-    """One block of several of the same topic, at least one."""
+    """One block from one or several of the same topic."""
     several = [*blocks]
     arrays: dict[str, Any] = {
         each.name: np.concatenate([getattr(block, each.name) for block in several])

@@ -1,4 +1,4 @@
-"""What an observer says, as the messages that its node publishes: many estimates at a time."""
+"""Estimates and verdicts as the messages that an observer node publishes, many at a time."""
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator
@@ -15,17 +15,17 @@ from impact_observer.states import Estimate, Estimates
 Serialize: TypeAlias = Callable[[str, object], bytes]
 """Makes bytes of a topic and a message of its type."""
 _FEW = 4
-"""Fewer estimates are made one by one."""
+"""Messages of fewer estimates are made one by one."""
 _JOINT_STATES, _STATES = interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES
 
 
 def in_log_order(
     items: Iterable[Estimates | Verdict],
 ) -> Iterator[tuple[int, Estimates | Verdict]]:
-    """What an observer says, with log times (ns) that never go back.
+    """Estimates and verdicts with log times (ns) that never go back.
 
-    That of an estimate is its stamp. A verdict that comes about before the estimates up to its
-    stamp waits for them; one on a stamp that is past, a second thought, is logged when it comes.
+    The log time of an estimate is its stamp. A verdict that is given before the estimates up to
+    its stamp waits for them. One on an earlier stamp, a revision, is logged when it is given.
     """
     waiting: list[tuple[int, int, Verdict]] = []
     last = 0
@@ -49,10 +49,10 @@ def in_log_order(
 def messages_of(
     estimates: Estimates, names: tuple[str, ...], serialize: Serialize
 ) -> Iterator[tuple[int, str, bytes]]:
-    """What an observer node publishes of estimates: log times (ns), topics, messages.
+    """The messages that an observer node publishes of estimates: log times (ns), topics, bytes.
 
     Raises:
-        MessageError: a message cannot carry what they say.
+        MessageError: a message cannot carry an estimate.
     """
     both = _together(estimates, names, serialize)
     if both is None:
@@ -69,7 +69,7 @@ def messages_of(
 def _together(
     estimates: Estimates, names: tuple[str, ...], serialize: Serialize
 ) -> list[list[bytes]] | None:
-    """The two messages of all; None where they have to be made one by one."""
+    """The two messages of all estimates; None where they have to be made one by one."""
     n, x = len(names), estimates.x
     if len(x) < _FEW or not np.isfinite(x).all():
         return None

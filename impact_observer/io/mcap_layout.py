@@ -1,6 +1,6 @@
-"""The layout of MCAP files, as https://mcap.dev/spec has it: records, chunks, the index.
+"""The layout of MCAP files (https://mcap.dev/spec): records, chunks, the index.
 
-A record is an opcode, a length and what is so long.
+A record is an opcode, a length and as many bytes.
 """
 
 import struct
@@ -21,8 +21,8 @@ MESSAGE = struct.Struct("<HIQQ")
 FRAMED_MESSAGE = struct.Struct("<BQHIQQ")
 """``FRAME`` and ``MESSAGE`` at once."""
 LOGGED = struct.Struct("<BQHIQ")
-"""The same as far as the log time: a seventh quicker to unpack, of which reading consists."""
-MESSAGE_OPCODE = int(Opcode.MESSAGE)  # compared a million times: an enumeration's member is slow
+"""The same up to the log time. Unpacking takes a seventh less, which matters for reading."""
+MESSAGE_OPCODE = int(Opcode.MESSAGE)  # an int compares faster than the enumeration
 CHUNK = struct.Struct("<QQQI")
 """First and last log time, uncompressed size, checksum of a chunk, before its records."""
 COMPRESSIONS = ("", "lz4", "zstd")
@@ -30,11 +30,11 @@ COMPRESSIONS = ("", "lz4", "zstd")
 
 
 def summary_of(file: BinaryIO) -> Summary | None:
-    """The index at the end of an MCAP file; None where there is none that can be read."""
+    """The index at the end of an MCAP file; None if it is missing or cannot be read."""
     file.seek(0)
     try:
         return make_reader(file).get_summary()
-    except Exception:  # noqa: BLE001 (whatever mcap trips over)
+    except Exception:  # noqa: BLE001 (anything, in a damaged file)
         return None
 
 
@@ -44,11 +44,12 @@ def uncompressed(data: bytes, compression: str, size: int | None = None) -> byte
     Args:
         data: as they are stored.
         compression: one of ``COMPRESSIONS``.
-        size: of the records, bytes; None for as many as are in ``data``, which may be cut short.
+        size: of the records, bytes; None to read as many as there are in ``data``, which may be
+            cut short.
 
     Raises:
         ValueError: no such compression.
-        Exception: whatever the decompressor says of broken data.
+        Exception: the decompressor's own, for broken data.
     """
     if compression == "zstd":
         zstd = zstandard.ZstdDecompressor()

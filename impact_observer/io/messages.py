@@ -1,8 +1,8 @@
-"""Between our values and messages: exact stamps, finite numbers, one set of conversions.
+"""Conversions between our values and messages, with exact stamps and finite numbers.
 
 ``rosbags`` and ``rclpy`` have message classes of their own, with the same attribute names and
-keyword arguments. :class:`Messages` is told where the classes come from, so that a node and a bag
-say the same thing byte for byte; reading needs the attributes only.
+keyword arguments. :class:`Messages` takes either, so that the messages of a node and of a bag are
+equal byte for byte. Reading needs the attributes only.
 """
 
 import math
@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import Protocol, TypeVar, cast
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,18 @@ from numpy.typing import ArrayLike
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import SECOND_THOUGHT, ImpactEvent, Kind, Ruling, Switch, Verdict
 from impact_observer.io import interfaces
+from impact_observer.io.message_types import (
+    ClockMessage,
+    ErrorMessage,
+    EstimateMessage,
+    EventMessage,
+    HeaderMessage,
+    JointStateMessage,
+    MessageClass,
+    StringMessage,
+    TimeMessage,
+    VerdictMessage,
+)
 from impact_observer.io.typestores import typestore
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 from impact_observer.states import Estimate, Vector, frozen
@@ -48,10 +60,10 @@ class JointState:
     u: Vector
 
     def ordered(self, names: tuple[str, ...]) -> "JointState":
-        """The same with its coordinates in the order of ``names``.
+        """The same state with its coordinates in the order of ``names``.
 
         Raises:
-            MessageError: it has others.
+            MessageError: its coordinates are others.
         """
         if sorted(self.names) != sorted(names):
             raise MessageError(f"names {', '.join(self.names)}; expected {', '.join(names)}")
@@ -61,7 +73,7 @@ class JointState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EstimateError:
-    """An estimate's distance from the truth; mirrors ``impact_observer_msgs/EstimateError``.
+    """The error of an estimate; mirrors ``impact_observer_msgs/EstimateError``.
 
     Attributes:
         stamp: when both states hold, ns.
@@ -80,115 +92,12 @@ class EstimateError:
     u: Vector
 
 
-class TimeMessage(Protocol):
-    """``builtin_interfaces/Time``."""
-
-    sec: int
-    nanosec: int
-
-
-class HeaderMessage(Protocol):
-    """``std_msgs/Header``."""
-
-    stamp: TimeMessage
-    frame_id: str
-
-
-class ClockMessage(Protocol):
-    """``rosgraph_msgs/Clock``."""
-
-    clock: TimeMessage
-
-
-class StringMessage(Protocol):
-    """``std_msgs/String``."""
-
-    data: str
-
-
-class JointStateMessage(Protocol):
-    """``sensor_msgs/JointState``."""
-
-    header: HeaderMessage
-    name: list[str]
-    position: Sequence[float]
-    velocity: Sequence[float]
-    effort: Sequence[float]
-
-
-class SwitchMessage(Protocol):
-    """``impact_observer_msgs/ContactSwitch``."""
-
-    contact: str
-    kind: int
-
-
-class EventMessage(Protocol):
-    """``impact_observer_msgs/ImpactEvent``."""
-
-    header: HeaderMessage
-    sequence: int
-    episode: int
-    epoch: TimeMessage
-    switches: list[SwitchMessage]
-
-
-class VerdictMessage(Protocol):
-    """``impact_observer_msgs/EventVerdict``."""
-
-    header: HeaderMessage
-    verdict: int
-    sequence: int
-    contact: str
-    reason: str
-    innovation: float
-    latency: float
-
-
-class EstimateMessage(Protocol):
-    """``impact_observer_msgs/ObserverState``."""
-
-    header: HeaderMessage
-    law: str
-    name: list[str]
-    position: Sequence[float]
-    velocity: Sequence[float]
-    covariance: Sequence[float]
-    closed: list[str]
-    convergence: float
-    synchronized: bool
-    clock_offset: float
-    last_sequence: int
-    last_event: TimeMessage
-    parameter_name: list[str]
-    parameter: Sequence[float]
-    parameter_deviation: Sequence[float]
-
-
-class ErrorMessage(Protocol):
-    """``impact_observer_msgs/EstimateError``."""
-
-    header: HeaderMessage
-    law: str
-    v: float
-    name: list[str]
-    position_error: Sequence[float]
-    velocity_error: Sequence[float]
-
-
-class MessageClass(Protocol):
-    """A message class: makes a message from its fields."""
-
-    def __call__(self, **fields: object) -> object:
-        """A message with ``fields``."""
-
-
 class Messages:
-    """Makes messages of our values, from the message classes it is told to use.
+    """Makes messages of our values, from the message classes it is given.
 
     Every method raises :class:`MessageError`, one line with the field's name, for a stamp that a
     message cannot carry (it must be after 0 and before 2038), for a number that is not finite,
-    for a counter out of range, and for arrays that do not fit the names.
+    for a counter out of range, and for arrays whose length does not fit the names.
     """
 
     def __init__(
@@ -196,11 +105,11 @@ class Messages:
         classes: Callable[[str], MessageClass],
         floats: Callable[[Vector], object],
     ) -> None:
-        """Say where message classes come from.
+        """Use these message classes.
 
         Args:
             classes: finds a message class by its type name, such as ``std_msgs/msg/String``.
-            floats: what a ``float64[]`` field wants for an array of shape (k,).
+            floats: converts an array of shape (k,) to the value of a ``float64[]`` field.
         """
         self._classes = classes
         self._floats = floats
@@ -240,7 +149,7 @@ class Messages:
         """``verdict`` as ``impact_observer_msgs/EventVerdict``.
 
         Args:
-            verdict: what became of an event.
+            verdict: on an event.
             latency: from the event's stamp to its application, s.
         """
         _check_counter("EventVerdict.sequence", verdict.sequence, _MAX_UINT64)
@@ -259,14 +168,14 @@ class Messages:
         """``estimate`` as ``impact_observer_msgs/ObserverState``.
 
         Args:
-            estimate: the state of n coordinates and its surroundings.
+            estimate: the state of n coordinates, with covariance and further values.
             names: the coordinates' names, n of them.
         """
         n = len(names)
         _check_counter("ObserverState.last_sequence", estimate.last_sequence, _MAX_UINT64)
         _check_stamp("ObserverState.last_event", estimate.last_event, earliest=0)
         entries = 4 * n * n if estimate.covariance.size else 0
-        learnt = np.array([each[1:] for each in estimate.parameters]).reshape(-1, 2).T
+        parameters = np.array([each[1:] for each in estimate.parameters]).reshape(-1, 2).T
         message = self._classes(interfaces.OBSERVER_STATE)(
             header=self._header("ObserverState", estimate.stamp),
             law=estimate.law,
@@ -281,9 +190,9 @@ class Messages:
             last_sequence=estimate.last_sequence,
             last_event=self.time(estimate.last_event),
             parameter_name=[name for name, _, _ in estimate.parameters],
-            parameter=self._array("ObserverState.parameter", learnt[0], learnt.shape[1]),
+            parameter=self._array("ObserverState.parameter", parameters[0], parameters.shape[1]),
             parameter_deviation=self._array(
-                "ObserverState.parameter_deviation", learnt[1], learnt.shape[1]
+                "ObserverState.parameter_deviation", parameters[1], parameters.shape[1]
             ),
         )
         return cast("EstimateMessage", message)
@@ -314,25 +223,25 @@ class Messages:
         return cast("ErrorMessage", message)
 
     def bound(self, estimate: Estimate) -> ErrorMessage:
-        """The certified bound of ``estimate``'s V, as an error whose parts are not known."""
-        unknown = frozen(np.empty(0))
-        error = EstimateError(estimate.stamp, estimate.law, estimate.bound, (), unknown, unknown)
+        """The certified bound of ``estimate``'s V, as an error without coordinates."""
+        empty = frozen(np.empty(0))
+        error = EstimateError(estimate.stamp, estimate.law, estimate.bound, (), empty, empty)
         return self.estimate_error(error)
 
     def _header(self, kind: str, stamp: int) -> HeaderMessage:
-        """A header with a stamp that must be known."""
+        """A header with a stamp, which must not be 0."""
         _check_stamp(f"{kind}.header.stamp", stamp)
         new = self._classes(interfaces.HEADER)
         return cast("HeaderMessage", new(stamp=self.time(stamp), frame_id=""))
 
     def _array(self, field: str, values: Vector, count: int) -> object:
-        """``count`` finite numbers as the message class wants them, row by row."""
+        """The value of a ``float64[]`` field of ``count`` finite numbers, row by row."""
         return self._floats(_numbers(field, values, count).reshape(-1))
 
 
 @cache
 def bag_messages() -> Messages:
-    """Messages of the classes of ``rosbags``, to be written to a bag."""
+    """Makes messages of the classes of ``rosbags``, to be written to a bag."""
     types = cast("dict[str, MessageClass]", typestore().types)
     return Messages(types.__getitem__, np.array)
 
@@ -341,12 +250,12 @@ def read_stamp(field: str, time: TimeMessage, earliest: int = 1) -> int:
     """The stamp of a message, ns.
 
     Args:
-        field: what the error calls it.
+        field: its name in the error.
         time: the message's field.
-        earliest: the least value allowed, ns; 0 where a stamp may be unknown.
+        earliest: the smallest stamp allowed, ns; 0 where a stamp may be unknown.
 
     Raises:
-        MessageError: the stamp is before ``earliest``, or its nanoseconds fill a second.
+        MessageError: the stamp is before ``earliest``, or its nanoseconds are 1e9 or more.
     """
     if not 0 <= time.nanosec < NS_PER_S:
         raise MessageError(f"{field}.nanosec is {time.nanosec}; expected less than {NS_PER_S}")
@@ -359,7 +268,7 @@ def read_event(message: EventMessage) -> ImpactEvent:
     """The event in a message.
 
     Raises:
-        MessageError: its stamp is not after 0, or a switch is of no known kind.
+        MessageError: its stamp is not after 0, or the kind of a switch is unknown.
     """
     return ImpactEvent(
         stamp=read_stamp("ImpactEvent.header.stamp", message.header.stamp),
@@ -398,28 +307,23 @@ def read_estimate(message: EstimateMessage) -> tuple[tuple[str, ...], Estimate]:
         MessageError: its stamp is not after 0, a state is not finite, or lengths do not fit.
     """
     n = len(message.name)
-    covariance = np.asarray(message.covariance, dtype=np.float64)
-    if covariance.size:
-        covariance = _numbers("ObserverState.covariance", covariance, 4 * n * n)
-        covariance = covariance.reshape(2 * n, 2 * n)
-    else:
-        covariance = covariance.reshape(0, 0)
+    side = 2 * n if len(message.covariance) else 0
+    covariance = _numbers("ObserverState.covariance", message.covariance, side * side)
     estimate = Estimate(
         stamp=read_stamp("ObserverState.header.stamp", message.header.stamp),
         law=message.law,
         q=frozen(_numbers("ObserverState.position", message.position, n)),
         u=frozen(_numbers("ObserverState.velocity", message.velocity, n)),
-        covariance=frozen(covariance),
+        covariance=frozen(covariance.reshape(side, side)),
         closed=tuple(message.closed),
         convergence=float(message.convergence),
         synchronized=bool(message.synchronized),
         clock_offset=float(message.clock_offset),
         parameters=tuple(
-            (name, float(value), float(deviation))
-            for name, value, deviation in zip(
+            zip(
                 message.parameter_name,
-                message.parameter,
-                message.parameter_deviation,
+                map(float, message.parameter),
+                map(float, message.parameter_deviation),
                 strict=True,
             )
         ),
@@ -434,7 +338,7 @@ def read_joint_state(message: JointStateMessage) -> JointState:
 
     Raises:
         MessageError: its stamp is not after 0, a number is not finite, or there is not one
-            position and one velocity a name.
+            position and one velocity for each name.
     """
     n = len(message.name)
     return JointState(
@@ -446,7 +350,7 @@ def read_joint_state(message: JointStateMessage) -> JointState:
 
 
 def read_estimate_error(message: ErrorMessage) -> EstimateError:
-    """The distance in a message.
+    """The error in a message.
 
     Raises:
         MessageError: its stamp is not after 0, a number is not finite, or lengths do not fit.
@@ -463,7 +367,7 @@ def read_estimate_error(message: ErrorMessage) -> EstimateError:
 
 
 def _check_stamp(field: str, stamp: int, earliest: int = 1) -> None:
-    """Raise unless ``stamp`` (ns) is one that ``builtin_interfaces/Time`` can carry."""
+    """Check that ``builtin_interfaces/Time`` can carry ``stamp`` (ns)."""
     if not earliest <= stamp <= MAX_STAMP:
         wanted = "more than 0" if earliest else "0 (unknown) or more"
         raise MessageError(
@@ -472,20 +376,20 @@ def _check_stamp(field: str, stamp: int, earliest: int = 1) -> None:
 
 
 def _check_counter(field: str, value: int, highest: int) -> None:
-    """Raise unless ``value`` fits an unsigned field."""
+    """Check that ``value`` fits an unsigned field."""
     if not 0 <= value <= highest:
         raise MessageError(f"{field} is {value}; expected 0 to {highest}")
 
 
 def _number(field: str, value: float) -> float:
-    """``value`` if it is finite."""
+    """``value``, checked to be finite."""
     if not math.isfinite(value):
         raise MessageError(f"{field} is {value}; expected a finite number")
     return float(value)
 
 
 def _numbers(field: str, values: ArrayLike, count: int) -> Vector:
-    """``values`` if they are ``count`` finite numbers."""
+    """``values``, checked to be ``count`` finite numbers."""
     array = np.asarray(values, dtype=np.float64)
     if array.size != count:
         raise MessageError(f"{field} has {array.size} numbers; expected {count}, as named")
@@ -496,7 +400,7 @@ def _numbers(field: str, values: ArrayLike, count: int) -> Vector:
 
 
 def _member(kinds: type[_Kinds], field: str, value: int) -> _Kinds:
-    """The member of an enumeration that a message's number stands for."""
+    """The member of an enumeration with a value, checked to exist."""
     try:
         return kinds(value)
     except ValueError:

@@ -1,22 +1,20 @@
 """Reading a bag: MCAP or sqlite3, a directory or a bare file.
 
-Messages are streamed; what a bag holds is checked where it is used, and every failure is one line
-that names the bag, what was found and what is wanted.
+Messages are streamed, and checked where they are used. Every failure is one line that names the
+bag, what was found and what is expected.
 """
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from shlex import quote
 from types import TracebackType
 from typing import NamedTuple, TypeVar, cast, final
 
 from mcap.summary import Summary
-from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
@@ -26,16 +24,12 @@ from ruamel.yaml import YAML
 from impact_observer.errors import BagError, ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.io import interfaces
+from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
 from impact_observer.io.chunks import Message, index_of, messages
 from impact_observer.io.columns import Columns, JointStates, ObserverStates, joined
-from impact_observer.io.interfaces import Interface, Quality
-from impact_observer.io.messages import (
-    MessageError,
-    StringMessage,
-    VerdictMessage,
-    read_event,
-    read_verdict,
-)
+from impact_observer.io.interfaces import Interface
+from impact_observer.io.message_types import StringMessage, VerdictMessage
+from impact_observer.io.messages import MessageError, read_event, read_verdict
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
 
 _Message = TypeVar("_Message")
@@ -43,31 +37,10 @@ _Value = TypeVar("_Value")
 
 BLOCK = 4096
 """Most states in a block."""
-_STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
-_FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
-
-
-@dataclass(frozen=True, slots=True)
-class TopicInfo:
-    """What a bag says of a topic.
-
-    Attributes:
-        name: the absolute name.
-        type: the message type; several joined by `` and `` when publishers disagreed.
-        count: messages.
-        quality: the quality of service that was offered; None when the bag does not say.
-        definition: the text of the message type; empty when the bag does not carry it.
-    """
-
-    name: str
-    type: str
-    count: int
-    quality: Quality | None
-    definition: str
 
 
 class RawMessage(NamedTuple):
-    """A message as it lies in the bag.
+    """A serialized message of a bag.
 
     Attributes:
         topic: the absolute name.
@@ -86,9 +59,9 @@ class BagReader:
 
     Attributes:
         path: the folder or file.
-        namespace: where plant and observers are looked for, such as ``/rig``; empty for anywhere.
+        namespace: of the plant and the observers, such as ``/rig``; empty for any.
         storage: ``mcap`` or ``sqlite3``.
-        topics: what the bag says of each topic, by absolute name.
+        topics: by absolute name.
         start: log time of the first message, ns; 0 when the bag is empty.
         end: log time of the last message, ns; 0 when the bag is empty.
         message_count: messages on all topics.
@@ -99,23 +72,23 @@ class BagReader:
 
         Args:
             path: a rosbag2 folder, or a bare ``.mcap`` or ``.db3`` file.
-            namespace: of the rig that is meant, in a bag of several; empty for any.
+            namespace: selects one of several rigs in the bag; empty for any.
 
         Raises:
             UsageError: there is nothing at ``path``, or no topic in the ``namespace``.
-            BagError: what is there is no bag, or a damaged one.
+            BagError: it is no bag, or a damaged one.
         """
         self.path = Path(path)
         self.namespace = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
         with self._translated():
-            self.storage = _storage_of(self.path)
+            self.storage = storage_of(self.path)
             self._reader = Reader(self.path)
             self._reader.open()
             self._connections = {
                 topic: info.connections for topic, info in sorted(self._reader.topics.items())
             }
             self.topics = {
-                topic: _topic_info(topic, connections)
+                topic: topic_info(topic, connections)
                 for topic, connections in self._connections.items()
             }
         if self.topics and not any(map(self._is_here, self.topics)):
@@ -169,7 +142,7 @@ class BagReader:
         return fitting[0] if fitting else None
 
     def _is_here(self, topic: str) -> bool:
-        """Whether a topic is in the namespace."""
+        """Whether a topic is in the selected namespace."""
         return topic.startswith(f"{self.namespace}/")
 
     def truth_topic(self) -> str | None:
@@ -188,7 +161,7 @@ class BagReader:
         return tuple(sorted({topic.rpartition("/")[0] for topic in fitting}))
 
     def raw(self, topics: Collection[str] | None = None, start: int = 0) -> Iterator[RawMessage]:
-        """The messages as they are, in bag order, for copying and playing.
+        """The serialized messages, in bag order, for copying and playing.
 
         Args:
             topics: only these absolute names; None for all.
@@ -208,7 +181,7 @@ class BagReader:
         )
 
     def messages(self, topic: str) -> Iterator[tuple[int, object]]:
-        """Log times (ns) and messages of any topic whose type is known or in the bag.
+        """Log times (ns) and messages of a topic whose type is defined here or in the bag.
 
         Raises:
             BagError: the topic is missing, its type is unknown, or the bag is damaged.
@@ -216,14 +189,14 @@ class BagReader:
         return self._decoded(topic, self._topic(topic).type)
 
     def decoder(self, topic: str) -> Callable[[bytes], object]:
-        """What makes messages of the bytes that :meth:`raw` gives for a topic.
+        """A function that deserializes the messages of a topic.
 
         Raises:
-            BagError: the topic is missing or its type is unknown; or, when it is called, the
-                bytes are no message of that type.
+            BagError: the topic is missing or its type is unknown. The function raises it, too,
+                for bytes that are no message of that type.
         """
         type_name = self._topic(topic).type
-        store = self._store_knowing(topic, type_name)
+        store = self._store_for(topic, type_name)
         return lambda data: self._deserialized(store, topic, type_name, data)
 
     def events(self, topic: str = interfaces.IMPACTS.topic) -> Iterator[ImpactEvent]:
@@ -256,8 +229,8 @@ class BagReader:
             ``ObserverStates``. The last block of each topic may be empty.
 
         Raises:
-            BagError: a topic is missing or of another type; a name is missing, extra or double;
-                a message has not one finite position and velocity a name; a law changes.
+            BagError: a topic is missing or of another type; a name is missing, unexpected or
+                twice; a message has no finite position and velocity for each name; a law changes.
         """
         columns = {topic: self._columns(topic, names) for topic in topics}
         for batch in self._batches([c for topic in columns for c in self._connections[topic]]):
@@ -278,23 +251,23 @@ class BagReader:
         return joined(block for _, block in self.blocks([topic], names))
 
     def observer_states(self, topic: str, names: Sequence[str] | None = None) -> ObserverStates:
-        """All estimates of an observer's ``state`` topic, such as ``/observer/state``."""
+        """All estimates on a topic such as ``/observer/state``; arguments as above."""
         self._check_type(topic, interfaces.OBSERVER_STATE)
         return cast("ObserverStates", joined(block for _, block in self.blocks([topic], names)))
 
     def _columns(self, topic: str, names: Sequence[str] | None) -> Columns:
-        """What makes blocks of a topic of states."""
+        """Collects the states of a topic."""
         found, observer = self._topic(topic).type, interfaces.OBSERVER_STATE
         self._check_type(topic, observer if found == observer else interfaces.JOINT_STATE)
         return Columns(f"{self.path}: {topic}", found, names, self.decoder(topic))
 
     def _check_type(self, topic: str, wanted: str) -> None:
-        """Raise unless a topic is of one type."""
+        """Check the type of a topic."""
         if (found := self._topic(topic).type) != wanted:
             raise BagError(f"{self.path}: {topic} is {found}; expected {wanted}")
 
     def model_text(self) -> str | None:
-        """The model file that the bag carries, as it was last published; None without one.
+        """The text of the model in the bag, as it was last published; None without one.
 
         Raises:
             BagError: several plants published one, or the topic is of another type.
@@ -304,7 +277,7 @@ class BagReader:
         return next(iter(deque(self._values(topic, interfaces.STRING, _text), maxlen=1)), None)
 
     def _topic(self, topic: str) -> TopicInfo:
-        """What the bag says of a topic that must be there."""
+        """A topic, checked to be in the bag."""
         if topic not in self.topics:
             found = ", ".join(self.topics) or "none"
             raise BagError(f"{self.path}: no topic {topic}; topics in the bag: {found}")
@@ -313,7 +286,7 @@ class BagReader:
     def _values(
         self, topic: str, type_name: str, read: Callable[[_Message], _Value]
     ) -> Iterator[_Value]:
-        """What ``read`` makes of the messages of a topic that must be of one type."""
+        """The messages of a topic of the given type, each converted by ``read``."""
         messages = self._decoded(topic, type_name)
 
         def values() -> Iterator[_Value]:
@@ -327,15 +300,15 @@ class BagReader:
         return values()
 
     def _decoded(self, topic: str, type_name: str) -> Iterator[tuple[int, object]]:
-        """Log times and messages of a topic that must be of one known type."""
-        store = self._store_knowing(topic, type_name)
+        """Log times and messages of a topic, which must be of the given type."""
+        store = self._store_for(topic, type_name)
         return (
             (log_time, self._deserialized(store, topic, type_name, data))
             for log_time, _, data in self._stream(self._connections[topic])
         )
 
-    def _store_knowing(self, topic: str, type_name: str) -> Typestore:
-        """The types, with those of a topic that must be of one known type."""
+    def _store_for(self, topic: str, type_name: str) -> Typestore:
+        """A typestore with the type of a topic, which must be the given one."""
         self._check_type(topic, type_name)
         info = self._topic(topic)
         if self._store is None:
@@ -361,19 +334,19 @@ class BagReader:
         """The message in ``data``."""
         try:
             return deserialize(store, data, type_name)
-        except Exception as error:  # as above
+        except Exception as error:  # rosbags raises errors of many types
             raise BagError(
                 f"{self.path}: {topic} has bytes that are no {type_name}: {_reason(error)}"
             ) from error
 
     def _stream(self, connections: Collection[Connection], start: int = 0) -> Iterator[Message]:
-        """Log times (ns), topics and messages of some connections, none missing."""
+        """Log times (ns), topics and messages of some connections; checks that none is missing."""
         return chain.from_iterable(self._batches(connections, start))
 
     def _batches(
         self, connections: Collection[Connection], start: int = 0
     ) -> Iterator[Sequence[Message]]:
-        """The same, many at a time."""
+        """The same as ``_stream``, many at a time."""
         if not connections:
             return
         count = 0
@@ -381,17 +354,17 @@ class BagReader:
             for batch in self._read(connections, start):
                 count += len(batch)
                 yield batch
-        promised = sum(connection.msgcount for connection in connections)
-        if count < promised and not start:
+        expected = sum(connection.msgcount for connection in connections)
+        if count < expected and not start:
             raise BagError(
-                f"{self.path}: {count} messages found, {promised} promised by its index; "
+                f"{self.path}: {count} messages found, {expected} promised by its index; "
                 "`impact-observer check --salvage` saves what is left"
             )
 
     def _read(
         self, connections: Collection[Connection], start: int
     ) -> Iterator[Sequence[Message]]:
-        """The messages in bag order: by the files' indexes, else as ``rosbags`` reads them."""
+        """The messages in bag order: in bulk if all files have an index, else by ``rosbags``."""
         if not self._indexes:
             read = self._reader.messages(connections, start=start or None)
             return (((log_time, own.topic, data),) for own, log_time, data in read)
@@ -402,13 +375,13 @@ class BagReader:
 
     @cached_property
     def _indexes(self) -> list[tuple[Path, Summary]]:
-        """The bag's files and their indexes; none where ``rosbags`` has to do without."""
-        found = [(file, index_of(file)) for file in self._files()]
-        known = [(file, index) for file, index in found if index is not None]
-        return known if len(known) == len(found) else []
+        """The bag's files and their indexes; empty unless all have one."""
+        files = self._files()
+        found = [(file, index) for file in files if (index := index_of(file)) is not None]
+        return found if len(found) == len(files) else []
 
     def _files(self) -> list[Path]:
-        """The MCAP files in their order; none where these are compressed, or another storage."""
+        """The MCAP files in their order; empty for another storage or compressed files."""
         if self.storage != "mcap" or self._reader.compression_mode:
             return []
         if self.path.is_file():
@@ -421,63 +394,18 @@ class BagReader:
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
-        """Tell what ``rosbags`` meets in a damaged bag as one line."""
+        """Report what ``rosbags`` raises for a damaged bag as one line."""
         try:
             yield
         except ImpactObserverError:
             raise
-        except Exception as error:  # whatever rosbags trips over in a damaged file
+        except Exception as error:  # anything, in a damaged file
             reason = _reason(error)
             remedy = "if it was cut short, `impact-observer check --salvage` saves what is left"
             if "database" in reason:  # as sqlite3 says
                 command = recover_command(self.path)
                 remedy = f"`{command}` writes what is left to a new file"
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
-
-
-def recover_command(path: Path) -> str:
-    """The command that writes what is left of a damaged sqlite3 file to a new one.
-
-    Args:
-        path: the file, or the folder of a bag.
-    """
-    files = sorted(path.glob("*.db3")) if path.is_dir() else [path]
-    file = quote(str(files[0])) if len(files) == 1 else "FILE"
-    return f"sqlite3 {file} .recover | sqlite3 NEW.db3"
-
-
-def _storage_of(path: Path) -> str:
-    """``mcap`` or ``sqlite3``, by what lies at ``path``."""
-    if not path.exists():
-        raise UsageError(f"{path}: does not exist; expected a bag: {_FORMS}")
-    if path.is_dir():
-        inside = sorted(file for file in path.iterdir() if file.suffix in _STORAGES)
-        if (path / "metadata.yaml").is_file():
-            # A file that was compressed as a whole has two suffixes.
-            suffixes = [each for file in path.iterdir() for each in file.suffixes]
-            return next((_STORAGES[each] for each in suffixes if each in _STORAGES), "mcap")
-        hint = f"read {inside[0]} itself, or " if inside else ""
-        raise BagError(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
-    if path.suffix not in _STORAGES:
-        raise BagError(f"{path}: not a bag; expected {_FORMS}")
-    return _STORAGES[path.suffix]
-
-
-def _topic_info(topic: str, connections: Sequence[Connection]) -> TopicInfo:
-    """What the connections of a topic say together."""
-    offers = [
-        Quality.recorded(qos, interfaces.usual_quality(topic).depth)
-        for connection in connections
-        if isinstance(connection.ext, ConnectionExtRosbag2)
-        for qos in connection.ext.offered_qos_profiles
-    ]
-    return TopicInfo(
-        name=topic,
-        type=" and ".join(sorted({connection.msgtype for connection in connections})),
-        count=sum(connection.msgcount for connection in connections),
-        quality=Quality.common(offers) if offers else None,
-        definition=connections[0].msgdef.data,
-    )
 
 
 def _text(message: StringMessage) -> str:
@@ -491,9 +419,9 @@ def _verdict(message: VerdictMessage) -> Verdict:
 
 
 def _reason(error: BaseException) -> str:
-    """What ``rosbags`` or the system says, as one line."""
+    """The text of an error of ``rosbags`` or the system, as one line."""
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    said = " ".join(str(error).split()).rstrip(".")
-    own = isinstance(error, (ReaderError, SerdeError, TypesysError))
-    return said if own else f"{type(error).__name__}: {said}"
+    line = " ".join(str(error).split()).rstrip(".")
+    of_rosbags = isinstance(error, (ReaderError, SerdeError, TypesysError))
+    return line if of_rosbags else f"{type(error).__name__}: {line}"

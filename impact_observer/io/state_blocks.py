@@ -1,9 +1,8 @@
-"""State messages many at a time, read or made: those of one shape differ in a few places only.
+"""State messages read or made many at a time.
 
-A layout is where the numbers of a message lie, found by walking through one of its shape (OMG CDR,
-little endian). It holds for every message with the same bytes elsewhere. ``rosbags`` decodes the
-rest, and is asked whether the layout says the same of its first message. What is made is a copy of
-a message of ``rosbags`` with other numbers, and it is asked for the last one.
+The messages of one shape (names, law, closed contacts) differ only in numbers, at the same places.
+These places are found by walking through one message (OMG CDR, little endian). They hold for every
+message with the same bytes elsewhere. Messages without such a layout are left to ``rosbags``.
 """
 
 from collections.abc import Sequence
@@ -18,20 +17,20 @@ from impact_observer.stamps import MAX_STAMP, NS_PER_S
 from impact_observer.states import Matrix, Stamps
 
 _START = 4
-"""The header of a serialized message; places are aligned from behind it."""
+"""Size of the header of a serialized message; alignment counts from its end."""
 _LITTLE_ENDIAN = b"\x00\x01"
 _MOST_LAYOUTS = 32
-"""Shapes tried on one block; what is left then is decoded one by one."""
+"""Shapes tried on one block; further messages are decoded one by one."""
 
 
 class StateRows(NamedTuple):
-    """What state messages of one shape say.
+    """The contents of state messages of one shape.
 
     Attributes:
-        at: which messages of the block these are, shape (k,).
+        at: positions of the messages in their block, shape (k,).
         stamps: ns, shape (k,).
         q: coordinates in the order of the message, shape (k, n).
-        u: velocities alike.
+        u: velocities, shape (k, n).
         last_sequence: of the last event, shape (k,); zeros for joint states.
         last_event: its stamp, ns, shape (k,); zeros for joint states.
     """
@@ -44,29 +43,25 @@ class StateRows(NamedTuple):
     last_event: Stamps
 
     @property
-    def sound(self) -> NDArray[np.bool_]:
-        """Which of them are finite and at stamps that a message may carry, shape (k,)."""
+    def valid(self) -> NDArray[np.bool_]:
+        """Which of them are finite and have stamps that a message may carry, shape (k,)."""
         finite = np.isfinite(self.q).all(axis=1) & np.isfinite(self.u).all(axis=1)
         stamped = (self.stamps > 0) & (self.stamps <= MAX_STAMP)
-        told = (self.last_event >= 0) & (self.last_event <= MAX_STAMP)
-        return np.asarray(finite & stamped & told)
+        events = (self.last_event >= 0) & (self.last_event <= MAX_STAMP)
+        return np.asarray(finite & stamped & events)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """Where the numbers of a state message lie, as offsets into its bytes.
+    """Where the numbers of a state message are, as offsets in bytes.
 
     Attributes:
-        n: how many coordinates it has.
+        n: number of coordinates.
         stamp: of the header.
         q: of the first coordinate.
         u: of the first velocity.
-        covariance: of its first number; None for joint states.
-        convergence: None for joint states.
         last_sequence: None for joint states.
         last_event: None for joint states.
-        learnt: of the first parameter; None where a message has no place for them.
-        deviations: of the first deviation of these, likewise.
         fixed: the bytes that make the shape, shape (size,).
     """
 
@@ -74,17 +69,13 @@ class Layout:
     stamp: int
     q: int
     u: int
-    covariance: int | None
-    convergence: int | None
     last_sequence: int | None
     last_event: int | None
-    learnt: int | None
-    deviations: int | None
     fixed: NDArray[np.bool_]
 
 
 class _Walk:
-    """A way through the bytes of one message."""
+    """Walks through the bytes of one message."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -93,7 +84,7 @@ class _Walk:
         self.fixed[:_START] = True
 
     def number(self, size: int, count: int = 1) -> int:
-        """Pass ``count`` numbers of ``size`` bytes; where they begin."""
+        """Pass ``count`` numbers of ``size`` bytes; the offset of the first."""
         if count:
             self._at += (_START - self._at) % size
         begin = self._at
@@ -115,20 +106,20 @@ class _Walk:
         self.fixed[begin : begin + size] = True
 
     def strings(self) -> int:
-        """Pass a sequence of texts; how many there are."""
+        """Pass a sequence of texts; their number."""
         count = self.length()
         for _ in range(count):
             self.string()
         return count
 
     def floats(self) -> tuple[int, int]:
-        """Pass a sequence of float64: where it begins, and how many there are."""
+        """Pass a sequence of float64; the offset of the first, and their number."""
         count = self.length()
         return self.number(8, count), count
 
 
 def layout_of(type_name: str, data: bytes) -> Layout | None:
-    """The layout of a message and of all of its shape; None where it has none.
+    """The layout of a message and of all others of its shape; None where it has none.
 
     Args:
         type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.
@@ -136,7 +127,7 @@ def layout_of(type_name: str, data: bytes) -> Layout | None:
     """
     if type_name not in {JOINT_STATE, OBSERVER_STATE} or data[:2] != _LITTLE_ENDIAN:
         return None
-    walk, covariance, convergence, sequence, event = _Walk(data), None, None, None, None
+    walk, sequence, event = _Walk(data), None, None
     try:
         stamp = walk.number(4, 2)
         walk.string()
@@ -145,42 +136,28 @@ def layout_of(type_name: str, data: bytes) -> Layout | None:
         n = walk.strings()
         (q, positions), (u, velocities) = walk.floats(), walk.floats()
         if type_name == OBSERVER_STATE:
-            covariance, _ = walk.floats()
-            walk.strings()
-            convergence = walk.number(8)
-            walk.number(1)
-            walk.number(8)
+            walk.floats()  # covariance
+            walk.strings()  # closed
+            walk.number(8)  # convergence
+            walk.number(1)  # synchronized
+            walk.number(8)  # clock offset
             sequence, event = walk.number(8), walk.number(4, 2)
     except ValueError:
         return None
     if not positions == velocities == n:
         return None
-    fixed = walk.fixed.copy()  # what is behind may differ among messages that are read
-    learnt, deviations = (None, None) if event is None else _learnt(walk)
-    places = (covariance, convergence, sequence, event, learnt, deviations)
-    return Layout(n, stamp, q, u, *places, fixed)
-
-
-def _learnt(walk: _Walk) -> tuple[int, int] | tuple[None, None]:
-    """Where parameters and their deviations begin, at the end of what is walked through."""
-    try:
-        walk.strings()
-        return walk.floats()[0], walk.floats()[0]
-    except ValueError:
-        return None, None
+    return Layout(n, stamp, q, u, sequence, event, walk.fixed)
 
 
 def decode(type_name: str, block: Sequence[bytes]) -> tuple[list[StateRows], list[int]]:
-    """What state messages say that have a layout, and which of them have none.
-
-    Nothing is checked here of what they say; see ``StateRows.sound``.
+    """Decode the state messages that have a layout. Values are not checked: ``StateRows.valid``.
 
     Args:
         type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.
         block: messages, serialized.
 
     Returns:
-        The rows of each shape, the first of its messages first, and the others' places.
+        The rows of each shape, and the positions of the messages without a layout.
     """
     found: list[StateRows] = []
     left = np.arange(len(block))
@@ -205,14 +182,14 @@ def decode(type_name: str, block: Sequence[bytes]) -> tuple[list[StateRows], lis
 def encode(
     type_name: str, example: bytes, stamps: Stamps, q: Matrix, u: Matrix
 ) -> list[bytes] | None:
-    """State messages that differ from one in stamp and state only; None where it has no layout.
+    """Copies of a state message with other stamps and states; None where it has no layout.
 
     Args:
         type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.
-        example: one of them, serialized.
-        stamps: of each, ns, shape (k,), such as a message can carry.
+        example: the message, serialized.
+        stamps: of each, ns, shape (k,), which a message can carry.
         q: coordinates, shape (k, n), finite.
-        u: velocities alike.
+        u: velocities, shape (k, n), finite.
     """
     layout = layout_of(type_name, example)
     if layout is None or layout.n != q.shape[1]:
@@ -228,17 +205,17 @@ def encode(
 
 def _rows(layout: Layout, data: NDArray[np.uint8], at: NDArray[np.intp]) -> StateRows:
     """The numbers of messages of one layout, shape (k, size)."""
-    zeros = np.zeros(len(data), dtype=np.int64)
-    sequence, event = layout.last_sequence, layout.last_event
+    sequences, events = np.zeros(len(data), dtype=np.uint64), np.zeros(len(data), dtype=np.int64)
+    if layout.last_sequence is not None and layout.last_event is not None:
+        sequences = _numbers(data, layout.last_sequence, 8).view("<u8").ravel()
+        events = _times(data, layout.last_event)
     return StateRows(
         at,
         _times(data, layout.stamp),
         _numbers(data, layout.q, 8 * layout.n).view("<f8"),
         _numbers(data, layout.u, 8 * layout.n).view("<f8"),
-        zeros.astype(np.uint64)
-        if sequence is None
-        else _numbers(data, sequence, 8).view("<u8").ravel(),
-        zeros if event is None else _times(data, event),
+        sequences,
+        events,
     )
 
 
@@ -247,7 +224,7 @@ def _numbers(data: NDArray[np.uint8], begin: int, size: int) -> NDArray[np.uint8
 
 
 def _times(data: NDArray[np.uint8], begin: int) -> Stamps:
-    """Stamps of ``builtin_interfaces/Time``; those whose nanoseconds fill a second are -1."""
+    """Stamps of ``builtin_interfaces/Time``; -1 where the nanoseconds are 1e9 or more."""
     seconds = _numbers(data, begin, 4).view("<i4").ravel().astype(np.int64)
     nanoseconds = _numbers(data, begin + 4, 4).view("<u4").ravel().astype(np.int64)
     return np.where(nanoseconds < NS_PER_S, seconds * NS_PER_S + nanoseconds, -1)

@@ -12,7 +12,7 @@ from typing import TypeVar, final
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io.bag_metadata import Topic, metadata, quality_text
 from impact_observer.io.interfaces import Quality, interface, usual_quality
-from impact_observer.io.mcap_file import Item, McapFile
+from impact_observer.io.mcap_writer import Item, McapWriter
 from impact_observer.io.reader import BagReader
 from impact_observer.io.typestores import add_definition, new_typestore
 
@@ -194,10 +194,10 @@ class BagWriter:
             self.declare(topic)
         return self._topics[topic]
 
-    def _make_file(self, compressed: bool) -> McapFile:
+    def _make_file(self, compressed: bool) -> McapWriter:
         """In the thread: make the folder and begin the file."""
         self.path.mkdir(mode=0o755)
-        return McapFile(self.path / f"{self.path.name}.mcap", compressed=compressed)
+        return McapWriter(self.path / f"{self.path.name}.mcap", compressed=compressed)
 
     def _write_pending(self) -> None:
         """In the thread: write the messages that wait."""

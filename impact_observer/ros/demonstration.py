@@ -17,7 +17,7 @@ from rclpy.node import Node
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.io import interfaces
-from impact_observer.io.messages import ErrorMessage
+from impact_observer.io.message_types import ErrorMessage
 from impact_observer.io.writer import BagWriter
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.node_process import FOLLOW

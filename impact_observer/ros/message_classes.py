@@ -10,11 +10,9 @@ from rclpy.serialization import deserialize_message
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent
 from impact_observer.io.interfaces import IMPACT_EVENT
+from impact_observer.io.message_types import EventMessage, JointStateMessage, MessageClass
 from impact_observer.io.messages import (
-    EventMessage,
     JointState,
-    JointStateMessage,
-    MessageClass,
     MessageError,
     Messages,
     read_event,

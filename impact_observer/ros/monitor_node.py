@@ -8,7 +8,8 @@ from rclpy.node import Node
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.messages import EstimateError, JointState, JointStateMessage
+from impact_observer.io.message_types import JointStateMessage
+from impact_observer.io.messages import EstimateError, JointState
 from impact_observer.model import read_model
 from impact_observer.ros import parameters
 from impact_observer.ros.message_classes import message_class, read_state, ros_messages

@@ -10,7 +10,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from impact_observer.io.interfaces import Quality, usual_quality
-from impact_observer.io.messages import MessageClass
+from impact_observer.io.message_types import MessageClass
 from impact_observer.ros.qos import offered_quality, qos_profile
 
 MessageInfo: TypeAlias = Mapping[str, int]

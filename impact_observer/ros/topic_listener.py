@@ -18,16 +18,18 @@ from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface, interface
-from impact_observer.io.messages import (
+from impact_observer.io.message_types import (
     ClockMessage,
     ErrorMessage,
     EstimateMessage,
     EventMessage,
-    JointState,
     JointStateMessage,
-    MessageError,
     StringMessage,
     VerdictMessage,
+)
+from impact_observer.io.messages import (
+    JointState,
+    MessageError,
     read_estimate,
     read_estimate_error,
     read_event,

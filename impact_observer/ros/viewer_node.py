@@ -9,13 +9,8 @@ from impact_observer.draw.scene.scene import Scene
 from impact_observer.errors import UsageError
 from impact_observer.events import Kind
 from impact_observer.io import interfaces
-from impact_observer.io.messages import (
-    EventMessage,
-    JointState,
-    JointStateMessage,
-    MessageError,
-    read_event,
-)
+from impact_observer.io.message_types import EventMessage, JointStateMessage
+from impact_observer.io.messages import JointState, MessageError, read_event
 from impact_observer.model import read_model
 from impact_observer.ros import parameters
 from impact_observer.ros.markers import ESTIMATE, PLANT, MarkerRow, Painter

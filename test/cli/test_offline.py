@@ -9,7 +9,8 @@ import pytest
 from systems import jammed
 
 from impact_observer.cli.main import main
-from impact_observer.io.messages import ErrorMessage, EstimateMessage, read_estimate
+from impact_observer.io.message_types import ErrorMessage, EstimateMessage
+from impact_observer.io.messages import read_estimate
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
 from impact_observer.model import read_model

@@ -32,7 +32,7 @@ from impact_observer.ros.qos import offered_quality, qos_profile
 from impact_observer.ros.session import ros_node
 
 if TYPE_CHECKING:
-    from impact_observer.io.messages import ClockMessage, EventMessage
+    from impact_observer.io.message_types import ClockMessage, EventMessage
 
 pytestmark = pytest.mark.ros
 PATIENCE = 20.0

@@ -9,7 +9,7 @@ from mcap.summary import Summary
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from impact_observer.io import interfaces
-from impact_observer.io.mcap_file import McapFile
+from impact_observer.io.mcap_writer import McapWriter
 from impact_observer.io.typestores import new_typestore
 
 Message = tuple[str, int, bytes]
@@ -17,7 +17,7 @@ Message = tuple[str, int, bytes]
 
 def written(path: Path, messages: list[Message], sizes: list[int]) -> Path:
     """A file of ``messages``, of which so many are written at a time."""
-    file, store = McapFile(path, compressed=False), new_typestore()
+    file, store = McapWriter(path, compressed=False), new_typestore()
     definition, _ = store.generate_msgdef(interfaces.STRING, ros_version=2)
     channels = {
         topic: file.add_channel(topic, interfaces.STRING, definition, {}) for topic in TOPICS

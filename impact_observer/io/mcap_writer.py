@@ -40,7 +40,7 @@ _CHUNK_SIZE = 2**20
 """A chunk ends with the message that makes it larger than this, in bytes."""
 
 
-class McapFile:
+class McapWriter:
     """An MCAP file of profile ``ros2``, open for writing.
 
     Attributes:

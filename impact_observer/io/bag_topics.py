@@ -1,0 +1,84 @@
+"""The topics of a bag, and the storage it has."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+
+from rosbags.interfaces import Connection, ConnectionExtRosbag2
+
+from impact_observer.errors import BagError, UsageError
+from impact_observer.io import interfaces
+from impact_observer.io.interfaces import Quality
+
+_STORAGES = {".mcap": "mcap", ".db3": "sqlite3"}
+_FORMS = "a folder with metadata.yaml, a .mcap file or a .db3 file"
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """A topic of a bag.
+
+    Attributes:
+        name: the absolute name.
+        type: the message type; several joined by `` and `` when publishers disagreed.
+        count: messages.
+        quality: the quality of service that was offered; None when the bag does not have it.
+        definition: the text of the message type; empty when the bag does not have it.
+    """
+
+    name: str
+    type: str
+    count: int
+    quality: Quality | None
+    definition: str
+
+
+def storage_of(path: Path) -> str:
+    """``mcap`` or ``sqlite3``, by the files at ``path``.
+
+    Raises:
+        UsageError: there is nothing.
+        BagError: there is no bag.
+    """
+    if not path.exists():
+        raise UsageError(f"{path}: does not exist; expected a bag: {_FORMS}")
+    if path.is_dir():
+        inside = sorted(file for file in path.iterdir() if file.suffix in _STORAGES)
+        if (path / "metadata.yaml").is_file():
+            # A file that was compressed as a whole has two suffixes.
+            suffixes = [each for file in path.iterdir() for each in file.suffixes]
+            return next((_STORAGES[each] for each in suffixes if each in _STORAGES), "mcap")
+        hint = f"read {inside[0]} itself, or " if inside else ""
+        raise BagError(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
+    if path.suffix not in _STORAGES:
+        raise BagError(f"{path}: not a bag; expected {_FORMS}")
+    return _STORAGES[path.suffix]
+
+
+def topic_info(topic: str, connections: Sequence[Connection]) -> TopicInfo:
+    """A topic with all its connections."""
+    offers = [
+        Quality.recorded(qos, interfaces.usual_quality(topic).depth)
+        for connection in connections
+        if isinstance(connection.ext, ConnectionExtRosbag2)
+        for qos in connection.ext.offered_qos_profiles
+    ]
+    return TopicInfo(
+        name=topic,
+        type=" and ".join(sorted({connection.msgtype for connection in connections})),
+        count=sum(connection.msgcount for connection in connections),
+        quality=Quality.common(offers) if offers else None,
+        definition=connections[0].msgdef.data,
+    )
+
+
+def recover_command(path: Path) -> str:
+    """The command that writes what is left of a damaged sqlite3 file to a new one.
+
+    Args:
+        path: the file, or the folder of a bag.
+    """
+    files = sorted(path.glob("*.db3")) if path.is_dir() else [path]
+    file = quote(str(files[0])) if len(files) == 1 else "FILE"
+    return f"sqlite3 {file} .recover | sqlite3 NEW.db3"
