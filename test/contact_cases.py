@@ -1,13 +1,14 @@
 """Motions with simultaneous impacts and persistent contact, for tests against other programs."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from systems import EPOCH, Harmonic, forcing, system
 
 from impact_observer.events import Kind
-from impact_observer.model import System
+from impact_observer.model import Forcing, System
 from impact_observer.plant import Plant, Switching
 from impact_observer.stamps import from_seconds
 
@@ -134,3 +135,13 @@ def seconds(switching: Switching) -> float:
 def kinds(switching: Switching) -> set[Kind]:
     """Kinds of its switches."""
     return {switch.kind for switch in switching.switches}
+
+
+def kinds_in_order(switching: Switching) -> list[Kind]:
+    """Kinds of its switches, in the order of the contacts."""
+    return [switch.kind for switch in switching.switches]
+
+
+def free(n: int, *, force: Forcing, contacts: Sequence[tuple[ArrayLike, float, float]]) -> System:
+    """Unit masses without springs and dampers."""
+    return system(np.eye(n), np.zeros((n, n)), np.zeros((n, n)), contacts=contacts, force=force)

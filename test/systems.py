@@ -235,12 +235,18 @@ def switchings(m: int, most: int = 8, seconds: float = 5.0) -> st.SearchStrategy
     return st.lists(step, max_size=most)
 
 
+def started(model: System, position: ArrayLike, velocity: ArrayLike) -> Plant:
+    """A plant at ``EPOCH``."""
+    return Plant(model, np.asarray(position, float), np.asarray(velocity, float), epoch=EPOCH)
+
+
 def run(
     model: System, position: ArrayLike, velocity: ArrayLike, *, seconds: float, rate: float = 100.0
 ) -> Run:
     """A run of the plant from ``EPOCH`` on."""
-    plant = Plant(model, np.asarray(position, float), np.asarray(velocity, float), epoch=EPOCH)
-    return simulate(plant, grid(EPOCH, EPOCH + round(seconds * NS_PER_S), rate))
+    return simulate(
+        started(model, position, velocity), grid(EPOCH, EPOCH + round(seconds * NS_PER_S), rate)
+    )
 
 
 def without_faults(**declared: object) -> Uncertainty:

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike, NDArray
+from contact_cases import seconds
+from numpy.typing import NDArray
 from scipy import linalg
-from systems import EPOCH, chain, forcing, run, sample, system
+from systems import EPOCH, chain, forcing, run, sample, started, system
 
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent, Switch
@@ -15,19 +16,9 @@ from impact_observer.stamps import NS_PER_S, Instant, grid
 Array = NDArray[np.float64]
 
 
-def seconds(impact: Switching) -> float:
-    """The instant of an impact since the epoch, s."""
-    return -impact.instant.until(EPOCH)
-
-
 def approach(model: System, impact: Switching) -> float:
     """``gamma-`` of the first contact."""
     return float(model.contact_speed(impact.before[model.n :])[impact.contacts[0]])
-
-
-def started(model: System, position: ArrayLike, velocity: ArrayLike) -> Plant:
-    """A plant at ``EPOCH``."""
-    return Plant(model, np.asarray(position, float), np.asarray(velocity, float), epoch=EPOCH)
 
 
 def test_impact_without_restitution_goes_on_where_the_load_pulls() -> None:

@@ -8,19 +8,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
-from systems import EPOCH, Harmonic, forcing, sample, system
+from contact_cases import seconds
+from systems import EPOCH, Harmonic, forcing, sample, started, system
 
 from impact_observer.dynamics import flow_of
 from impact_observer.events import Kind
 from impact_observer.model import System
 from impact_observer.plant import Plant, Switching
 from impact_observer.stamps import NS_PER_S
-
-
-def started(model: System, position: ArrayLike, velocity: ArrayLike) -> Plant:
-    """A plant at ``EPOCH``."""
-    return Plant(model, np.asarray(position, float), np.asarray(velocity, float), epoch=EPOCH)
 
 
 def crossed(plant: Plant, count: int) -> list[Switching]:
@@ -33,11 +28,6 @@ def crossed(plant: Plant, count: int) -> list[Switching]:
         plant.cross(switching)
         found.append(switching)
     return found
-
-
-def seconds(switching: Switching) -> float:
-    """Its instant since the epoch, s."""
-    return -switching.instant.until(EPOCH)
 
 
 def approach(model: System, impact: Switching) -> float:

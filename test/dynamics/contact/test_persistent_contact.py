@@ -109,6 +109,7 @@ def assert_decision(model: System, x: Array) -> None:
 whole = st.integers(-1, 1)
 
 
+@pytest.mark.slow
 @examples(80)
 @given(st.data())
 def test_decision_is_the_one_consistent_set_of_all(data: st.DataObject) -> None:

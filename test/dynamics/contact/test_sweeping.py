@@ -82,6 +82,7 @@ def enumerated(model: System, q: Array, active: tuple[int, ...]) -> Array | None
     return found
 
 
+@pytest.mark.slow
 @examples(50)
 @given(st.data())
 def test_unilateral_projection_is_the_nearest_position_of_all(data: st.DataObject) -> None:

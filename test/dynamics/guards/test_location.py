@@ -106,6 +106,7 @@ def test_first_closing_is_the_one_that_dense_sampling_finds(data: st.DataObject)
         assert found.s == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.slow
 @examples(40)
 @given(st.data())
 def test_bounds_hold_between_samples(data: st.DataObject) -> None:
