@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
+from impact_observer.io.observed_bag import observe_bag
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import observe_bag, write_run
+from impact_observer.io.recordings import write_run
 from impact_observer.io.writer import BagWriter, copy_topics
 from impact_observer.model import Model, parse_model
 from impact_observer.observer import Observer, initial_state, law_named

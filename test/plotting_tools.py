@@ -15,7 +15,7 @@ import numpy as np
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.io import BagReader, BagWriter, EstimateError, JointState
 from impact_observer.io.messages import bag_messages
-from impact_observer.io.recordings import carried_text
+from impact_observer.io.recordings import published_model
 from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer, replay
@@ -190,7 +190,7 @@ def everything(
     run = simulate(Plant(system, *read.initial_state(), epoch=EPOCH), stamps)
     n, names = system.n, system.coordinates
     with BagWriter(path) as writer:
-        writer.write("/plant/model", EPOCH, make.model(carried_text(read, 0)))
+        writer.write("/plant/model", EPOCH, make.model(published_model(read, 0)))
         for stamp, x in zip(run.stamps.tolist(), run.states, strict=True):
             state = JointState(stamp, names, x[:n], x[n:])
             writer.write("/plant/joint_states", stamp, make.joint_state(state))

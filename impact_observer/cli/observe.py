@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from impact_observer.options import Options
 
 _HARDLY = 0.9
-"""Standard deviation of a parameter, over what was declared, from which on it was not learnt."""
+"""A parameter is not estimated if its posterior deviation exceeds this part of the prior one."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,29 +60,30 @@ def observe(
     rate: float | None = None,
     namespace: str = "",
 ) -> int:
-    """Observe a bag into another one.
+    """Run an observer on a bag, and write a bag with its estimates.
 
     Args:
-        bag: has impacts; truth and model are carried along.
+        bag: has impacts; true states and model are copied.
         output: the bag to make.
-        model: a model file or a sample's name; None for the model that the bag carries.
+        model: a model file or a sample's name; None for the model in the bag.
         options: of the observer; None for the defaults.
-        rate: of the estimates, Hz; None for the stamps of the truth.
-        namespace: of the rig that is meant; empty for the only one.
+        rate: of the estimates, Hz; None for the stamps of the true states.
+        namespace: selects one of several rigs in the bag; empty for the only one.
 
     Returns:
         0.
 
     Raises:
         UsageError, ModelError: the arguments cannot be used.
-        BagError: a bag cannot be read or written, or nothing in it could be applied.
+        BagError: a bag cannot be read or written, or no event in it could be applied.
         ImpactLawError: the replica cannot follow an event.
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
     from impact_observer.events import Ruling
+    from impact_observer.io.observed_bag import observe_bag
     from impact_observer.io.reader import BagReader
-    from impact_observer.io.recordings import model_of, observe_bag
+    from impact_observer.io.recordings import model_of
     from impact_observer.observer import COMPILING, Options, make_observer, needs_compiling
 
     chosen = options or Options()
@@ -103,7 +104,7 @@ def observe(
         ]
         switches = f"switches: {', '.join(verdicts) or 'none'}"
         progress.line(f"{output}: {chosen.law}, {count} estimates, {switches}")
-        for line in learnt(observer):
+        for line in parameter_lines(observer):
             progress.line(line)
     if rulings and not rulings[Ruling.APPLIED]:
         raise BagError(
@@ -113,16 +114,16 @@ def observe(
     return 0
 
 
-def learnt(observer: "Observer") -> "Iterator[str]":
-    """What an observer has learnt besides the state, when it has heard everything."""
+def parameter_lines(observer: "Observer") -> "Iterator[str]":
+    """What an observer has estimated besides the state, after its last event."""
     from impact_observer.model.free_parameters import with_unit
 
     if not observer.last_event:
         return
     unknowns = observer.law.uncertainty.unknowns
-    names, first = ((), ()) if unknowns is None else (unknowns.family.names, unknowns.deviations)
-    declared = dict(zip(names, first, strict=True))
+    names, priors = ((), ()) if unknowns is None else (unknowns.family.names, unknowns.deviations)
+    prior = dict(zip(names, priors, strict=True))
     for name, value, deviation in observer.estimate(observer.last_event).parameters:
-        told = deviation < _HARDLY * declared.get(name, float("inf"))
-        words = "learnt" if told else "hardly told by these impacts"
+        learnt = deviation < _HARDLY * prior.get(name, float("inf"))
+        words = "learnt" if learnt else "hardly learnt from these impacts"
         yield f"{words}: {with_unit(name)} {value:.9g} +- {deviation:.2g}"

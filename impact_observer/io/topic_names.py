@@ -1,4 +1,4 @@
-"""Which topics of a bag are meant, as users name them, and where their states begin."""
+"""Topics of a bag by the names that users give, and their first states."""
 
 from collections.abc import Iterable
 
@@ -8,7 +8,7 @@ from impact_observer.io.reader import BagReader
 
 
 def named_topic(reader: BagReader, name: str) -> str:
-    """The absolute name of a topic, with its first slash or without.
+    """The absolute name of a topic, given with or without its first slash.
 
     Raises:
         UsageError: the bag has no such topic.
@@ -21,7 +21,7 @@ def named_topic(reader: BagReader, name: str) -> str:
 
 
 def named_states(reader: BagReader, name: str) -> str:
-    """The topic of states of an observer that is named, or the topic that is.
+    """The topic of states of the observer or topic ``name``.
 
     Raises:
         UsageError: the bag has neither.
@@ -31,18 +31,18 @@ def named_states(reader: BagReader, name: str) -> str:
 
 
 def states_of(reader: BagReader, prefix: str) -> str:
-    """The topic of an observer's states, which say more than its joint states."""
+    """The topic of an observer's states; that of its joint states if there is none."""
     state = f"{prefix}/state"
     return state if state in reader.topics else f"{prefix}/joint_states"
 
 
 def first_stamp(reader: BagReader, topics: Iterable[str]) -> int | None:
-    """The first stamp of the first of some topics of states that has one, ns; None for none."""
+    """The first stamp, ns, in the first of some topics with a state; None without any."""
     first = first_block(reader, topics)
     return None if first is None else int(first.stamps[0])
 
 
 def first_block(reader: BagReader, topics: Iterable[str]) -> JointStates | None:
-    """The first states of the first of some topics that has any; None for none."""
+    """The first states in the first of some topics with a state; None without any."""
     blocks = (next(iter(reader.blocks([topic])))[1] for topic in topics)
     return next((block for block in blocks if block.stamps.size), None)

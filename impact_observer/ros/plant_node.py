@@ -15,7 +15,7 @@ from impact_observer.errors import UsageError
 from impact_observer.integrators import described
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState
-from impact_observer.io.recordings import carried_text
+from impact_observer.io.recordings import published_model
 from impact_observer.model import read_model
 from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
 from impact_observer.ros import parameters
@@ -71,7 +71,7 @@ class PlantNode(Node):
         self._check_time_source()
         self._make = ros_messages()
         how = described(self._integrator, self._step)
-        model_text = carried_text(self._model, self._seed, how, self._sensor)
+        model_text = published_model(self._model, self._seed, how, self._sensor)
         self._impacts = self._publisher(interfaces.IMPACTS, "impacts")
         self._states = self._publisher(interfaces.PLANT_JOINT_STATES, "~/joint_states")
         self._model_topic = self._publisher(interfaces.PLANT_MODEL, "~/model")

@@ -11,7 +11,8 @@ from impact_observer.check.bag_check import check_bag
 from impact_observer.check.event_checks import EventCheck
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
 from impact_observer.io import BagReader, BagWriter
-from impact_observer.io.recordings import observe_bag, system_of
+from impact_observer.io.observed_bag import observe_bag
+from impact_observer.io.recordings import system_of
 from impact_observer.observer import Options, make_observer
 
 

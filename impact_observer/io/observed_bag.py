@@ -1,0 +1,139 @@
+"""Runs an observer on the events of a bag, and writes a bag with its estimates."""
+
+import heapq
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+
+from impact_observer.errors import UsageError
+from impact_observer.events import DECIDING, ImpactEvent, Ruling, Verdict, final_rulings
+from impact_observer.io import interfaces
+from impact_observer.io.estimate_messages import in_log_order, messages_of
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
+from impact_observer.io.writer import BagWriter
+from impact_observer.observer import Observer, replay_batches
+from impact_observer.observer.event_outcomes import count_rulings
+from impact_observer.stamps import grid, text
+from impact_observer.states import Estimates, Stamps
+
+
+def observe_bag(
+    reader: BagReader,
+    observer: Observer,
+    output: Path,
+    *,
+    rate: float | None = None,
+    epoch: int = 0,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> tuple[int, Counter[Ruling]]:
+    """Run ``observer`` on a bag's events; impacts, true states and model are copied.
+
+    Args:
+        reader: the bag to read.
+        observer: has received no event yet.
+        output: the bag to make.
+        rate: of the estimates, Hz; None for the stamps of the true states.
+        epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
+        progress: called with the number of estimates made and of those to be made.
+
+    Returns:
+        The number of estimates, and how many final verdicts there are of each kind.
+
+    Raises:
+        UsageError, BagError: the bags cannot be used as asked.
+        ImpactLawError: the replica cannot follow an event.
+    """
+    events = events_in(reader)
+    epochs = {event.epoch for event in events if event.epoch}
+    if epoch and epochs and epoch not in epochs:
+        raise UsageError(
+            f"{reader.path}: epoch {text(epoch)} s asked for, but its events say"
+            f" {text(min(epochs))} s; leave --epoch out"
+        )
+    stamps = _sample_stamps(reader, events, rate, epoch)
+    topics = [topic for each in PLANT_TOPICS if (topic := reader.find(each)) is not None]
+    with all_or_nothing(output) as writer:
+        for topic in topics:
+            info = reader.topics[topic]
+            writer.declare(topic, type_name=info.type, quality=info.quality)
+        copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
+        messages = _ObserverMessages(
+            writer, observer.system.coordinates, lambda done: progress(done, stamps.size)
+        )
+        made = messages.of(replay_batches(observer, events, stamps))
+        for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
+            writer.write_raw(topic, log_time, data)
+    rulings = count_rulings(messages.final, {event.stamp for event in events})
+    return messages.estimates, +(messages.others + rulings)
+
+
+def _sample_stamps(
+    reader: BagReader, events: Sequence[ImpactEvent], rate: float | None, epoch: int
+) -> Stamps:
+    """Stamps of the estimates: at ``rate`` (Hz) from the epoch on, or those of the true states.
+
+    Raises:
+        UsageError: there is neither a rate nor a true state.
+    """
+    truth = reader.truth_topic()
+    if rate is None:
+        if truth is None:
+            raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
+        return _stamps_of(reader, truth)
+    if not events:
+        return np.empty(0, dtype=np.int64)
+    start = epoch or events[0].epoch or events[0].stamp
+    last = int(_stamps_of(reader, truth).max()) if truth else events[-1].stamp
+    return grid(start, last, rate)
+
+
+def _stamps_of(reader: BagReader, topic: str) -> Stamps:
+    """All stamps of a topic of states, ns, ascending, each once."""
+    return np.unique(np.concatenate([block.stamps for _, block in reader.blocks([topic])]))
+
+
+class _ObserverMessages:
+    """Makes the messages of estimates and verdicts, and counts them.
+
+    Attributes:
+        estimates: how many so far.
+        others: how many verdicts of each kind that do not decide on an event.
+        final: of the other verdicts the last one on each event and contact.
+    """
+
+    def __init__(
+        self, writer: BagWriter, names: tuple[str, ...], progress: Callable[[int], None]
+    ) -> None:
+        self.estimates = 0
+        self.others = Counter[Ruling]()
+        self.final: dict[tuple[int, int, str], Ruling] = {}
+        self._serialize = writer.serialized
+        self._names = names
+        self._progress = progress
+        self._bound = -1.0
+
+    def of(self, items: Iterable[Estimates | Verdict]) -> Iterator[tuple[int, str, bytes]]:
+        """Log times (ns), topics and messages of ``items``."""
+        make, serialize = bag_messages(), self._serialize
+        for log_time, item in in_log_order(items):
+            if isinstance(item, Verdict):
+                topic = interfaces.OBSERVER_VERDICTS.topic
+                yield log_time, topic, serialize(topic, make.verdict(item))
+                self.final |= final_rulings([item])
+                self.others[item.ruling] += item.ruling not in DECIDING
+                continue
+            messages = messages_of(item, self._names, serialize)
+            yield from islice(messages, 2)  # of the first estimate
+            if item.first.bound != self._bound:
+                self._bound = item.first.bound
+                topic = interfaces.OBSERVER_BOUND.topic
+                yield log_time, topic, serialize(topic, make.bound(item.first))
+            yield from messages
+            self.estimates += item.stamps.size
+            self._progress(self.estimates)
