@@ -1,7 +1,7 @@
-"""``single`` in machine code, by ``numba``: the same numbers in a quarter of the time.
+"""``single`` compiled by ``numba``: the same numbers in a quarter of the time.
 
-It takes half a minute, once: ``numba`` keeps what it made beside this file, or in the user's
-cache where it cannot. Where it can keep it nowhere, every start takes as long.
+Compiling takes half a minute, once: ``numba`` keeps the machine code beside this file, or in the
+user's cache where that is read-only. Where it can be kept nowhere, every start takes as long.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ from impact_observer.states import Matrix
 
 Single: TypeAlias = Callable[[float, State, float, Contact], tuple[bool, State, Fit]]
 _SOURCES = (single, likelihood, joint, square_root, scales, saltation, sys.modules[__name__])
-"""Where everything is that is compiled, or a constant in it."""
+"""The modules of all functions that are compiled, and of their constants."""
 
 
 @cache
@@ -45,7 +45,7 @@ def compiled_single() -> Single:
             " compiled out"
         ) from None
     overload(triangular)(_triangular)
-    for part in (product, sizes, single.length, single.heard, single.struck, single.single):
+    for part in (product, sizes, single.length, single.corrected, single.jumped, single.single):
         register_jitable(part)
     number, truth = types.float64, types.boolean
     vector, matrix, maps = (types.Array(number, k, "C") for k in (1, 2, 3))
@@ -53,33 +53,33 @@ def compiled_single() -> Single:
     gap, jump = types.Tuple((matrix, matrix, matrix, number)), types.Tuple((matrix, maps))
     forces, scale = types.Tuple((vector, matrix)), types.UniTuple(matrix, 3)
     contact = types.Tuple((forces, gap, jump, scale, number))
-    told = types.Tuple((truth, state, types.UniTuple(number, 4)))
-    # Of one signature, so that nothing is compiled while an event waits.
-    signature = told(number, state, number, contact)
+    result = types.Tuple((truth, state, types.UniTuple(number, 4)))
+    # With its signature, so that nothing is compiled while an event waits.
+    signature = result(number, state, number, contact)
     run = _from(_digest(_SOURCES))
     try:
         made = numba.njit(signature, cache=True)(run)
-    except (RuntimeError, OSError):  # nothing can be kept: no folder of its own, a full disk
+    except (RuntimeError, OSError):  # nothing can be kept: no folder to write to, a full disk
         made = numba.njit(signature)(run)
     return cast("Single", made)
 
 
 def _from(sources: str) -> Single:
-    """``single.single`` as it is in ``sources``.
+    """``single.single``, bound to the digest of its ``sources``.
 
-    What ``numba`` has kept it takes for the same while the file of a function is, and what is
-    bound to it; not if what that calls has changed.
+    ``numba`` takes machine code from its cache while the file of a function and what is bound to
+    it are the same. It does not notice changes of the functions that this one calls.
     """
 
-    def run(t: float, known: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
+    def run(t: float, prior: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
         _ = sources  # no assertion: python -O would leave it out, and with it what is bound
-        return single.single(t, known, clock, contact)
+        return single.single(t, prior, clock, contact)
 
     return run
 
 
 def _digest(modules: tuple[ModuleType, ...]) -> str:
-    """What tells that something in the source of ``modules`` has changed."""
+    """A digest of the source of ``modules``."""
     found = hashlib.sha256()
     for module in modules:
         assert module.__file__ is not None, "it has one"
@@ -88,7 +88,7 @@ def _digest(modules: tuple[ModuleType, ...]) -> str:
 
 
 def _triangular(root: Matrix) -> Callable[[Matrix], Matrix]:
-    """How ``numba`` makes ``triangular`` of a type of ``root``."""
+    """The implementation of ``triangular`` for ``numba``."""
     del root
     return _reflected
 
@@ -96,7 +96,7 @@ def _triangular(root: Matrix) -> Callable[[Matrix], Matrix]:
 def _reflected(root: Matrix) -> Matrix:
     """``triangular`` by Householder's reflections, as LAPACK does it.
 
-    The QR that ``numba`` has makes Q too, and takes three times as long.
+    The QR of ``numba`` computes Q too, and takes three times as long.
     """
     d, columns = root.shape
     left = np.zeros((d, max(d, columns)))

@@ -9,9 +9,9 @@ import numpy as np
 from impact_observer.states import Matrix, Vector
 
 _SAME = 1e-200
-"""Squared size of a map that leaves nothing of any difference."""
+"""Squared size of a map after which all differences count as zero."""
 _FEW = 4096
-"""Numbers of all pairs' products that are worth while to have."""
+"""Most numbers of all pairs' products that are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,19 +19,19 @@ class Differences:
     """By how much replicas differed from the estimate at some time.
 
     Attributes:
-        columns: one replica a column, shape (2n, N - 1).
+        columns: one column for each replica, shape (2n, N - 1).
     """
 
     columns: Matrix
 
     @cached_property
     def count(self) -> int:
-        """How many replicas they are of."""
+        """How many replicas there are."""
         return int(self.columns.shape[1])
 
     @cached_property
     def are_few(self) -> bool:
-        """Whether ``products`` are worth while to have."""
+        """Whether ``products`` are few enough to be kept."""
         size, others = self.columns.shape
         return bool(size * size * others * (others + 1) <= 2 * _FEW)
 
@@ -50,13 +50,12 @@ class Differences:
 class Ensemble(NamedTuple):
     """The estimate and, for each other replica, by how much it differs.
 
-    What acts on all of them alike is a map of differences, however many there are: it is only
-    noted, and made of them when somebody asks for numbers.
+    A map of all differences is only noted, and applied when their numbers are needed.
 
     Attributes:
         x: the estimate (q, u), shape (2n,).
         since: differences at some earlier time.
-        due: what has become of them since, shape (2n, 2n); None for nothing.
+        due: the map from then to now, shape (2n, 2n); None for the identity.
     """
 
     x: Vector
@@ -86,7 +85,7 @@ class Ensemble(NamedTuple):
         return np.concatenate([self.x[None], self.differences.T + self.x])
 
     def mapped(self, functions: Matrix) -> Matrix:
-        """What linear ``functions``, shape (k, 2n) or (2n,), see of the differences."""
+        """Values of linear ``functions``, shape (k, 2n) or (2n,), at the differences."""
         due = functions if self.due is None else functions.dot(self.due)
         return np.asarray(due.dot(self.since.columns))
 
@@ -107,11 +106,11 @@ class Ensemble(NamedTuple):
         return max(float(among.max()), float(squares.max()))  # and from the estimate itself
 
     def propagated(self, x: Vector, map_: Matrix) -> "Ensemble":
-        """The estimate is ``x`` now; ``map_``, shape (2n, 2n), has acted on all differences."""
+        """The estimate is ``x`` now; ``map_``, shape (2n, 2n), propagates all differences."""
         return Ensemble(x, self.since, map_ if self.due is None else map_.dot(self.due))
 
     def without_faded(self) -> "Ensemble":
-        """The same without differences that have faded: tiny numbers are slow to reckon with."""
+        """The same with differences set to zero that have faded: denormal numbers are slow."""
         if self.due is None or (left := self.due.ravel()).dot(left) >= _SAME:
             return self
         return Ensemble(self.x, Differences(np.zeros_like(self.since.columns)))

@@ -97,7 +97,7 @@ class FilterBank:
             for i, clock in enumerate(clocks)
         }
         self._trusts_events = uncertainty.trusts_events
-        # Where parameters are learnt the estimate may be wrong though every event is true.
+        # Where parameters are estimated the estimate may be wrong though every event is true.
         self._trusts_estimate = self._trusts_events and uncertainty.unknowns is None
         self._missed, self._reported = _logs(uncertainty.missed)
         self._mislabelled, _ = _logs(uncertainty.mislabelled)

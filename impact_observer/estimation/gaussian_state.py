@@ -16,13 +16,13 @@ class GaussianState(NamedTuple):
     Attributes:
         x: the estimate (q, u), shape (2n,).
         constants: what no flight and no impact changes, shape (k,): the parameters theta that
-            are learnt; then, where it is learnt, the offset of the sensor's clock.
+            are estimated; then, where it is estimated, the offset of the sensor's clock.
         root: a square root ``S`` of the covariance ``S S^T`` of (q, u, constants), shape
             (2n + k, any).
         differences: (q, u, constants) of the other replicas less the estimate, one a column,
             shape (2n + k, N - 1).
         closed: contacts that are closed.
-        parameters: how many are learnt, k or k - 1.
+        parameters: how many are estimated, k or k - 1.
     """
 
     x: Vector
@@ -48,7 +48,7 @@ class GaussianState(NamedTuple):
 
     @property
     def theta(self) -> Vector:
-        """The parameters that are learnt, shape (p,)."""
+        """The parameters that are estimated, shape (p,)."""
         return np.asarray(self.constants[: self.parameters])
 
     @property

@@ -74,7 +74,7 @@ class ImpactFilter:
         Args:
             system: the system.
             model_error: of the accelerations, as white noise, m/s^1.5.
-            unknowns: parameters of ``system`` that are learnt; None for none.
+            unknowns: parameters of ``system`` that are estimated; None for none.
         """
         self.system = system
         unknowns = unknowns or UnknownParameters(ParametricFamily(system, ()), np.empty(0))

@@ -28,7 +28,7 @@ class Joint(NamedTuple):
         differences: (e, x, constants) of other replicas less that of the estimate, one a column,
             shape (d, N - 1).
         size: of the state, 2n.
-        parameters: how many are learnt, k or k - 1.
+        parameters: how many are estimated, k or k - 1.
     """
 
     t: float

@@ -82,7 +82,7 @@ class LinearPrediction:
         return root if self._noise is None else self._noise.added_to(root, self._phase, s)
 
     def _propagated(self, transition: Matrix, sensitivity: Sensitivity) -> Matrix:
-        """The root after some time, all rows, where parameters of the motion are learnt."""
+        """The root after some time, all rows, where parameters of the motion are estimated."""
         size, q = self._start.x.size, self._members.moving
         moved = transition @ self._root[:size]
         columns, noise = sensitivity.added(self._root[:size], self._own[:, :q])

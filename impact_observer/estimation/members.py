@@ -1,4 +1,4 @@
-"""The system with other values of the parameters that are learnt, prepared for the filter.
+"""The system with other values of the parameters that are estimated, prepared for the filter.
 
 Members that differ only by gaps and restitutions share the motion between impacts.
 """
@@ -118,7 +118,7 @@ class Members:
     """The members of a family; each is prepared when it is first needed.
 
     Attributes:
-        family: the system and the parameters that are learnt; first those that change the
+        family: the system and the parameters that are estimated; first those that change the
             motion between impacts.
         given: the member with the parameters of the model.
         moving: how many of the parameters change the motion between impacts.
@@ -163,11 +163,11 @@ class Members:
         heavy = np.where(self._weighs, values, self.family.nominal)
         return self.motion(heavy)
 
-    def learns_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
-        """Whether each of ``contacts`` has a restitution that is learnt, shape (k,)."""
+    def estimates_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
+        """Whether each of ``contacts`` has a restitution that is estimated, shape (k,)."""
         changes = [each.effect.eps != 0 for each in self.family.parameters]
-        learnt = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
-        return np.asarray(learnt[list(contacts)], dtype=np.bool_)
+        estimated = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
+        return np.asarray(estimated[list(contacts)], dtype=np.bool_)
 
     def _gap_sensitivity(self, contacts: Contacts) -> Matrix:
         """Of the gaps of ``contacts`` to the parameters, shape (k, p)."""

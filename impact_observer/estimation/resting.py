@@ -26,8 +26,8 @@ def rested(
         return state
     member, size, p = members.at(state.theta), state.x.size, state.parameters
     # A contact that comes to rest may have bounced unreported before, so its speed is no
-    # measurement where its restitution is learnt.
-    certain = ~members.learns_restitution(new)
+    # measurement where its restitution is estimated.
+    certain = ~members.estimates_restitution(new)
     slow = tuple(i for i, each in zip(new, certain.tolist(), strict=True) if each)
     gaps, speeds = member.gaps(new), Measured.speeds(member.system, slow)
     c = np.vstack([gaps.c, speeds.c])

@@ -1,8 +1,8 @@
-"""An impact of one contact while none is closed, heard when it was expected: nearly every event.
+"""An impact of one contact while none is closed, near its predicted instant: nearly every event.
 
-``ImpactFilter`` makes the same of it in general: in every bit where one linearisation is enough,
-else but for what expansions leave out. Here is what such an event needs and nothing else, as
-functions of arrays, so that ``numba`` can compile them (``compiled.py``).
+The general methods of ``ImpactFilter`` give the same: in every bit where one linearisation is
+enough, else but for the remainder of expansions. These are functions of arrays, so that ``numba``
+can compile them (``compiled.py``).
 """
 
 import math
@@ -19,12 +19,12 @@ from impact_observer.estimation.square_root import product, triangular
 from impact_observer.states import Matrix, Vector
 
 ROUNDS = 6
-"""How often a measurement is linearised about what it says itself, at most."""
+"""Most linearisations of a measurement about its own posterior."""
 _ONE = np.ones(1)
 
 Gap: TypeAlias = tuple[Matrix, Matrix, Matrix, float]
-"""Value, slope and E of a gap, of (1, x, f, df/dt, d2f/dt2), shape (3, 1 + 5n); what value and
-slope change by with the state, shape (1, 2n) each; and the gap at rest, m."""
+"""Value, slope and E of a gap, of (1, x, f, df/dt, d2f/dt2), shape (3, 1 + 5n); derivatives of
+value and slope by the state, shape (1, 2n) each; and the gap at rest, m."""
 Jump: TypeAlias = tuple[Matrix, NDArray[np.float64]]
 """The state after the impact, as ``Jet`` has it, shapes (6n, 1 + 5n) and (3, 2n, 2n)."""
 Sizes: TypeAlias = tuple[Matrix, Matrix, Matrix]
@@ -32,66 +32,70 @@ Sizes: TypeAlias = tuple[Matrix, Matrix, Matrix]
 Forces: TypeAlias = tuple[Vector, Matrix]
 """Frequencies and rows of a ``Forcing.jet`` of order 2, shapes (h,) and (3n, 1 + 2h)."""
 Contact: TypeAlias = tuple[Forces, Gap, Jump, Sizes, float]
-"""All that an impact depends on besides what was known before it; last, how far from its stamp
-expansions leave out but rounding, s."""
+"""The constants of an impact; last, the distance from its stamp, in s, within which the remainder
+of expansions is rounding."""
 State: TypeAlias = tuple[Vector, Matrix, Matrix]
 """An estimate, a root of its covariance, and other replicas less the estimate, one a column:
 shapes (2n,), (2n, any) and (2n, N - 1); with the instant of the impact before them 1 + 2n."""
 Fit: TypeAlias = tuple[float, float, float, float]
-"""How an impact fits what was known: its innovation, in standard deviations; one of these, of
-either sign, m; the gap's slope as it was expected, m/s; and the standard deviation of that."""
+"""Normalised innovation of an impact; its standard deviation, of either sign, m; the predicted
+slope of the gap, m/s; and the standard deviation of that."""
 
 
-def single(t: float, known: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
-    """What an impact tells where it is stamped.
+def single(t: float, state: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
+    """The posterior of an impact, at its stamp.
 
     Args:
         t: its stamp, s since the epoch.
-        known: just before it.
+        state: the prior.
         clock: standard deviation of the stamp, s.
         contact: that hits.
 
     Returns:
-        Whether it is what this is for, expected and near; else nothing here is of use. What is
-        known just after it, the root of shape (2n, 2n). How it fits.
+        Whether the impact is near its predicted instant; if not, the rest is meaningless. The
+        posterior, its root of shape (2n, 2n). The fit.
     """
     frequency, rows = contact[0]
     turned = np.ones(1 + 2 * frequency.size)
     for k in range(frequency.size):
         angle = frequency[k] * t
         turned[1 + 2 * k], turned[2 + 2 * k] = math.cos(angle), math.sin(angle)
-    y = np.concatenate((_ONE, known[0], rows.dot(turned)))
-    usual, joint, fit = heard(y, known, clock, contact)
-    return usual, struck(y, joint, contact) if usual else known, fit
+    y = np.concatenate((_ONE, state[0], rows.dot(turned)))
+    is_near, joint, fit = corrected(y, state, clock, contact)
+    return is_near, jumped(y, joint, contact) if is_near else state, fit
 
 
-def heard(y: Vector, known: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
-    """What its instant tells, as ``ImpactFilter.evidence`` and ``heard``.
+def corrected(y: Vector, state: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
+    """Instant and state just before an impact, corrected by it.
+
+    As ``ImpactFilter.likelihood`` and ``joint_posterior``.
 
     Args:
-        y: (1, x, f, df/dt, d2f/dt2) just before, shape (1 + 5n,); changed.
-        known: this and the others as of ``single``.
-        clock: likewise.
-        contact: likewise.
+        y: (1, x, f, df/dt, d2f/dt2) at the prior, shape (1 + 5n,); changed.
+        state: see ``single``.
+        clock: see ``single``.
+        contact: see ``single``.
 
     Returns:
-        As ``single``, but what is known of instant and state just before the impact.
+        Whether the impact is near; instant and state, one joint vector; the fit.
     """
-    (x, root, differences), (_, (jet, H, D, rest), _, scale, near) = known, contact
+    (x, root, differences), (_, (jet, H, D, rest), _, scale, near) = state, contact
     (size, columns), now = root.shape, jet.dot(y)
     value, slope, E = now[0], now[1], now[2:]
-    seen, others, unsure = H.dot(root), H.dot(differences), length(D.dot(root))
+    seen, others, spread = H.dot(root), H.dot(differences), length(D.dot(root))
     rounded = ROUNDING * (np.abs(H).dot(sizes(x, *scale))[0] + abs(rest)) + LEAST
     prior, replicas = np.zeros((1 + size, 1 + columns)), np.zeros((1 + size, differences.shape[1]))
     prior[0, 0], prior[1:, 1:], replicas[1:] = clock, root, differences
-    z, learnt, fit = np.zeros(1 + size), prior, (0.0, 1.0, slope, unsure)
+    z, posterior, fit = np.zeros(1 + size), prior, (0.0, 1.0, slope, spread)
     by_state, by_stamp = length(seen), slope * clock
     both = math.hypot(by_state, by_stamp) + rounded
-    usual = abs(value) / both < FAR
-    # How far from its stamp it will be, nearly: most that are not near need not be looked at.
-    usual &= clock * max((by_state + rounded) / both, abs(value * by_stamp) / both**2) <= 3 * near
+    is_near = abs(value) / both < FAR
+    # About how far from its stamp it will be estimated: most that are not near end here.
+    is_near &= (
+        clock * max((by_state + rounded) / both, abs(value * by_stamp) / both**2) <= 3 * near
+    )
     about, own = x, prior
-    for turn in range(ROUNDS if usual else 0):
+    for turn in range(ROUNDS if is_near else 0):
         mean, bent = product(own, D, E)
         first = bent.shape[1]
         joint = np.zeros((2 + size, first + 2 + columns))
@@ -101,32 +105,32 @@ def heard(y: Vector, known: State, clock: float, contact: Contact) -> tuple[bool
         found = triangular(joint)
         gain, white = found[1:, :1].copy(), -(value + mean[0]) / found[0, 0]
         if turn == 0:
-            fit = white, found[0, 0], slope, unsure
-        z, learnt = gain[:, 0] * white, found[1:, 1:].copy()
+            fit = white, found[0, 0], slope, spread
+        z, posterior = gain[:, 0] * white, found[1:, 1:].copy()
         z[1:] += x
-        e, clear = z[0], abs(learnt[0, 0])
+        e, clear = z[0], abs(posterior[0, 0])
         change = e * (D.dot(z[1:] - about)[0] + E[0] * (e / 2))
-        noise, after = length(bent), length(product(learnt, D, E)[1])
+        noise, after = length(bent), length(product(posterior, D, E)[1])
         enough = SETTLED * math.hypot(math.hypot(slope * clear, noise), rounded)
         settled = abs(change) + abs(noise - after) <= enough or turn + 1 == ROUNDS
-        usual = max(abs(e), clear) <= near
-        if settled or not usual:
+        is_near = max(abs(e), clear) <= near
+        if settled or not is_near:
             replicas -= gain.dot(others / found[0, 0])
             break
-        about, own = z[1:], learnt
+        about, own = z[1:], posterior
         y[1 : 1 + size] = about
         now = jet.dot(y)
         value, slope, E = H.dot(x)[0] + rest, now[1], now[2:]
-    return usual, (z, learnt, replicas), fit
+    return is_near, (z, posterior, replicas), fit
 
 
-def struck(y: Vector, joint: State, contact: Contact) -> State:
-    """What is known after it, as ``ImpactFilter.after``.
+def jumped(y: Vector, joint: State, contact: Contact) -> State:
+    """The state after the impact, as ``ImpactFilter.posterior``.
 
     Args:
-        y: as of ``heard``; changed.
-        joint: instant and state just before, now that it is heard.
-        contact: as of ``single``.
+        y: see ``corrected``; changed.
+        joint: instant and state just before the impact, corrected.
+        contact: see ``single``.
     """
     (z, root, differences), (_, _, (jet, maps), scale, _) = joint, contact
     e, size = z[0], z.size - 1

@@ -1,4 +1,4 @@
-"""What the user of an observer declares not to know."""
+"""The uncertainty that the user of an observer declares."""
 
 from dataclasses import dataclass
 
@@ -22,31 +22,31 @@ LARGEST = {
     "spurious": 0.9,
     "mislabelled": 0.9,
 }
-"""Most that may be declared, SI units: beyond it stamps tell nothing, or numbers overflow."""
+"""Most that may be declared, SI units: beyond it stamps are meaningless, or numbers overflow."""
 _SEED = 2014
-"""Of the replicas' initial states: the same for everybody, and nobody's initial state."""
+"""Of the replicas' initial states: always the same, and not a seed that users give."""
 _SYMMETRY = 1e-9
 """Asymmetry or negative eigenvalue of a covariance that is rounding, relative to its largest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """What an observer is told wrongly, and how far.
+    """Errors of the initial state, the sensor and the model.
 
     Deviations are standard deviations. ``missed``, ``spurious`` and ``mislabelled`` are
-    probabilities; where all are 0 every event is believed.
+    probabilities; where all are 0 every event is trusted.
 
     Attributes:
         deviation: of the initial state (q, u), shape (2n,), or one number for all, SI units.
-        clock_error: of the events' stamps, s, besides their rounding to 1 ns; None where it is
-            not known: the events tell.
-        clock_offset_error: of what all stamps are late by, s; 0 where that is nothing, or known.
-        model_error: of the accelerations, as white noise: it makes velocities go astray by
-            ``model_error sqrt(t)`` in ``t`` seconds, m/s^1.5.
-        missed: of an impact, that it is not heard.
+        clock_error: of the events' stamps, s, besides their rounding to 1 ns; None to have it
+            estimated.
+        clock_offset_error: of the common offset of all stamps, s; 0 for none.
+        model_error: of the accelerations, as white noise, m/s^1.5: velocities deviate by
+            ``model_error sqrt(t)`` in ``t`` seconds.
+        missed: of an impact, that it is not reported.
         spurious: of an event, that nothing has happened.
         mislabelled: of an impact, that it was one of another contact.
-        unknowns: parameters of the model that are not known; None where all are.
+        unknowns: parameters of the model that are estimated; None for none.
     """
 
     deviation: Vector | float = DEFAULT_DEVIATION
@@ -75,7 +75,7 @@ class Uncertainty:
 
     @property
     def trusts_events(self) -> bool:
-        """Whether every event is believed."""
+        """Whether every event is trusted."""
         return not (self.missed or self.spurious or self.mislabelled)
 
     def root(self, n: int) -> Matrix:
@@ -138,9 +138,9 @@ def covariance_root(covariance: ArrayLike, n: int) -> Matrix:
 def spread(x: Vector, root: Matrix, count: int) -> Matrix:
     """``count`` initial states: ``x`` itself, and others about it in every direction alike.
 
-    A normal draw of so few leaves directions in which all happen to lie close together, and a slow
-    system shows only one of its directions in the end. So the draw is centred and whitened: the
-    mean of the others is ``x`` and, from ``2n + 2`` replicas on, their covariance as declared.
+    A normal draw of so few has directions in which all lie close together. So the draw is centred
+    and whitened: the mean of the others is ``x`` and, from ``2n + 2`` replicas on, their
+    covariance is the declared one.
 
     Args:
         x: state (q, u), shape (2n,).

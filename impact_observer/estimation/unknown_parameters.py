@@ -1,4 +1,4 @@
-"""Which parameters of the model an observer learns with the state, as users name them."""
+"""The parameters of the model that an observer estimates with the state, as users name them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from impact_observer.states import Vector, frozen
 DEVIATIONS = (1e-12, 1.0)
 """Least and largest standard deviation of a parameter, relative to its size."""
 GAPS = 100.0
-"""The largest of a gap, which may be small beside the motion."""
+"""The largest deviation of a gap, relative to the gap, which may be small beside the motion."""
 MOST_DRIFT = 1e3
-"""Most of its deviation that a parameter may go astray by in a minute."""
+"""Most that a parameter may drift in a minute, in its deviations."""
 RESTITUTION = 0.1
 """Standard deviation of a restitution where none is declared."""
 SHARE = 0.05
@@ -26,12 +26,14 @@ SHARE = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownParameters:
-    """Parameters of the model that are not known, and are learnt with the state.
+    """Parameters of the model that are estimated with the state.
 
     Attributes:
-        family: the system; those parameters first that the motion between impacts depends on.
-        deviations: standard deviations of what the model says, shape (p,), in their units.
-        drift: of these, what parameters go astray by in a minute, at random: 0 for constants.
+        family: the system and these parameters; first those that change the motion between
+            impacts.
+        deviations: standard deviations of the model's values, shape (p,), in their units.
+        drift: of the random walk of the parameters in a minute, in their deviations; 0 for
+            constants.
     """
 
     family: ParametricFamily
@@ -69,17 +71,18 @@ class UnknownParameters:
         elements: Sequence[Element] = (),
         drift: float = 0.0,
     ) -> "UnknownParameters":
-        """Those that users name.
+        """The parameters that users name.
 
         Args:
-            system: as the model says.
+            system: with the parameters of the model.
             wanted: names as of ``identify --free``, such as ``restitution`` or ``gap.stop``, each
                 perhaps with a standard deviation, as in ``restitution=0.05``.
-            elements: what the system was assembled of.
+            elements: of which the system was assembled.
             drift: see ``UnknownParameters``.
 
         Raises:
-            UsageError: a name that there is not or that comes twice, or a deviation that is none.
+            UsageError: an unknown name, a name that comes twice, or a deviation that is no
+                number.
         """
         declared: dict[str, float] = {}
         names = []
