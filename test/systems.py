@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import ImpactEvent, Switch
+from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Contact, Forcing, Model, System, read_model
 from impact_observer.observer import Observer, law_named
 from impact_observer.plant import Plant, Run, simulate
@@ -282,3 +282,11 @@ def event(
     switches = tuple(Switch(contact) for contact in contacts)
     stamp = EPOCH + round(seconds * NS_PER_S)
     return ImpactEvent(stamp, switches, sequence, episode, epoch)
+
+
+def switching(
+    *switches: tuple[str, Kind], seconds: float, sequence: int = 0, epoch: int = EPOCH
+) -> ImpactEvent:
+    """An event with ``switches`` of any kind at ``seconds`` since ``EPOCH``."""
+    stamp = EPOCH + round(seconds * NS_PER_S)
+    return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), sequence, 0, epoch)

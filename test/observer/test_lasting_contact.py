@@ -6,7 +6,18 @@ from itertools import permutations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, Harmonic, chain, estimates, forcing, observer, run, sample, system
+from systems import (
+    EPOCH,
+    Harmonic,
+    chain,
+    estimates,
+    forcing,
+    observer,
+    run,
+    sample,
+    switching,
+    system,
+)
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import ImpactLawError
@@ -36,14 +47,6 @@ PRESSED = chain(
 def pressed() -> Run:
     """A run of ``PRESSED`` from rest."""
     return run(PRESSED, [0.0, 0.0], [0.0, 0.0], seconds=11.5, rate=50.0)
-
-
-def report(
-    *switches: tuple[str, Kind], seconds: float, sequence: int = 0, epoch: int = EPOCH
-) -> ImpactEvent:
-    """An event of any kinds at ``seconds`` since ``EPOCH``."""
-    stamp = EPOCH + round(seconds * NS_PER_S)
-    return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), sequence, 0, epoch)
 
 
 def gap_and_speed(model: System, states: Array) -> tuple[Array, Array]:
@@ -95,7 +98,7 @@ def test_distance_to_the_plant_never_rises_in_contact_either(law: str) -> None:
 def test_geometric_replica_keeps_closed_gaps_closed_while_its_clutch_slips() -> None:
     """``g = 0`` all the time, ``gamma > 0`` until the clutch holds, never below zero."""
     watcher = observer(PRESSED, "geometric", [0.3, -0.4, 1.0, -2.0], epoch=EPOCH)
-    watcher.receive(report(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
+    watcher.receive(switching(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
     stamps = EPOCH + np.arange(500_000_000, 1_500_000_000, 2_000_000)
     gap, speed = gap_and_speed(PRESSED, estimates(watcher, stamps))
     np.testing.assert_allclose(gap[:, 0], 0.0, atol=1e-13)
@@ -108,7 +111,7 @@ def test_geometric_replica_keeps_closed_gaps_closed_while_its_clutch_slips() -> 
 def test_kinematic_replica_keeps_its_gap_once_its_clutch_holds() -> None:
     """The gap is not zero; it only stops closing."""
     watcher = observer(PRESSED, "kinematic", [0.3, -0.4, 1.0, -2.0], epoch=EPOCH)
-    watcher.receive(report(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
+    watcher.receive(switching(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
     stamps = EPOCH + np.arange(500_000_000, 1_200_000_000, 1_000_000)
     gap, speed = gap_and_speed(PRESSED, estimates(watcher, stamps))
     held = speed[:, 0] < 1e-13
@@ -122,10 +125,10 @@ def test_kinematic_replica_keeps_its_gap_once_its_clutch_holds() -> None:
 def test_any_order_of_arrival_gives_equal_bits(law: str) -> None:
     """CLOSE, IMPACT of another, OPEN, CLOSE: each is inserted at its stamp."""
     events = [
-        report(("c1", Kind.CLOSE), seconds=0.3, sequence=1),
-        report(("c2", Kind.IMPACT), seconds=0.7, sequence=2),
-        report(("c1", Kind.OPEN), seconds=1.1, sequence=3),
-        report(("c2", Kind.CLOSE), seconds=1.3, sequence=4),
+        switching(("c1", Kind.CLOSE), seconds=0.3, sequence=1),
+        switching(("c2", Kind.IMPACT), seconds=0.7, sequence=2),
+        switching(("c1", Kind.OPEN), seconds=1.1, sequence=3),
+        switching(("c2", Kind.CLOSE), seconds=1.3, sequence=4),
     ]
     stamps = EPOCH + np.arange(0, 2_000_000_000, 50_000_000)
     found = []
@@ -142,9 +145,9 @@ def test_any_order_of_arrival_gives_equal_bits(law: str) -> None:
 def test_estimate_names_the_closed_contacts() -> None:
     """From the CLOSE to the OPEN; by name, in the model's order."""
     watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
-    watcher.receive(report(("c2", Kind.CLOSE), seconds=1.0, sequence=1))
-    watcher.receive(report(("c1", Kind.CLOSE), seconds=2.0, sequence=2))
-    watcher.receive(report(("c2", Kind.OPEN), seconds=3.0, sequence=3))
+    watcher.receive(switching(("c2", Kind.CLOSE), seconds=1.0, sequence=1))
+    watcher.receive(switching(("c1", Kind.CLOSE), seconds=2.0, sequence=2))
+    watcher.receive(switching(("c2", Kind.OPEN), seconds=3.0, sequence=3))
     at = [watcher.estimate(EPOCH + k * NS_PER_S // 2).closed for k in range(1, 8)]
     assert at == [(), ("c2",), ("c2",), ("c1", "c2"), ("c1", "c2"), ("c1",), ("c1",)]
 
@@ -155,9 +158,9 @@ def test_contact_that_opens_by_an_impact_takes_part_in_it(law: str) -> None:
     x = [0.3, -0.4, 1.0, -2.0]
     watcher, before = (observer(PRESSED, law, x, epoch=EPOCH) for _ in range(2))
     for each in (watcher, before):
-        each.receive(report(("c1", Kind.CLOSE), seconds=0.3, sequence=1))
+        each.receive(switching(("c1", Kind.CLOSE), seconds=0.3, sequence=1))
     moment = EPOCH + round(0.35 * NS_PER_S)
-    watcher.receive(report(("c2", Kind.IMPACT), ("c1", Kind.OPEN), seconds=0.35, sequence=2))
+    watcher.receive(switching(("c2", Kind.IMPACT), ("c1", Kind.OPEN), seconds=0.35, sequence=2))
     was, now = before.estimate(moment), watcher.estimate(moment)
     assert isinstance(before.law, ReplicaLaw)
     expected = before.law.impact(np.concatenate([was.q, was.u]), (0, 1), ())
@@ -168,12 +171,14 @@ def test_contact_that_opens_by_an_impact_takes_part_in_it(law: str) -> None:
 def test_redundant_switches_are_applied_without_effect() -> None:
     """A contact opened twice, or opened before it was closed: chi stays the same."""
     plain, repeated = (observer(PRESSED, "geometric", np.ones(4), epoch=EPOCH) for _ in range(2))
-    plain.receive(report(("c3", Kind.OPEN), seconds=0.2, sequence=1))  # there is no such contact
-    repeated.receive(report(("c1", Kind.OPEN), seconds=0.2, sequence=1))
+    plain.receive(
+        switching(("c3", Kind.OPEN), seconds=0.2, sequence=1)
+    )  # there is no such contact
+    repeated.receive(switching(("c1", Kind.OPEN), seconds=0.2, sequence=1))
     for watcher in (plain, repeated):
-        watcher.receive(report(("c1", Kind.CLOSE), seconds=0.5, sequence=2))
-        watcher.receive(report(("c1", Kind.OPEN), seconds=0.8, sequence=3))
-    verdict = repeated.receive(report(("c1", Kind.OPEN), seconds=0.9, sequence=4))[0]
+        watcher.receive(switching(("c1", Kind.CLOSE), seconds=0.5, sequence=2))
+        watcher.receive(switching(("c1", Kind.OPEN), seconds=0.8, sequence=3))
+    verdict = repeated.receive(switching(("c1", Kind.OPEN), seconds=0.9, sequence=4))[0]
     assert verdict.ruling is Ruling.APPLIED
     stamps = EPOCH + np.arange(0, 2_000_000_000, 100_000_000)
     np.testing.assert_allclose(estimates(repeated, stamps), estimates(plain, stamps), atol=1e-12)
@@ -182,8 +187,8 @@ def test_redundant_switches_are_applied_without_effect() -> None:
 def test_impact_of_a_closed_contact_implies_a_missed_opening() -> None:
     """An IMPACT is one instant: where the OPEN was lost, the contact is open afterwards."""
     watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
-    watcher.receive(report(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
-    watcher.receive(report(("c1", Kind.IMPACT), seconds=2.0, sequence=3))
+    watcher.receive(switching(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    watcher.receive(switching(("c1", Kind.IMPACT), seconds=2.0, sequence=3))
     assert watcher.estimate(EPOCH + 5 * NS_PER_S // 2).closed == ()
     assert watcher.missing == 1
 
@@ -192,7 +197,7 @@ def test_impact_of_a_closed_contact_implies_a_missed_opening() -> None:
 def test_state_set_from_outside_leaves_contacts_closed(law: str) -> None:
     """Closed contacts constrain the given state at once, and afterwards."""
     watcher = observer(PRESSED, law, np.zeros(4), epoch=EPOCH)
-    watcher.receive(report(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    watcher.receive(switching(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
     moment = EPOCH + 2 * NS_PER_S
     watcher.set_state(moment, [0.2, 0.3], [0.1, 0.5])
     now, next_one = watcher.estimate(moment), watcher.estimate(moment + 1)
@@ -208,9 +213,9 @@ def test_failing_event_counts_as_missing() -> None:
     """Sent again it fails again; it is no duplicate."""
     jammed = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
     watcher = observer(jammed, "geometric", [0.0, -1.0], epoch=EPOCH)
-    watcher.receive(report(("c1", Kind.IMPACT), seconds=0.5, sequence=1))
+    watcher.receive(switching(("c1", Kind.IMPACT), seconds=0.5, sequence=1))
     watcher.set_state(EPOCH + NS_PER_S, [0.0], [-1.0])
-    both = report(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2)
+    both = switching(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2)
     for _ in range(2):
         with pytest.raises(ImpactLawError, match="'c1', 'c2'"):
             watcher.receive(both)
@@ -219,7 +224,7 @@ def test_failing_event_counts_as_missing() -> None:
 def test_new_episode_begins_with_all_contacts_open() -> None:
     """Contacts closed in the episode before do not count."""
     watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
-    watcher.receive(report(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
+    watcher.receive(switching(("c1", Kind.CLOSE), seconds=1.0, sequence=1))
     epoch = EPOCH + 10 * NS_PER_S
     watcher.receive(ImpactEvent(epoch + NS_PER_S, (Switch("c2"),), 1, 1, epoch))
     assert watcher.estimate(epoch + 2 * NS_PER_S).closed == ()
@@ -228,7 +233,7 @@ def test_new_episode_begins_with_all_contacts_open() -> None:
 def test_open_loop_has_no_contacts_to_close() -> None:
     """It moves as without any event."""
     open_loop, silent = (observer(PRESSED, "open-loop", np.ones(4), epoch=EPOCH) for _ in range(2))
-    open_loop.receive(report(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
+    open_loop.receive(switching(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
     stamps = EPOCH + np.arange(0, 2_000_000_000, 100_000_000)
     np.testing.assert_allclose(estimates(open_loop, stamps), estimates(silent, stamps), atol=1e-12)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from systems import EPOCH, Harmonic, chain, event, examples, forcing, observer, system
+from systems import EPOCH, Harmonic, chain, event, examples, forcing, observer, switching, system
 
 from impact_observer.compare.comparison import impacts_in
 from impact_observer.errors import ImpactLawError
@@ -38,12 +38,6 @@ TICK = NS_PER_S // 64
 SPAN = 2 * 64
 """Length of a stream, in ticks."""
 STAMPS = EPOCH + np.arange(0, SPAN + 40, 12) * TICK + 1
-
-
-def report(*switches: tuple[str, Kind], seconds: float, sequence: int = 0) -> ImpactEvent:
-    """An event of any kinds at ``seconds`` since ``EPOCH``."""
-    stamp = EPOCH + round(seconds * NS_PER_S)
-    return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), sequence, 0, EPOCH)
 
 
 def watcher_of(law: str, events: Iterable[ImpactEvent] = (), **options: object) -> Observer:
@@ -221,7 +215,7 @@ def test_impacts_are_listed_as_they_are_applied(data: st.DataObject) -> None:
     assert {name: found.tolist() for name, found in impacts_in(events).items()} == stamps
 
 
-CLOSE_8 = report(("c1", Kind.CLOSE), seconds=0.5, sequence=8)
+CLOSE_8 = switching(("c1", Kind.CLOSE), seconds=0.5, sequence=8)
 
 
 def reasons(verdicts: Sequence[Verdict]) -> list[tuple[Ruling, str]]:
@@ -242,12 +236,12 @@ def test_verdict_names_stamps_against_numbers_in_either_order_of_arrival(
     early: Kind, late: Kind, effect: str, acts: Kind | None
 ) -> None:
     """The event that arrives second; numbers 8 and 9, stamped the other way round."""
-    eight = report(("c1", late), seconds=1.001, sequence=8)
-    nine = report(("c1", early), seconds=1.0, sequence=9)
-    before = report(("c2", Kind.OPEN), seconds=0.0, sequence=1)
+    eight = switching(("c1", late), seconds=1.001, sequence=8)
+    nine = switching(("c1", early), seconds=1.0, sequence=9)
+    before = switching(("c2", Kind.OPEN), seconds=0.0, sequence=1)
     plain = [before, nine]
     if acts is not None:
-        plain.append(report(("c1", acts), seconds=1.001, sequence=10))
+        plain.append(switching(("c1", acts), seconds=1.001, sequence=10))
     forth, back = (watcher_of("geometric", [before]) for _ in range(2))
     forth.receive(eight)
     assert reasons(forth.receive(nine)) == [
@@ -269,11 +263,11 @@ def test_verdict_names_stamps_against_numbers_in_either_order_of_arrival(
 
 def test_events_without_a_number_go_by_their_stamps() -> None:
     """Nothing is stale, not even beside events that are numbered."""
-    watcher = watcher_of("geometric", [report(("c1", Kind.CLOSE), seconds=1.0, sequence=1)])
-    assert reasons(watcher.receive(report(("c1", Kind.OPEN), seconds=1.5))) == [
+    watcher = watcher_of("geometric", [switching(("c1", Kind.CLOSE), seconds=1.0, sequence=1)])
+    assert reasons(watcher.receive(switching(("c1", Kind.OPEN), seconds=1.5))) == [
         (Ruling.APPLIED, "")
     ]
-    late = report(("c1", Kind.CLOSE), seconds=1.2)
+    late = switching(("c1", Kind.CLOSE), seconds=1.2)
     assert reasons(watcher.receive(late)) == [(Ruling.APPLIED, "late: 1 event run again")]
     assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ()
     assert not watcher.remarks[Remark.DISORDER]
@@ -283,10 +277,10 @@ def test_events_without_a_number_go_by_their_stamps() -> None:
 @pytest.mark.parametrize("numbered", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -> None:
     """In either order, as if there had been no IMPACT; another of that stamp is left."""
-    first = report(("c1", Kind.IMPACT), seconds=0.5, sequence=1 * numbered)
-    edge = report(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2 * numbered)
-    between = report(("c1", Kind.IMPACT), seconds=1.3, sequence=3 * numbered)
-    closing = report(("c2", Kind.CLOSE), seconds=1.0, sequence=4 * numbered)
+    first = switching(("c1", Kind.IMPACT), seconds=0.5, sequence=1 * numbered)
+    edge = switching(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2 * numbered)
+    between = switching(("c1", Kind.IMPACT), seconds=1.3, sequence=3 * numbered)
+    closing = switching(("c2", Kind.CLOSE), seconds=1.0, sequence=4 * numbered)
     which = ("event 2", "event 4") if numbered else ("its stamp", "its stamp")
     forth, back = watcher_of(law, [first, edge, between]), watcher_of(law, [first, closing])
     assert reasons(forth.receive(closing)) == [
@@ -297,7 +291,7 @@ def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -
     assert void.reason == f"superseded by the CLOSE of {which[1]}"
     assert void.innovation == -1.0
     back.receive(between)
-    plain = watcher_of(law, [first, report(("c1", Kind.IMPACT), seconds=1.0), closing, between])
+    plain = watcher_of(law, [first, switching(("c1", Kind.IMPACT), seconds=1.0), closing, between])
     assert bits(forth) == bits(back) == bits(plain)
     assert forth.remarks[Remark.SUPERSEDED] == back.remarks[Remark.SUPERSEDED] == 1
     assert forth.estimate(EPOCH + 2 * NS_PER_S).closed == ("c2",)
@@ -306,8 +300,8 @@ def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -
 @pytest.mark.parametrize("turned", [False, True])
 def test_close_of_several_contacts_supersedes_without_numbers_too(*, turned: bool) -> None:
     """Though by its contacts it comes before the IMPACT."""
-    closing = report(("c1", Kind.CLOSE), ("c2", Kind.CLOSE), seconds=1.0)
-    events = [report(("c2", Kind.IMPACT), seconds=1.0), closing]
+    closing = switching(("c1", Kind.CLOSE), ("c2", Kind.CLOSE), seconds=1.0)
+    events = [switching(("c2", Kind.IMPACT), seconds=1.0), closing]
     watcher = watcher_of("geometric", events[::-1] if turned else events)
     assert watcher.estimate(EPOCH + 2 * NS_PER_S).closed == ("c1", "c2")
     assert bits(watcher) == bits(watcher_of("geometric", [closing]))
@@ -316,7 +310,7 @@ def test_close_of_several_contacts_supersedes_without_numbers_too(*, turned: boo
 def test_superseding_the_latest_event_is_not_late() -> None:
     """The two messages in a row, as also of a plant that rounds both to one stamp."""
     watcher = watcher_of("geometric", [event(1.0, "c1", sequence=5)], epoch=0)
-    closing = report(("c1", Kind.CLOSE), seconds=1.0, sequence=6)
+    closing = switching(("c1", Kind.CLOSE), seconds=1.0, sequence=6)
     wanted = [(Ruling.APPLIED, "supersedes the IMPACT of event 5")]
     assert reasons(watcher.receive(closing)) == wanted
     assert watcher.receive(closing)[0].ruling is Ruling.DUPLICATE
@@ -329,7 +323,7 @@ def test_forgotten_impact_cannot_be_superseded() -> None:
     for k, seconds in enumerate((0.5, 1.0, 2.1)):
         watcher.receive(event(seconds, "c1", sequence=k + 1))
     before = bits(watcher, [EPOCH + 3 * NS_PER_S])
-    verdict = watcher.receive(report(("c1", Kind.CLOSE), seconds=1.0, sequence=4))[0]
+    verdict = watcher.receive(switching(("c1", Kind.CLOSE), seconds=1.0, sequence=4))[0]
     assert verdict.ruling is Ruling.TOO_LATE
     assert bits(watcher, [EPOCH + 3 * NS_PER_S]) == before
 
@@ -406,9 +400,9 @@ def test_gap_before_a_failing_event_is_not_named_later() -> None:
 @LAWS
 def test_given_state_holds_while_later_events_act_on_it(law: str) -> None:
     """Those received before and after it; chi and its sequence numbers are kept."""
-    early = report(("c1", Kind.CLOSE), seconds=0.5, sequence=3)
-    later = report(("c2", Kind.IMPACT), seconds=1.5, sequence=4)
-    stale = report(("c1", Kind.OPEN), seconds=1.2, sequence=2)
+    early = switching(("c1", Kind.CLOSE), seconds=0.5, sequence=3)
+    later = switching(("c2", Kind.IMPACT), seconds=1.5, sequence=4)
+    stale = switching(("c1", Kind.OPEN), seconds=1.2, sequence=2)
     given = (EPOCH + NS_PER_S, [0.2, -0.1], [0.3, 0.0])
     first, last = watcher_of(law, [early, later]), watcher_of(law, [early])
     first.set_state(*given)
@@ -431,7 +425,7 @@ def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
     kinds = random.choice([Kind.IMPACT, Kind.CLOSE, Kind.OPEN], count)
     jitter = random.normal(0.0, 0.02, count)
     events = [
-        report((f"c{1 + k % 2}", Kind(kind)), seconds=0.05 * (k + 2) + shift, sequence=k + 1)
+        switching((f"c{1 + k % 2}", Kind(kind)), seconds=0.05 * (k + 2) + shift, sequence=k + 1)
         for k, (kind, shift) in enumerate(zip(kinds.tolist(), jitter.tolist(), strict=True))
     ]
     order = np.argsort(np.arange(count) + random.uniform(0, 4, count)).tolist()
@@ -475,7 +469,9 @@ def test_numbers_of_events_with_unknown_contacts_are_forgotten(
     monkeypatch.setattr(observer_module, "MOST_NUMBERS", 100)
     watcher = watcher_of("geometric", history=1.0, ensemble=1)
     for k in range(1, 1000):
-        (verdict,) = watcher.receive(report(("bolt", Kind.IMPACT), seconds=0.01 * k, sequence=k))
+        (verdict,) = watcher.receive(
+            switching(("bolt", Kind.IMPACT), seconds=0.01 * k, sequence=k)
+        )
         assert verdict.ruling is Ruling.UNKNOWN_CONTACT
         assert len(watcher._numbers) <= 200
     assert watcher.missing == 0
@@ -484,10 +480,10 @@ def test_numbers_of_events_with_unknown_contacts_are_forgotten(
 def test_event_that_is_not_applied_does_not_shorten_the_past() -> None:
     """However late its stamp: duplicates of earlier events are recognised."""
     watcher = watcher_of("geometric", history=100.0, ensemble=1)
-    events = [report(("c1", Kind.IMPACT), seconds=0.1 * k, sequence=k) for k in range(1, 101)]
+    events = [switching(("c1", Kind.IMPACT), seconds=0.1 * k, sequence=k) for k in range(1, 101)]
     for each in (*events[:89], *events[90:]):
         watcher.receive(each)
-    watcher.receive(report(("bolt", Kind.IMPACT), seconds=1000.0, sequence=101))
+    watcher.receive(switching(("bolt", Kind.IMPACT), seconds=1000.0, sequence=101))
     again = replace(events[90], stamp=events[90].stamp + 3)
     assert watcher.receive(again)[0].ruling is Ruling.DUPLICATE
     assert watcher.missing == 1

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
-from systems import EPOCH, Array, chain, event, examples, run, sample, systems, vectors
+from systems import EPOCH, Array, chain, event, examples, run, sample, switching, systems, vectors
 from systems import observer as observer_of
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import ImpactEvent, Kind, Ruling, Switch
+from impact_observer.events import Kind, Ruling
 from impact_observer.model import System
 from impact_observer.observer import (
     DEFAULT_ENSEMBLE,
@@ -92,18 +92,13 @@ PRESSED = chain(2, contacts=[([1, 0], 0.1, 0.5), ([-1, 1], 0.1, 0.5)])
 @ALIKE
 def test_replicas_of_an_ensemble_move_as_each_does_alone(law: str) -> None:
     """Through impacts of one contact, of two at once, and while contacts stay closed."""
-
-    def report(seconds: float, *switches: tuple[str, Kind]) -> ImpactEvent:
-        stamp = EPOCH + round(seconds * NS_PER_S)
-        return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), epoch=EPOCH)
-
     events = [
-        report(0.3, ("c1", Kind.IMPACT)),
-        report(0.7, ("c1", Kind.IMPACT), ("c2", Kind.IMPACT)),
-        report(1.1, ("c2", Kind.CLOSE)),
-        report(1.4, ("c1", Kind.IMPACT)),
-        report(1.9, ("c2", Kind.OPEN)),
-        report(2.2, ("c1", Kind.IMPACT)),
+        switching(("c1", Kind.IMPACT), seconds=0.3),
+        switching(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=0.7),
+        switching(("c2", Kind.CLOSE), seconds=1.1),
+        switching(("c1", Kind.IMPACT), seconds=1.4),
+        switching(("c2", Kind.OPEN), seconds=1.9),
+        switching(("c1", Kind.IMPACT), seconds=2.2),
     ]
     together = observer(PRESSED, law, [0.2, -0.1, 0.5, -0.4], epoch=EPOCH, ensemble=6)
     timeline = together._timeline
