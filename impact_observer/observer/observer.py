@@ -134,10 +134,8 @@ class Observer:
             DynamicsError: the loads of closed contacts cannot be found; the event is not applied.
             UsageError: the forcing depends on time and its epoch is unknown.
         """
-        if event.episode != self._episode or event.epoch != self.epoch:
-            if (reason := self._reason_it_is_past(event)) is not None:
-                return self._refuse(event, Ruling.REJECTED, reason, Remark.PAST)
-            self._follow_sender(event)
+        if reason := self._enter_run(event):
+            return self._refuse(event, Ruling.REJECTED, reason, Remark.PAST)
         self._require_epoch()
         if event.sequence in self._numbers:
             reason = "this sequence number was seen"
@@ -299,34 +297,29 @@ class Observer:
         belief = self.law.begin(spread(x, root, self._ensemble), root, closed)
         return initial_entry(stamp, belief, self._test.initial(belief), closed, latest)
 
-    def _reason_it_is_past(self, event: ImpactEvent) -> str | None:
-        """Why ``event`` is of an earlier episode or epoch; None if it is not.
+    def _enter_run(self, event: ImpactEvent) -> str:
+        """Restart if ``event`` is of a new episode or epoch; why it is refused if of a past one.
 
         The epoch decides: a plant that is started again counts its episodes from 0.
         """
-        if self._has_other_epoch(event):
-            return (
-                f"its epoch {text(event.epoch)} s is before the one in use, {text(self.epoch)} s"
-                if event.epoch < self.epoch
-                else None
-            )
-        if self._episode is not None and event.episode < self._episode:
+        if event.episode == self._episode and event.epoch == self.epoch:
+            return ""
+        has_other_epoch = event.epoch and self.epoch and event.epoch != self.epoch
+        last = event.episode if self._episode is None else self._episode
+        if has_other_epoch and event.epoch < self.epoch:
+            used = f"the one in use, {text(self.epoch)} s"
+            return f"its epoch {text(event.epoch)} s is before {used}"
+        if event.episode < last and not has_other_epoch:
             return f"episode {event.episode} is over"
-        return None
-
-    def _has_other_epoch(self, event: ImpactEvent) -> bool:
-        return bool(event.epoch and self.epoch and event.epoch != self.epoch)
-
-    def _follow_sender(self, event: ImpactEvent) -> None:
-        """Take over episode and epoch of ``event``; where they are new, restart."""
-        is_newer = self._episode is not None and event.episode > self._episode
-        if is_newer or self._has_other_epoch(event):
+        if has_other_epoch or event.episode > last:
+            is_newer = event.episode > last
             name = f"episode {event.episode}" if is_newer else f"epoch {text(event.epoch)} s"
             self.restart(f"{name} is new")
             self.remarks[Remark.EPISODE if is_newer else Remark.EPOCH] += 1
             self._timeline = None
         self._episode = event.episode
         self._update.epoch = event.epoch or self.epoch
+        return ""
 
     def _require_epoch(self) -> None:
         if not self.epoch and self.system.forcing.depends_on_time:
