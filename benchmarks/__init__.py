@@ -1,1 +1,1 @@
-"""Side by side: what the package does against what the same costs elsewhere."""
+"""Benchmarks: the package and its peers, measured side by side."""

@@ -9,11 +9,11 @@ from typing import Any
 from rich.console import Console
 
 from benchmarks import (
+    bar,
     bulk_bag,
     compare_bag,
     ensemble,
     events,
-    growth,
     observe_bag,
     plant_run,
     report,
@@ -25,7 +25,7 @@ from benchmarks.harness import Benchmark, DisagreementError, Result, measure, ne
 
 
 def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
-    """All there are; ``seconds`` is the length of bags to observe and to compare."""
+    """All benchmarks; ``seconds`` is the length of the bags to observe and to compare."""
     return (
         plant_run.BENCHMARK,
         topic.BENCHMARK,
@@ -34,16 +34,16 @@ def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
         compare_bag.benchmark(seconds),
         ensemble.BENCHMARK,
         *events.benchmarks(),
-        growth.BENCHMARK,
+        bar.BENCHMARK,
         start.BENCHMARK,
     )
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run what is asked for.
+    """Run the benchmarks given, or all.
 
     Returns:
-        0; 1 when contestants of one disagree, so that it has nothing to compare; 2 for wrong use.
+        0; 1 where the contestants of a benchmark disagree in their results; 2 for wrong use.
     """
     given = arguments(args)
     if given.list:
@@ -51,25 +51,25 @@ def main(args: Sequence[str] | None = None) -> int:
             print(f"{each.name:24} {each.question}")
         return 0
     chosen = [each for each in benchmarks(given.seconds) if each.name in given.names]
-    told, agreed = measured(chosen, given.rounds)
+    found, agreed = measured(chosen, given.rounds)
     if given.json:
-        given.json.write_text(json.dumps(told, indent=2) + "\n", encoding="utf-8")
+        given.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     console = Console(width=max(Console().width, 120))
-    console.print(report.table(told))
-    for found in told["benchmarks"]:
-        console.print(f"{found['name']}: {found['work']}", highlight=False)
-    for name, reason in told["skipped"].items():
+    console.print(report.table(found))
+    for each in found["benchmarks"]:
+        console.print(f"{each['name']}: {each['work']}", highlight=False)
+    for name, reason in found["skipped"].items():
         console.print(f"{name}: skipped: {reason}", highlight=False)
     return 0 if agreed else 1
 
 
 def arguments(args: Sequence[str] | None) -> argparse.Namespace:
-    """What is asked for, checked; ``names`` are those of all where none are given."""
+    """The arguments, checked; ``names`` are those of all benchmarks where none are given."""
     known = [each.name for each in benchmarks(SECONDS)]
     parser = argparse.ArgumentParser(prog="./dev bench", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these (default: all)")
-    parser.add_argument("--list", action="store_true", help="say what there is, and end")
-    parser.add_argument("--rounds", type=int, metavar="N", help="turns (default: each its own)")
+    parser.add_argument("--list", action="store_true", help="list the benchmarks, and end")
+    parser.add_argument("--rounds", type=int, metavar="N", help="rounds (default: each its own)")
     parser.add_argument(
         "--seconds",
         type=float,
@@ -90,7 +90,7 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
 
 
 def measured(chosen: Iterable[Benchmark], rounds: int | None) -> tuple[dict[str, Any], bool]:
-    """The document of what is chosen, and whether all contestants agreed."""
+    """The document of the chosen benchmarks, and whether all contestants agreed."""
     results: list[Result] = []
     skipped: dict[str, str] = {}
     agreed = True

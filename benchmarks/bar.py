@@ -2,12 +2,12 @@
 
 A steel bar of ``n`` finite elements, clamped at one end; a force on the other one presses it
 against a rigid stop without restitution, ten times a second, for ten seconds. Each time it stays
-there for half of a period, so a hit is two phases, one of them with a held contact. What the stop
-sees of it is told a hundred times a second.
+there for half of a period, so a hit is two phases, one of them with a persistent contact. The
+coordinate at the stop is sampled at 100 Hz.
 
-Making the system, which checks its matrices, and preparing both phases are counted apart: they
-happen once. What a phase costs is the rest over the number of phases. These are times of
-processors, which other programs disturb less; the total is told by the clock as well.
+Making the system, which checks its matrices, and preparing both phases happen once and are counted
+separately. The cost of a phase is the rest over the number of phases. These are processor times,
+which other programs disturb less; the total is also given in wall time.
 """
 
 import argparse
@@ -15,10 +15,11 @@ import json
 import math
 import time
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import new_file
+from benchmarks.harness import Benchmark, Contest, Figures, Goal, new_file
 from impact_observer.model import Contact, Forcing, System
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid
@@ -36,20 +37,22 @@ FORCE, FREQUENCY = 4000.0, 10.0
 SECONDS = 10.0
 RATE = 100.0
 """Hz"""
+SIZES = (10, 100, 1000)
+LARGEST = f"n = {SIZES[-1]}"
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a bar costs.
+    """The cost of a run.
 
     Attributes:
         n: elements.
-        impacts: how often it hits.
-        phases: between changes of its contact.
-        making: of the system, s of processors.
-        preparing: until the first hit, both phases being prepared then, s of processors.
-        running: from there to the end, s of processors.
-        wall: all of it by the clock, s.
+        impacts: hits.
+        phases: between changes of the contact.
+        making: of the system, processor time, s.
+        preparing: until the first hit, when both phases are prepared, processor time, s.
+        running: from the first hit to the end, processor time, s.
+        wall: all of it, wall time, s.
     """
 
     n: int
@@ -62,12 +65,12 @@ class Cost:
 
     @property
     def total(self) -> float:
-        """All of it, s of processors."""
+        """All of it, processor time, s."""
         return self.making + self.preparing + self.running
 
     @property
     def phase(self) -> float:
-        """A phase, s of processors."""
+        """One phase, processor time, s."""
         return self.running / self.phases
 
     def __str__(self) -> str:
@@ -84,7 +87,7 @@ def bar(n: int) -> System:
     """The bar, its coordinates from the clamped end to the free one."""
     h = LENGTH / n
     ends = np.ones(n)
-    ends[-1] = 0.5  # of one element only
+    ends[-1] = 0.5  # one element only
     beside = np.eye(n, k=1) + np.eye(n, k=-1)
     K = YOUNG * AREA / h * (2 * np.diag(ends) - beside)
     M = DENSITY * AREA * h / 6 * (4 * np.diag(ends) + beside)
@@ -97,7 +100,7 @@ def bar(n: int) -> System:
 
 
 def run(n: int) -> tuple[Vector, Cost]:
-    """The coordinate at the stop, shape (samples,), m, and what it cost."""
+    """The coordinate at the stop, shape (samples,), m, and the cost of the run."""
     stamps = grid(EPOCH, EPOCH + from_seconds(SECONDS), RATE)
     wall, times = time.perf_counter(), [time.process_time()]
     system = bar(n)
@@ -109,23 +112,44 @@ def run(n: int) -> tuple[Vector, Cost]:
     times.append(time.process_time())
     found = simulate(plant, stamps[1:])
     times.append(time.process_time())
-    told = np.concatenate([[0.0], found.states[:, n - 1]])
+    at_stop = np.concatenate([[0.0], found.states[:, n - 1]])
     hits, phases = 1 + len(found.impacts), 1 + len(found.switchings)
     making, preparing, running = np.diff(times).tolist()
     wall = time.perf_counter() - wall
-    return told, Cost(n, hits, phases, making, preparing, running, wall)
+    return at_stop, Cost(n, hits, phases, making, preparing, running, wall)
 
 
 def growth(costs: list[Cost]) -> float:
-    """The power of ``n`` that a phase's cost grows with, by least squares."""
+    """The exponent ``p`` of a phase's cost ``~ n^p``, by least squares."""
     sizes, phases = np.log([(cost.n, cost.phase) for cost in costs]).T
     return float(np.polyfit(sizes, phases, 1)[0])
 
 
+def prepare(_: Path) -> Contest:
+    """Nothing to prepare: a run of the large bar is too long for a second one."""
+
+    def ours(_: Path) -> Figures:
+        costs = [run(n)[1] for n in SIZES]
+        return {"exponent": growth(costs), LARGEST: costs[-1].total}
+
+    sizes = ", ".join(map(str, SIZES))
+    work = f"steel bars of {sizes} elements, 100 hits each; a phase costs n to the exponent"
+    return Contest(work, ours, units={"exponent": "", LARGEST: "s"})
+
+
+BENCHMARK = Benchmark(
+    "bar",
+    "how does a plant's cost grow with its coordinates?",
+    prepare,
+    (Goal(1.2, figure="exponent"), Goal(10.0, figure=LARGEST)),
+    rounds=1,
+)
+
+
 def main() -> None:
-    """Print what each size costs, and how that grows."""
+    """Print the cost of each size, and its growth."""
     parser = argparse.ArgumentParser(prog="./dev bench bar", description=__doc__)
-    parser.add_argument("sizes", nargs="*", type=int, default=[10, 100, 1000], metavar="N")
+    parser.add_argument("sizes", nargs="*", type=int, default=SIZES, metavar="N")
     parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
     given = parser.parse_args()
     if any(n < 1 for n in given.sizes):

@@ -1,8 +1,4 @@
-"""Writing estimates: many messages together, against ``rosbags`` message by message.
-
-A fifth was wanted where making bytes keeps ``observe`` from its goal. It does not, so there is
-no goal here.
-"""
+"""Writing estimates: many messages together, against ``rosbags`` message by message."""
 
 from pathlib import Path
 
@@ -28,7 +24,7 @@ _TOPICS = (interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES)
 
 
 def prepare(folder: Path) -> Contest:
-    """Estimates that are known; both write the same messages."""
+    """Random estimates; both write the same messages."""
     stamps = EPOCH + np.arange(COUNT) * round(1e9 / RATE)
     x = np.random.default_rng(1).normal(size=(COUNT, 2 * len(NAMES)))
     first = Estimate(EPOCH, "geometric", x[0, :2], x[0, 2:], last_sequence=1, last_event=EPOCH)

@@ -1,4 +1,4 @@
-"""Comparing the estimates in a bag with its truth against merely reading every message."""
+"""Comparing the estimates in a bag with its truth, against reading every message."""
 
 from functools import partial
 from pathlib import Path
@@ -12,17 +12,17 @@ from impact_observer.io.reader import BagReader
 
 
 def prepare(folder: Path, seconds: float = SECONDS) -> Contest:
-    """Record a bag with truth and estimates; check that all of it is compared."""
+    """Record a bag with truth and estimates; check that every state is compared."""
     bag = folder / "bag"
     write_truth(folder / "truth", seconds)
     observe(folder / "truth", bag)
     (compared,) = _compared(bag).comparisons.values()
     with BagReader(bag) as reader:
-        told = reader.topics[reader.truth_topic() or ""].count
-    if (found := compared.samples + compared.mismatch.samples) != told:
-        raise DisagreementError(f"{found} states compared, {told} in the bag")
+        states = reader.topics[reader.truth_topic() or ""].count
+    if (found := compared.samples + compared.mismatch.samples) != states:
+        raise DisagreementError(f"{found} states compared, {states} in the bag")
     return Contest(
-        f"{seconds:g} s, {told} states, {_read(bag)} messages",
+        f"{seconds:g} s, {states} states, {_read(bag)} messages",
         lambda _: _compared(bag),
         {"reading": lambda _: _read(bag)},
     )
@@ -34,14 +34,14 @@ def _compared(bag: Path) -> BagComparison:
 
 
 def _read(bag: Path) -> int:
-    """Every message as ``rosbags`` gives it, serialized."""
+    """Read every message with ``rosbags``, serialized."""
     with Reader(bag) as reader:
         return sum(1 for _ in reader.messages())
 
 
 def benchmark(seconds: float = SECONDS) -> Benchmark:
     """For a bag of so many seconds."""
-    question = "what does comparing cost over merely reading?"
+    question = "what does comparing cost over reading?"
     return Benchmark(
         "compare", question, partial(prepare, seconds=seconds), (Goal(1.3, "reading"),)
     )

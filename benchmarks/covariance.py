@@ -1,17 +1,16 @@
-"""Is the covariance of ``minimum-variance`` honest? ``./dev bench covariance``.
+"""Whether the covariance of ``minimum-variance`` is consistent: ``./dev bench covariance``.
 
-Three tables, no timing:
+Three tables, without timing:
 
 - ideal stamps (1 ns): V over the initial V just after each of the first 2n + 2 impacts, 20 starts;
-- honesty: plants that start at random, stamps with normal errors of 1 ms that are declared,
-  initial errors as declared (standard normal in every coordinate). The normalised estimation error
-  squared, over 2n, should be 1 on average: at the 2n-th impact and each second from then on,
-  farther than five deviations of the clock from any impact;
-- jitter: V over the initial V at 60 s, against the geometric law, and against the least that any
-  unbiased estimator can be expected to have (Cramer and Rao): the covariance of one that knows all
-  but the errors while it linearises.
+- consistency: plants that start at random, stamps with declared normal errors of 1 ms, initial
+  errors as declared (standard normal in every coordinate). The normalised estimation error squared
+  (NEES) over 2n should be 1 on average: at the 2n-th impact and each second after it, farther than
+  five deviations of the clock from any impact;
+- jitter: V over the initial V at 60 s, against the geometric law, and against the Cramer-Rao bound
+  of its expectation: the covariance of an unbiased estimator that linearises at the true states.
 
-Runs with lasting contact are left out. Models called ``random`` are a new chain in every run.
+Runs with persistent contact are left out. The model ``random`` is a new chain in every run.
 """
 
 import argparse
@@ -37,28 +36,28 @@ from impact_observer.stamps import NS_PER_S, seconds_between
 
 EPOCH = 5 * NS_PER_S
 JITTER = 1e-3
-"""Standard deviation of the clock's errors, s."""
-APART = 5 * JITTER
-"""Distance from any impact at which truth and estimate are on the same side of it, s."""
+"""Standard deviation of the errors of stamps, s."""
+MARGIN = 5 * JITTER
+"""Distance from an impact at which truth and estimate are on the same side of it, s."""
 MODELS = ("two_mass", "three_mass", "random")
 
 Array = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 
-class Believed(NamedTuple):
-    """What a law believes from one impact on."""
+class Posterior(NamedTuple):
+    """The belief of a law just after an impact, or at the epoch."""
 
     stamp: int
     belief: Belief
 
     def at(self, law: Law, stamp: int) -> tuple[Array, Array | None]:
-        """The estimate and a root of its covariance at a later stamp."""
+        """The estimate and a square root of its covariance at a later stamp."""
         s = seconds_between(self.stamp, stamp)
         if s == 0:
             return self.belief.x, self.belief.root
-        course = law.predict(seconds_between(EPOCH, self.stamp), self.belief, ())
-        return course.state(s), course.root(s)
+        prediction = law.predict(seconds_between(EPOCH, self.stamp), self.belief, ())
+        return prediction.state(s), prediction.root(s)
 
 
 def random_chain(rng: np.random.Generator) -> System:
@@ -85,7 +84,7 @@ def random_chain(rng: np.random.Generator) -> System:
 
 
 def drawn(name: str, rng: np.random.Generator) -> tuple[System, Array]:
-    """A system, and a start of the plant that is in no stop."""
+    """A system, and an initial state of the plant inside no stop."""
     system = random_chain(rng) if name == "random" else read_model(name).system
     while True:
         x = rng.normal(size=2 * system.n) * np.repeat([0.2, 0.7], system.n)
@@ -93,8 +92,8 @@ def drawn(name: str, rng: np.random.Generator) -> tuple[System, Array]:
             return system, x
 
 
-def ran(system: System, x: Array, stamps: Stamps) -> Run:
-    """The plant from ``x`` on, with its states at ``stamps``."""
+def simulated(system: System, x: Array, stamps: Stamps) -> Run:
+    """A run of the plant from ``x``, with its states at ``stamps``."""
     return simulate(Plant(system, *np.split(x, 2), epoch=EPOCH), stamps)
 
 
@@ -104,29 +103,29 @@ def hits(run: Run) -> list[tuple[int, tuple[int, ...]]]:
 
 
 def followed(
-    law: Law, x: Array, told: Sequence[tuple[int, tuple[int, ...]]]
-) -> Iterator[Believed]:
-    """What a law believes from the epoch on, and from each impact on."""
+    law: Law, x: Array, impacts: Sequence[tuple[int, tuple[int, ...]]]
+) -> Iterator[Posterior]:
+    """The belief of a law at the epoch and after each impact."""
     root = law.uncertainty.root(law.system.n)
-    now = Believed(EPOCH, law.begin(x[None], root, ()))
+    now = Posterior(EPOCH, law.begin(x[None], root, ()))
     yield now
-    for stamp, contacts in sorted(told):
-        course = law.predict(seconds_between(EPOCH, now.stamp), now.belief, ())
-        before = course.belief(seconds_between(now.stamp, stamp))
+    for stamp, contacts in sorted(impacts):
+        prediction = law.predict(seconds_between(EPOCH, now.stamp), now.belief, ())
+        before = prediction.belief(seconds_between(now.stamp, stamp))
         change = ContactChange(seconds_between(EPOCH, stamp), (), contacts, ())
-        now = Believed(stamp, law.correct(change, before))
+        now = Posterior(stamp, law.correct(change, before))
         yield now
 
 
 def jittered(run: Run, rng: np.random.Generator) -> list[tuple[int, tuple[int, ...]]]:
-    """Impacts with wrong stamps."""
+    """Stamps and contacts of all impacts, with jitter."""
     wrong = np.rint(rng.normal(0.0, JITTER * NS_PER_S, len(run.impacts))).astype(int).tolist()
-    told = hits(run)
-    return [(max(s + by, EPOCH), hit) for (s, hit), by in zip(told, wrong, strict=True)]
+    exact = hits(run)
+    return [(max(s + by, EPOCH), hit) for (s, hit), by in zip(exact, wrong, strict=True)]
 
 
 def distance(system: System, differences: Array) -> float:
-    """``V`` of a difference of states."""
+    """``V`` of a difference of two states."""
     return float(lyapunov.distance(system, *np.split(differences, 2)))
 
 
@@ -134,43 +133,43 @@ def ideal(name: str, seeds: int = 20) -> Array:
     """V over the initial V just after each of 2n + 2 impacts, shape (seeds, 2n + 2)."""
     model = read_model(name)
     system, x, count = model.system, np.concatenate(model.initial_state()), 2 * model.system.n + 2
-    told = hits(ran(system, x, np.array([EPOCH + 30 * NS_PER_S])))[:count]
-    truth = ran(system, x, np.array([stamp + 1 for stamp, _ in told])).states
+    impacts = hits(simulated(system, x, np.array([EPOCH + 30 * NS_PER_S])))[:count]
+    truth = simulated(system, x, np.array([stamp + 1 for stamp, _ in impacts])).states
     law, ratios = MinimumVariance(system, without_faults(0.0)), np.empty((seeds, count))
     for seed in range(seeds):
         wrong = np.random.default_rng(seed).normal(size=x.size)
-        for k, each in enumerate(list(followed(law, x + wrong, told))[1:]):
+        for k, each in enumerate(list(followed(law, x + wrong, impacts))[1:]):
             differences = each.at(law, each.stamp + 1)[0] - truth[k]
             ratios[seed, k] = distance(system, differences) / distance(system, wrong)
     return ratios
 
 
 def without_faults(clock_error: float) -> Uncertainty:
-    """What is declared of a sensor that is right but for its clock."""
+    """The options of a sensor without faults except in its stamps."""
     return Uncertainty(clock_error=clock_error, missed=0.0, spurious=0.0, mislabelled=0.0)
 
 
-def surprises(name: str, seed: int, seconds: int) -> Array | None:
+def nees_of_run(name: str, seed: int, seconds: int) -> Array | None:
     """NEES over 2n at the 2n-th impact and each second, NaN near impacts; None if left out."""
     rng = np.random.default_rng([2014, seed])
     system, x = drawn(name, rng)
-    seen = np.arange(1, seconds + 1) * NS_PER_S + EPOCH
-    run, twice = ran(system, x, seen), 2 * system.n
+    each_second = np.arange(1, seconds + 1) * NS_PER_S + EPOCH
+    run, twice = simulated(system, x, each_second), 2 * system.n
     if any(each.closed for each in run.switchings) or len(run.impacts) < twice:
         return None
     instants = np.array([stamp for stamp, _ in hits(run)])
-    asked = np.append(instants[twice - 1] + round(1.1 * APART * NS_PER_S), seen)
-    near = np.min(np.abs(asked[:, None] - instants), axis=1) < APART * NS_PER_S
-    order = np.argsort(asked)
-    truth = np.empty((asked.size, twice))
-    truth[order] = ran(system, x, asked[order]).states
+    stamps = np.append(instants[twice - 1] + round(1.1 * MARGIN * NS_PER_S), each_second)
+    near = np.min(np.abs(stamps[:, None] - instants), axis=1) < MARGIN * NS_PER_S
+    order = np.argsort(stamps)
+    truth = np.empty((stamps.size, twice))
+    truth[order] = simulated(system, x, stamps[order]).states
     law = MinimumVariance(system, without_faults(JITTER))
     beliefs = list(followed(law, x + rng.normal(size=twice), jittered(run, rng)))
     starts = np.array([each.stamp for each in beliefs])
-    found = np.full(asked.size, np.nan)
+    found = np.full(stamps.size, np.nan)
     for k in np.flatnonzero(~near):
-        last = beliefs[int(np.searchsorted(starts, asked[k], side="right")) - 1]
-        estimate, root = last.at(law, int(asked[k]))
+        last = beliefs[int(np.searchsorted(starts, stamps[k], side="right")) - 1]
+        estimate, root = last.at(law, int(stamps[k]))
         assert root is not None
         normal = np.linalg.lstsq(root, estimate - truth[k], rcond=None)[0]
         found[k] = normal @ normal / twice
@@ -182,7 +181,7 @@ def jitter(name: str, law: type[Law], clock: float, seeds: int, seconds: int = 6
     model = read_model(name)
     system, x = model.system, np.concatenate(model.initial_state())
     end = EPOCH + seconds * NS_PER_S
-    run, ratios = ran(system, x, np.array([end])), np.empty(seeds)
+    run, ratios = simulated(system, x, np.array([end])), np.empty(seeds)
     used = law(system, without_faults(clock))
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
@@ -194,41 +193,41 @@ def jitter(name: str, law: type[Law], clock: float, seeds: int, seconds: int = 6
 
 
 def least(name: str, seconds: int = 60) -> float:
-    """``V`` over the initial one that is to be expected of the best unbiased estimator.
+    """The Cramer-Rao bound of the expected ``V`` over the expected initial ``V``.
 
-    The rows of all impacts, taken at the true states: there nothing is left to linearise.
+    Every impact is linearised at the true state.
     """
     model = read_model(name)
     system, x = model.system, np.concatenate(model.initial_state())
     phases, law = Phases(system), ImpactLaw(system)
     phase, start = phases.phase(), np.eye(2 * system.n)
     rates, root, last = StateRates(phase), start, 0.0
-    for each in ran(system, x, np.array([EPOCH + seconds * NS_PER_S])).impacts:
+    for each in simulated(system, x, np.array([EPOCH + seconds * NS_PER_S])).impacts:
         t, hit = -each.instant.until(EPOCH), each.contacts
         forces = system.forcing.derivatives(np.array([t]), 2)[:, 0]
         joint = linalg.block_diag(JITTER, phase.transition(t - last) @ root)
         rows = Measured.gaps(system, hit).along(rates).expanded(each.before, forces).H
-        told = correction(joint, rows, 1e-15 * np.eye(len(hit))).root
+        corrected = correction(joint, rows, 1e-15 * np.eye(len(hit))).root
         mirror = Mirror.of(system, law.jump(hit), hit)
-        root = triangular(mirror.between(rates, rates).expanded(each.before, forces).H @ told)
+        root = triangular(mirror.between(rates, rates).expanded(each.before, forces).H @ corrected)
         last = t
     root = phase.transition(seconds - last) @ root
     expected = [sum(distance(system, column) for column in S.T) for S in (root, start)]
     return expected[0] / expected[1]
 
 
-def print_honesty(name: str, runs: int, seconds: int) -> None:
-    """A row an instant."""
-    found = [each for k in range(runs) if (each := surprises(name, k, seconds)) is not None]
+def print_consistency(name: str, runs: int, seconds: int) -> None:
+    """Print a row for each instant."""
+    found = [each for k in range(runs) if (each := nees_of_run(name, k, seconds)) is not None]
     print(f"\n{name}: NEES / 2n of {len(found)} runs of {runs}, jitter 1 ms, declared")
     print(f"{'at':>12} {'runs':>5} {'mean':>7} {'median':>7} {'99 %':>7} {'largest':>8}")
     values = np.array(found)
     for k, row in enumerate(values.T):
-        known = row[~np.isnan(row)]
-        if known.size and (k in (0, 1, 2) or k % 5 == 0):
+        kept = row[~np.isnan(row)]
+        if kept.size and (k in (0, 1, 2) or k % 5 == 0):
             at = f"{k} s" if k else "2n-th impact"
-            parts = (np.mean(known), np.median(known), np.quantile(known, 0.99), np.max(known))
-            print(f"{at:>12} {known.size:>5} " + " ".join(f"{part:7.3f}" for part in parts))
+            parts = (np.mean(kept), np.median(kept), np.quantile(kept, 0.99), np.max(kept))
+            print(f"{at:>12} {kept.size:>5} " + " ".join(f"{part:7.3f}" for part in parts))
     means = np.nanmean(values[:, 1:], axis=0)
     print(f"  highest mean of any second: {np.max(means):.3f}")
 
@@ -236,7 +235,9 @@ def print_honesty(name: str, runs: int, seconds: int) -> None:
 def main(args: Sequence[str] | None = None) -> int:
     """Print the three tables."""
     parser = argparse.ArgumentParser(prog="./dev bench covariance")
-    parser.add_argument("--runs", type=int, default=500, metavar="N", help="honesty (default 500)")
+    parser.add_argument(
+        "--runs", type=int, default=500, metavar="N", help="of the second table (default 500)"
+    )
     parser.add_argument("--seconds", type=int, default=30, metavar="S", help="their length")
     parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS)
     given = parser.parse_args(args)
@@ -249,15 +250,15 @@ def main(args: Sequence[str] | None = None) -> int:
         for k, column in enumerate(ratios.T, start=1):
             print(f"{k:>12} median {np.median(column):8.1e}   worst {np.max(column):8.1e}")
     for name in given.models:
-        print_honesty(name, given.runs, given.seconds)
+        print_consistency(name, given.runs, given.seconds)
     for name in samples:
         seeds = min(given.runs, 40)
         print(f"\n{name}: V / V0 after 60 s, jitter 1 ms, {seeds} starts")
         for law, clock in ((MinimumVariance, JITTER), (MinimumVariance, 0.0), (Geometric, 0.0)):
             ratios = jitter(name, law, clock, seeds)
-            told = "declared" if clock else "not declared"
+            declared = "declared" if clock else "not declared"
             print(
-                f"{law.name:>18}, {told:12} median {np.median(ratios):8.1e}"
+                f"{law.name:>18}, {declared:12} median {np.median(ratios):8.1e}"
                 f"   worst {np.max(ratios):8.1e}"
             )
         print(f"{'best unbiased':>18}, {'':12} expected {least(name):6.1e}")

@@ -1,4 +1,4 @@
-"""ROS domains that no test and no other benchmark of this machine has."""
+"""ROS domains that no test and no other benchmark on this machine uses."""
 
 import fcntl
 import tempfile
@@ -11,7 +11,7 @@ from benchmarks.harness import SkippedError
 
 @contextmanager
 def free_domain() -> Iterator[dict[str, str]]:
-    """Have one for a while; yields what is to be in the environment.
+    """Reserve a domain; yields the environment variables that select it.
 
     Raises:
         SkippedError: all are taken.

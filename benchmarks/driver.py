@@ -1,4 +1,4 @@
-"""What plays the sensor and listens, in the process of the benchmark."""
+"""Publishes events and receives estimates, in the process of the benchmark."""
 
 import random
 import time
@@ -22,7 +22,7 @@ from impact_observer.stamps import NS_PER_S
 PATIENCE = 10.0
 """How long an answer may take, s."""
 WARM = 1.0
-"""So long estimates are published before the first event that counts, s."""
+"""Time of estimates before the first event that is measured, s."""
 PAUSES = (0.005, 0.015)
 """Between an answer and the next event, s."""
 
@@ -38,29 +38,29 @@ class Driver:
             late: how long ago the instants of events are when they are published, ns.
         """
         self._node = Node("driver", context=context)
-        # The joint states have a subscriber too, which nobody asks for what it has heard.
+        # The joint states need a subscriber too; what it receives is not used.
         self._beside = Node("beside", context=context)
         self._late = late
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self._node)
         self._impacts = self._node.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
         state, joints = "observer/state", "observer/joint_states"
-        self._node.create_subscription(ObserverState, state, self._hear, qos_profile(STATES))
+        self._node.create_subscription(ObserverState, state, self._receive, qos_profile(STATES))
         self._beside.create_subscription(JointState, joints, print, qos_profile(STATES))
         self._make = ros_messages()
         self._pauses = random.Random(1)
         self._epoch = time.time_ns() - NS_PER_S
-        self._sent = self._heard = 0
+        self._sent = self._received = 0
         self._arrived = 0.0
 
     def meet(self) -> None:
-        """Wait for the other side, and until it has been publishing for a while."""
+        """Wait for the other side, and let it publish for a while."""
         self._until(self._impacts.get_subscription_count)
         self.trip()
         self._spin(WARM)
 
     def trip(self) -> float:
-        """How long one event takes to come back in an estimate, s."""
+        """Time from an event to the estimate that contains it, s."""
         self._spin(self._pauses.uniform(*PAUSES))
         self._sent += 1
         stamp = time.time_ns() - self._late
@@ -68,7 +68,7 @@ class Driver:
         message = self._make.event(event)
         begin = time.perf_counter()
         self._impacts.publish(message)
-        self._until(lambda: self._heard >= self._sent)
+        self._until(lambda: self._received >= self._sent)
         return self._arrived - begin
 
     def close(self) -> None:
@@ -77,10 +77,10 @@ class Driver:
         for node in (self._node, self._beside):
             node.destroy_node()
 
-    def _hear(self, message: ObserverState) -> None:
-        if message.last_sequence > self._heard:
+    def _receive(self, message: ObserverState) -> None:
+        if message.last_sequence > self._received:
             self._arrived = time.perf_counter()
-            self._heard = message.last_sequence
+            self._received = message.last_sequence
 
     def _spin(self, seconds: float) -> None:
         end = time.perf_counter() + seconds
@@ -97,7 +97,7 @@ class Driver:
 
 @contextmanager
 def driving(late: int) -> Iterator[Driver]:
-    """A driver that has met the other side, in the domain that the environment says."""
+    """A driver connected to the other side, in the ROS domain of the environment."""
     context = Context()
     context.init(args=[])
     try:

@@ -1,10 +1,9 @@
-"""The least that a node in Python can be which answers impacts with estimates: no observer in it.
+"""A minimal node in Python that answers impacts with estimates, without an observer.
 
     python -m benchmarks.echo_node --ros-args -p rate:=1000.0
 
-It subscribes to what the observer node subscribes to and publishes what that publishes, on the
-same topics with the same quality of service; where it was late it makes up for as much. Its
-messages are made once and changed in place.
+It has the topics and the quality of service of the observer node, and catches up on as many missed
+estimates. Its messages are made once and changed in place.
 """
 
 import rclpy
@@ -20,7 +19,7 @@ from impact_observer.stamps import NS_PER_S
 
 NAMES = ("x1", "x2")
 MOST_AT_ONCE = 8
-"""Estimates that an observer node makes up for."""
+"""Missed estimates that an observer node catches up on."""
 
 
 class EchoNode(Node):  # type: ignore[misc]
@@ -66,7 +65,7 @@ class EchoNode(Node):  # type: ignore[misc]
 
 def main() -> None:
     """Spin as the tutorials of ROS do."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # a signal just ends it
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # a signal ends it
     rclpy.spin(EchoNode())
 
 

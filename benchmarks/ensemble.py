@@ -1,4 +1,4 @@
-"""An event of very many replicas against one product of matrices of their size."""
+"""An event with very many replicas, against one matrix product of the same size."""
 
 import statistics
 import time
@@ -15,18 +15,18 @@ from impact_observer.observer import Options, make_observer
 REPLICAS = 100_000
 SECONDS = 300.0
 TURN = 5
-"""Events, or products, of which the median is taken."""
+"""Events, or products, whose median is taken."""
 EVENT = "event"
 PEER = "one product"
 
 
 def prepare(_: Path) -> Contest:
-    """An ensemble that goes on from event to event, round after round."""
+    """An ensemble that continues from event to event, round after round."""
     system = read_model("three_mass").system
     observer = make_observer(system, Options(ensemble=REPLICAS, epoch=EPOCH, history=1.0))
     alone = make_observer(system, Options(ensemble=1, epoch=EPOCH))
-    told = iter(impacts("three_mass", SECONDS))
-    for event in islice(told, TURN):
+    events = iter(impacts("three_mass", SECONDS))
+    for event in islice(events, TURN):
         for each in (observer, alone):
             each.receive(event)
         many, one = (each.estimate(event.stamp) for each in (observer, alone))
@@ -35,7 +35,7 @@ def prepare(_: Path) -> Contest:
     x, phi = np.ones((REPLICAS, 2 * system.n)), np.eye(2 * system.n)
 
     def ours(_: Path) -> Figures:
-        return {EVENT: statistics.median(each_received(observer, islice(told, TURN)))}
+        return {EVENT: statistics.median(each_received(observer, islice(events, TURN)))}
 
     def product(_: Path) -> Figures:
         taken: list[float] = []

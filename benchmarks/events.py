@@ -1,4 +1,4 @@
-"""What an event costs an observer: the next one, one that is late, and one with a long past."""
+"""What an event costs an observer: in order, late, and with a long history."""
 
 import statistics
 from dataclasses import replace
@@ -12,13 +12,13 @@ from impact_observer.model import read_model
 from impact_observer.observer import Observer, Options, make_observer
 
 SECONDS = 600.0
-"""Of two_mass, which hits three times in four seconds."""
+"""Of two_mass, which has three impacts in four seconds."""
 DEEP = 100
 """Events that come after the late one."""
 FIRST = 20
 """Events before anything is measured."""
 FOREVER = 1e6
-"""A history in which nothing is forgotten, s."""
+"""A history that keeps all events, s."""
 EVENT = "event"
 ALONE, TOGETHER = "alone", "ten replicas"
 
@@ -28,7 +28,7 @@ def _observer(law: str = "geometric", history: float = FOREVER) -> Observer:
 
 
 def prepare(_: Path, law: str, compiled: bool) -> Contest:
-    """An observer that believes its sensor, and every event in order."""
+    """An observer that accepts every event, and events in order."""
     events, system = impacts("two_mass", SECONDS), read_model("two_mass").system
     without_faults = Options(
         law=law,
@@ -56,7 +56,7 @@ def prepare(_: Path, law: str, compiled: bool) -> Contest:
 
 
 def prepare_late(_: Path) -> Contest:
-    """An event in its place among others that came before it, or the others in order."""
+    """An event that arrives after later ones, or those later ones in order."""
     events = impacts("two_mass", SECONDS)[: FIRST + DEEP + 1]
     late, last = events[FIRST], events[-1].stamp
     before, after = events[:FIRST], events[FIRST + 1 :]
@@ -64,7 +64,7 @@ def prepare_late(_: Path) -> Contest:
     each_received(ordered, events)
     each_received(disordered, (*before, *after, late))
     if ordered.estimate(last).q.tobytes() != disordered.estimate(last).q.tobytes():
-        raise DisagreementError("an event that is late is not what it would have been in time")
+        raise DisagreementError("a late event ends in another estimate than an event in time")
 
     def ours(_: Path) -> Figures:
         observer = _observer()
@@ -81,7 +81,7 @@ def prepare_late(_: Path) -> Contest:
 
 
 def prepare_long(_: Path) -> Contest:
-    """Events in order, with all of the past or with the last seconds of it."""
+    """Events in order, with the whole history or its last seconds."""
     events = impacts("two_mass", SECONDS)
 
     def median(_: Path, history: float) -> Figures:
@@ -94,7 +94,7 @@ def prepare_long(_: Path) -> Contest:
 
 
 def benchmarks() -> tuple[Benchmark, ...]:
-    """With the laws that most will choose between."""
+    """The benchmarks of events, with the two main laws."""
     cost = "what does an event cost?"
     nexts = [
         Benchmark(name, cost, partial(prepare, law=law, compiled=compiled), goals)
@@ -104,8 +104,8 @@ def benchmarks() -> tuple[Benchmark, ...]:
             ("event_compiled", "minimum-variance", True, (Goal(80e-6, figure=ALONE),)),
         )
     ]
-    late = "is an event that is late dearer than those that it has others run again?"
-    long = "does an event in order cost more where one may be late by much?"
+    late = "does a late event cost more than the events that it makes run again?"
+    long = "does an event in order cost more with a long history?"
     return (
         *nexts,
         Benchmark(

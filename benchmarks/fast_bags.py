@@ -1,4 +1,4 @@
-"""A bag of a plant that hits often: ten impacts a second, so that an hour has 36 000 of them."""
+"""Bags of a plant with ten impacts a second, so that an hour has 36 000 of them."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ EPOCH = 1_000_000_000
 RATE = 1000.0
 SECONDS = 60.0
 FASTER = 12.75
-"""By which this is faster than the sample two_mass."""
+"""Speed-up over the sample two_mass."""
 
 
 def fast_model() -> Model:
@@ -44,13 +44,13 @@ def write_truth(path: Path, seconds: float) -> None:
 
 
 def write_impacts(path: Path, truth: Path) -> None:
-    """A bag of model and impacts only, as a rig's."""
+    """A bag of model and impacts only, as from a rig."""
     with BagReader(truth) as reader, BagWriter(path) as writer:
         copy_topics(reader, writer, [t for t in reader.topics if "joint_states" not in t])
 
 
 def observe(bag: Path, output: Path, rate: float | None = None) -> None:
-    """What the command ``observe`` does unless told otherwise: geometric, ten replicas."""
+    """The default of the command ``observe``: geometric, ten replicas."""
     system = fast_model().system
     with BagReader(bag) as reader:
         observer = Observer(system, law_named("geometric")(system), *initial_state("zero", system))

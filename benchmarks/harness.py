@@ -1,4 +1,4 @@
-"""Measuring contestants side by side: they take turns, and each round gives its own ratio."""
+"""Measuring contestants side by side: they take turns, and each round gives a ratio."""
 
 import argparse
 import gc
@@ -12,19 +12,19 @@ from pathlib import Path
 from typing import TypeAlias, cast
 
 Figures: TypeAlias = Mapping[str, float]
-"""What was measured, by name."""
+"""Measured values, by name."""
 Job: TypeAlias = Callable[[Path], object]
-"""Does the work once; gets an empty folder, which is gone afterwards."""
+"""Does the work once, in an empty folder that is removed afterwards."""
 TIME = "time"
-"""How long a job takes, s: the figure of those that measure nothing themselves."""
+"""How long a job takes, s: the figure of jobs that return none."""
 OURS = "ours"
 
 
 def new_file(text: str) -> Path:
-    """An argument that is a file to be written, checked before anything is measured.
+    """The path of a file to be written, checked before anything is measured.
 
     Raises:
-        ArgumentTypeError: it is a folder, or its own folder is not there or not to be written to.
+        ArgumentTypeError: it is a folder, or it cannot be written.
     """
     path = Path(text)
     folder = path.absolute().parent
@@ -36,24 +36,24 @@ def new_file(text: str) -> Path:
 
 
 class DisagreementError(Exception):
-    """The contestants did not do the same work: there is nothing to compare."""
+    """The results of the contestants differ, so their times cannot be compared."""
 
 
 class SkippedError(Exception):
-    """A benchmark lacks something here; the message says what."""
+    """A benchmark cannot run here; the message has the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class Contest:
-    """What takes turns.
+    """The contestants of a benchmark.
 
     Attributes:
-        work: what everybody has done, with numbers; checked before anything is timed.
+        work: what each of them does, with numbers; checked before anything is timed.
         ours: the package.
         peers: the others, by name.
         absent: why a peer cannot take part here, by name.
-        units: of the figures, by their names. Jobs with any other figure than ``TIME`` return all
-            of them.
+        units: of the figures, by their names. Where there are others than ``TIME``, jobs return
+            all of them.
     """
 
     work: str
@@ -65,11 +65,11 @@ class Contest:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What a figure should come down to.
+    """An upper bound of a figure.
 
     Attributes:
-        most: the largest value that is good enough.
-        peer: over whose figure; empty where it is ours that counts, in its unit.
+        most: the largest value that meets the goal.
+        peer: whose figure ours is divided by; empty for our own figure, in its unit.
         figure: its name.
     """
 
@@ -80,14 +80,14 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """A contest that can be prepared.
+    """A contest, to be prepared.
 
     Attributes:
-        name: how it is selected.
-        question: what its ratios answer, one line.
+        name: on the command line.
+        question: that its ratios answer, one line.
         prepare: makes the data in a folder and checks that the results agree.
-        goals: what they should come down to.
-        rounds: how many turns it takes, unless told otherwise.
+        goals: for its figures and ratios.
+        rounds: how many, by default.
     """
 
     name: str
@@ -114,12 +114,12 @@ class Ratio:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What was measured.
+    """The measurements of a benchmark.
 
     Attributes:
         benchmark: which one.
         contest: its contestants.
-        figures: what each round gave, by contestant and figure; ours is called ``OURS``.
+        figures: of each round, by contestant and figure; the package is called ``OURS``.
     """
 
     benchmark: Benchmark
@@ -127,12 +127,12 @@ class Result:
     figures: Mapping[str, Mapping[str, list[float]]]
 
     def ratio(self, peer: str, figure: str) -> Ratio:
-        """Those of the same round are divided, so that a slow spell cancels."""
+        """Our figure over the peer's in the same round, so that a slow spell cancels."""
         ours, theirs = self.figures[OURS][figure], self.figures[peer][figure]
         return _spread([a / b for a, b in zip(ours, theirs, strict=True)])
 
     def own(self, figure: str) -> Ratio:
-        """Ours as it is."""
+        """Our figure."""
         return _spread(self.figures[OURS][figure])
 
 
@@ -141,11 +141,11 @@ def measure(benchmark: Benchmark, rounds: int | None, show: Callable[[str], None
 
     Args:
         benchmark: what to measure.
-        rounds: turns of each, the order rotates; None for what the benchmark wants.
-        show: told what is being done.
+        rounds: how many, in rotating order; None for the default of the benchmark.
+        show: called with what is being done.
 
     Returns:
-        What was measured, or why nothing can be measured here.
+        The measurements, or why nothing can be measured here.
 
     Raises:
         DisagreementError: the contestants' results differ.
@@ -172,17 +172,17 @@ def measure(benchmark: Benchmark, rounds: int | None, show: Callable[[str], None
 
 
 def _measured(job: Job, folder: Path, *, timed: bool) -> Figures:
-    """What ``job`` says, or how long it takes, s: with garbage collected before, not during."""
+    """The figures of ``job``, or its time, s: with garbage collected before, not during."""
     with tempfile.TemporaryDirectory(dir=folder) as place:
         gc.collect()
         gc.disable()
         try:
             begin = time.perf_counter()
-            said = job(Path(place))
+            figures = job(Path(place))
             taken = time.perf_counter() - begin
         finally:
             gc.enable()
-    return {TIME: taken} if timed else cast("Figures", said)
+    return {TIME: taken} if timed else cast("Figures", figures)
 
 
 def _spread(values: list[float]) -> Ratio:

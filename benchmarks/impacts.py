@@ -1,4 +1,4 @@
-"""Impacts of the sample models, to be fed to observers without bags or ROS."""
+"""Impacts of the sample models, for observers without bags or ROS."""
 
 import time
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ EPOCH = 1_000_000_000
 
 
 def impacts(name: str, seconds: float) -> tuple[ImpactEvent, ...]:
-    """What an ideal sensor tells of a sample's plant."""
+    """The events of an ideal sensor on a sample model."""
     model = read_model(name)
     stamps = grid(EPOCH, EPOCH + from_seconds(seconds), 1 / seconds)
     return simulate(Plant(model.system, *model.initial_state(), epoch=EPOCH), stamps).events

@@ -1,14 +1,12 @@
-"""What each law makes of wrong initial states: ``./dev bench laws``.
+"""How far each law reduces the error of a wrong initial state: ``./dev bench laws``.
 
-Two tables, both without any timing. The first has the median over 20 seeds of V over V at the
-start, just after the (2n + 2)-th impact and after 30 s. The README's sentences on how far each law
-gets and those of docs/laws.md on when to choose which rest on it. The second has how often
-``synchronized`` was wrong: true while the real V was above what the observer takes for agreement.
-The sentence that it may be believed rests on it.
+Two tables, without timing. The first has V over the initial V just after the (2n + 2)-th impact and
+after 30 s, as medians over 20 seeds; README and docs/laws.md quote it. The second has how often
+``synchronized`` was wrong: true while V was above the threshold of the observer.
 
-Events are ideal, their stamps rounded to 1 ns. The plant starts where its model says, and the
-estimate of each seed at that state plus ``default_rng(seed).normal(2n)``: initial errors are
-standard normal in every coordinate, as an observer assumes unless it is told else.
+Events are ideal, their stamps rounded to 1 ns. The plant starts at the model's initial state, and
+the estimate of each seed at that state plus ``default_rng(seed).normal(2n)``: initial errors are
+standard normal in every coordinate, the observer's default.
 """
 
 import argparse
@@ -49,22 +47,22 @@ forces: [{body: x4, amplitude: 5, frequency: 5}]
 stops: [{name: stop, body: x1, limit: 0.02, side: above, restitution: 0.8}]
 initial_state: {position: [0, -0.1, 0.05, 0.1], velocity: [0.5, 0, -0.5, 0.3]}
 """
-"""Hard for whoever asks replicas whether they agree: ten events a second, most of which tell
-little, so that many events in a row are no proof; lasting contacts; and three masses that no
-impact sees but through a chain of weakly damped springs. A ball would be no test: V is blind to
-its height, and it comes to rest.
+"""Hard for a synchronization test that compares replicas: ten events a second, most with little
+information, so that agreement over many events in a row proves nothing; persistent contacts; and
+three masses whose motion reaches the contact only through a chain of weakly damped springs. A ball
+would be no test: V does not depend on its height, and it comes to rest.
 """
 
 IDEAL = Uncertainty(clock_error=0.0)
-"""Stamps are only rounded; that none is missed or spurious, nobody has said."""
+"""Stamps are only rounded; missed and spurious impacts are left at their defaults."""
 MODELS = ("two_mass", "three_mass", "far_end")
 EPOCH = 1_000_000_000
 RATE = 10.0
 SEEDS_OF_MEDIAN = 20
 END = 30.0
-"""Where the first table's last column is read, s."""
+"""Time of the first table's last column, s."""
 _BESIDE = 1_000
-"""V is read so long after an impact, ns: its stamp is rounded, and it may be just to come."""
+"""V is read so long after an impact, ns, since the rounded stamp may precede it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,12 +70,12 @@ class Case:
     """A plant's run.
 
     Attributes:
-        system: what moved.
+        system: of the plant.
         start: its state at the epoch, shape (2n,).
-        events: what an ideal sensor told of it.
-        truth: its states on the grid, at the events and just after them.
-        regular: which of those are on the grid, shape (samples,).
-        marks: where V is read for the first table, as indices of samples.
+        events: of an ideal sensor.
+        truth: the states on the grid, at the events and just after them.
+        regular: which of these are on the grid, shape (samples,).
+        marks: the samples of the first table, by heading.
     """
 
     system: System
@@ -96,9 +94,9 @@ class Outcome:
         model: name.
         law: name.
         seed: of the initial error.
-        ratios: V over V at the start, by mark.
-        synchronized: when the flag came first, s since the epoch; None for never.
-        below: from when on V was below the threshold for good, s since the epoch; None for never.
+        ratios: V over the initial V, by mark.
+        synchronized: when the flag was first true, s since the epoch; None for never.
+        below: since when V stayed below the threshold, s since the epoch; None for never.
         wrong: samples at which the flag was true and V above the threshold.
         excess: the largest V over the threshold while the flag was true.
     """
@@ -143,12 +141,12 @@ def _run(model: Model, stamps: Stamps) -> tuple[tuple[ImpactEvent, ...], Vector]
 
 
 def outcome(name: str, case: Case, law: str, seed: int) -> Outcome:
-    """Run a law with its default ensemble from a wrong start, and judge what it says."""
+    """Run a law with its default ensemble from a wrong start, and compare with the truth."""
     system, n = case.system, case.system.n
     x = case.start + np.random.default_rng(seed).normal(size=2 * n)
     observer = Observer(system, law_named(law)(system, IDEAL), x[:n], x[n:])
-    told = replay(observer, case.events, case.truth.stamps)
-    estimates = [each for each in told if isinstance(each, Estimate)]
+    replayed = replay(observer, case.events, case.truth.stamps)
+    estimates = [each for each in replayed if isinstance(each, Estimate)]
     states = np.array([np.concatenate([each.q, each.u]) for each in estimates])
     V = _energy(system, states - case.truth.x)
     where = np.searchsorted(case.truth.stamps, [each.last_event for each in estimates])
@@ -176,7 +174,7 @@ def _first(stamps: Stamps) -> float | None:
 
 
 def _energy(system: System, x: Vector) -> Vector:
-    """Kinetic and elastic, J, of states (q, u) in the last axis; of differences it is ``V``."""
+    """Kinetic and elastic energy, J, of states (q, u) in the last axis; of errors it is ``V``."""
     return distance(system, x[..., : system.n], x[..., system.n :])
 
 
@@ -194,7 +192,7 @@ def reductions(outcomes: Iterable[Outcome]) -> list[dict[str, object]]:
 
 
 def flags(outcomes: Sequence[Outcome]) -> list[dict[str, object]]:
-    """The second table: how often the flag was wrong, and when it came."""
+    """The second table: how often the flag was wrong, and when it was first true."""
     groups = _grouped(outcomes)
     for (_, law), group in list(groups.items()):
         groups.setdefault(("all", law), []).extend(group)
@@ -216,7 +214,7 @@ def flags(outcomes: Sequence[Outcome]) -> list[dict[str, object]]:
 
 
 def _median(times: Iterable[float | None]) -> float | None:
-    """The median of times, of which None is later than all others."""
+    """The median of times; None counts as later than all others."""
     found = statistics.median_high(math.inf if time is None else time for time in times)
     return found if math.isfinite(found) else None
 
@@ -249,8 +247,8 @@ def print_tables(outcomes: Sequence[Outcome], console: Console) -> None:
         table.add_row(*cells, f"{row['largest_excess']:.2g}", *times)
     console.print(table)
     console.print(
-        "V below the limit, which is what the observer takes for agreement, and flag: median s;"
-        " V/limit: the largest under the flag"
+        "V below the limit, the observer's threshold, and flag: median s;"
+        " V/limit: the largest while the flag was true"
     )
 
 
@@ -266,7 +264,7 @@ def _shown(time: object) -> str:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run what is asked for.
+    """Run the laws and print both tables.
 
     Returns:
         0; 2 for wrong use.

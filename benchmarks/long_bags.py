@@ -3,9 +3,8 @@
     ./dev bench long_bags                  # a bag of 2 GB in a temporary folder
     ./dev bench long_bags --gigabytes 0.2 --commands compare check
 
-Prints for each command how long it took, how much memory its process had at most, and the same of
-merely reading every message. The bag repeats a run of two_mass and its estimates with later
-stamps, so it is as a recording of many hours.
+Prints time and largest memory of each command, and of reading every message. The bag repeats a run
+of two_mass and its estimates with later stamps, like a recording of many hours.
 """
 
 import argparse
@@ -32,9 +31,9 @@ from impact_observer.stamps import NS_PER_S
 SECONDS = 60
 RATE = 500
 MOST_MEMORY = 300.0
-"""What a command on a bag of any size may take, MB."""
+"""Allowed for a command on a bag of any size, MB."""
 READING = (
-    "import sys; from impact_observer.bag import BagReader;"
+    "import sys; from impact_observer.io import BagReader;"
     "print(sum(1 for _ in BagReader(sys.argv[1]).raw()))"
 )
 COMMANDS = {
@@ -49,7 +48,7 @@ USUAL = ("compare", "check", "info")
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a process took: wall time, s, and memory at most, MB."""
+    """Wall time, s, and largest memory, MB, of a process."""
 
     seconds: float
     megabytes: float
@@ -115,7 +114,7 @@ def _make(bag: Path, folder: Path, size: float, console: Console) -> None:
 
 
 def _later(message: RawMessage, places: Sequence[int], seconds: int) -> RawMessage:
-    """The message with stamps so much later."""
+    """The message with stamps ``seconds`` later."""
     data = bytearray(message.data)
     for place in places:
         if stamp := int.from_bytes(data[place : place + 4], "little"):  # 0 is no stamp
@@ -124,31 +123,31 @@ def _later(message: RawMessage, places: Sequence[int], seconds: int) -> RawMessa
 
 
 def _stamps_in(message: RawMessage) -> Iterator[int]:
-    """Where the seconds of stamps lie in a message; none for the model, which comes once."""
-    known = interface(message.topic)
-    if known is None or known is PLANT_MODEL:
+    """Offsets of the seconds of stamps in a message; none for the model, which comes once."""
+    own = interface(message.topic)
+    if own is None or own is PLANT_MODEL:
         return
     yield 4
-    layout = layout_of(known.type, message.data)
+    layout = layout_of(own.type, message.data)
     if layout is not None and layout.last_event is not None:
         yield layout.last_event
 
 
 def _measured(command: Sequence[str]) -> Cost:
-    """Run a command to its end and say what it cost.
+    """Run a command to its end and measure it.
 
     Raises:
         RuntimeError: it failed.
     """
     begin = time.monotonic()
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen(command, stdout=said, stderr=subprocess.STDOUT)
+    with tempfile.TemporaryFile() as output:
+        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
         _, status, usage = os.wait4(process.pid, 0)
         seconds = time.monotonic() - begin
         process.returncode = os.waitstatus_to_exitcode(status)
         if process.returncode:
-            said.seek(0)
-            raise RuntimeError(f"{' '.join(command)}: {said.read().decode()[-500:]}")
+            output.seek(0)
+            raise RuntimeError(f"{' '.join(command)}: {output.read().decode()[-500:]}")
     return Cost(seconds, usage.ru_maxrss / 1024)
 
 

@@ -2,9 +2,9 @@
 
     ./dev bench memory --events 20000      # the quick way
 
-The node is in this process and hears the events on its topic, an estimate for each, as fast as it
-can: its clock is told what time it is. What the process occupies is printed on the way. After the
-first tenth, when every buffer is full and the history too, it must not grow any more.
+The node is in this process and receives the events on its topic, with an estimate for each, as
+fast as it can: its clock is set. The memory of the process is printed on the way. After the first
+tenth, when all buffers and the history are full, it must not grow any more.
 """
 
 import argparse
@@ -38,14 +38,14 @@ RATE = 25
 PERIOD = 1_000_000_000 // RATE
 """Between events, ns, as between estimates."""
 TOGETHER = 5
-"""Events between two looks at the clock."""
+"""Events between two settings of the clock."""
 MOST_GROWTH = 2.0
 """After the first tenth, MB."""
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 class Rig:
-    """An observer node, who tells it of events, and its clock."""
+    """An observer node, a publisher of events, and the node's clock."""
 
     def __init__(self) -> None:
         """Make the node."""
@@ -59,11 +59,11 @@ class Rig:
         self._probe.create_subscription(
             EventVerdict, "observer/verdicts", self._count, qos_profile(EVENTS)
         )
-        self._sent = self.heard = 0
+        self._sent = self.received = 0
         self._until(self._impacts.get_subscription_count)
 
     def send(self, count: int) -> None:
-        """Publish so many events and hear a verdict on each."""
+        """Publish ``count`` events and wait for a verdict on each."""
         for _ in range(count):
             self._sent += 1
             event = Event(EPOCH + self._sent * PERIOD, (Switch("stop"),), self._sent, epoch=EPOCH)
@@ -71,7 +71,7 @@ class Rig:
             if self._sent % TOGETHER == 0:
                 now = Time(nanoseconds=event.stamp, clock_type=ClockType.ROS_TIME)
                 self._node.get_clock().set_ros_time_override(now)
-                self._until(lambda: self.heard >= self._sent)
+                self._until(lambda: self.received >= self._sent)
 
     def close(self) -> None:
         """Destroy the nodes."""
@@ -80,7 +80,7 @@ class Rig:
             node.destroy_node()
 
     def _count(self, _: EventVerdict) -> None:
-        self.heard += 1
+        self.received += 1
 
     def _until(self, condition: Callable[[], object]) -> None:
         while not condition():
@@ -89,7 +89,7 @@ class Rig:
 
 @contextmanager
 def rig(law: str = "geometric") -> Iterator[Rig]:
-    """A rig in ROS, which begins and ends with it."""
+    """A rig, with ROS started before and shut down after it."""
     parameters = {"model": "two_mass", "use_sim_time": "true", "law": law, "rate": f"{RATE}.0"}
     given = [
         ("-p", f"{name}:={value}") for name, value in {**parameters, "future": "1.0e6"}.items()
@@ -107,13 +107,13 @@ def rig(law: str = "geometric") -> Iterator[Rig]:
 
 
 def occupied() -> float:
-    """What this process has of the machine's memory, MB."""
+    """Memory of this process, MB."""
     pages = Path("/proc/self/statm").read_text("utf-8").split()[1]
     return int(pages) * _PAGE / 1e6
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Send the events and print what the process occupies.
+    """Send the events and print the memory of the process.
 
     Returns:
         0; 1 when it grows.
@@ -132,7 +132,7 @@ def main(args: Sequence[str] | None = None) -> int:
         for _ in progress.track(range(10), description="events"):
             made.send(tenth)
             found.append(occupied())
-            print(f"{made.heard:9} events: {found[-1]:.1f} MB", flush=True)
+            print(f"{made.received:9} events: {found[-1]:.1f} MB", flush=True)
     growth = found[-1] - found[0]
     print(f"grown by {growth:.2f} MB since the first tenth; allowed: {MOST_GROWTH:g} MB")
     return 0 if growth <= MOST_GROWTH else 1

@@ -1,4 +1,4 @@
-"""Observing a bag against reading it and writing the very same messages with ``rosbags``."""
+"""Observing a bag, against reading it and writing the same messages with ``rosbags``."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from rosbags.interfaces import Connection
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys.store import Typestore
 
@@ -24,22 +23,22 @@ _JOINT_STATES = interfaces.OBSERVER_JOINT_STATES.topic
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
-    """What an observer says, for one that need not find it out.
+class Observed:
+    """The messages of an observer, for the peer that only writes them.
 
     Attributes:
         states: every estimate.
-        surroundings: after each impact, by its number: the message of the first estimate.
+        after_impact: the first message after each impact, by its sequence number.
         others: the other messages, serialized, by log time.
     """
 
     states: ObserverStates
-    surroundings: dict[int, object]
+    after_impact: dict[int, object]
     others: list[RawMessage]
 
 
 def prepare(folder: Path, seconds: float = SECONDS) -> Contest:
-    """Record a plant, to be estimated where its true states are."""
+    """Record a plant, to be estimated at the stamps of its true states."""
     write_truth(folder / "bag", seconds)
     return _contest(folder, None)
 
@@ -55,34 +54,34 @@ def _contest(folder: Path, rate: float | None) -> Contest:
     """Check that both write the same bytes on every topic."""
     bag = folder / "bag"
     observe(bag, folder / "ours", rate)
-    known = _known(bag, folder / "ours")
-    _written(bag, known, folder / "theirs")
+    observed = _observed(bag, folder / "ours")
+    _written(bag, observed, folder / "theirs")
     ours, theirs = _contents(folder / "ours"), _contents(folder / "theirs")
     if ours != theirs:
         differ = [topic for topic in ours | theirs if ours.get(topic) != theirs.get(topic)]
         raise DisagreementError(f"other messages on {' and '.join(differ)}")
     return Contest(
-        f"{ours[interfaces.IMPACTS.topic][0]} impacts, {known.states.stamps.size} estimates,"
+        f"{ours[interfaces.IMPACTS.topic][0]} impacts, {observed.states.stamps.size} estimates,"
         f" {sum(count for count, _ in ours.values())} messages written",
         lambda place: observe(bag, place / "bag", rate),
-        {COPYING: lambda place: _written(bag, known, place / "bag")},
+        {COPYING: lambda place: _written(bag, observed, place / "bag")},
     )
 
 
-def _known(bag: Path, observed: Path) -> Known:
-    with BagReader(bag) as given, BagReader(observed) as reader:
+def _observed(bag: Path, output: Path) -> Observed:
+    with BagReader(bag) as given, BagReader(output) as reader:
         states, found = reader.observer_states(_STATES), dict[int, object]()
         for _, message in reader.messages(_STATES):
             found.setdefault(message.last_sequence, message)  # type: ignore[attr-defined]
         others = reader.topics.keys() - given.topics.keys() - {_STATES, _JOINT_STATES}
-        return Known(states, found, [*reader.raw(others)])
+        return Observed(states, found, [*reader.raw(others)])
 
 
-def _written(bag: Path, known: Known, output: Path) -> None:
-    """What no observer could do without, with ``rosbags`` alone.
+def _written(bag: Path, observed: Observed, output: Path) -> None:
+    """The least that an observer must do, with ``rosbags`` alone.
 
-    Impacts are read as messages and written again; and for each estimate its two messages are
-    made from numbers that are known, one by one.
+    Impacts are decoded and written again. For each estimate its two messages are made from given
+    numbers, one by one.
     """
     store = new_typestore()
     with (
@@ -91,7 +90,7 @@ def _written(bag: Path, known: Known, output: Path) -> None:
     ):
         topics = {c.topic: (c.topic, c.msgtype) for c in reader.connections}
         for each in interfaces.INTERFACES:
-            if each.topic in {_STATES, _JOINT_STATES, *(m.topic for m in known.others)}:
+            if each.topic in {_STATES, _JOINT_STATES, *(m.topic for m in observed.others)}:
                 topics[each.topic] = (each.topic, each.type)
         connections = {
             topic: writer.add_connection(*named, typestore=store)
@@ -101,22 +100,23 @@ def _written(bag: Path, known: Known, output: Path) -> None:
             if connection.topic == interfaces.IMPACTS.topic:
                 store.deserialize_cdr(data, connection.msgtype)
             writer.write(connections[connection.topic], log_time, data)
-        for topic, log_time, data in known.others:
+        for topic, log_time, data in observed.others:
             writer.write(connections[topic], log_time, data)
         two = connections[_JOINT_STATES], connections[_STATES]
-        for log_time, messages in _messages(store, known):
+        for log_time, messages in _messages(store, observed):
             for connection, message in zip(two, messages, strict=True):
-                _write(writer, store, connection, log_time, message)
+                data = store.serialize_cdr(message, connection.msgtype)
+                writer.write(connection, log_time, data)
 
 
-def _messages(store: Typestore, known: Known) -> Iterator[tuple[int, tuple[object, object]]]:
-    """The two messages of each estimate, with its stamp."""
-    states, types, none = known.states, store.types, np.empty(0)
+def _messages(store: Typestore, observed: Observed) -> Iterator[tuple[int, tuple[object, object]]]:
+    """The stamp and the two messages of each estimate."""
+    states, types, none = observed.states, store.types, np.empty(0)
     rows = zip(
         states.stamps.tolist(), states.q, states.u, states.last_sequence.tolist(), strict=True
     )
     for stamp, q, u, sequence in rows:
-        about = known.surroundings[sequence]
+        about = observed.after_impact[sequence]
         seconds, nanoseconds = divmod(stamp, NS_PER_S)
         time = types[interfaces.TIME](sec=seconds, nanosec=nanoseconds)
         header = types[interfaces.HEADER](stamp=time, frame_id="")
@@ -124,14 +124,14 @@ def _messages(store: Typestore, known: Known) -> Iterator[tuple[int, tuple[objec
         joints = types[interfaces.JOINT_STATE](
             header=header, name=names, position=q, velocity=u, effort=none
         )
-        kept = {name: getattr(about, name) for name in _SURROUNDINGS}
+        kept = {name: getattr(about, name) for name in _CONSTANT}
         state = types[interfaces.OBSERVER_STATE](
             header=header, name=names, position=q, velocity=u, **kept
         )
         yield stamp, (joints, state)
 
 
-_SURROUNDINGS = (
+_CONSTANT = (
     "law",
     "covariance",
     "closed",
@@ -144,17 +144,11 @@ _SURROUNDINGS = (
     "parameter",
     "parameter_deviation",
 )
-"""What changes at events only."""
-
-
-def _write(
-    writer: Writer, store: Typestore, connection: Connection, log_time: int, message: object
-) -> None:
-    writer.write(connection, log_time, store.serialize_cdr(message, connection.msgtype))
+"""Fields that change at events only."""
 
 
 def _contents(bag: Path) -> dict[str, tuple[int, int]]:
-    """How many messages each topic has, and a digest of all their log times and bytes."""
+    """The number of messages of each topic, and a digest of their log times and bytes."""
     contents: dict[str, tuple[int, int]] = {}
     with BagReader(bag) as reader:
         for topic, log_time, data in reader.raw():
@@ -169,5 +163,5 @@ def benchmarks(seconds: float = SECONDS) -> tuple[Benchmark, Benchmark]:
     goals = (Goal(1.3, COPYING),)
     return (
         Benchmark("observe", "what does observing a bag cost over copying it?", truth, goals),
-        Benchmark("observe_impacts", "the same of a bag without truth, at 1 kHz", impacts, goals),
+        Benchmark("observe_impacts", "the same for a bag without truth, at 1 kHz", impacts, goals),
     )

@@ -1,4 +1,4 @@
-"""A plant's run with its impacts: closed-form flow against integrators with events."""
+"""A plant's run with impacts: closed-form flow against integrators with event location."""
 
 import math
 from collections.abc import Callable
@@ -37,14 +37,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Integrated:
-    """What the integrator found: impact times, s, and states on the grid, (samples, 2n)."""
+    """The integrator's impact times, s, and states on the grid, shape (samples, 2n)."""
 
     instants: list[float]
     states: Array
 
 
 def prepare(folder: Path) -> Contest:
-    """Run all and compare every impact and every sample."""
+    """Run all contestants and compare every impact and every sample."""
     model = read_model("two_mass")
     stamps = grid(EPOCH, EPOCH + from_seconds(DURATION), RATE)
     run = _simulated(model, stamps)
@@ -52,19 +52,20 @@ def prepare(folder: Path) -> Contest:
         seconds_between(EPOCH, each.instant.stamp) + each.instant.remainder for each in run.impacts
     ]
     integrated = _integrated(model, stamps)
-    told = [_agreement("scipy", INSTANTS_AGREE, (found, run.states), integrated)]
+    agreements = [_agreement("scipy", INSTANTS_AGREE, (found, run.states), integrated)]
     siconos, absent = siconos_peer.start(_problem(model), folder)
     for name, each in siconos.items():
         each.run(folder)
         instants, samples = each.found(folder)
         theirs = Integrated(instants, samples[:, 1:])
-        told.append(_agreement(name, EVENTS_AGREE, (found, run.states[1:]), theirs))
+        agreements.append(_agreement(name, EVENTS_AGREE, (found, run.states[1:]), theirs))
+    work = f"two_mass, {DURATION:g} s, {len(found)} impacts, {stamps.size} states"
     return Contest(
-        f"two_mass, {DURATION:g} s, {len(found)} impacts, {stamps.size} states; {'; '.join(told)}",
+        f"{work}; {'; '.join(agreements)}",
         lambda _: _simulated(model, stamps),
         {
             "solve_ivp, DOP853": lambda _: _integrated(model, stamps),
-            **siconos_peer.jobs(siconos),
+            **{name: each.run for name, each in siconos.items()},
         },
         absent,
     )
@@ -77,17 +78,15 @@ def _agreement(
     found, states = ours
     if len(found) != len(theirs.instants):
         raise DisagreementError(f"{len(found)} impacts, {len(theirs.instants)} by {name}")
-    differences = float(np.max(np.abs(np.subtract(found, theirs.instants))))
+    late = float(np.max(np.abs(np.subtract(found, theirs.instants))))
     off = float(np.max(np.abs(states - theirs.states)))
-    if not (differences < within and off < STATES_AGREE):
-        raise DisagreementError(
-            f"{name}: instants differ by {differences:.1e} s, states by {off:.1e}"
-        )
-    return f"{name} agrees to {differences:.0e} s, states to {off:.0e}"
+    if not (late < within and off < STATES_AGREE):
+        raise DisagreementError(f"{name}: instants differ by {late:.1e} s, states by {off:.1e}")
+    return f"{name} agrees to {late:.0e} s, states to {off:.0e}"
 
 
 def _problem(model: Model) -> dict[str, Any]:
-    """The same for Siconos, in lists and numbers."""
+    """The problem for Siconos, in lists and numbers."""
     system, (position, velocity) = model.system, model.initial_state()
     arrays = {key: getattr(system, key).tolist() for key in ("M", "C", "K", "W", "q_r", "eps")}
     parts = ("constant", "frequency", "cosine", "sine")
@@ -137,7 +136,7 @@ def _integrated(model: Model, stamps: Stamps) -> Integrated:
 
 
 def _derivative(system: System) -> Callable[[float, Array], Array]:
-    """``dx/dt = A x + B f(t)`` with one harmonic: as few operations as there can be."""
+    """``dx/dt = A x + B f(t)`` with one harmonic, in the fewest operations."""
     n, inverse = system.n, np.linalg.inv(system.M)
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ system.K, -inverse @ system.C]])
     forcing = system.forcing

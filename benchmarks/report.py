@@ -1,4 +1,4 @@
-"""What was measured, as a document, and the document as a table or as rows for the README.
+"""The measurements as a document, and the document as a table or in Markdown.
 
 python -m benchmarks.report FILE     # of ./dev bench --json FILE, in Markdown
 """
@@ -31,7 +31,7 @@ PACKAGES = {
     "rclpy": ("ros-rclpy",),
     "fastrtps": ("ros-fastrtps",),
 }
-"""What is used, and what it is called as a wheel."""
+"""Packages whose versions are reported, and their names as wheels."""
 _SICONOS = Path("/usr/include/siconos/SiconosConfig.h")
 _PREFIXES = {"s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns"))}
 
@@ -59,11 +59,11 @@ CAPTION = (
 
 
 def document(results: Sequence[Result], skipped: Mapping[str, str]) -> dict[str, Any]:
-    """Everything measured, and with what; nothing that names the machine.
+    """All measurements and versions; nothing identifies the machine.
 
     Args:
         results: of the benchmarks.
-        skipped: why others have none, by name.
+        skipped: why others were skipped, by name.
     """
     return {
         "versions": {"python": platform.python_version(), **_versions()},
@@ -90,16 +90,16 @@ def document(results: Sequence[Result], skipped: Mapping[str, str]) -> dict[str,
 
 
 def _reached(result: Result, goal: Goal) -> dict[str, float | bool | None]:
-    """What became of a goal; nothing where its peer is absent."""
+    """The value and whether it meets a goal; None where the peer is absent."""
     if goal.peer and goal.peer not in result.contest.peers:
         return {"found": None, "met": None}
     found = result.ratio(goal.peer, goal.figure) if goal.peer else result.own(goal.figure)
     return {"found": found.median, "met": found.median <= goal.most}
 
 
-def rows(told: Mapping[str, Any]) -> Iterator[Row]:
+def rows(document: Mapping[str, Any]) -> Iterator[Row]:
     """The table of a document: a row for each goal, and for each other peer and figure."""
-    for each in told["benchmarks"]:
+    for each in document["benchmarks"]:
         left = {(peer, figure) for peer in each["ratios"] for figure in each["units"]}
         left |= {(peer, next(iter(each["units"]))) for peer in each["skipped"]}
         if not left:
@@ -131,7 +131,7 @@ def _row(each: Mapping[str, Any], peer: str, figure: str, goal: Mapping[str, Any
 
 
 def shown(value: float, unit: str) -> str:
-    """Three digits, with a prefix that suits."""
+    """Three digits, with the prefix that fits."""
     for scale, name in _PREFIXES.get(unit, ()):
         if abs(value) >= 0.9995 * scale:
             rounded = float(f"{value / scale:.3g}")
@@ -139,22 +139,24 @@ def shown(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}".rstrip()
 
 
-def table(told: Mapping[str, Any]) -> Table:
-    """For the terminal."""
+def table(document: Mapping[str, Any]) -> Table:
+    """The table of a document, for the terminal."""
     made = Table(box=box.SIMPLE_HEAD, caption=CAPTION, caption_justify="left")
     for heading in HEADINGS:
         left = heading in {"benchmark", "peer", "met"}
         whole = heading in {"benchmark", "ours", "peer's", "goal"}
         made.add_column(heading, justify="left" if left else "right", no_wrap=whole)
-    for row in rows(told):
+    for row in rows(document):
         made.add_row(*row)
     return made
 
 
-def markdown(told: Mapping[str, Any]) -> str:
-    """For the README."""
-    lines = [HEADINGS, ["---"] * len(HEADINGS), *rows(told)]
-    versions = ", ".join(f"{name} {found}" for name, found in told["versions"].items() if found)
+def markdown(document: Mapping[str, Any]) -> str:
+    """The table of a document in Markdown, with versions."""
+    lines = [HEADINGS, ["---"] * len(HEADINGS), *rows(document)]
+    versions = ", ".join(
+        f"{name} {found}" for name, found in document["versions"].items() if found
+    )
     return "\n".join([*(f"| {' | '.join(line)} |" for line in lines), "", f"With {versions}."])
 
 
@@ -164,7 +166,7 @@ def _versions() -> dict[str, str | None]:
 
 
 def _version(name: str, wheels: Sequence[str]) -> str | None:
-    """Of a Python package, or of one of ROS that has none."""
+    """The version of a Python package, or of a ROS package."""
     for each in (*wheels, name):
         with suppress(PackageNotFoundError):
             return version(each)
@@ -176,7 +178,7 @@ def _version(name: str, wheels: Sequence[str]) -> str | None:
 
 
 def _siconos() -> str | None:
-    """As its header says."""
+    """The version of Siconos, from its header."""
     if not _SICONOS.is_file():
         return None
     for line in _SICONOS.read_text("utf-8", errors="replace").splitlines():
@@ -187,7 +189,7 @@ def _siconos() -> str | None:
 
 if __name__ == "__main__":
     try:
-        told = json.loads(Path(sys.argv[1]).read_text("utf-8"))
+        measured = json.loads(Path(sys.argv[1]).read_text("utf-8"))
     except (IndexError, OSError, ValueError) as error:
         sys.exit(f"benchmarks.report: {error}; give the FILE of ./dev bench --json FILE")
-    print(markdown(told))
+    print(markdown(measured))

@@ -1,9 +1,8 @@
 """Siconos' event-driven scheme as a peer: LSODAR, Newton's impact law, an event at every sample.
 
-Siconos (Acary, Bonnefon, Bremond, Huber, Perignon and Sinclair, INRIA technical report 340) has no
-other way to tell states on a grid than to make each stamp an event. Imports, compilation and the
-building of models are not timed; each run has a process that waits to be told, and what is timed
-is one message there, the simulation's loop and one message back.
+Siconos (Acary, Bonnefon, Bremond, Huber, Perignon and Sinclair, INRIA technical report 340) gives
+states on a grid only if each stamp is an event. Imports, compilation and building the model are not
+timed. A process waits for commands; what is timed is one command, the simulation and one answer.
 """
 
 import json
@@ -18,8 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.harness import Job
-
 Array = NDArray[np.float64]
 _HEADERS = Path("/usr/include/siconos")
 _SOURCES = Path(__file__).parent
@@ -27,11 +24,11 @@ _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 class AbsentError(Exception):
-    """Siconos, or what is needed to use it, is not here."""
+    """Siconos, or a tool that it needs, is not installed."""
 
 
 class Siconos:
-    """A process that simulates one problem whenever it is told."""
+    """A process that simulates one problem at each command."""
 
     def __init__(self, command: list[str]) -> None:
         """Start it and wait until its model is built."""
@@ -43,28 +40,28 @@ class Siconos:
             bufsize=1,
             env=os.environ | _ONE_THREAD,
         )
-        self._answered("ready")
+        self._wait_for("ready")
 
     def run(self, _: Path) -> None:
         """Simulate; a ``Job``."""
-        self._told("run", "done")
+        self._command("run", "done")
 
     def found(self, folder: Path) -> tuple[list[float], Array]:
         """Impact times of the last run, s, and its samples (t, q, u), shape (samples, 1 + 2n)."""
         path = folder / "siconos.txt"
-        self._told(f"save {path}", "saved")
+        self._command(f"save {path}", "saved")
         first, _, rest = path.read_text("utf-8").partition("\n")
         samples = [[float(value) for value in row.split()] for row in rest.splitlines()]
         return [float(t) for t in first.split()], np.array(samples)
 
-    def _told(self, what: str, answer: str) -> None:
+    def _command(self, command: str, answer: str) -> None:
         assert self._process.stdin is not None
-        self._process.stdin.write(what + "\n")
+        self._process.stdin.write(command + "\n")
         self._process.stdin.flush()
-        self._answered(answer)
+        self._wait_for(answer)
 
-    def _answered(self, answer: str) -> None:
-        """Wait for an answer; Siconos says other things as well."""
+    def _wait_for(self, answer: str) -> None:
+        """Wait for an answer; Siconos prints other lines, too."""
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.strip() == answer:
@@ -73,25 +70,19 @@ class Siconos:
 
 
 def start(problem: Mapping[str, Any], folder: Path) -> tuple[dict[str, Siconos], dict[str, str]]:
-    """Those that can be started, and why the others cannot, by name.
+    """The peers that can be started, and why the others cannot, by name.
 
     Args:
-        problem: as ``test/siconos_runs.py`` takes it, of one contact and one cosine, with a
+        problem: as for ``test/siconos_runs.py``, with one contact and one cosine, a
             ``tolerance`` and a ``step``, s.
-        folder: for the problem's files and what is compiled.
+        folder: for the problem's files and the compiled program.
     """
-    makers: dict[str, Callable[[Mapping[str, Any], Path], list[str]]] = {
-        "Siconos, C++": _compiled,
-        "Siconos, Python": _interpreted,
+    peers = {
+        "Siconos, C++": _started(_compiled, problem, folder),
+        "Siconos, Python": _started(_interpreted, problem, folder),
     }
-    started: dict[str, Siconos] = {}
-    absent: dict[str, str] = {}
-    for name, command in makers.items():
-        made = _started(command, problem, folder)
-        if isinstance(made, str):
-            absent[name] = made
-        else:
-            started[name] = made
+    started = {name: each for name, each in peers.items() if isinstance(each, Siconos)}
+    absent = {name: each for name, each in peers.items() if isinstance(each, str)}
     return started, absent
 
 
@@ -107,13 +98,8 @@ def _started(
         return str(error)
 
 
-def jobs(started: Mapping[str, Siconos]) -> dict[str, Job]:
-    """What takes turns."""
-    return {name: each.run for name, each in started.items()}
-
-
 def _compiled(problem: Mapping[str, Any], folder: Path) -> list[str]:
-    """The command of the driver in C++, compiled into ``folder``."""
+    """The command of the program in C++, compiled into ``folder``."""
     compiler = shutil.which("g++")
     if compiler is None or not (_HEADERS / "kernel" / "SiconosKernel.hpp").exists():
         raise AbsentError("no g++ or no headers: apt install g++ libsiconos-kernel-dev")
@@ -135,7 +121,7 @@ def _compiled(problem: Mapping[str, Any], folder: Path) -> list[str]:
 
 
 def _interpreted(problem: Mapping[str, Any], folder: Path) -> list[str]:
-    """The command of the run in Python, by an interpreter that has Siconos."""
+    """The command of the program in Python, by an interpreter that has Siconos."""
     named = os.environ.get("SICONOS_PYTHON")
     for interpreter in [named] if named else [sys.executable, "/usr/bin/python3"]:
         command = [interpreter, "-c", "import siconos.kernel"]

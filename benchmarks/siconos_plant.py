@@ -1,7 +1,7 @@
-"""As ``siconos_plant.cpp``, in Siconos' Python: for the interpreter that has it, not for ours.
+"""As ``siconos_plant.cpp``, in Siconos' Python: for an interpreter that has Siconos.
 
-``python siconos_plant.py problem.json``. It cannot be given a force that depends on time, so the
-harmonic is a coordinate more; see ``test/siconos_runs.py``, which this runs with a tolerance.
+``python siconos_plant.py problem.json``. It takes no force that depends on time, so the harmonic
+is one more coordinate; see ``test/siconos_runs.py``, which this runs with a tolerance.
 """
 
 import json
@@ -45,20 +45,20 @@ def simulated(made: Any, run: Any) -> tuple[list[float], list[list[float]]]:  # 
 
 
 def main(problem: Path) -> None:
-    """Build, and do what is told on the standard input."""
+    """Build, and obey the commands on the standard input."""
     given = json.loads(problem.read_text("utf-8"))
     following = built(given)
     found: tuple[list[float], list[list[float]]] = ([], [])
     print("ready", flush=True)
-    for told in sys.stdin:
-        if told.strip() == "run":
+    for command in sys.stdin:
+        if command.strip() == "run":
             found = simulated(*following)
             print("done", flush=True)
             following = built(given)
             continue
         rows = [found[0], *found[1]]
         text = "".join(" ".join(map(repr, row)) + "\n" for row in rows)
-        Path(told.strip().removeprefix("save ")).write_text(text, "utf-8")
+        Path(command.strip().removeprefix("save ")).write_text(text, "utf-8")
         print("saved", flush=True)
 
 

@@ -1,4 +1,4 @@
-"""How long the command takes to say what it can do, against an interpreter that does nothing."""
+"""How long ``impact-observer --help`` takes, against an interpreter that does nothing."""
 
 import os
 import subprocess
@@ -8,15 +8,15 @@ from pathlib import Path
 from benchmarks.harness import Benchmark, Contest, DisagreementError, Goal
 
 _BOOTSTRAPPED = ("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "LD_LIBRARY_PATH")
-"""Where ROS comes as wheels, each new shell's interpreter begins twice; ours did already."""
+"""With ROS as wheels the interpreter restarts itself once; these variables would prevent it."""
 
 
 def prepare(_: Path) -> Contest:
-    """The command as it is installed, or its module."""
+    """The installed command, or its module."""
     script = Path(sys.executable).with_name("impact-observer")
     command = [str(script)] if script.exists() else [sys.executable, "-m", "impact_observer"]
     if "COMMAND" not in _run([*command, "--help"]):
-        raise DisagreementError("impact-observer --help does not help")
+        raise DisagreementError("impact-observer --help prints no help")
     return Contest(
         "processes from start to end",
         lambda _: _run([*command, "--help"]),

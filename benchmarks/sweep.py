@@ -1,14 +1,13 @@
 """How a sweep scales: ``./dev bench sweep``.
 
-The same small sweep by one process, by two of joblib's, and by a local Dask cluster of two workers
-with a thread each, side by side in every round. Its cases are those of a real one in small: three
-laws that differ tenfold in cost, with and without jitter. Before anything is timed all three have
-run once, so that processes are there and modules imported, and their files must be equal byte for
-byte.
+The same small sweep is run by one process, by two of joblib's, and by a local Dask cluster of two
+workers with a thread each, in turn in every round. It has three laws that differ tenfold in cost,
+with and without jitter. Before anything is timed all three engines have run once, so that
+processes are started and modules imported, and their files must be equal byte for byte.
 
-Medians of the rounds; the speedup is the time of one process over that of the engine in the same
-round. In the row `2 copies` two processes do the whole work each, at once, and it counts twice: so
-much of two cores is there to be had.
+The table has medians of the rounds; the speedup is the time of one process over that of the
+engine in the same round. In the row `2 copies` two processes at once do the whole work each, and
+it counts twice: the most that two cores can give.
 """
 
 import argparse
@@ -54,7 +53,7 @@ def swept(runs: int) -> Sweep:
 
 @contextmanager
 def engines() -> Iterator[dict[str, Engine]]:
-    """What runs cases, by name."""
+    """The engines, by name."""
     with LocalCluster(
         n_workers=WORKERS,
         threads_per_worker=1,
@@ -70,7 +69,7 @@ def engines() -> Iterator[dict[str, Engine]]:
 
 
 def check_equal(sweep: Sweep, contestants: Mapping[str, Engine]) -> None:
-    """Raise unless all of them make the same file.
+    """Check that all engines make the same file.
 
     Raises:
         DisagreementError: they do not.
@@ -89,7 +88,7 @@ def check_equal(sweep: Sweep, contestants: Mapping[str, Engine]) -> None:
 
 
 def seconds(work: Callable[[], object]) -> float:
-    """How long it takes."""
+    """The time of ``work``."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start
@@ -102,7 +101,7 @@ def serial(runs: int) -> None:
 
 
 def measured(runs: int, rounds: int) -> dict[str, list[float]]:
-    """Seconds of each engine in each round; ``2 copies`` is what the machine can do at once."""
+    """Seconds of each engine in each round; ``2 copies`` is the most that the machine can do."""
     sweep = swept(runs)
     cases = [*sweep.cases()]
     times: dict[str, list[float]] = {}

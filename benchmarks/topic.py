@@ -1,11 +1,10 @@
 """From an event on the topic to the corrected estimate on the topic, against an echo.
 
-What is measured is a round trip: from just before the driver publishes an event until its
-callback has the first estimate that contains it. Events are of an instant ``LATE`` ago, as a
-sensor's are that takes its time, so that estimates which should have contained them are out
-already and the observer must publish at once, not with the next of a kilohertz. The echo
-(``echo_node.py``) answers with the same messages, and knows nothing. Each round starts the process
-of either anew; the driver is the same, and so is what both are told.
+A round trip is measured: from just before the driver publishes an event until its callback has the
+first estimate that contains it. Stamps of events are ``LATE`` ago, as those of a slow sensor. The
+estimates that should have contained them are out already, so the observer must publish at once and
+not at the next tick of a kilohertz. The echo (``echo_node.py``) answers with the same messages and
+estimates nothing. Each round starts a new process of both; driver and parameters are the same.
 """
 
 import os
@@ -42,7 +41,7 @@ _ECHO = ("benchmarks.echo_node", "--ros-args", "-p", f"rate:={RATE}")
 
 
 def prepare(_: Path) -> Contest:
-    """Look whether ROS is here."""
+    """Check that ROS is installed."""
     for package in ("rclpy", "impact_observer_msgs"):
         if find_spec(package) is None:
             raise SkippedError(f"no {package} here: source Jazzy, or ./dev setup")
@@ -62,7 +61,7 @@ def prepare(_: Path) -> Contest:
 
 @contextmanager
 def take_domain() -> Iterator[None]:
-    """Have a ROS domain for this process and those that it starts."""
+    """Reserve a ROS domain for this process and its children."""
     with free_domain() as environment:
         os.environ.update(environment)
         yield
@@ -84,7 +83,7 @@ def _running(command: tuple[str, ...]) -> Iterator[None]:
 
 
 def _figures() -> Figures:
-    """Send events to whoever is there, and take the quantiles of what the answers took, s."""
+    """Send events, and take quantiles of the round trips, s."""
     from benchmarks.driver import driving  # noqa: PLC0415 (only where ROS is)
 
     with driving(LATE) as driver:
@@ -94,7 +93,7 @@ def _figures() -> Figures:
 
 BENCHMARK = Benchmark(
     "topic",
-    "what does observing cost beside talking?",
+    "what does observing cost over answering?",
     prepare,
     (Goal(1.15, ECHO, "p50"), Goal(1.5, ECHO, "p99")),
     rounds=10,
