@@ -65,7 +65,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
 def arguments(args: Sequence[str] | None) -> argparse.Namespace:
     """The arguments, checked; ``names`` are those of all benchmarks where none are given."""
-    known = [each.name for each in benchmarks(SECONDS)]
+    names = [each.name for each in benchmarks(SECONDS)]
     parser = argparse.ArgumentParser(prog="./dev bench", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="only these (default: all)")
     parser.add_argument("--list", action="store_true", help="list the benchmarks, and end")
@@ -79,13 +79,13 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
     given = parser.parse_args(args)
-    if unknown := [name for name in given.names if name not in known]:
-        parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(known)}")
+    if unknown := [name for name in given.names if name not in names]:
+        parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(names)}")
     if given.rounds is not None and given.rounds < 1:
         parser.error(f"argument --rounds: {given.rounds}; expected 1 or more")
     if not 1 <= given.seconds <= 100_000:
         parser.error(f"argument --seconds: {given.seconds:g}; expected 1 to 100000")
-    given.names = given.names or known
+    given.names = given.names or names
     return given
 
 

@@ -221,6 +221,8 @@ def print_consistency(name: str, runs: int, seconds: int) -> None:
     found = [each for k in range(runs) if (each := nees_of_run(name, k, seconds)) is not None]
     print(f"\n{name}: NEES / 2n of {len(found)} runs of {runs}, jitter 1 ms, declared")
     print(f"{'at':>12} {'runs':>5} {'mean':>7} {'median':>7} {'99 %':>7} {'largest':>8}")
+    if not found:
+        return
     values = np.array(found)
     for k, row in enumerate(values.T):
         kept = row[~np.isnan(row)]

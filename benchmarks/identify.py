@@ -1,21 +1,21 @@
-"""How well parameters are learnt from impact times: ``./dev bench identify``.
+"""How well parameters are estimated from impact times: ``./dev bench identify``.
 
-A minute of the sample models; the model that is given has restitutions off by 0.1, stiffness by
-3 % and gaps by 2 %, and nobody gives a state. Four tables, without any timing:
+A minute of the sample models. The initial model has restitutions off by 0.1, stiffness by 3 % and
+gaps by 2 %; no state is given. docs/identify.md and docs/laws.md quote these five tables, without
+timing:
 
 - exact stamps (rounded to 1 ns): the largest relative error of a parameter;
-- stamps that jitter by 1 ms, over the seeds: the mean of the squares of the normalised errors of
-  all parameters together over their number (1 is honest), with the probability of a sum that far
-  from it, and the median and largest relative error;
-- one impact in ten spurious besides, exact and with 1 ms: the largest relative error over the
-  seeds, and in how many runs it was above 1 % or the fit said of itself that it had failed;
-- V of observers with ideal stamps and a stiffness that is 2 % off, before and after it was learnt,
-  and where minimum-variance learns it on line: medians of the last half of the minute;
-- minimum-variance that learns on line, over the starts, every event believed: V / V0 at 30 s
-  without learning, with it where the parameters are right, and where they are wrong by a normal
-  draw of what is declared; with jitter, the mean square of the parameters' normalised errors,
-  and their deviations over the least that any unbiased estimator has (Cramer and Rao).
-  docs/identify.md and docs/laws.md rest on these.
+- jitter of 1 ms, over the seeds: the normalised squared error of all parameters over their number,
+  on average, which should be 1; the probability of a sum that far from it; the median and largest
+  relative error;
+- V of observers with ideal stamps and a stiffness that is 2 % off, before and after it was
+  identified, and where minimum-variance estimates it on line: medians of the last half minute;
+- minimum-variance that estimates parameters on line, over the starts, every event accepted: V / V0
+  at 30 s without estimated parameters, with right initial values, and with wrong ones drawn from
+  the declared distribution; with jitter, the mean normalised squared error of the parameters, and
+  their standard deviations over the Cramer-Rao bound;
+- one impact in ten spurious, without jitter and with 1 ms: the relative errors over the seeds, in
+  how many runs the largest was above 1 %, and in how many the fit reported that it had failed.
 """
 
 import argparse
@@ -52,10 +52,10 @@ MODELS = ("two_mass", "three_mass")
 FREE = ("restitution", "stiffness-scale", "gap")
 STIFFNESS, RESTITUTION, GAP = 1.03, 0.1, 1.02
 JITTER = 1e-3
-INVENTED = 0.1
+SPURIOUS = 0.1
 LAWS = ("geometric", "unilateral", "minimum-variance")
 HALF = 30 * NS_PER_S
-LEARNT = ("restitution=0.1", "stiffness-scale=0.03")
+ON_LINE = ("restitution=0.1", "stiffness-scale=0.03")
 
 
 @lru_cache
@@ -66,8 +66,8 @@ def recorded(name: str) -> Run:
     return simulate(plant, grid(EPOCH, EPOCH + from_seconds(END), 20.0))
 
 
-def told(name: str, sensor: SensorModel, seed: int) -> list[ImpactEvent]:
-    """What a sensor tells of it."""
+def events_of(name: str, sensor: SensorModel, seed: int) -> list[ImpactEvent]:
+    """The events of a sensor on that run, by stamp."""
     run, model = recorded(name), read_model(name).system
     sensed = simulate_sensor(
         sensor, model, run.switchings, epoch=EPOCH, last=int(run.stamps[-1]), seed=seed
@@ -76,7 +76,7 @@ def told(name: str, sensor: SensorModel, seed: int) -> list[ImpactEvent]:
 
 
 def wrong(model: System) -> System:
-    """As the module says."""
+    """The initial model of an identification."""
     return replace(
         model,
         K=STIFFNESS * model.K,
@@ -88,7 +88,7 @@ def wrong(model: System) -> System:
 
 
 def errors(found: Identified, model: System) -> np.ndarray:
-    """Of the parameters, in their units."""
+    """The errors of the parameters, in their units."""
     true = {"stiffness-scale": 1 / STIFFNESS}
     for contact in model.contacts:
         true[f"restitution.{contact.name}"] = contact.restitution
@@ -97,9 +97,9 @@ def errors(found: Identified, model: System) -> np.ndarray:
 
 
 def exact(name: str) -> dict[str, object]:
-    """The first table."""
+    """A row of the first table."""
     model = read_model(name).system
-    found = identify(parametric_family(wrong(model), FREE), told(name, SensorModel(), 0))
+    found = identify(parametric_family(wrong(model), FREE), events_of(name, SensorModel(), 0))
     error = errors(found, model)
     return {
         "model": name,
@@ -110,12 +110,12 @@ def exact(name: str) -> dict[str, object]:
 
 
 def jittered(name: str, seeds: int) -> dict[str, object]:
-    """The second table."""
+    """A row of the second table."""
     model = read_model(name).system
     family = parametric_family(wrong(model), FREE)
     weights, sizes = [], []
     for seed in track(range(seeds), f"{name}: jitter", console=Console(stderr=True)):
-        events = told(name, SensorModel(jitter=JITTER), seed)
+        events = events_of(name, SensorModel(jitter=JITTER), seed)
         found = identify(family, events, clock=JITTER, believe=True)
         error, own = errors(found, model), found.covariance[found.start.size :, found.start.size :]
         weights.append(float(error @ np.linalg.solve(own, error)))
@@ -133,13 +133,13 @@ def jittered(name: str, seeds: int) -> dict[str, object]:
 
 
 def spurious(name: str, jitter: float, seeds: int) -> dict[str, object]:
-    """The third table."""
+    """A row of the last table."""
     model = read_model(name).system
     family = parametric_family(wrong(model), FREE)
-    rate = INVENTED * len(recorded(name).events) / END
+    rate = SPURIOUS * len(recorded(name).events) / END
     sizes, failed = [], 0
     for seed in track(range(seeds), f"{name}: spurious", console=Console(stderr=True)):
-        events = told(name, SensorModel(jitter=jitter, spurious=rate), seed)
+        events = events_of(name, SensorModel(jitter=jitter, spurious=rate), seed)
         try:
             found = identify(family, events)
         except IdentificationError:
@@ -160,10 +160,10 @@ def spurious(name: str, jitter: float, seeds: int) -> dict[str, object]:
 
 
 def floors(name: str) -> Iterator[dict[str, object]]:
-    """The last table."""
+    """The rows of the third table for a model."""
     model = read_model(name).system
     off = replace(model, K=1.02 * model.K)
-    events = told(name, SensorModel(), 0)
+    events = events_of(name, SensorModel(), 0)
     found = identify(parametric_family(off, ["stiffness-scale"]), events)
     exact = Uncertainty(clock_error=0.0)
     learning = replace(exact, unknowns=UnknownParameters.named(off, ["stiffness-scale=0.03"]))
@@ -181,7 +181,7 @@ def floors(name: str) -> Iterator[dict[str, object]]:
 def _floor(
     name: str, law: str, model: System, events: list[ImpactEvent], declared: Uncertainty
 ) -> float:
-    """The median V in the last half, by the true model's energy, J."""
+    """The median V in the last half, with the true model, J."""
     run = recorded(name)
     chosen = law_named(law)(model, declared)
     observer = Observer(model, chosen, *initial_state("random:1", model), ensemble=1)
@@ -194,20 +194,24 @@ def _distances(
 ) -> tuple[np.ndarray, Estimate]:
     """V at the wanted samples of a run, J, and the last estimate."""
     run, true = recorded(name), read_model(name).system
-    seen = [x for x in replay(observer, events, run.stamps[wanted]) if isinstance(x, Estimate)]
-    differences = np.array([np.concatenate([x.q, x.u]) for x in seen]) - run.states[wanted]
-    return np.asarray(distance(true, differences[:, : true.n], differences[:, true.n :])), seen[-1]
+    estimates = [
+        x for x in replay(observer, events, run.stamps[wanted]) if isinstance(x, Estimate)
+    ]
+    differences = np.array([np.concatenate([x.q, x.u]) for x in estimates]) - run.states[wanted]
+    return np.asarray(
+        distance(true, differences[:, : true.n], differences[:, true.n :])
+    ), estimates[-1]
 
 
 def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, object]:
-    """A row of the last table."""
+    """A row of the fourth table."""
     true = read_model(name).system
     right = UnknownParameters.named(true, [free])
     plain, learning, wrong, squares, ratios = [], [], [], [], []
     least = _least(name, right, jitter) if jitter else np.full(right.family.size, np.nan)
     for seed in track(range(starts), f"{name}: {free} on line", console=Console(stderr=True)):
         rng = np.random.default_rng(seed)
-        events = told(name, SensorModel(jitter=jitter), seed)
+        events = events_of(name, SensorModel(jitter=jitter), seed)
         declared = Uncertainty(clock_error=jitter, missed=0.0, spurious=0.0, mislabelled=0.0)
         start, learns = f"random:{seed}", replace(declared, unknowns=right)
         plain.append(_ended(name, _observer(true, start, declared), events)[0])
@@ -231,14 +235,14 @@ def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, objec
         "V/V0 plain": float(np.median(plain)),
         "V/V0 right": float(np.median(learning)),
         "V/V0 wrong": float(np.median(wrong)),
-        # the rounding to 1 ns is one draw for all starts: nothing to take a mean of
+        # without jitter the rounding to 1 ns is the same for all starts: there is no mean
         "normalised": float(np.mean(squares)) if jitter else "",
         "deviation_over_least": float(np.median(ratios)) if jitter else "",
     }
 
 
 def _least(name: str, unknowns: UnknownParameters, jitter: float) -> np.ndarray:
-    """Least deviations of parameters after 30 s, from the exact derivatives of all gaps."""
+    """The Cramer-Rao bound of the parameters' deviations after 30 s."""
     true, run = read_model(name).system, recorded(name)
     events = [each for each in run.events if each.stamp <= EPOCH + HALF]
     t = np.array([seconds_between(EPOCH, each.stamp) for each in events])
@@ -247,22 +251,22 @@ def _least(name: str, unknowns: UnknownParameters, jitter: float) -> np.ndarray:
     moments = [FlightEnd(at, hit, hit) for at, hit in zip(t.tolist(), hits, strict=True)]
     start = np.append(run.states[0], unknowns.family.nominal)
     shot = shoot(unknowns.family, start, moments, t, 0.0)
-    known = [np.ones(2 * true.n), unknowns.deviations, np.full(t.size, jitter)]
-    scale = np.concatenate(known)
-    # what starts, parameters and shifts of stamps may be while all gaps are zero
+    scales = [np.ones(2 * true.n), unknowns.deviations, np.full(t.size, jitter)]
+    scale = np.concatenate(scales)
+    # changes of start, parameters and stamps that keep all gaps at zero
     _, _, rest = np.linalg.svd(np.hstack([shot.by_start, shot.by_instant]) * scale)
     free = np.linalg.norm(rest[t.size :] * scale, axis=0)
     return np.asarray(free[2 * true.n : start.size])
 
 
 def _observer(model: System, start: str, declared: Uncertainty) -> Observer:
-    """One of minimum variance."""
+    """An observer with ``minimum-variance``, one replica."""
     law = law_named("minimum-variance")(model, declared)
     return Observer(model, law, *initial_state(start, model), ensemble=1)
 
 
 def _ended(name: str, observer: Observer, events: list[ImpactEvent]) -> tuple[float, Estimate]:
-    """V after 30 s over V at first, and the estimate then."""
+    """V after 30 s over the initial V, and the estimate then."""
     stamps = recorded(name).stamps
     wanted = np.isin(np.arange(stamps.size), np.searchsorted(stamps, (EPOCH, EPOCH + HALF)))
     V, last = _distances(name, observer, events, wanted)
@@ -270,7 +274,7 @@ def _ended(name: str, observer: Observer, events: list[ImpactEvent]) -> tuple[fl
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Measure and print."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(prog="./dev bench identify", description=__doc__)
     parser.add_argument("--seeds", type=int, default=50, metavar="N", help="(default 50)")
     parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
@@ -282,7 +286,7 @@ def main(args: Sequence[str] | None = None) -> int:
         "parameters learnt on line": [
             on_line(name, free, jitter, given.seeds)
             for name in MODELS
-            for free in LEARNT
+            for free in ON_LINE
             for jitter in (0.0, JITTER)
         ],
         "one impact in ten is spurious": [

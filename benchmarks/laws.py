@@ -1,8 +1,8 @@
 """How far each law reduces the error of a wrong initial state: ``./dev bench laws``.
 
-Two tables, without timing. The first has V over the initial V just after the (2n + 2)-th impact and
-after 30 s, as medians over 20 seeds; README and docs/laws.md quote it. The second has how often
-``synchronized`` was wrong: true while V was above the threshold of the observer.
+Two tables, without timing. The first has V over the initial V just after the (2n + 2)-th impact
+and after 30 s, as medians over 20 seeds; README and docs/laws.md quote it. The second has how
+often ``synchronized`` was wrong: true while V was above the threshold of the observer.
 
 Events are ideal, their stamps rounded to 1 ns. The plant starts at the model's initial state, and
 the estimate of each seed at that state plus ``default_rng(seed).normal(2n)``: initial errors are

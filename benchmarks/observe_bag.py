@@ -105,8 +105,8 @@ def _written(bag: Path, observed: Observed, output: Path) -> None:
         two = connections[_JOINT_STATES], connections[_STATES]
         for log_time, messages in _messages(store, observed):
             for connection, message in zip(two, messages, strict=True):
-                data = store.serialize_cdr(message, connection.msgtype)
-                writer.write(connection, log_time, data)
+                serialized = store.serialize_cdr(message, connection.msgtype)
+                writer.write(connection, log_time, serialized)
 
 
 def _messages(store: Typestore, observed: Observed) -> Iterator[tuple[int, tuple[object, object]]]:

@@ -1,8 +1,9 @@
 """Siconos' event-driven scheme as a peer: LSODAR, Newton's impact law, an event at every sample.
 
 Siconos (Acary, Bonnefon, Bremond, Huber, Perignon and Sinclair, INRIA technical report 340) gives
-states on a grid only if each stamp is an event. Imports, compilation and building the model are not
-timed. A process waits for commands; what is timed is one command, the simulation and one answer.
+states on a grid only if each stamp is an event. Imports, compilation and building the model are
+not timed. A process waits for commands; what is timed is one command, the simulation and one
+answer.
 """
 
 import json

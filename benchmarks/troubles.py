@@ -1,22 +1,22 @@
-"""What wrong events do to an estimate, and what they need do: ``./dev bench troubles``.
+"""Estimates with sensor faults, and the goals for them: ``./dev bench troubles``.
 
-A table a model, without any timing. Each scenario is a sensor with a trouble; each run of it
-begins with an initial error that is standard normal in every coordinate. V over the initial V at
-the end, median and worst, of
+A table for each model, without timing. Each scenario is a sensor with faults; each run starts with
+an initial error that is standard normal in every coordinate. The tables have V over the initial V
+at the end, median and worst, of
 
-- ``minimum-variance``, told the clock's error where the scenario says so and, where the sensor is
-  late, that stamps may be late by 20 ms; all else as it comes, and the same in every scenario;
-- an oracle: the same filter told which events are spurious, which contact was hit, and when one
-  was missed. From that it learns nothing but to jump where the plant does (and that a contact
-  then rests, where it does). It knows the delay, and the clock's error;
-- ``geometric``, which is told of no trouble.
+- ``minimum-variance``, given the standard deviation of the stamps where the scenario says so and,
+  where the sensor is late, 20 ms for that of their offset; all other options are defaults;
+- an oracle: the same filter given which events are spurious, which contact was hit, when an
+  impact was missed and whether a contact then rests, the delay, and the standard deviation of the
+  stamps. At a missed impact its estimate jumps where the plant does and is not corrected;
+- ``geometric``, with its defaults.
 
-Beside them what is aimed at, in how many runs ``minimum-variance`` ended worse than
-``geometric``, in how many ``synchronized`` was ever true while V was above what the observer takes
-for agreement, and the normalised estimation error squared of the published covariance at the end,
-over 2n: 1 is honest. For jitter alone also what the Cramer-Rao bound lets any unbiased estimator
-expect, as mean V over the mean initial V (``benchmarks/covariance.py``). A last table has harder
-systems, half as long. What docs/laws.md says of wrong events rests on these.
+Further columns are the goals; in how many runs ``minimum-variance`` ended worse than
+``geometric``; in how many ``synchronized`` was ever true while V was above the threshold of the
+observer; and the normalised estimation error squared (NEES) of the published covariance at the
+end, over 2n, which should be 1. For jitter alone also the Cramer-Rao bound, as mean V over the
+mean initial V (``benchmarks/covariance.py``). A last table has harder systems, half as long.
+docs/laws.md quotes these tables.
 
 Events arrive as the sensor sends them. V is read farther from any impact than stamps may be wrong:
 nearer, it would be the size of the jump.
@@ -71,31 +71,31 @@ EPOCH = 5 * NS_PER_S
 RATE = 10.0
 MODELS = ("two_mass", "three_mass")
 LATE = 0.02
-"""Standard deviation that is declared of what stamps are late by, s."""
+"""Declared standard deviation of the offset of stamps, s."""
 FEW = 10
 """Most runs of a scenario in the table of harder systems."""
 WIDTH = 100
-"""Of the tables, in columns."""
+"""Columns of a table."""
 LEGEND = """\
 median/worst of V over the initial V at the end; worse: runs that ended worse than geometric;
-flag: runs in which `synchronized` was wrong, of those in which it came; NEES: over 2n, mean;
-short: of which goals"""
+flag: runs in which `synchronized` was wrong, of those in which it was true; NEES: over 2n, mean;
+short: the goals not met"""
 _BESIDE = 1e-6
-"""V is read at least so far from an impact, s."""
+"""Least distance from an impact at which V is read, s."""
 _ROUNDED = 1e-12
-"""Eigenvalues of a correlation matrix that are rounding, relative to the largest."""
+"""Eigenvalue of a correlation matrix that counts as rounding, relative to the largest."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """A sensor with a trouble, and what is declared of it.
+    """A sensor with faults, and the options of the observer.
 
     Attributes:
         name: of the scenario.
-        sensor: but for what it invents.
+        sensor: without spurious impacts.
         spurious: spurious impacts, over the true ones.
-        declared: that the clock's error is told.
-        goals: aimed at: median and worst of V over the initial V; none for harder systems.
+        declared: whether the observer is given the standard deviation of the stamps.
+        goals: median and worst of V over the initial V; None for harder systems.
     """
 
     name: str
@@ -105,7 +105,7 @@ class Scenario:
     goals: tuple[float, float] | None = None
 
     def uncertainty(self) -> Uncertainty:
-        """What ``minimum-variance`` is told."""
+        """The options of ``minimum-variance``."""
         return Uncertainty(
             clock_error=self.sensor.jitter if self.declared else None,
             clock_offset_error=LATE if self.sensor.delay else 0.0,
@@ -131,7 +131,7 @@ HARDER = (
 
 
 class Job(NamedTuple):
-    """A run to be done."""
+    """A run to be made."""
 
     model: str
     scenario: Scenario
@@ -144,26 +144,26 @@ class Case:
     """A plant's run.
 
     Attributes:
-        system: what moved.
+        system: of the plant.
         start: its state at the epoch, shape (2n,).
-        run: what it did.
+        run: its impacts and states.
     """
 
     system: System
     start: Vector
     run: Run
 
-    def told(self, scenario: Scenario, seed: int) -> tuple[SensorMessage, ...]:
-        """All that the sensor tells, in the order of arrival."""
+    def messages(self, scenario: Scenario, seed: int) -> tuple[SensorMessage, ...]:
+        """The messages of the sensor, in the order of arrival."""
         last, switchings = int(self.run.stamps[-1]), self.run.switchings
         rate = scenario.spurious * len(self.run.impacts) / seconds_between(EPOCH, last)
         sensor = replace(scenario.sensor, spurious=rate)
         return simulate_sensor(sensor, self.system, switchings, epoch=EPOCH, last=last, seed=seed)
 
-    def felt(self, scenario: Scenario, seed: int) -> list[tuple[int, Switching, bool]]:
-        """Stamps of all that has happened, on a clock that is not late, and whether it was told.
+    def detections(self, scenario: Scenario, seed: int) -> list[tuple[int, Switching, bool]]:
+        """All switchings: stamp without the delay, the switching, whether it was detected.
 
-        What one trouble draws changes no draw of another: the rest is as in ``told``.
+        The draws of one fault do not change those of another: the rest is as in ``messages``.
         """
         sensing = SensorSimulation(scenario.sensor, self.system, epoch=EPOCH, seed=seed)
         delay = from_seconds(scenario.sensor.delay)
@@ -171,19 +171,16 @@ class Case:
         for each in self.run.switchings:
             if each.switches:
                 sensing.detect(each)
-                heard = [sensed.event.stamp for sensed in sensing.due(each.instant.stamp + delay)]
-                stamp = heard[0] - delay if heard else each.instant.stamp
-                found.append((max(stamp, EPOCH), each, bool(heard)))
+                sent = [sensed.event.stamp for sensed in sensing.due(each.instant.stamp + delay)]
+                stamp = sent[0] - delay if sent else each.instant.stamp
+                found.append((max(stamp, EPOCH), each, bool(sent)))
         return sorted(found, key=lambda each: each[0])
 
-    def beside(self, scenario: Scenario) -> np.ndarray:
-        """Samples that lie far enough from any impact, as indices of the run's stamps."""
-        differences = from_seconds(5 * scenario.sensor.jitter + scenario.sensor.delay + _BESIDE)
+    def clear_samples(self, scenario: Scenario) -> np.ndarray:
+        """Samples far enough from any impact, as indices of the run's stamps."""
+        margin = from_seconds(5 * scenario.sensor.jitter + scenario.sensor.delay + _BESIDE)
         impacts = np.array([each.instant.stamp for each in self.run.impacts], dtype=np.int64)
-        near = (
-            np.abs(self.run.stamps[:, None] - impacts).min(axis=1, initial=2 * differences)
-            <= differences
-        )
+        near = np.abs(self.run.stamps[:, None] - impacts).min(axis=1, initial=2 * margin) <= margin
         return np.flatnonzero(~near)
 
 
@@ -195,11 +192,11 @@ class Outcome:
         model: name.
         scenario: name.
         seed: of the initial error and the sensor.
-        start: V at first, J.
-        ratios: V at the end over that, of ``minimum-variance``, ``oracle`` and ``geometric``.
+        start: the initial V, J.
+        ratios: V at the end over the initial V, by law and for the ``oracle``.
         nees: normalised estimation error squared of ``minimum-variance`` at the end, over 2n.
-        flagged: samples at which it said ``synchronized``.
-        wrong: those of them at which V was above the threshold.
+        flagged: samples at which ``synchronized`` was true.
+        wrong: of these, samples at which V was above the threshold.
     """
 
     model: str
@@ -225,18 +222,18 @@ def case_of(name: str, seconds: int, seed: int = 0) -> Case:
 
 
 def outcome(job: Job) -> Outcome:
-    """Run the observers and the oracle on what one sensor told."""
+    """Run the observers and the oracle on the messages of one sensor."""
     name, scenario, seed, seconds = job
     case = case_of(name, seconds, seed if name == "random" else 0)
     system = case.system
     x = case.start + np.random.default_rng(seed).normal(size=2 * system.n)
-    told, samples = case.told(scenario, seed), case.beside(scenario)
+    messages, samples = case.messages(scenario, seed), case.clear_samples(scenario)
     end, truth = int(case.run.stamps[samples[-1]]), case.run.states[samples[-1]]
     robust = _observer(MinimumVariance(system, scenario.uncertainty()), x)
-    flagged, wrong = flags(robust, case, told, samples)
+    flagged, wrong = flags(robust, case, messages, samples)
     last = robust.estimate(end)
     geometric = _observer(Geometric(system), x)
-    for each in told:
+    for each in messages:
         if each.arrival <= end:
             geometric.receive(each.event)
     final = geometric.estimate(end)
@@ -252,7 +249,7 @@ def outcome(job: Job) -> Outcome:
         seed=seed,
         start=V0,
         ratios={law: _energy(system, state - truth) / V0 for law, state in states.items()},
-        nees=surprise(last.covariance, states["minimum-variance"] - truth),
+        nees=nees(last.covariance, states["minimum-variance"] - truth),
         flagged=flagged,
         wrong=wrong,
     )
@@ -263,26 +260,26 @@ def _observer(law: Law, x: Vector) -> Observer:
 
 
 def _energy(system: System, x: Vector) -> float:
-    """Kinetic and elastic, J, of a state (q, u); of a difference it is ``V``."""
+    """Kinetic and elastic energy, J, of a state (q, u); of an error it is ``V``."""
     return float(distance(system, *np.split(x, 2)))
 
 
 def flags(
-    observer: Observer, case: Case, told: Sequence[SensorMessage], samples: np.ndarray
+    observer: Observer, case: Case, messages: Sequence[SensorMessage], samples: np.ndarray
 ) -> tuple[int, int]:
-    """At how many samples an observer was ``synchronized``, and at how many of them wrongly.
+    """The number of samples with ``synchronized``, and of those where it was wrong.
 
     Args:
-        observer: has seen nothing yet; has seen all up to the last sample then.
+        observer: a new one; afterwards it has received all events up to the last sample.
         case: the truth.
-        told: what it hears, in the order of arrival.
-        samples: where to ask, as indices of the truth's stamps.
+        messages: of the sensor, in the order of arrival.
+        samples: where estimates are compared, as indices of the truth's stamps.
     """
     flagged, wrong, done = 0, 0, 0
     for k in samples.tolist():
         stamp = int(case.run.stamps[k])
-        while done < len(told) and told[done].arrival <= stamp:
-            observer.receive(told[done].event)
+        while done < len(messages) and messages[done].arrival <= stamp:
+            observer.receive(messages[done].event)
             done += 1
         now = observer.estimate(stamp)
         if now.synchronized:
@@ -295,29 +292,29 @@ def flags(
 
 
 def oracle(case: Case, scenario: Scenario, seed: int, x: Vector, end: int) -> Vector:
-    """What one knows at the stamp ``end`` who is told what every event is, from ``x`` on."""
+    """The oracle's state at the stamp ``end``, from the initial state ``x``."""
     system, index = case.system, case.system.contact_names.index
     clock = MinimumVariance(system, Uncertainty(clock_error=scenario.sensor.jitter)).clocks[0]
     filter_, since = ImpactFilter(system), 0.0
     state = filter_.begin(GaussianState.of(x[None], Uncertainty().root(system.n)))
-    for stamp, switching, heard in case.felt(scenario, seed):
+    for stamp, switching, detected in case.detections(scenario, seed):
         if stamp > end:
             break
-        t = seconds_between(EPOCH, stamp) if heard else -switching.instant.until(EPOCH)
+        t = seconds_between(EPOCH, stamp) if detected else -switching.instant.until(EPOCH)
         state = filter_.predict(since, state).prior(t - since)
         switches = [(index(each.contact), each.kind) for each in switching.switches]
         change = ContactChange.of(t, state.closed, switches)
-        prior = filter_.joint_prior(change, state, clock if heard else 0.0)
+        prior = filter_.joint_prior(change, state, clock if detected else 0.0)
         state = filter_.posterior(
-            change, filter_.joint_posterior(change, prior) if heard else prior
+            change, filter_.joint_posterior(change, prior) if detected else prior
         )
         since = t
     return filter_.predict(since, state).state(seconds_between(EPOCH, end) - since)
 
 
-def surprise(covariance: Matrix, error: Vector) -> float:
-    """Normalised error squared over its degrees of freedom: those that are more than rounding."""
-    unsure = np.diag(covariance) > 0  # a contact at rest leaves nothing to know
+def nees(covariance: Matrix, error: Vector) -> float:
+    """Normalised estimation error squared, over its degrees of freedom that are not rounding."""
+    unsure = np.diag(covariance) > 0  # a contact at rest leaves no uncertainty
     deviations = np.sqrt(np.diag(covariance)[unsure])
     correlation = covariance[np.ix_(unsure, unsure)] / np.outer(deviations, deviations)
     values, axes = np.linalg.eigh(correlation)
@@ -327,7 +324,7 @@ def surprise(covariance: Matrix, error: Vector) -> float:
 
 
 def cells(scenario: Scenario, group: Sequence[Outcome]) -> list[str]:
-    """What the runs of one model in one scenario come to: a row, without its name."""
+    """The row of one model in one scenario, without its name."""
     found = []
     if scenario.goals:
         found.append("{:.0e}/{:.0e}".format(*scenario.goals))
@@ -336,9 +333,9 @@ def cells(scenario: Scenario, group: Sequence[Outcome]) -> list[str]:
     found.append("{:.1e}/{:.1e}".format(*ours))
     found += ["{:.0e}/{:.0e}".format(*each) for each in summed.values()]
     worse = sum(each.ratios["minimum-variance"] > each.ratios["geometric"] for each in group)
-    came, wrong = sum(e.flagged > 0 for e in group), sum(e.wrong > 0 for e in group)
-    nees = statistics.fmean(each.nees for each in group)
-    found += [f"{worse}/{len(group)}", f"{wrong}/{came}", f"{nees:.2g}"]
+    flagged, wrong = sum(e.flagged > 0 for e in group), sum(e.wrong > 0 for e in group)
+    mean = statistics.fmean(each.nees for each in group)
+    found += [f"{worse}/{len(group)}", f"{wrong}/{flagged}", f"{mean:.2g}"]
     if scenario.goals:
         above = [goal < value for goal, value in zip(scenario.goals, ours, strict=True)]
         found.append(("", "worst", "median", "both")[2 * above[0] + above[1]])
@@ -353,7 +350,7 @@ def summary(ratios: Sequence[float]) -> tuple[float, float]:
 def print_table(
     rows: Sequence[tuple[Scenario, Sequence[Outcome]]], title: str, console: Console
 ) -> None:
-    """One table; what is aimed at only where there is such a thing."""
+    """One table; with goals where the scenarios have them."""
     table = Table(
         box=box.SIMPLE_HEAD,
         title=title,
@@ -361,19 +358,19 @@ def print_table(
         padding=(0, 1, 0, 0),
         pad_edge=False,
     )
-    aimed = rows[0][0].goals is not None
-    table.add_column("scenario" if aimed else "system and scenario", no_wrap=True)
+    with_goals = rows[0][0].goals is not None
+    table.add_column("scenario" if with_goals else "system and scenario", no_wrap=True)
     headings = ["min.-variance", "oracle", "geometric", "worse", "flag", "NEES"]
-    for heading in ["goal", *headings, "short"] if aimed else headings:
+    for heading in ["goal", *headings, "short"] if with_goals else headings:
         table.add_column(heading, justify="right", no_wrap=True)
     for scenario, group in rows:
-        name = scenario.name if aimed else f"{group[0].model}, {scenario.name}"
+        name = scenario.name if with_goals else f"{group[0].model}, {scenario.name}"
         table.add_row(name, *cells(scenario, group))
     console.print(table)
 
 
 def print_bound(group: Sequence[Outcome], seconds: int, console: Console) -> None:
-    """The mean of jittered runs, beside what is to be expected of the best estimator."""
+    """The mean V of runs with jitter, and its Cramer-Rao bound."""
     final = sum(each.ratios["minimum-variance"] * each.start for each in group)
     console.print(
         f"  {group[0].scenario}: mean V / mean V0 {final / sum(each.start for each in group):.1e};"
@@ -383,8 +380,8 @@ def print_bound(group: Sequence[Outcome], seconds: int, console: Console) -> Non
 
 
 def run(jobs: Sequence[Job], workers: int) -> list[Outcome]:
-    """Run ``jobs`` in as many processes, the order kept."""
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads for small matrices only wait
+    """Run ``jobs`` in so many processes, in their order."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads only wait for small matrices
     context, console = multiprocessing.get_context("spawn"), Console(stderr=True)
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
         try:
@@ -412,17 +409,17 @@ def jobs_of(
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run what is asked for.
+    """Run the scenarios and print the tables.
 
     Returns:
         0; 2 for wrong use.
     """
     parser = argparse.ArgumentParser(prog="./dev bench troubles", description=__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    known = (*MODELS, "harder")
+    tables = (*MODELS, "harder")
     parser.add_argument("--runs", type=int, default=40, metavar="N", help="(default 40)")
     parser.add_argument("--seconds", type=int, default=60, metavar="S", help="(default 60)")
-    parser.add_argument("--models", nargs="+", choices=known, default=known, metavar="MODEL")
+    parser.add_argument("--models", nargs="+", choices=tables, default=tables, metavar="MODEL")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N")
     parser.add_argument("--json", type=new_file, metavar="FILE", help="write every run to FILE")
     given = parser.parse_args(args)
