@@ -14,208 +14,30 @@ For singular ``K`` rigid motions come first, as in ``projection.py``.
 """
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from impact_observer.dynamics.contact.clutch import Clutches, Part, Piecewise
-from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.dynamics.contact.persistent_contact import (
     PersistentContacts,
     persistent_contacts,
 )
 from impact_observer.dynamics.contact.projection import KEPT
+from impact_observer.dynamics.contact.unilateral_projection import UnilateralProjection
 from impact_observer.dynamics.flow.flow import Motion
-from impact_observer.dynamics.flow.phase import Phase, Phases
+from impact_observer.dynamics.flow.phase import Phase
 from impact_observer.dynamics.guards.location import Crossing, Search
 from impact_observer.dynamics.guards.watched import Watched
-from impact_observer.states import Matrix, Vector, frozen
+from impact_observer.states import Vector
 
 _ORDERS = 6
 """Derivatives that are examined before a gap counts as neither stopped nor opening."""
 _ZERO = 1e-11
 """Rate of a gap that counts as none, relative to the largest term of its sum."""
-_NEGATIVE = 1e-13
-"""Gap below zero that is rounding, relative to what it is the sum of."""
 _CLOSED = 1e-12
-"""Gap that counts as zero, relative to the same."""
-_IMPOSSIBLE = 1e-7
-"""Gap that no projection can have left by rounding, relative to the same."""
+"""Gap that counts as zero, relative to the terms of its sum."""
 _LEAST = 1e-6
 """Least magnitude that a gap or reaction is rounded against, relative to all of the motion."""
-_TINY = np.finfo(np.float64).tiny
-
-
-class _Support(NamedTuple):
-    """Which contacts stop their gaps, as indices.
-
-    Attributes:
-        pressed: those that take a reaction.
-        undecided: those whose reaction and rate are both zero.
-        stopping: those that must be stopped, whether anything presses them or not.
-    """
-
-    pressed: tuple[int, ...]
-    undecided: tuple[int, ...]
-    stopping: tuple[int, ...]
-
-
-class _Independent(NamedTuple):
-    """Contacts that are independent of the active ones.
-
-    Attributes:
-        contacts: indices.
-        directions: the part of each that is orthogonal to the active ones, a column each, in the
-            metric of the position jump, shape (n, contacts).
-    """
-
-    contacts: tuple[int, ...]
-    directions: Matrix
-
-
-class UnilateralProjection:
-    """The nearest position, in the metric of ``K``, with ``g_A = 0`` and no gap negative.
-
-    A quadratic programme: ``complementarity.py`` finds which gaps are zero in its solution, and
-    ``projection.py`` closes them.
-    """
-
-    def __init__(self, phases: Phases) -> None:
-        """Prepare the contacts' directions in the metric of ``K``."""
-        self._system = phases.system
-        self._phases = phases
-        self._projection = phases.projection
-        self._directions = phases.projection.directions()
-        self._independent = lru_cache(KEPT)(self._independent_of)
-        self._possible = lru_cache(KEPT)(self._has_position)
-
-    def rounding(self, q: Vector) -> Vector:
-        """What the gaps of positions as large as ``q`` are rounded against, m, shape (m,)."""
-        return np.asarray(np.abs(self._system.q_r) + np.abs(q) @ np.abs(self._system.W))
-
-    def is_possible(self, active: tuple[int, ...]) -> bool:
-        """Whether some position has ``g = 0`` on ``active`` and no gap negative."""
-        return self._possible(active)
-
-    def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
-        """``q+``, shape (n,).
-
-        Where there is no such position, no plant can have this ``chi``: then only ``g = 0`` on
-        ``active`` holds, and other gaps may be negative.
-
-        Args:
-            q: shape (n,).
-            active: indices of the contacts with ``chi = 1``.
-        """
-        after = self._projection.position_after(q, active)
-        # One coordinate is rounded against the others that move with it.
-        reach = np.full(q.size, np.max(np.abs(q) + np.abs(after)))
-        gap, least = self._system.gap(after), _NEGATIVE * self.rounding(reach)
-        others = tuple(i for i in range(self._system.m) if i not in active)
-        if np.all(gap[list(others)] >= -least[list(others)]) or not self.is_possible(active):
-            return after
-        gaps = self._system.gap(q)
-        support = self.support(gaps, least, active, others)
-        if support is None:  # contacts that are almost the same: by exchanges only
-            support = self._checked(
-                gaps, least, active, (), self._independent(active, others).contacts
-            )
-        return self._projection.position_after(q, (*active, *support.stopping))
-
-    def _has_position(self, active: tuple[int, ...]) -> bool:
-        """Whether the rest position has a projection."""
-        q_r, A = self._system.q_r, list(active)
-        others = tuple(i for i in range(self._system.m) if i not in active)
-        least = np.full(q_r.size, _IMPOSSIBLE * float(np.max(np.abs(q_r), initial=0.0)))
-        left = q_r - self._system.W.T @ (self._projection.jump(active) @ q_r[A])
-        if np.any(np.abs(left[A]) > least[A]):
-            return False
-        return bool(self.support(q_r, least, active, others) is not None)
-
-    def support(
-        self,
-        values: Vector,
-        rounding: Vector,
-        active: tuple[int, ...],
-        others: tuple[int, ...],
-    ) -> _Support | None:
-        """Which of ``others`` must be stopped so that no value becomes negative.
-
-        Args:
-            values: gaps, or their rates or higher derivatives, without any stop, shape (m,).
-            rounding: of each that counts as none, shape (m,).
-            active: indices of contacts whose values become zero whatever they are.
-            others: indices of those whose values become zero or positive.
-
-        Returns:
-            None where they cannot.
-        """
-        free = self._independent(active, others)
-        A = list(active)
-        W = self._system.W
-        left = values - W.T @ (self._projection.jump(active) @ values[A]) if A else values
-        contacts = list(free.contacts)
-        fixed = [i for i in others if i not in free.contacts]
-        if np.any(left[fixed] < -1e3 * rounding[fixed]):
-            return None
-        pressed: tuple[int, ...] = ()
-        if np.any(left[contacts] < -rounding[contacts]):
-            reactions = complementary(free.directions, left[contacts])
-            if reactions is None:
-                return None
-            pressed = tuple(i for i, r in zip(contacts, reactions, strict=True) if r > 0)
-        return self._checked(values, rounding, active, pressed, free.contacts)
-
-    def _independent_of(self, active: tuple[int, ...], others: tuple[int, ...]) -> _Independent:
-        """Those of ``others`` that do not depend on the ``active`` ones."""
-        D = self._directions
-        basis = linalg.qr(D[:, list(self._phases.independent(active))], mode="economic")[0]
-        contacts = [i for i in others if self._is_independent(active, i)]
-        directions = D[:, contacts] - basis @ (basis.T @ D[:, contacts])
-        directions -= basis @ (basis.T @ directions)
-        return _Independent(tuple(contacts), frozen(directions))
-
-    def _is_independent(self, active: tuple[int, ...], i: int) -> bool:
-        return len(self._phases.independent((*active, i))) > len(self._phases.independent(active))
-
-    def _checked(
-        self,
-        values: Vector,
-        rounding: Vector,
-        active: tuple[int, ...],
-        pressed: tuple[int, ...],
-        free: tuple[int, ...],
-    ) -> _Support:
-        """The support from the exact projection, by exchanges of contacts where necessary.
-
-        They are necessary where ``K`` is singular and a rigid motion is almost balanced.
-        """
-        projection, W = self._projection, self._system.W
-        a, first = len(active), pressed
-        for _ in range(2 * len(free) + 1):
-            fixed = [*active, *pressed]
-            R = projection.reactions(tuple(fixed))
-            reactions = -(R @ values[fixed])[a:]
-            noise = (np.abs(R) @ rounding[fixed])[a:]
-            left = values - W.T @ (projection.jump(tuple(fixed)) @ values[fixed])
-            low = [
-                i
-                for i in free
-                if i not in pressed and self._is_independent((*active, *pressed), i)
-            ]
-            pulled, missed = reactions + noise, (left + rounding)[low]
-            if np.any(pulled < 0):
-                pressed = tuple(np.delete(pressed, np.argmin(pulled / (noise + _TINY))).tolist())
-            elif np.any(missed < 0):
-                worst = low[int(np.argmin(missed / (rounding[low] + _TINY)))]
-                pressed = tuple(sorted((*pressed, worst)))
-            else:
-                idle = [i for i, r, e in zip(pressed, reactions, noise, strict=True) if r <= e]
-                still = [i for i in free if i not in pressed and abs(left[i]) <= rounding[i]]
-                busy = tuple(i for i in pressed if i not in idle)
-                return _Support(busy, tuple(sorted(idle + still)), pressed)
-        return _Support(first, (), first)
 
 
 class SweepingProcess:

@@ -24,11 +24,11 @@ from scipy import linalg
 
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow.few import Factor, Product, product_with
-from impact_observer.dynamics.flow.flow import Equations, Flow, Functions, Motion
+from impact_observer.dynamics.flow.flow import Equations, Flow, Motion
+from impact_observer.dynamics.flow.held import HeldFlow
 from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
 from impact_observer.dynamics.flow.scales import Scales
 from impact_observer.dynamics.flow.spectral import flow_of
-from impact_observer.dynamics.flow.waves import Aging, View, Waves
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -282,7 +282,7 @@ class Phases:
             inner = flow_of(Reduced(M, C, K, equations.forcing.mapped(free.shapes.T)))
         # Deflections of held contacts that load no other contact.
         static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]
-        return _HeldFlow(inner, free, inverse, (static, W.T))
+        return HeldFlow(inner, free, inverse, (static, W.T))
 
     def _left(self, orthogonal: Matrix) -> Matrix:
         """What is left of ``M^-1`` where only motions along ``orthogonal`` are free."""
@@ -309,98 +309,3 @@ class Phases:
 
 def _symmetric(matrix: Matrix) -> Matrix:
     return np.asarray((matrix + matrix.T) / 2)
-
-
-class _HeldFlow(Flow):
-    """A flow in fewer coordinates, seen in all of them."""
-
-    def __init__(
-        self,
-        inner: Flow | None,
-        free: ReducedCoordinates,
-        inverse: Matrix,
-        static: tuple[Matrix, Matrix],
-    ) -> None:
-        """Take the flow in the free coordinates; None where nothing is free.
-
-        Args:
-            inner: flow of the free coordinates.
-            free: which are free.
-            inverse: free coordinates of the nearest motion, shape (r, n).
-            static: the part of a position that does not move, as a product of shapes
-                (n, held) and (held, n).
-        """
-        self._inner = inner
-        self._free = free
-        self._shapes = free.shapes
-        self._inverse = inverse
-        self._static = static
-
-    def start(self, t: float, x: Vector) -> Motion:
-        """The motion through ``x`` at ``t``, without its velocity along held contacts."""
-        n = len(self._shapes)
-        static, seen = self._static
-        rest = static @ (seen @ x[:n])
-        if self._inner is None:
-            return _HeldMotion(t, None, self._free, rest)
-        free = np.concatenate([self._inverse @ (x[:n] - rest), self._inverse @ x[n:]])
-        return _HeldMotion(t, self._inner.start(t, free), self._free, rest)
-
-    def view(self, functions: Functions) -> View | None:
-        """Of the free coordinates, and of constants that each motion has of its own."""
-        if self._inner is None:
-            return None
-        n = len(self._shapes)
-        position, velocity = functions.rows[:, :n], functions.rows[:, n:]
-        free = np.hstack([position @ self._shapes, velocity @ self._shapes])
-        inner = self._inner.view(functions._replace(rows=free))
-        return None if inner is None else _HeldView(inner, position)
-
-    def transition(self, s: float) -> Matrix:
-        """That of the free coordinates; velocities along held contacts vanish at once."""
-        n, r = self._shapes.shape
-        found = np.zeros((2 * n, 2 * n))
-        static = self._static[0] @ self._static[1]
-        found[:n, :n] = static
-        if self._inner is None:
-            return found
-        free = np.zeros((2 * r, 2 * n))
-        free[:r, :n] = self._inverse @ (np.eye(n) - static)
-        free[r:, n:] = self._inverse
-        moved = self._inner.transition(s) @ free
-        found[:n] += self._shapes @ moved[:r]
-        found[n:] = self._shapes @ moved[r:]
-        return found
-
-
-class _HeldMotion(Motion):
-    def __init__(
-        self, t: float, inner: Motion | None, free: ReducedCoordinates, rest: Vector
-    ) -> None:
-        self.t = t
-        self.inner = inner
-        self.rest = rest
-        self._free = free
-
-    def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        n = self.rest.size
-        found = np.zeros((s.size, 2 * n))
-        found[:, :n] = self.rest
-        if self.inner is not None:
-            y = self.inner.states(s).reshape(2 * s.size, self._free.free.size)
-            found += self._free.all(y).reshape(s.size, 2 * n)
-        return found
-
-
-class _HeldView(View):
-    """Functions of a motion in fewer coordinates, with the part of the position at rest."""
-
-    def __init__(self, inner: View, position: Matrix) -> None:
-        self._inner = inner
-        self._position = position
-
-    def of(self, motion: Motion) -> Waves | Aging | None:
-        if not isinstance(motion, _HeldMotion) or motion.inner is None:
-            return None
-        waves = self._inner.of(motion.inner)
-        return None if waves is None else waves.shifted(self._position @ motion.rest)

@@ -230,7 +230,7 @@ class _SpectralMotion(Motion):
         return flow.each(flow.homogeneous(self.z, s), self.t + s)
 
     def turned(self, turning: Turning) -> Complex:
-        """``zeta`` at the start, once somebody has asked for it."""
+        """``zeta`` at the start, computed when first needed."""
         if self._zeta is None:
             self._zeta = turning.start(self.t, self._x)
         return self._zeta

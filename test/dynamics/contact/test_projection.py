@@ -175,7 +175,7 @@ def test_redundant_contacts_are_one() -> None:
 
 
 def test_jump_is_kept_and_read_only() -> None:
-    """It is worked out once a set of contacts, and nobody can change it."""
+    """It is computed once for each set of contacts, and cannot be changed."""
     projection = PositionProjection(chain(2, contacts=[([0, -1], 0.5, 0.7)]))
     jump = projection.jump((0,))
     assert projection.jump((0,)) is jump

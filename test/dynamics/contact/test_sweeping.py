@@ -23,7 +23,8 @@ from systems import (
 )
 
 from impact_observer.dynamics import Clutches, ImpactLaw, Motion, PositionProjection
-from impact_observer.dynamics.contact.sweeping import SweepingProcess, UnilateralProjection
+from impact_observer.dynamics.contact.sweeping import SweepingProcess
+from impact_observer.dynamics.contact.unilateral_projection import UnilateralProjection
 from impact_observer.model import System
 
 Array = NDArray[np.float64]

@@ -51,7 +51,7 @@ def forced(base: System, time: ArrayLike, force: ArrayLike, hold: str) -> System
 
 
 def noise(n: int, time: Array) -> Array:
-    """Forces that nobody could foretell."""
+    """Random forces."""
     return np.random.default_rng(n).normal(size=(time.size, n))
 
 
