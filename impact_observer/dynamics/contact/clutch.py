@@ -89,7 +89,7 @@ class Part:
 
 
 class Piecewise(Motion):
-    """A motion phase after phase, computed as far as it is requested; requests do not change it."""
+    """A motion phase after phase, computed as far as requested; requests do not change it."""
 
     def __init__(self, clutches: Clutches, t: float, x: Vector, closed: tuple[int, ...]) -> None:
         """Begin with ``x`` at ``t``, the contacts ``closed`` having ``chi = 1`` from then on."""
