@@ -33,9 +33,9 @@ from benchmarks.harness import DisagreementError, new_file
 from impact_observer.model import read_model
 from impact_observer.sweep.case_runs import Outcome, run_case
 from impact_observer.sweep.engines import run_cases
-from impact_observer.sweep.model_variants import replicas_of
+from impact_observer.sweep.model_variants import model_variants
 from impact_observer.sweep.outcomes_file import write_outcomes
-from impact_observer.sweep.plan import Case, Rig, Sweep, sensors_of
+from impact_observer.sweep.plan import Case, PlantSetup, Sweep, sensors_of
 
 LAWS = ("geometric", "unilateral", "minimum-variance")
 JITTER = (0.0, 1e-3)
@@ -47,7 +47,11 @@ def swept(runs: int) -> Sweep:
     """Half a minute of two masses."""
     model = read_model("two_mass")
     return Sweep(
-        Rig(model.text()), LAWS, sensors_of({"jitter": JITTER}), replicas_of(model, {}), runs
+        PlantSetup(model.text()),
+        LAWS,
+        sensors_of({"jitter": JITTER}),
+        model_variants(model, {}),
+        runs,
     )
 
 

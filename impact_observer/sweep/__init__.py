@@ -1,1 +1,1 @@
-"""Sweeps: many runs of plant, sensor and observer, over laws, starts, troubles, wrong models."""
+"""Sweeps: many runs of plant, sensor and observer over laws, seeds, sensor faults and models."""

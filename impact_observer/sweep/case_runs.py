@@ -1,4 +1,8 @@
-"""One case of a sweep: the plant's run, what its sensor tells, an observer on that, figures."""
+"""One case of a sweep: a run of the plant, its sensor, an observer, and figures of its estimate.
+
+A new figure is a field of ``Outcome`` and its value in ``_outcome``; the file's column follows from
+it. A row of ``SUMMARY`` in ``summary`` adds the figure to table and JSON.
+"""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,28 +14,27 @@ from impact_observer.io.pairing import Series
 from impact_observer.model import Model, parse_model
 from impact_observer.observer import make_observer
 from impact_observer.plant import Plant, Run, simulate, simulate_sensor
-from impact_observer.stamps import from_seconds, grid
-from impact_observer.sweep.plan import Case, Rig
+from impact_observer.sweep.plan import Case, PlantSetup
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came out of a case; its figures are None where they have no meaning.
+    """The figures of a case; None where they are undefined.
 
     Attributes:
         case: number of the case.
-        settling_time: from which on V was below the threshold, s since the epoch; None for never.
+        settling_time: after which V stays below the threshold, s since the epoch; None for never.
         V_start: V at the start, J.
         V_end: V at the end, J.
-        V_ratio: V at the end over V at the start; None where they start equal.
-        V_largest_rise: from one sample to the next, over V at the start.
-        rate_per_second: by which ln V fell in a second; None where it did not.
-        rate_per_impact: by which it fell an impact used; None likewise.
-        events: told by the sensor.
-        impacts_used: of those and of inserted ones.
-        switches_rejected: of the told ones.
-        impacts_inserted: that nobody told.
-        error: why there are no figures; empty where there are.
+        V_ratio: V at the end over V at the start; None if plant and estimate start equal.
+        V_largest_rise: of V from one sample to the next, over V at the start.
+        rate_per_second: decrease of ln V in a second; None if it did not decrease.
+        rate_per_impact: decrease of ln V for each impact used; None if it did not decrease.
+        events: reported by the sensor.
+        impacts_used: reported or inserted.
+        switches_rejected: of the reported ones.
+        impacts_inserted: as missed detections.
+        error: why there are no figures; empty if there are.
     """
 
     case: int
@@ -50,34 +53,29 @@ class Outcome:
 
 
 def run_case(case: Case) -> Outcome:
-    """What comes out of a case: a function of nothing else.
+    """The outcome of a case, which depends on nothing else.
 
-    One that fails, for whatever reason, has an outcome that says so: others go on.
+    A case that fails has an outcome with the error, and the sweep goes on.
     """
     try:
         return _outcome(case)
     except ImpactObserverError as error:
         return Outcome(case.number, error=str(error))
-    except Exception as error:  # noqa: BLE001 (a mistake in a law must not lose all other cases)
+    except Exception as error:  # noqa: BLE001 (a bug in one law must not stop the other cases)
         line = " ".join(f"{type(error).__name__}: {error}".split())
         return Outcome(case.number, error=line)
 
 
-def plant_run(rig: Rig) -> Run:
-    """What the plant does; all cases of a sweep share it.
+@lru_cache(maxsize=4)
+def plant_run(plant: PlantSetup) -> Run:
+    """The run of the plant, which all cases of a sweep share.
 
     Raises:
-        ModelError: its model is none, or has no initial state.
+        ModelError: the model is invalid, or has no initial state.
         ImpactLawError, DynamicsError: its motion has no solution.
     """
-    return _simulated(rig)
-
-
-@lru_cache(maxsize=4)
-def _simulated(rig: Rig) -> Run:
-    model = _parsed(rig.text)
-    plant = Plant(model.system, *model.initial_state(), epoch=rig.epoch)
-    return simulate(plant, grid(rig.epoch, rig.epoch + from_seconds(rig.duration), rig.rate))
+    model = _parsed(plant.text)
+    return simulate(Plant(model.system, *model.initial_state(), epoch=plant.epoch), plant.stamps)
 
 
 @lru_cache(maxsize=64)
@@ -85,15 +83,12 @@ def _parsed(text: str) -> Model:
     return parse_model(text, "model")
 
 
-def compared(case: Case) -> tuple[Comparison, int]:
-    """The estimates of a case against the truth, as ``compare`` has it, and how many events came.
+def _compared(case: Case) -> tuple[Comparison, int]:
+    """The comparison of estimate and truth, and the number of events.
 
-    V is by the energy of the plant, whatever the observer takes that for.
-
-    Raises:
-        ImpactObserverError: plant or observer cannot go on.
+    V is computed with the energy of the plant, also if the observer has another model.
     """
-    run, system = plant_run(case.rig), _parsed(case.rig.text).system
+    run, system = plant_run(case.plant), _parsed(case.plant.text).system
     sensed = simulate_sensor(
         case.sensor,
         system,
@@ -103,7 +98,7 @@ def compared(case: Case) -> tuple[Comparison, int]:
         seed=case.seed,
     )
     events = sorted((each.event for each in sensed), key=lambda each: (each.stamp, each.sequence))
-    observer = make_observer(_parsed(case.replica.text).system, case.options)
+    observer = make_observer(_parsed(case.variant.text).system, case.options)
     comparison = compare_observer(
         observer,
         events,
@@ -116,7 +111,7 @@ def compared(case: Case) -> tuple[Comparison, int]:
 
 
 def _outcome(case: Case) -> Outcome:
-    comparison, events = compared(case)
+    comparison, events = _compared(case)
     rulings = comparison.outcomes.rulings
     return Outcome(
         case=case.number,

@@ -1,4 +1,4 @@
-"""What runs the cases of a sweep: processes of this machine by joblib, or a Dask cluster."""
+"""Runs cases: in processes of this machine by joblib, or on a Dask cluster."""
 
 import logging
 import os
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 _THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "BLIS_NUM_THREADS")
 _PATIENCE = 10.0
-"""How long to wait for a scheduler, and for its first worker, s."""
-_PARTING = 2.0
-"""How long to wait for a scheduler at the end, s."""
+"""Longest wait for a scheduler, and for its first worker, s."""
+_CLOSING = 2.0
+"""Longest wait for a scheduler at the end, s."""
 _AHEAD = 4
-"""Cases that a cluster has before it, for each of its threads."""
+"""Cases submitted to a cluster ahead, for each of its threads."""
 _INSTALL = "pip install impact_observer[sweep]"
 
 
 def one_thread() -> None:
-    """Let the linear algebra of this process run in one thread, if numpy is not imported yet.
+    """Limit the linear algebra of this process to one thread; call it before numpy is imported.
 
-    Threads of small matrices only wait for each other, and their number can change the last bit.
+    More threads are no faster for small matrices, and can change the last bit.
     """
     os.environ.update(dict.fromkeys(_THREADS, "1"))
 
@@ -38,23 +38,22 @@ def one_thread() -> None:
 def run_cases(
     cases: "Sequence[Case]", *, jobs: int | None = None, scheduler: str | None = None
 ) -> "Generator[Outcome, None, None]":
-    """The outcomes of cases, as they are finished.
+    """Yield the outcomes of cases as they are finished.
 
     Args:
         cases: in any order.
         jobs: processes on this machine; None for as many as it has cores.
-        scheduler: address of a Dask scheduler, whose workers do it instead; None for none.
+        scheduler: address of a Dask scheduler, whose workers run the cases instead.
 
     Raises:
-        UsageError: the package that is needed is not here, or the scheduler or its workers
-            cannot be used.
+        UsageError: a package is missing, or the scheduler or its workers cannot be used.
         SweepError: processes have died.
     """
-    return on_machine(cases, jobs) if scheduler is None else on_cluster(cases, scheduler)
+    return _on_machine(cases, jobs) if scheduler is None else _on_cluster(cases, scheduler)
 
 
-def on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome, None, None]":
-    """With processes of this machine."""
+def _on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome, None, None]":
+    """Run cases in processes of this machine."""
     try:
         import joblib
         from joblib.externals.loky.process_executor import BrokenProcessPool
@@ -63,7 +62,7 @@ def on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome,
     from impact_observer.sweep.case_runs import run_case
 
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
-        # One by one: laws differ so much in cost that batches leave cores idle.
+        # One by one: laws differ in cost, and with batches some cores would be idle.
         parallel = joblib.Parallel(
             n_jobs=-1 if jobs is None else jobs, return_as="generator_unordered", batch_size=1
         )
@@ -75,8 +74,8 @@ def on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome,
             raise SweepError(f"a process of the sweep has died: {line}") from None
 
 
-def on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Generator[Outcome, None, None]":
-    """With the workers of a Dask cluster; those that come later are used too."""
+def _on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Generator[Outcome, None, None]":
+    """Run cases by the workers of a Dask cluster, including those that join later."""
     try:
         from distributed import as_completed
     except ImportError as error:
@@ -85,29 +84,29 @@ def on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Generator[Outcome, N
     from impact_observer.sweep.case_runs import run_case
 
     for name in ("distributed", "distributed.client"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # an error is told once, in one line
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # errors are raised as one line
     with _connected(scheduler) as client:
         laws = {case.options.law for case in cases if case.options.compiled}
         if any(law_named(law).compiles for law in laws):
             _check_compilers(client, scheduler)
-        waiting, under_way = iter(cases), 0
-        running = as_completed(loop=client.loop, with_results=True)
+        waiting, running = iter(cases), 0
+        futures = as_completed(loop=client.loop, with_results=True)
         while True:
             try:
-                free = _AHEAD * sum(client.ncores().values()) - under_way
+                free = _AHEAD * sum(client.ncores().values()) - running
                 more = islice(waiting, max(free, 0))
                 started = [client.submit(run_case, each, pure=False) for each in more]
-                running.update(started)
-                under_way += len(started)
-                if not under_way:
+                futures.update(started)
+                running += len(started)
+                if not running:
                     return
-                _, outcome = next(running)
-                if isinstance(outcome, BaseException):  # what is cancelled is not raised
+                _, outcome = next(futures)
+                if isinstance(outcome, BaseException):  # of a cancelled future
                     raise outcome
-            except Exception as error:  # noqa: BLE001 (of workers and schedulers that went away)
+            except Exception as error:  # noqa: BLE001 (lost workers and schedulers raise many kinds)
                 line = " ".join(f"{type(error).__name__}: {error}".split())
                 raise SweepError(f"{scheduler}: {line}") from None
-            under_way -= 1
+            running -= 1
             yield outcome
 
 
@@ -119,7 +118,7 @@ def _connected(scheduler: str) -> "Iterator[Client]":
     from distributed.comm import resolve_address
 
     try:
-        resolve_address(scheduler)  # a client of no address is slow to say so
+        resolve_address(scheduler)  # fails at once; a client would wait
         client = Client(scheduler, timeout=_PATIENCE, set_as_default=False)
     except (OSError, ValueError) as error:
         line = " ".join(str(error).split())
@@ -128,12 +127,12 @@ def _connected(scheduler: str) -> "Iterator[Client]":
         _check_workers(client, scheduler)
         yield client
     finally:
-        with suppress(LateError, OSError):  # of a scheduler that is gone already
-            client.close(timeout=_PARTING)
+        with suppress(LateError, OSError):  # the scheduler may be gone
+            client.close(timeout=_CLOSING)
 
 
 def _check_workers(client: "Client", scheduler: str) -> None:
-    """Raise UsageError where there are no workers, or where they would compute something else."""
+    """Raise UsageError if there are no workers, or any has another version."""
     from distributed import TimeoutError as LateError
 
     try:
@@ -142,7 +141,7 @@ def _check_workers(client: "Client", scheduler: str) -> None:
         raise UsageError(f"--scheduler {scheduler}: has no workers; start some") from None
     try:
         versions = dict(client.run(_version))
-    except Exception as error:  # noqa: BLE001 (what a worker raises comes as a plain one)
+    except Exception as error:  # noqa: BLE001 (errors of workers have any type)
         line = " ".join(str(error).split())
         raise UsageError(
             f"--scheduler {scheduler}: a worker cannot use this package ({line}); install it and"
@@ -157,7 +156,7 @@ def _check_workers(client: "Client", scheduler: str) -> None:
 
 
 def _check_compilers(client: "Client", scheduler: str) -> None:
-    """Raise UsageError where a worker has no numba: each of its cases would be one that failed."""
+    """Raise UsageError if a worker has no numba: all of its cases would fail."""
     for worker, found in client.run(_has_numba).items():
         if not found:
             raise UsageError(
@@ -167,12 +166,12 @@ def _check_compilers(client: "Client", scheduler: str) -> None:
 
 
 def _has_numba() -> bool:
-    """Whether it is installed, where this is called."""
+    """Whether numba is installed on the worker that calls this."""
     return find_spec("numba") is not None
 
 
 def _version() -> str:
-    """Of the package, where this is called."""
+    """The version of the package on the worker that calls this."""
     from impact_observer import __version__ as found
 
     return found

@@ -1,4 +1,4 @@
-"""The models that observers believe in: the plant's own, or ones that are wrong by so much."""
+"""The models of the observers: the plant's own, or variants with other parameters."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from impact_observer.model import Model
 from impact_observer.model.free_parameters import parametric_family
 
 
-class Off(NamedTuple):
-    """A parameter of a replica that is not, or need not be, as in the plant.
+class ParameterValue(NamedTuple):
+    """A swept parameter of an observer's model.
 
     Attributes:
-        name: as ``identify`` has it.
+        name: as in ``identify``.
         value: SI units.
-        unit: in words; empty for a ratio.
+        unit: empty for a ratio.
     """
 
     name: str
@@ -27,42 +27,42 @@ class Off(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Replica:
-    """What an observer takes the plant for.
+class ModelVariant:
+    """The model of an observer.
 
     Attributes:
         text: a model file in matrix form, without an initial state.
-        off: what may be wrong in it.
+        parameters: those that are swept.
     """
 
     text: str
-    off: tuple[Off, ...] = ()
+    parameters: tuple[ParameterValue, ...] = ()
 
 
-def replicas_of(model: Model, off: Mapping[str, Sequence[float]]) -> tuple[Replica, ...]:
-    """A replica for every combination of the values in ``off``; the true one where it is empty.
+def model_variants(model: Model, off: Mapping[str, Sequence[float]]) -> tuple[ModelVariant, ...]:
+    """A variant for every combination of the values in ``off``; the true model if it is empty.
 
     Args:
         model: of the plant.
-        off: values by the names that ``identify`` has for parameters, such as ``gap.stop``; a
-            name without a point is all of its kind, each with the value.
+        off: values by the names of parameters as in ``identify``, such as ``gap.stop``; a name
+            without a point sets all parameters of its kind.
 
     Raises:
         UsageError: a name that this model has not, or a value that the parameter cannot have.
-        ModelError: with such values the model is none.
+        ModelError: the values make no valid model.
     """
     if not off:
-        return (Replica(Model(model.system).text()),)
-    return tuple(_replicas(model, off))
+        return (ModelVariant(Model(model.system).text()),)
+    return tuple(_variants(model, off))
 
 
-def _replicas(model: Model, off: Mapping[str, Sequence[float]]) -> Iterator[Replica]:
-    """At least one parameter may be off."""
+def _variants(model: Model, off: Mapping[str, Sequence[float]]) -> Iterator[ModelVariant]:
+    """As ``model_variants``, for at least one parameter."""
     try:
         family = parametric_family(model.system, [*off], model.elements)
     except UsageError as error:
         raise UsageError(f"off: {error}") from None
-    # Of a kind all members have the value that is given for the kind.
+    # The name in ``off`` of each parameter: its own, or its kind.
     kind = {name: name if name in off else name.partition(".")[0] for name in family.names}
     units = {kind[each.name]: each.unit for each in family.parameters}
     for each in family.parameters:
@@ -76,7 +76,7 @@ def _replicas(model: Model, off: Mapping[str, Sequence[float]]) -> Iterator[Repl
         try:
             system = family.system_at(np.array([chosen[kind[name]] for name in family.names]))
         except ModelError as error:
-            told = ", ".join(f"{name} {value:g}" for name, value in chosen.items())
-            raise ModelError("", f"off: {told}: {error}") from None
-        off_by = [Off(name, value, units[name]) for name, value in chosen.items()]
-        yield Replica(Model(system).text(), tuple(off_by))
+            values_set = ", ".join(f"{name} {value:g}" for name, value in chosen.items())
+            raise ModelError("", f"off: {values_set}: {error}") from None
+        swept = (ParameterValue(name, value, units[name]) for name, value in chosen.items())
+        yield ModelVariant(Model(system).text(), tuple(swept))

@@ -1,34 +1,39 @@
-"""The outcomes of a sweep in one Parquet file, by ``pyarrow``; it is whole at any time.
+"""The outcomes of a sweep in one Parquet file, which is complete at any time.
 
-A row a case, in order of their numbers: what tells it from other cases, then its figures. The
-metadata say what sweep it is. The file is written anew beside itself and then put in its place,
-so that readers and crashes never see half of one, and equal outcomes make equal files.
+There is one row a case, in order of their numbers: the labels of the case, then its figures. The
+metadata describe the sweep. The file is written beside the old one and then replaces it, so that
+nobody reads half of a file. Equal outcomes make equal files.
 """
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
-
-import pyarrow as pa
-import pyarrow.parquet as pq
+from typing import get_args, get_type_hints
 
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.sweep.case_runs import Outcome
-from impact_observer.sweep.plan import Case, Sweep
+from impact_observer.sweep.plan import Sweep
+
+try:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+except ImportError as error:
+    raise UsageError(
+        f"sweep needs pyarrow ({error}); pip install impact_observer[sweep]"
+    ) from None
 
 _KEY = b"impact_observer.sweep"
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
 _LONGEST = 60
-"""Most letters of a value that is told in an error."""
-_COUNTS = ("events", "impacts_used", "switches_rejected", "impacts_inserted")
+"""Most letters of a value in an error line."""
 
 
 def read_outcomes(path: Path, sweep: Sweep) -> dict[int, Outcome]:
-    """The outcomes in a file, by the numbers of their cases; none where there is no file.
+    """The outcomes in a file, by the numbers of their cases; empty without a file.
 
     Raises:
-        UsageError: the file is none of ``sweep``, and must not be replaced.
+        UsageError: the file is not of ``sweep``, and must not be replaced.
     """
     if not path.exists():
         return {}
@@ -46,47 +51,39 @@ def read_outcomes(path: Path, sweep: Sweep) -> dict[int, Outcome]:
 
 
 def write_outcomes(path: Path, sweep: Sweep, outcomes: Mapping[int, Outcome]) -> None:
-    """Write the file anew, all at once.
+    """Replace the file by one with all of ``outcomes``.
 
     Raises:
         SweepError: it cannot be written.
     """
-    columns: dict[str, list[object]] = {name: [] for name in _schema(sweep).names}
-    for case in sweep.cases():
-        if case.number in outcomes:
-            for name, value in _row(case, outcomes[case.number]).items():
-                columns[name].append(value)
-    beside = path.with_name(f".{path.name}.part")
+    rows = [
+        {**case.labels, **asdict(outcomes[case.number])}
+        for case in sweep.cases()
+        if case.number in outcomes
+    ]
+    part = path.with_name(f".{path.name}.part")
     try:
-        table = pa.Table.from_pydict(columns, schema=_schema(sweep))
-        pq.write_table(table, beside, compression="zstd")
-        beside.replace(path)
+        pq.write_table(pa.Table.from_pylist(rows, _schema(sweep)), part, compression="zstd")
+        part.replace(path)
     except OSError as error:
-        beside.unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
         raise SweepError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
 def _schema(sweep: Sweep) -> pa.Schema:
-    """The columns, the same for any outcomes of a sweep."""
-    labels = next(sweep.cases()).labels
-    columns = {name: _TYPES[type(value)] for name, value in labels.items()}
-    for field in fields(Outcome):
-        kind = pa.int64() if field.name in _COUNTS else pa.float64()
-        columns.setdefault(field.name, pa.string() if field.name == "error" else kind)
+    """The columns: labels of the cases, then the fields of ``Outcome``."""
+    columns = {name: type(value) for name, value in next(sweep.cases()).labels.items()}
+    for name, hint in get_type_hints(Outcome).items():
+        columns.setdefault(name, get_args(hint)[0] if get_args(hint) else hint)
     metadata = {_KEY: json.dumps(sweep.description(), sort_keys=True).encode()}
-    return pa.schema([*columns.items()], metadata=metadata)
+    return pa.schema([(name, _TYPES[kind]) for name, kind in columns.items()], metadata=metadata)
 
 
-def _row(case: Case, outcome: Outcome) -> dict[str, object]:
-    """What stands in the row of a case."""
-    return {**case.labels, **{f.name: getattr(outcome, f.name) for f in fields(Outcome)}}
-
-
-def _check_same(path: Path, there: Mapping[str, object], wanted: Mapping[str, object]) -> None:
-    """Raise unless a file is of the same sweep."""
-    for key in {**wanted, **there}:
-        if (one := there.get(key)) != (other := wanted.get(key)):
-            told = f"{key} is {one} there and {other} here"
+def _check_same(path: Path, found: Mapping[str, object], wanted: Mapping[str, object]) -> None:
+    """Raise unless both descriptions are of the same sweep."""
+    for key in {**wanted, **found}:
+        if (one := found.get(key)) != (other := wanted.get(key)):
+            difference = f"{key} is {one} there and {other} here"
             if max(len(str(one)), len(str(other))) > _LONGEST:
-                told = f"its {key} is another"
-            raise UsageError(f"{path}: holds another sweep: {told}; name another file")
+                difference = f"its {key} is another"
+            raise UsageError(f"{path}: holds another sweep: {difference}; name another file")

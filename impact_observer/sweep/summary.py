@@ -9,13 +9,35 @@ from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.plan import Label, Sweep
 
 
-class Quartiles(NamedTuple):
-    """Of some numbers; infinite where too many of them are.
+class SummaryFigure(NamedTuple):
+    """A figure of the outcomes that is summarized.
 
     Attributes:
-        low: a quarter is not above it.
-        median: half is not above it.
-        high: three quarters are not above it.
+        name: the field of ``Outcome``.
+        heading: in the table; it may contain ``{threshold}``.
+        form: of its numbers in the table.
+        never: the word for a missing value, which counts as infinite; if empty, missing values
+            are left out.
+    """
+
+    name: str
+    heading: str
+    form: str
+    never: str = ""
+
+
+SETTLING = SummaryFigure("settling_time", "s to {threshold:g} V0", ".3g", never="never")
+SUMMARY = (SETTLING, SummaryFigure("V_ratio", "V/V0 at the end", ".1e"))
+"""What table and JSON show of each group."""
+
+
+class Quartiles(NamedTuple):
+    """The quartiles of numbers, some of which may be infinite.
+
+    Attributes:
+        low: the first quartile.
+        median: the second quartile.
+        high: the third quartile.
     """
 
     low: float
@@ -25,35 +47,27 @@ class Quartiles(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CaseGroup:
-    """Cases that differ in nothing but their run.
+    """Cases that differ only in their run.
 
     Attributes:
         law: of the observers.
         labels: values of what is swept besides, by name.
-        runs: how many outcomes there are.
-        failed: of which so many have no figures, and do not count below.
-        settled: how many have settled.
-        settling_time: s since the epoch; an estimate that never settles takes infinitely long.
-        V_ratio: V at the end over V at the start.
+        runs: number of outcomes.
+        failed: number of those without figures, which do not count below.
+        not_settled: share of the runs with figures that have not settled; None if there is none.
+        quartiles: of each figure of ``SUMMARY``, by name; None without values.
     """
 
     law: str
     labels: Mapping[str, Label]
     runs: int
     failed: int
-    settled: int
-    settling_time: Quartiles | None
-    V_ratio: Quartiles | None
-
-    @property
-    def not_settled(self) -> float | None:
-        """Their share of the runs that have figures; None where none has."""
-        count = self.runs - self.failed
-        return 1.0 - self.settled / count if count else None
+    not_settled: float | None
+    quartiles: Mapping[str, Quartiles | None]
 
 
 def groups_of(sweep: Sweep, outcomes: Iterable[Outcome]) -> list[CaseGroup]:
-    """The outcomes there are, in groups, in the order of the sweep."""
+    """The outcomes in groups, in the order of the sweep."""
     return [*_groups(sweep, {each.case: each for each in outcomes})]
 
 
@@ -72,31 +86,38 @@ def _groups(sweep: Sweep, by_number: Mapping[int, Outcome]) -> Iterator[CaseGrou
 
 def _group(law: str, labels: Mapping[str, Label], outcomes: Sequence[Outcome]) -> CaseGroup:
     good = [each for each in outcomes if not each.error]
-    times = [math.inf if e.settling_time is None else e.settling_time for e in good]
+    not_settled = sum(each.settling_time is None for each in good)
     return CaseGroup(
         law=law,
         labels=labels,
         runs=len(outcomes),
         failed=len(outcomes) - len(good),
-        settled=sum(math.isfinite(time) for time in times),
-        settling_time=quartiles(times),
-        V_ratio=quartiles([each.V_ratio for each in good if each.V_ratio is not None]),
+        not_settled=not_settled / len(good) if good else None,
+        quartiles={each.name: quartiles(_values(each, good)) for each in SUMMARY},
     )
 
 
+def _values(figure: SummaryFigure, outcomes: Sequence[Outcome]) -> list[float]:
+    """The values of a figure; missing ones are infinite or left out."""
+    found = [getattr(each, figure.name) for each in outcomes]
+    if figure.never:
+        return [math.inf if value is None else value for value in found]
+    return [value for value in found if value is not None]
+
+
 def quartiles(values: Sequence[float]) -> Quartiles | None:
-    """Those of ``values``, of which some may be infinite; None where there are none."""
+    """The quartiles of ``values``, some of which may be infinite; None without values."""
     if not values:
         return None
-    ordered = sorted(values)
-    return Quartiles(*(_quantile(ordered, share) for share in (0.25, 0.5, 0.75)))
+    ascending = sorted(values)
+    return Quartiles(*(_quantile(ascending, share) for share in (0.25, 0.5, 0.75)))
 
 
-def _quantile(ordered: Sequence[float], share: float) -> float:
-    """Between the two nearest in proportion; infinite where it touches an infinite one."""
-    place = share * (len(ordered) - 1)
+def _quantile(ascending: Sequence[float], share: float) -> float:
+    """Linear between the two nearest values; infinite if the upper one is infinite."""
+    place = share * (len(ascending) - 1)
     below, part = int(place), place - int(place)
     if part == 0:
-        return ordered[below]
-    one, other = ordered[below : below + 2]
+        return ascending[below]
+    one, other = ascending[below : below + 2]
     return one + part * (other - one) if math.isfinite(other) else math.inf

@@ -1,7 +1,8 @@
-"""A picture of a sweep: how long estimates take to settle, against what was swept."""
+"""A picture of a sweep: settling times against a swept quantity."""
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -9,32 +10,33 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from impact_observer.draw.pictures import Style, styles
+from impact_observer.draw.pictures import Style, save, styles
 from impact_observer.errors import UsageError
+from impact_observer.model import parse_model
 from impact_observer.sweep.plan import OFF, SENSOR, Label, Sweep
-from impact_observer.sweep.summary import CaseGroup
+from impact_observer.sweep.summary import SETTLING, CaseGroup
 
 LAW = "law"
 MOST_PANELS = 6
-"""Most combinations of values that are not on the horizontal axis."""
+"""Most combinations of the quantities that are not on the horizontal axis."""
 _WIDE = 20.0
-"""Ratio of the values from which on their axis is logarithmic."""
+"""Ratio of largest to least value from which the axis is logarithmic."""
 _SIZE, _PANEL = (3.0, 5.2), 3.6
-"""Inches: what stands beside the panels, and the width of one."""
+"""Margin and height of the picture, and width of a panel, inches."""
 _SHADE = 0.15
 _ZONE = (1.05, 1.15, 1.25)
-"""Lower edge, middle and upper edge of the zone of what never settles, over the largest time."""
+"""Lower edge, middle, upper edge of the zone of runs that never settle, over the longest time."""
 
 
 def against_of(sweep: Sweep, wanted: str | None) -> str:
-    """The label that goes on the horizontal axis; ``LAW`` where nothing is swept.
+    """The label of the horizontal axis; ``LAW`` if nothing is swept.
 
     Args:
         sweep: what was swept.
         wanted: its name as users write it; None for the first that has several values.
 
     Raises:
-        UsageError: it has no such label, or too many values beside it.
+        UsageError: there is no such label, or the others have too many values.
     """
     swept = sweep.swept
     names = {each.removeprefix(SENSOR).removeprefix(OFF).replace("_", "-"): each for each in swept}
@@ -53,17 +55,36 @@ def against_of(sweep: Sweep, wanted: str | None) -> str:
     return found
 
 
+def save_picture(
+    sweep: Sweep, groups: Sequence[CaseGroup], path: Path, *, against: str | None = None
+) -> None:
+    """Draw the settling times into a file.
+
+    Args:
+        sweep: what was swept.
+        groups: its outcomes.
+        path: a PNG, SVG or PDF file.
+        against: see ``against_of``.
+
+    Raises:
+        UsageError: as ``against_of``, or the file cannot be written.
+    """
+    name = parse_model(sweep.plant.text, "model").system.name
+    title = f"{name}: when estimates settle, medians and quartiles of {sweep.runs} runs"
+    save(sweep_figure(sweep, groups, against=against, title=title), path, about=title)
+
+
 def sweep_figure(
     sweep: Sweep, groups: Sequence[CaseGroup], *, against: str | None = None, title: str
 ) -> Figure:
     """Settling times above, the share that has not settled below.
 
-    A line is a median, the band about it the quartiles. A panel is one combination of the values
-    that are not on the horizontal axis.
+    A line is a median, the band about it the quartiles. There is a panel for each combination of
+    the quantities that are not on the horizontal axis.
 
     Args:
         sweep: what was swept.
-        groups: what came out.
+        groups: its outcomes.
         against: see ``against_of``.
         title: of the picture.
 
@@ -75,7 +96,7 @@ def sweep_figure(
     for group in groups:
         others = tuple((name, value) for name, value in group.labels.items() if name != label)
         panels.setdefault(others, []).append(group)
-    ceiling, never = _ceiling(groups, sweep.rig.duration)
+    ceiling, never = _ceiling(groups, sweep.plant.duration)
     with mpl.rc_context({"font.size": 10.0}):
         width = _SIZE[0] + _PANEL * len(panels)
         figure = Figure(figsize=(max(width, 8.0), _SIZE[1]), layout="constrained")
@@ -90,7 +111,9 @@ def sweep_figure(
         for column, (others, shown) in enumerate(panels.items()):
             upper, lower = grid[:, column]
             _draw(upper, lower, sweep, shown, label=label, ceiling=ceiling)
-            upper.set_title(", ".join(_told(sweep, *each) for each in others), fontsize="small")
+            upper.set_title(
+                ", ".join(_value_of(sweep, *each) for each in others), fontsize="small"
+            )
             lower.set_xlabel("law" if label == LAW else sweep.title(label))
         upper, lower = grid[:, 0]
         upper.set_ylabel(f"settling time (V < {sweep.threshold:g} V0) [s]")
@@ -114,8 +137,8 @@ def sweep_figure(
 
 
 def _ceiling(groups: Sequence[CaseGroup], duration: float) -> tuple[float, bool]:
-    """The largest time to be drawn, s, and whether something is infinite."""
-    times = [time for group in groups for time in group.settling_time or ()]
+    """The largest finite time, s, and whether any is infinite."""
+    times = [time for group in groups for time in group.quartiles[SETTLING.name] or ()]
     finite = [time for time in times if math.isfinite(time)]
     return max(finite, default=duration) or duration, len(finite) < len(times)
 
@@ -129,7 +152,7 @@ def _draw(
     label: str,
     ceiling: float,
 ) -> None:
-    """One panel: a curve a law."""
+    """Draw one panel, with a curve for each law."""
     for place, (law, style) in enumerate(zip(sweep.laws, styles(sweep.laws), strict=True)):
         own = [group for group in groups if group.law == law]
         x = np.array([place if label == LAW else float(each.labels[label]) for each in own])
@@ -154,9 +177,9 @@ def _draw_law(
     style: Style,
     ceiling: float,
 ) -> None:
-    """The curves of one law; a group in which all cases failed leaves a gap."""
+    """Draw the curves of one law; a group in which all cases failed is a gap."""
     nothing = (np.nan, np.nan, np.nan)
-    times = np.array([group.settling_time or nothing for group in groups])
+    times = np.array([group.quartiles[SETTLING.name] or nothing for group in groups])
     low, median, high = np.where(np.isinf(times), _ZONE[1] * ceiling, times).T
     shares = [np.nan if each.not_settled is None else 100 * each.not_settled for each in groups]
     marked = {"marker": "s", **style}
@@ -169,7 +192,7 @@ def _draw_law(
 
 
 def _scale(axes: Axes, values: Sequence[Label]) -> None:
-    """The horizontal axis: linear, or logarithmic for what spans decades, also from zero."""
+    """Scale the horizontal axis: linear, or logarithmic over decades, also from zero."""
     if any(isinstance(value, bool) for value in values):
         axes.set_xticks([0, 1], ["no", "yes"])
         return
@@ -184,7 +207,7 @@ def _scale(axes: Axes, values: Sequence[Label]) -> None:
 
 
 def _mark_zone(axes: Axes, ceiling: float) -> None:
-    """Where the times of estimates stand that never settled; above it no time is to be read."""
+    """Mark the zone of runs that never settle; it has no scale."""
     low, middle, high = (each * ceiling for each in _ZONE)
     axes.axhspan(
         low, high, facecolor="0.96", hatch="////", edgecolor="0.85", linewidth=0, zorder=0
@@ -193,8 +216,8 @@ def _mark_zone(axes: Axes, ceiling: float) -> None:
     axes.set_yticks([*ticks, middle], [*(f"{tick:g}" for tick in ticks), "never"])
 
 
-def _told(sweep: Sweep, label: str, value: Label) -> str:
-    """``missed 0.1``, ``jitter 0.001 s``."""
+def _value_of(sweep: Sweep, label: str, value: Label) -> str:
+    """A value with its quantity, such as ``missed 0.1`` or ``jitter 0.001 s``."""
     words, _, unit = sweep.title(label).rstrip("]").partition(" [")
     shown = {True: "yes", False: "no"}[value] if isinstance(value, bool) else f"{value:g}"
     return f"{words} {shown} {unit}".rstrip()

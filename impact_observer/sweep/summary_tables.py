@@ -1,40 +1,52 @@
-"""What came out of a sweep, as a table and for ``--json``."""
+"""The summary of a sweep as a table and as JSON."""
 
 import math
 import os
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from impact_observer.draw.text_tables import upright
-
-if TYPE_CHECKING:
-    from impact_observer.sweep.plan import Label, Sweep
-    from impact_observer.sweep.summary import CaseGroup, Quartiles
+from impact_observer.sweep.plan import Label, Sweep
+from impact_observer.sweep.summary import SUMMARY, CaseGroup, Quartiles, SummaryFigure
 
 _WIDTH = 140
-"""Columns where there is no terminal."""
+"""Columns without a terminal."""
 _WIDE = 1000
 """Columns in which any table has room."""
 
 
-def figures(groups: "Sequence[CaseGroup]") -> list[dict[str, object]]:
-    """What ``--json`` prints of the groups; SI units, None for never and for no figure."""
-    return [
-        {
-            "law": group.law,
-            **group.labels,
-            "runs": group.runs,
-            "failed": group.failed,
-            "not_settled": group.not_settled,
-            "settling_time": _three(group.settling_time),
-            "V_ratio": _three(group.V_ratio),
-        }
-        for group in groups
-    ]
+def document(sweep: Sweep, groups: Sequence[CaseGroup], impacts: int) -> dict[str, object]:
+    """What ``--json`` prints: SI units, None for never and for no figure.
+
+    Args:
+        sweep: what was run.
+        groups: its outcomes.
+        impacts: number of impacts of the plant.
+    """
+    return {
+        "cases": sweep.size,
+        "failed": sum(group.failed for group in groups),
+        "impacts": impacts,
+        "threshold": sweep.threshold,
+        "groups": [
+            {
+                "law": group.law,
+                **group.labels,
+                "runs": group.runs,
+                "failed": group.failed,
+                "not_settled": group.not_settled,
+                **{name: _finite(found) for name, found in group.quartiles.items()},
+            }
+            for group in groups
+        ],
+    }
 
 
-def _three(values: "Quartiles | None") -> dict[str, float | None] | None:
+def _finite(values: Quartiles | None) -> dict[str, float | None] | None:
     if values is None:
         return None
     return {
@@ -42,12 +54,8 @@ def _three(values: "Quartiles | None") -> dict[str, float | None] | None:
     }
 
 
-def print_groups(sweep: "Sweep", groups: "Sequence[CaseGroup]") -> None:
-    """A row for each law with each combination of what was swept."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
+def print_groups(sweep: Sweep, groups: Sequence[CaseGroup]) -> None:
+    """Print a row for each law with each combination of what was swept."""
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH
     table = Table(
         box=box.SIMPLE_HEAD,
@@ -57,42 +65,46 @@ def print_groups(sweep: "Sweep", groups: "Sequence[CaseGroup]") -> None:
         pad_edge=False,
     )
     table.add_column("law", overflow="fold")
-    names = [*sweep.swept]
     failed = any(group.failed for group in groups)
-    for heading in (
-        *(sweep.title(name) for name in names),
-        "runs",
-        f"s to {sweep.threshold:g} V0",
-        "not settled",
-        "V/V0 at the end",
-        *(["failed"] if failed else []),
-    ):
+    for heading in _headings(sweep, failed=failed):
         table.add_column(heading, justify="right", overflow="fold")
     for group in groups:
-        share = group.not_settled
-        table.add_row(
-            group.law,
-            *(_value(group.labels[name]) for name in names),
-            str(group.runs),
-            _shown(group.settling_time, ".3g", "never"),
-            "" if share is None else f"{100 * share:.0f} %",
-            _shown(group.V_ratio, ".1e", ""),
-            *([str(group.failed)] if failed else []),
-        )
+        table.add_row(group.law, *_cells(group, failed=failed))
     console = Console(highlight=False, markup=False, emoji=False, width=width)
     needed = console.measure(table, options=console.options.update(width=_WIDE)).maximum
     console.print(table if needed <= console.width else upright(table))
 
 
-def _value(value: "Label") -> str:
+def _headings(sweep: Sweep, *, failed: bool) -> list[str]:
+    """The headings of all columns but the first."""
+    headings = [*map(sweep.title, sweep.swept), "runs"]
+    for figure in SUMMARY:
+        headings.append(figure.heading.format(threshold=sweep.threshold))
+        headings += ["not settled"] if figure.never else []
+    return [*headings, "failed"] if failed else headings
+
+
+def _cells(group: CaseGroup, *, failed: bool) -> list[str]:
+    """The cells of a group below these headings."""
+    cells = [*map(_value, group.labels.values()), str(group.runs)]
+    share = group.not_settled
+    for figure in SUMMARY:
+        cells.append(_quartiles(group.quartiles[figure.name], figure))
+        cells += ["" if share is None else f"{100 * share:.0f} %"] if figure.never else []
+    return [*cells, str(group.failed)] if failed else cells
+
+
+def _value(value: Label) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _shown(values: "Quartiles | None", form: str, infinite: str) -> str:
+def _quartiles(values: Quartiles | None, figure: SummaryFigure) -> str:
     """``4.2 (3.1, never)``."""
     if values is None:
         return ""
-    low, median, high = (format(v, form) if math.isfinite(v) else infinite for v in values)
+    low, median, high = (
+        format(value, figure.form) if math.isfinite(value) else figure.never for value in values
+    )
     return median if low == median == high else f"{median} ({low}, {high})"

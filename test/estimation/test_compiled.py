@@ -441,11 +441,11 @@ def test_users_see_that_it_is_compiled(bag: Path, monkeypatch: pytest.MonkeyPatc
 def test_sweeps_that_do_not_ask_for_it_go_on_with_the_files_they_had() -> None:
     """A description without it is as it was before there was any; with it, another one."""
     from impact_observer.plant import SensorModel
-    from impact_observer.sweep.model_variants import replicas_of
-    from impact_observer.sweep.plan import Rig, Sweep
+    from impact_observer.sweep.model_variants import model_variants
+    from impact_observer.sweep.plan import PlantSetup, Sweep
 
     model = sample("two_mass")
-    rig, replicas = Rig(model.text(), 1.0), replicas_of(model, {})
+    rig, replicas = PlantSetup(model.text(), 1.0), model_variants(model, {})
     plain, other = (
         Sweep(rig, ("geometric",), (SensorModel(),), replicas, options=Options(compiled=wanted))
         for wanted in (False, True)

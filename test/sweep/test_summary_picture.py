@@ -11,8 +11,8 @@ from impact_observer.draw.pictures import save
 from impact_observer.errors import UsageError
 from impact_observer.model import read_model
 from impact_observer.sweep.case_runs import Outcome
-from impact_observer.sweep.model_variants import replicas_of
-from impact_observer.sweep.plan import Rig, Sweep, sensors_of
+from impact_observer.sweep.model_variants import model_variants
+from impact_observer.sweep.plan import PlantSetup, Sweep, sensors_of
 from impact_observer.sweep.summary import groups_of
 from impact_observer.sweep.summary_picture import against_of, sweep_figure
 
@@ -20,11 +20,13 @@ LAWS = ("geometric", "unilateral")
 
 
 def swept(
-    troubles: Mapping[str, Sequence[float | bool]], off: Mapping[str, Sequence[float]]
+    faults: Mapping[str, Sequence[float | bool]], off: Mapping[str, Sequence[float]]
 ) -> Sweep:
     """A sweep of two masses with two runs of two laws."""
     model = read_model("two_mass")
-    return Sweep(Rig(model.text()), LAWS, sensors_of(troubles), replicas_of(model, off), runs=2)
+    return Sweep(
+        PlantSetup(model.text()), LAWS, sensors_of(faults), model_variants(model, off), runs=2
+    )
 
 
 def drawn(sweep: Sweep, times: Sequence[float | None], against: str | None = None) -> Figure:
@@ -95,7 +97,7 @@ def test_without_anything_swept_laws_are_side_by_side() -> None:
     assert [float(np.asarray(line.get_ydata())[0]) for line in upper.lines] == [2.0, 2.0]
 
 
-def test_a_trouble_that_is_there_or_not_has_words_on_its_axis() -> None:
+def test_a_fault_that_is_there_or_not_has_words_on_its_axis() -> None:
     """No and yes."""
     lower = drawn(swept({"impacts_only": [False, True]}, {}), [1.0]).axes[1]
     assert [label.get_text() for label in lower.get_xticklabels()] == ["no", "yes"]

@@ -20,8 +20,8 @@ from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import grid
 from impact_observer.sweep import case_runs
 from impact_observer.sweep.case_runs import Outcome, run_case
-from impact_observer.sweep.model_variants import Off, replicas_of
-from impact_observer.sweep.plan import Rig, Sweep, sensors_of
+from impact_observer.sweep.model_variants import ParameterValue, model_variants
+from impact_observer.sweep.plan import PlantSetup, Sweep, sensors_of
 from impact_observer.sweep.summary import groups_of, quartiles
 
 EPOCH = 2_000_000_000
@@ -42,7 +42,7 @@ initial_state: {position: [0, 0], velocity: [0, 1]}
 
 def swept(
     *laws: str,
-    troubles: Mapping[str, Sequence[float]] = NOTHING,
+    faults: Mapping[str, Sequence[float]] = NOTHING,
     off: Mapping[str, Sequence[float]] = NOTHING,
     runs: int = 2,
     seconds: float = 6.0,
@@ -50,17 +50,17 @@ def swept(
     """A short sweep of two masses."""
     model = read_model("two_mass")
     return Sweep(
-        Rig(model.text(), seconds, 20.0, EPOCH),
+        PlantSetup(model.text(), seconds, 20.0, EPOCH),
         laws or ("geometric",),
-        sensors_of(troubles),
-        replicas_of(model, off),
+        sensors_of(faults),
+        model_variants(model, off),
         runs=runs,
     )
 
 
 def test_cases_are_every_combination_and_share_the_seeds_of_their_runs() -> None:
-    """So laws, troubles and models are compared on equal starts and equal draws."""
-    sweep = swept("geometric", "kinematic", troubles={"jitter": [0.0, 1e-3]}, runs=3)
+    """So laws, faults and models are compared on equal starts and equal draws."""
+    sweep = swept("geometric", "kinematic", faults={"jitter": [0.0, 1e-3]}, runs=3)
     cases = [*sweep.cases()]
     assert len(cases) == sweep.size == 2 * 2 * 3
     assert [case.number for case in cases] == [*range(12)]
@@ -70,7 +70,7 @@ def test_cases_are_every_combination_and_share_the_seeds_of_their_runs() -> None
         (2, 2, "random:2"),
     }
     assert len({(c.options.law, c.sensor.jitter, c.run) for c in cases}) == 12
-    whole = swept(troubles={"jitter": [0, 1], "impacts_only": [True]})
+    whole = swept(faults={"jitter": [0, 1], "impacts_only": [True]})
     kinds = [(type(v), v) for c in whole.cases() for k, v in c.labels.items() if "sensor_" in k]
     assert {kind for kind, value in kinds if value is not True} == {float}
     fixed = replace(sweep, seed=7, options=Options(initial_state="zero"))
@@ -81,20 +81,20 @@ def test_cases_are_every_combination_and_share_the_seeds_of_their_runs() -> None
 
 def test_a_case_is_a_value_that_can_be_sent_elsewhere() -> None:
     """Equal cases are equal, and what is unpickled has the same outcome."""
-    sweep = swept(troubles={"missed": [0.3]}, off={"stiffness-scale": [1.01]})
+    sweep = swept(faults={"missed": [0.3]}, off={"stiffness-scale": [1.01]})
     case = next(sweep.cases())
     sent = pickle.loads(pickle.dumps(case))
     assert sent == case
     assert hash(sent) == hash(case)
-    case_runs._simulated.cache_clear()
+    case_runs.plant_run.cache_clear()
     assert run_case(sent) == run_case(case)
 
 
 @pytest.mark.slow
 def test_outcomes_do_not_depend_on_the_order_of_the_cases() -> None:
     """Forwards, backwards, alone: the same bits."""
-    laws, troubles = ("geometric", "minimum-variance"), {"jitter": [0.0, 1e-3]}
-    sweep = swept(*laws, troubles=troubles, seconds=2.0)
+    laws, faults = ("geometric", "minimum-variance"), {"jitter": [0.0, 1e-3]}
+    sweep = swept(*laws, faults=faults, seconds=2.0)
     forwards = [run_case(case) for case in sweep.cases()]
     backwards = [run_case(case) for case in reversed([*sweep.cases()])]
     assert backwards[::-1] == forwards
@@ -106,7 +106,7 @@ def test_figures_are_those_of_a_single_run(stiffness: float) -> None:
     """Plant, sensor and observer put together by hand; V is by the energy of the plant."""
     model = read_model("two_mass")
     system = model.system
-    sweep = swept(troubles={"missed": [0.4]}, off={"stiffness-scale": [stiffness]}, seconds=9)
+    sweep = swept(faults={"missed": [0.4]}, off={"stiffness-scale": [stiffness]}, seconds=9)
     case = [*replace(sweep, threshold=0.5).cases()][1]
     stamps = grid(EPOCH, EPOCH + 9_000_000_000, 20.0)
     run = simulate(Plant(system, *model.initial_state(), epoch=EPOCH), stamps)
@@ -153,15 +153,15 @@ def test_a_case_that_fails_is_an_outcome_of_one_line(monkeypatch: pytest.MonkeyP
     (group,) = groups_of(sweep, outcomes)
     assert (group.runs, group.failed) == (4, 2)
     (alone,) = groups_of(sweep, outcomes[2:])
-    assert group.settling_time == alone.settling_time
+    assert group.quartiles == alone.quartiles
     (nothing,) = groups_of(sweep, outcomes[:2])
-    assert nothing.settling_time is None
+    assert nothing.quartiles["settling_time"] is None
     assert nothing.not_settled is None
 
 
 def test_groups_differ_in_law_and_in_what_is_swept() -> None:
     """In the order of the sweep, whatever that of the outcomes."""
-    sweep = swept("geometric", "kinematic", troubles={"jitter": [0.0, 1e-3], "missed": [0.1]})
+    sweep = swept("geometric", "kinematic", faults={"jitter": [0.0, 1e-3], "missed": [0.1]})
     outcomes = [
         Outcome(k, settling_time=None if k % 2 else float(k), V_ratio=0.5**k) for k in range(8)
     ]
@@ -172,10 +172,11 @@ def test_groups_differ_in_law_and_in_what_is_swept() -> None:
         for jitter in (0.0, 1e-3)
     ]
     assert [group.not_settled for group in groups] == [0.5] * 4
-    assert groups[1].V_ratio is not None
-    assert groups[1].V_ratio.median == (0.5**2 + 0.5**3) / 2
-    assert groups[1].settling_time is not None
-    assert groups[1].settling_time.median == math.inf
+    ratio, time = (groups[1].quartiles[name] for name in ("V_ratio", "settling_time"))
+    assert ratio is not None
+    assert ratio.median == (0.5**2 + 0.5**3) / 2
+    assert time is not None
+    assert time.median == math.inf
 
 
 @examples(100)
@@ -197,7 +198,7 @@ def test_quartiles_take_what_never_settles_for_infinite(times: list[float], neve
 def replicas(off: Mapping[str, Sequence[float]]) -> list[Model]:
     """The models that observers of two stops believe in."""
     model = parse_model(ELEMENTS, "elements")
-    return [parse_model(each.text, "replica") for each in replicas_of(model, off)]
+    return [parse_model(each.text, "replica") for each in model_variants(model, off)]
 
 
 def test_replicas_are_off_by_what_is_told_and_by_nothing_else() -> None:
@@ -213,8 +214,8 @@ def test_replicas_are_off_by_what_is_told_and_by_nothing_else() -> None:
         np.testing.assert_array_equal(each.system.M, true.M)
         np.testing.assert_array_equal(each.system.q_r, true.q_r)
     model = read_model("two_mass")
-    (replica,) = replicas_of(model, {"gap": [0.4]})
-    assert replica.off == (Off("gap", 0.4, "m"),)
+    (replica,) = model_variants(model, {"gap": [0.4]})
+    assert replica.parameters == (ParameterValue("gap", 0.4, "m"),)
 
 
 @pytest.mark.parametrize(
@@ -243,7 +244,7 @@ def test_a_model_that_cannot_be_off_like_that_is_refused(
         ({"sensors": (SensorModel(mislabelled=0.1),)}, "sensor mislabelled"),
         ({"sensors": (SensorModel(clock_offset=-3.0),)}, "sensor clock_offset"),
         ({"options": Options(clock_error=1.0)}, "clock_error"),
-        ({"rig": Rig(read_model("two_mass").text(), 0.01, 20.0)}, "one sample found"),
+        ({"plant": PlantSetup(read_model("two_mass").text(), 0.01, 20.0)}, "one sample found"),
     ],
 )
 def test_what_no_case_could_run_is_refused_at_once(
@@ -256,26 +257,26 @@ def test_what_no_case_could_run_is_refused_at_once(
 
 def test_the_description_tells_sweeps_apart() -> None:
     """Whatever outcomes depend on is in it, and JSON brings it back."""
-    sweep = swept(troubles={"jitter": [0.0, 1e-3]}, off={"stiffness-scale": [1.0, 1.02]})
+    sweep = swept(faults={"jitter": [0.0, 1e-3]}, off={"stiffness-scale": [1.0, 1.02]})
     changed = [
         replace(sweep, laws=("kinematic",)),
         replace(sweep, sensors=sweep.sensors[:1]),
-        replace(sweep, replicas=sweep.replicas[::-1]),
+        replace(sweep, variants=sweep.variants[::-1]),
         replace(sweep, runs=3),
         replace(sweep, seed=3),
         replace(sweep, threshold=0.1),
         replace(sweep, options=Options(initial_state="zero")),
         replace(sweep, options=replace(sweep.options, missed=0.2)),
         *(
-            replace(sweep, rig=rig)
-            for rig in (
-                replace(sweep.rig, duration=5.0),
-                replace(sweep.rig, rate=10.0),
-                replace(sweep.rig, epoch=3_000_000_000),
+            replace(sweep, plant=plant)
+            for plant in (
+                replace(sweep.plant, duration=5.0),
+                replace(sweep.plant, rate=10.0),
+                replace(sweep.plant, epoch=3_000_000_000),
             )
         ),
     ]
     described = [json.dumps(each.description()) for each in (sweep, *changed)]
     assert len(set(described)) == 1 + len(changed)
-    again = swept(troubles={"jitter": [0.0, 1e-3]}, off={"stiffness-scale": [1.0, 1.02]})
+    again = swept(faults={"jitter": [0.0, 1e-3]}, off={"stiffness-scale": [1.0, 1.02]})
     assert again.description() == json.loads(described[0])
