@@ -1,7 +1,7 @@
 """One case of a sweep: a run of the plant, its sensor, an observer, and figures of its estimate.
 
-A new figure is a field of ``Outcome`` and its value in ``_outcome``; the file's column follows from
-it. A row of ``SUMMARY`` in ``summary`` adds the figure to table and JSON.
+A new figure is a field of ``Outcome`` and its value in ``_outcome``; the column of the file
+follows. A row of ``SUMMARY`` in ``summary`` adds it to table and JSON.
 """
 
 from dataclasses import dataclass
