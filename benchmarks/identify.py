@@ -37,7 +37,7 @@ from impact_observer.errors import IdentificationError
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import ImpactEvent
-from impact_observer.identify.identifying import Identified, identify
+from impact_observer.identify.identification import Identification, identify
 from impact_observer.identify.motion import FlightEnd, shoot
 from impact_observer.model import System, read_model
 from impact_observer.model.free_parameters import parametric_family
@@ -87,7 +87,7 @@ def wrong(model: System) -> System:
     )
 
 
-def errors(found: Identified, model: System) -> np.ndarray:
+def errors(found: Identification, model: System) -> np.ndarray:
     """The errors of the parameters, in their units."""
     true = {"stiffness-scale": 1 / STIFFNESS}
     for contact in model.contacts:
@@ -116,7 +116,7 @@ def jittered(name: str, seeds: int) -> dict[str, object]:
     weights, sizes = [], []
     for seed in track(range(seeds), f"{name}: jitter", console=Console(stderr=True)):
         events = events_of(name, SensorModel(jitter=JITTER), seed)
-        found = identify(family, events, clock=JITTER, believe=True)
+        found = identify(family, events, clock=JITTER, trust_events=True)
         error, own = errors(found, model), found.covariance[found.start.size :, found.start.size :]
         weights.append(float(error @ np.linalg.solve(own, error)))
         sizes.append(float(np.max(np.abs(error / (found.values - error)))))

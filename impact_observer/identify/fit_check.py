@@ -5,26 +5,26 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from impact_observer.identify.identifying import Identified
+from impact_observer.identify.identification import Identification
 from impact_observer.states import Vector
 
-REFUTED = 1e-3
-"""Probability of what was found, if the model were right, below which it is not."""
+REJECTED = 1e-3
+"""Probability of the shifts under the model below which the model is rejected."""
 _LAGS = 10
 _LEAST = 3
 """Fewest impacts in which a lag counts."""
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
-    """What the shifts of stamps say of the model.
+class FitCheck:
+    """Tests of the shifts of the stamps against a declared clock.
 
     Attributes:
         rms: of the shifts, s.
-        size: probability of shifts that large under the declared clock error; None without one.
-        white: probability of shifts so like their neighbours if they were independent (Ljung and
-            Box, On a measure of lack of fit in time series models, 1978).
-        lags: how many neighbours were looked at.
+        size: probability of shifts this large under the declared clock error; None without one.
+        white: probability of autocorrelations this large of independent shifts (Ljung and Box,
+            On a measure of lack of fit in time series models, 1978).
+        lags: of the autocorrelations.
         by_contact: by name: impacts, mean and rms of their shifts, s.
         worst: the contact of the largest rms.
     """
@@ -38,15 +38,14 @@ class Check:
 
     @property
     def fits(self) -> bool:
-        """Whether neither refutes the model."""
-        return self.white >= REFUTED and (self.size is None or self.size >= REFUTED)
+        """Whether neither test rejects the model."""
+        return self.white >= REJECTED and (self.size is None or self.size >= REJECTED)
 
 
-def checked(found: Identified) -> Check:
-    """Check the model that ``found`` ended with.
+def check_fit(found: Identification) -> FitCheck:
+    """Check the fitted model.
 
-    Under the right model the shifts are the errors of a clock: independent, and as large as it is
-    wrong.
+    Under the right model the shifts are the errors of a clock: independent, and of its size.
     """
     shifts = found.shifts
     names = sorted({name for each in found.contacts for name in each})
@@ -59,7 +58,7 @@ def checked(found: Identified) -> Check:
         weight = float(np.sum((shifts / found.clock) ** 2))
         size = float(stats.chi2.sf(weight, max(found.freedom, 1)))
     lags = max(1, min(_LAGS, shifts.size // _LEAST))
-    return Check(
+    return FitCheck(
         rms=found.rms,
         size=size,
         white=_whiteness(shifts, lags),

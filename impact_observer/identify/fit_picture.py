@@ -3,16 +3,16 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from impact_observer.identify.identifying import Identified
+from impact_observer.identify.identification import Identification
 
 _MARKERS = "o^sDvx+*"
 
 
-def identification_figure(found: Identified, *, title: str) -> Figure:
-    """Errors of the stamps over time, a mark a contact, and twice the clock's error about zero.
+def fit_picture(found: Identification, *, title: str) -> Figure:
+    """Errors of the stamps over time, with a band of two deviations of the clock.
 
     Args:
-        found: what there is to draw.
+        found: the fit.
         title: of the picture.
     """
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")

@@ -1,20 +1,20 @@
-"""The most likely motion whose contacts close at the recorded instants but for errors of stamps.
+"""The most likely motion whose contacts close at the recorded instants up to errors of the stamps.
 
-Unknown are the initial state with the parameters, ``y``, and the instants ``t``; known are the
-stamps ``s``. The gaps of what hits vanish at ``t``, and the shifts ``t - s`` are the errors of the
-clock: the most likely motion is that of the least sum of their squares. Gauss and Newton's steps
-with constraints (Bock, Recent advances in parameter identification techniques for O.D.E., 1983)
+Unknown are the initial state with the parameters, ``y``, and the instants ``t``. Given are the
+stamps ``s``. The gaps of the contacts that hit vanish at ``t``, and ``t - s`` are the errors of
+the clock: the most likely motion has the least sum of their squares. Gauss-Newton steps with
+constraints (Bock, Recent advances in parameter identification techniques for O.D.E., 1983)
 solve ::
 
-    min |s + e - s|^2    subject to    A dy + B (s + e - t) + g = 0
+    min |e|^2    subject to    A dy + B (s + e - t) + g = 0
 
 by two orthogonal triangulations, as Paige (Computer solution and perturbation analysis of
 generalized linear least squares problems, 1979). The instants are unknowns, not results: a motion
-that is switched where it is told to forgets its start, so nothing in ``A`` or ``B`` grows with the
+that is switched at given instants forgets its start, so nothing in ``A`` or ``B`` grows with the
 length of the recording, however unstable the impacting motion is by itself.
 
-What begins it is the same with the instants fixed at the stamps, which asks for the least gaps. It
-is linear in the initial state.
+The first guess has the instants fixed at the stamps, and the least gaps there. It is linear in
+the initial state.
 """
 
 from collections.abc import Sequence
@@ -31,32 +31,33 @@ from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 RANK = 1e-9
-"""Singular value that counts as none, relative to the largest: what stamps of 1 ns could tell."""
+"""Singular value that counts as zero, relative to the largest: the limit of stamps of 1 ns."""
 _STEPS = 40
-"""Most steps; a fit takes about six."""
+"""Most Gauss-Newton steps; a fit takes about six."""
 _HALVINGS = 12
+"""Most halvings of a step."""
 _CONVERGED = 1e-2
-"""Last step, relative to the standard errors."""
+"""Size of the last step, relative to the standard errors."""
 _LOST = 0.02
-"""Error of the instants, relative to the time between two, that asks for another try."""
+"""Error of the instants, relative to the time between two, above which a fit is tried again."""
 _TRIES = 40
-"""Most motions that one round looks at; ten are usual."""
-_HELD = 0.03
-"""Weight that holds parameters back, m for an error of their size."""
+"""Most evaluations of one search for the least gaps; ten are usual."""
+_PRIOR_WEIGHT = 0.03
+"""Weight of the prior on the parameters in the first search, m for an error of their size."""
 _LEAST = 1e-9
-"""Least gap that is told from none, m, and least shift, s, where some may be large."""
-_FORGIVEN = 2.0
-"""Usual shifts from which on one counts for less (Cauchy)."""
+"""Smallest scale of gaps, m, and of shifts, s, in a robust fit."""
+_CAUCHY = 2.0
+"""Scale of the Cauchy weights, over the usual shift."""
 _FIRST = 8
-"""Moments that the other try begins with."""
+"""Moments that the second try begins with."""
 
 
 class Problem(NamedTuple):
-    """What is to be explained.
+    """A recording and the systems that may explain it.
 
     Attributes:
-        family: systems that may explain it.
-        moments: what was recorded, in order.
+        family: the systems.
+        moments: the recorded impacts, closings and openings, in order.
         start: where the initial state holds, s since the epoch.
     """
 
@@ -71,8 +72,13 @@ class Problem(NamedTuple):
 
     @property
     def interval(self) -> float:
-        """Usual time between two moments, s."""
+        """Median of the time between two moments, s."""
         return float(np.median(np.diff(self.stamps, prepend=self.start)))
+
+    @property
+    def counted(self) -> NDArray[np.int64]:
+        """Indices of the moments whose stamps are compared: measured impacts and closings."""
+        return np.array([k for k, m in enumerate(self.moments) if m.measured and m.hit])
 
     def shot(self, y: Vector, t: Vector | None = None) -> Shot:
         """The motion of ``y`` switched at ``t``, by default at the stamps."""
@@ -87,11 +93,11 @@ class Solution(NamedTuple):
         y: initial state (q, u) and parameters, shape (2n + p,).
         t: instants, s since the epoch, shape (moments,).
         shot: the motion.
-        shifts: by which stamps are early, s, of the moments that count, shape (counted,).
-        counted: indices of those: heard, and not grazing.
-        freedom: how many shifts there are beyond what the unknowns took up.
+        shifts: instants minus stamps, s, of the moments that count, shape (counted,).
+        counted: indices of these moments.
+        freedom: degrees of freedom of the shifts.
         root: ``root root^T`` times the variance of a stamp is the covariance of ``y``.
-        converged: whether the steps came to an end.
+        converged: whether the steps converged.
     """
 
     y: Vector
@@ -106,11 +112,15 @@ class Solution(NamedTuple):
     @property
     def rms(self) -> float:
         """Estimated standard deviation of a stamp, s."""
-        return float(np.sqrt(np.sum(self.shifts**2) / max(self.freedom, 1)))
+        return _deviation(self.shifts, self.freedom)
+
+
+def _deviation(shifts: Vector, freedom: int) -> float:
+    return float(np.sqrt(np.sum(shifts**2) / max(freedom, 1)))
 
 
 def start_of(problem: Problem) -> Vector:
-    """Where to begin: the given parameters, and the initial state of the least gaps."""
+    """A first guess of ``y``: the given parameters, and the initial state of the least gaps."""
     n = problem.family.system.n
     y = np.concatenate([np.zeros(2 * n), problem.family.nominal])
     shot = problem.shot(y)
@@ -119,51 +129,56 @@ def start_of(problem: Problem) -> Vector:
 
 
 def by_gaps(problem: Problem, y: Vector, *, robust: bool = False) -> Vector:
-    """``y`` of the least gaps at the stamps; by and by, where not all at once.
+    """``y`` of the least gaps at the stamps, from all moments or from more and more of them.
 
-    A first round holds the parameters back a little: far from the answer motions without end
+    The first search has a weak prior on the parameters: far from the answer unbounded motions
     would make small gaps too.
 
     Args:
-        problem: what is to be explained.
+        problem: the recording and the systems.
         y: where to begin; see ``start_of``.
         robust: whether a few gaps may be large.
     """
     speed = float(np.linalg.norm(problem.shot(y).speeds))
-    found = _least_gaps(problem, _least_gaps(problem, y, None, _HELD), robust=robust)
-    if _error(problem, found, speed) <= _LOST * problem.interval:
+
+    def error(y: Vector) -> float:
+        """Gaps at the stamps as an error of the instants, s."""
+        return float(np.linalg.norm(problem.shot(y).gaps) / speed)
+
+    found = _least_gaps(problem, _least_gaps(problem, y, prior=_PRIOR_WEIGHT), robust=robust)
+    if error(found) <= _LOST * problem.interval:
         return found
     other, upto = y, _FIRST
     while upto < len(problem.moments):
-        other = _least_gaps(problem, other, upto, _HELD)
+        other = _least_gaps(problem, other, upto, prior=_PRIOR_WEIGHT)
         upto *= 2
-    other = _least_gaps(problem, _least_gaps(problem, other, None, _HELD), robust=robust)
-    return min(found, other, key=lambda each: _error(problem, each, speed))
+    other = _least_gaps(problem, _least_gaps(problem, other, prior=_PRIOR_WEIGHT), robust=robust)
+    return min(found, other, key=error)
 
 
 def _least_gaps(
     problem: Problem,
     y: Vector,
     upto: int | None = None,
-    held: float = 0.0,
     *,
+    prior: float = 0.0,
     robust: bool = False,
 ) -> Vector:
-    """``y`` of the least gaps at the first stamps, the parameters ``held`` back."""
+    """``y`` of the least gaps at the first stamps, with the weight ``prior`` on given values."""
     n, family, stamps = problem.family.system.n, problem.family, problem.stamps[:upto]
     low, high = (
         np.concatenate([np.full(2 * n, end), bound])
         for end, bound in zip((-np.inf, np.inf), family.bounds, strict=True)
     )
-    back = held * np.hstack([np.zeros((family.size, 2 * n)), np.diag(1 / family.sizes)])
-
-    start = np.concatenate([np.zeros(2 * n), family.nominal])
+    pull = prior * np.hstack([np.zeros((family.size, 2 * n)), np.diag(1 / family.sizes)])
+    given = np.concatenate([np.zeros(2 * n), family.nominal])
+    # Residuals and derivatives are asked for at the same ``y``: one shot serves both.
     shot = lru_cache(1)(lambda y: problem.shot(np.frombuffer(y), stamps))
     usual = float(np.median(np.abs(problem.shot(y, stamps).gaps)))
     found = optimize.least_squares(
-        lambda y: np.concatenate([shot(y.tobytes()).gaps, back @ (y - start)]),
+        lambda y: np.concatenate([shot(y.tobytes()).gaps, pull @ (y - given)]),
         np.clip(y, low, high),
-        jac=lambda y: np.vstack([shot(y.tobytes()).by_start, back]),
+        jac=lambda y: np.vstack([shot(y.tobytes()).by_start, pull]),
         bounds=(low, high),
         x_scale=np.concatenate([np.ones(2 * n), family.sizes]),
         loss="soft_l1" if robust else "linear",
@@ -176,30 +191,25 @@ def _least_gaps(
     return np.asarray(found.x)
 
 
-def _error(problem: Problem, y: Vector, speed: float) -> float:
-    """How far the gaps at the stamps are from zero, s, where contacts have that speed, m/s."""
-    return float(np.linalg.norm(problem.shot(y).gaps) / speed)
-
-
 class Directions(NamedTuple):
     """Directions of initial state and parameters.
 
     Attributes:
-        told: those that gaps show, as columns, shape (2n + p, rank).
-        unknown: those that no gap shows, shape (2n + p, 2n + p - rank).
+        determined: those that move the gaps, as columns, shape (2n + p, rank).
+        undetermined: those that move no gap, shape (2n + p, 2n + p - rank).
         singular: how far each moves the gaps, m, the largest first, shape (2n + p,).
     """
 
-    told: Matrix
-    unknown: Matrix
+    determined: Matrix
+    undetermined: Matrix
     singular: Vector
 
 
 def directions(problem: Problem, shot: Shot) -> Directions:
-    """What the gaps can tell, and what they cannot.
+    """The directions of ``y`` that the gaps determine, and the others.
 
     Directions are of unit length where states are in units of the motion's largest, and parameters
-    of their sizes.
+    in units of their sizes.
     """
     n = problem.family.system.n
     reach = np.max(np.abs(shot.states), axis=0)
@@ -217,44 +227,36 @@ def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
     """The most likely motion, from one near it.
 
     Args:
-        problem: what is to be explained.
+        problem: the recording and the systems.
         y: where to begin; see ``by_gaps``.
-        robust: whether a few shifts may be large: they count as if they were drawn from a Cauchy
-            distribution, by weights that are drawn anew at every step.
+        robust: whether a few shifts may be large. They count as if they were drawn from a Cauchy
+            distribution, by weights that are renewed at every step.
 
     Raises:
         IdentificationError: fewer hits than unknowns.
     """
-    shot = problem.shot(y)
-    basis = directions(problem, shot).told
-    y = y.copy()
-    counts = _telling(problem)
-    now = _State(problem, counts, y, problem.stamps, shot, np.ones(counts.size))
+    shot, counted = problem.shot(y), problem.counted
+    basis = directions(problem, shot).determined
+    now = _Iterate(problem, counted, y.copy(), problem.stamps, shot, np.ones(counted.size))
     converged = False
     for _ in range(_STEPS):
         if robust:
             now = now.weighted()
         step = now.step_within(basis)
-        converged = step.is_nothing(now)
+        converged = step.is_small(now)
         now, length = now.towards(step)
-        if converged:
-            break
-        if length == 0.0:
+        if converged or length == 0.0:
             break
     step = now.step_within(basis)
-    left, root = step.freedom, step.root
-    return Solution(now.y, now.t, now.shot, now.shifts, counts, left, root, converged)
-
-
-def _telling(problem: Problem) -> NDArray[np.int64]:
-    """Indices of the moments whose stamps are compared."""
-    return np.array([k for k, each in enumerate(problem.moments) if each.heard and each.hit])
+    return Solution(
+        now.y, now.t, now.shot, now.shifts, counted, step.freedom, step.root, converged
+    )
 
 
 def usual_size(shifts: Vector, freedom: int) -> float:
     """Standard deviation of a stamp that a few large shifts do not change, s.
 
-    As many shifts as there are unknowns can be made nothing: the median is that of the others.
+    As many shifts as there are unknowns can be fitted to zero: the median is that of the others.
     """
     sizes = np.sort(np.abs(shifts))
     middle = (sizes.size - freedom) + (freedom - 1) / 2
@@ -262,32 +264,32 @@ def usual_size(shifts: Vector, freedom: int) -> float:
 
 
 class _Step(NamedTuple):
-    """A step of Gauss and Newton.
+    """A Gauss-Newton step.
 
     Attributes:
         dy: of initial state and parameters, shape (2n + p,).
         t: the new instants, s, shape (moments,).
         root: of the covariance of ``y``; see ``Solution``.
-        freedom: likewise.
-        price: of a metre of gap, s^2, that no shift is worth.
+        freedom: see ``Solution``.
+        penalty: on a gap in the merit function, s^2/m; larger than any multiplier.
     """
 
     dy: Vector
     t: Vector
     root: Matrix
     freedom: int
-    price: float
+    penalty: float
 
-    def is_nothing(self, now: "_State") -> bool:
-        """Whether it is nothing beside what errors of stamps do."""
-        clock = max(now.rms(self.freedom), _LEAST)
+    def is_small(self, now: "_Iterate") -> bool:
+        """Whether it is small beside the standard errors."""
+        clock = max(_deviation(now.shifts, self.freedom), _LEAST)
         size = clock * np.linalg.norm(self.root, axis=1)
         small = np.abs(self.dy) <= _CONVERGED * size + 1e-12 * np.abs(now.y)
         return bool(np.all(small) and np.max(np.abs(self.t - now.t)) <= clock / 10)
 
 
-class _State(NamedTuple):
-    """Where the steps have come to; see ``Solution``.
+class _Iterate(NamedTuple):
+    """A point of the iteration; see ``Solution``.
 
     Attributes:
         weights: of the shifts, shape (counted,).
@@ -302,62 +304,57 @@ class _State(NamedTuple):
 
     @property
     def shifts(self) -> Vector:
-        """By which stamps are early, s, shape (counted,)."""
+        """Instants minus stamps, s, shape (counted,)."""
         return np.asarray((self.t - self.problem.stamps)[self.counted])
 
-    def weighted(self) -> "_State":
-        """The same; what is shifted by more than usual counts for less."""
+    def weighted(self) -> "_Iterate":
+        """The same with smaller weights for shifts that are larger than usual."""
         sizes = np.abs(self.shifts)
         if not np.any(sizes):
             return self
-        taken = sum(each.heard and bool(each.hit) for each in self.problem.moments)
-        unknowns = min(self.y.size, taken - 1)
-        usual = max(usual_size(sizes, taken - unknowns) * _FORGIVEN, _LEAST)
+        unknowns = min(self.y.size, sizes.size - 1)
+        usual = max(usual_size(sizes, sizes.size - unknowns) * _CAUCHY, _LEAST)
         return self._replace(weights=1 / np.sqrt(1 + (sizes / usual) ** 2))
 
-    def rms(self, freedom: int) -> float:
-        """As of ``Solution``."""
-        return float(np.sqrt(np.sum(self.shifts**2) / max(freedom, 1)))
-
     def step_within(self, basis: Matrix) -> _Step:
-        """``step`` with parameters held that stand at a bound and would go beyond it."""
+        """``step`` with the parameters fixed that would leave their bounds."""
         low, high = self.problem.family.bounds
         n2 = self.y.size - low.size
-        value, held = self.y[n2:], np.zeros(low.size, dtype=np.bool_)
+        value, fixed = self.y[n2:], np.zeros(low.size, dtype=np.bool_)
         while True:
-            rows = n2 + np.flatnonzero(held)
+            rows = n2 + np.flatnonzero(fixed)
             step = self.step(basis @ linalg.null_space(basis[rows]) if rows.size else basis)
             change = step.dy[n2:]
             beyond = ((value <= low) & (change < 0)) | ((value >= high) & (change > 0))
-            if not np.any(beyond & ~held):
+            if not np.any(beyond & ~fixed):
                 return step
-            held |= beyond
+            fixed |= beyond
 
     def step(self, basis: Matrix) -> _Step:
-        """Gauss and Newton's step in the directions ``basis`` and the instants."""
+        """The Gauss-Newton step in the directions ``basis`` and the instants."""
         problem, shot = self.problem, self.shot
-        missed = [k for k, m in enumerate(problem.moments) if m.hit and not m.heard]
-        A = np.hstack([shot.by_start @ basis, shot.by_instant[:, missed]])
+        inserted = [k for k, m in enumerate(problem.moments) if m.hit and not m.measured]
+        A = np.hstack([shot.by_start @ basis, shot.by_instant[:, inserted]])
         B = shot.by_instant[:, self.counted]
-        shift = (problem.stamps - self.t)[self.counted]
-        d = -(shot.gaps + B @ shift)
+        d = -(shot.gaps - B @ self.shifts)
         if len(A) < A.shape[1]:
             raise IdentificationError(
                 f"{len(A)} impacts for {A.shape[1]} unknowns; record longer, or free less"
             )
-        x, e, root = least(A, B / self.weights, d)
+        x, e, root = constrained_least_squares(A, B / self.weights, d)
         e = e / self.weights
         r = basis.shape[1]
         t = self.t.copy()
         t[self.counted] = problem.stamps[self.counted] + e
-        t[missed] += x[r:]
-        price = float(np.max(np.abs(linalg.lstsq(B.T, 2 * e * self.weights**2)[0]), initial=0.0))
+        t[inserted] += x[r:]
+        multipliers = linalg.lstsq(B.T, 2 * e * self.weights**2)[0]
+        penalty = 2 * float(np.max(np.abs(multipliers), initial=0.0)) + 1e-30
         freedom = len(self.counted) - A.shape[1] + len(A) - np.linalg.matrix_rank(B)
-        return _Step(basis @ x[:r], t, basis @ root[:r], freedom, 2 * price + 1e-30)
+        return _Step(basis @ x[:r], t, basis @ root[:r], freedom, penalty)
 
-    def towards(self, step: _Step) -> tuple["_State", float]:
-        """As much of ``step`` as makes it better, and how much that is."""
-        before = self.merit(step.price)
+    def towards(self, step: _Step) -> tuple["_Iterate", float]:
+        """The first of 1, 1/2, 1/4 .. of ``step`` that lowers the merit function, and which."""
+        before = self.merit(step.penalty)
         low, high = self.problem.family.bounds
         n2 = self.y.size - low.size
         length = 1.0
@@ -365,19 +362,19 @@ class _State(NamedTuple):
             y, t = self.y + length * step.dy, self.t + length * (step.t - self.t)
             y[n2:] = np.clip(y[n2:], low, high)
             found = self._replace(y=y, t=t, shot=self.problem.shot(y, t))
-            if found.merit(step.price) <= before * (1 + 1e-6) + 1e-22:
+            if found.merit(step.penalty) <= before * (1 + 1e-6) + 1e-22:
                 return found, length
             length /= 2
         return self, 0.0
 
-    def merit(self, price: float) -> float:
-        """What steps make less: squares of shifts, and gaps at their price."""
+    def merit(self, penalty: float) -> float:
+        """Sum of the squared shifts, and of the gaps with their penalty."""
         return float(
-            np.sum((self.weights * self.shifts) ** 2) + price * np.sum(np.abs(self.shot.gaps))
+            np.sum((self.weights * self.shifts) ** 2) + penalty * np.sum(np.abs(self.shot.gaps))
         )
 
 
-def least(A: Matrix, B: Matrix, d: Vector) -> tuple[Vector, Vector, Matrix]:
+def constrained_least_squares(A: Matrix, B: Matrix, d: Vector) -> tuple[Vector, Vector, Matrix]:
     """``x`` and the least ``e`` with ``A x + B e = d``.
 
     Args:
@@ -390,8 +387,8 @@ def least(A: Matrix, B: Matrix, d: Vector) -> tuple[Vector, Vector, Matrix]:
     """
     k = A.shape[1]
     Q, R = linalg.qr(A)
-    known, left = Q[:, :k].T, Q[:, k:].T @ B
+    range_of_A, left = Q[:, :k].T, Q[:, k:].T @ B
     e = linalg.lstsq(left, Q[:, k:].T @ d)[0] if left.size else np.zeros(B.shape[1])
     free = linalg.null_space(left) if left.size else np.eye(B.shape[1])
-    x = linalg.solve_triangular(R[:k], known @ (d - B @ e))
-    return x, e, linalg.solve_triangular(R[:k], known @ B @ free)
+    x = linalg.solve_triangular(R[:k], range_of_A @ (d - B @ e))
+    return x, e, linalg.solve_triangular(R[:k], range_of_A @ B @ free)

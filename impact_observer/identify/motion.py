@@ -1,14 +1,14 @@
 """A motion switched at given instants, with exact derivatives.
 
-Harmonics and constants are states too: ``z = (q, u, c_1, s_1, .., 1)`` with ``c = a cos(omega t +
-phi)`` obeys ``dz/dt = F z`` with a constant matrix between two instants. Its derivative with a
-parameter that ``F`` depends on is the block of an exponential (Van Loan, Computing integrals
-involving the matrix exponential, 1978)::
+Harmonics and constants are states as well. The vector ``z = (q, u, c_1, s_1, .., 1)`` with
+``c = a cos(omega t + phi)`` obeys ``dz/dt = F z`` with a constant matrix between two instants.
+Its derivative with respect to a parameter in ``F`` is the block of an exponential (Van Loan,
+Computing integrals involving the matrix exponential, 1978)::
 
     exp(s [[F, F'], [0, F]]) = [[E, L], [0, E]],    dz(s) = E dz(0) + L z(0)
 
-and with an instant it is ``F z``. Contacts that stay closed are held: ``M^-1`` becomes
-``R = S (S^T M S)^-1 S^T``, ``S`` spanning what they leave free, with ``dR = -R dM R``. At an
+that with respect to an instant is ``F z``. Contacts that stay closed are held: ``M^-1`` becomes
+``R = S (S^T M S)^-1 S^T``, where ``S`` spans the free directions, with ``dR = -R dM R``. At an
 impact ``u+ = J u-``, ``J = I - X (1 + E) W^T``, ``X = M^-1 W G^-1`` with ``dX = -R dM X``.
 """
 
@@ -24,31 +24,31 @@ from impact_observer.states import Matrix, Vector
 
 
 class FlightEnd(NamedTuple):
-    """What the contacts do at one instant.
+    """The impacts, closings and openings at one instant.
 
     Attributes:
         t: as recorded, s since the epoch.
-        hit: contacts that impact or close; none where they only open.
-        pressed: those of the closed ones that take an impulse.
+        hit: contacts that impact or close; empty where contacts only open.
+        pressed: closed contacts that take an impulse.
         held: those that stay closed from now on, independent of each other.
-        heard: whether a stamp tells of it; else it was inserted.
+        measured: whether it has a stamp; else it was inserted as missed.
     """
 
     t: float
     hit: Contacts
     pressed: Contacts
     held: Contacts = ()
-    heard: bool = True
+    measured: bool = True
 
 
 class Shot(NamedTuple):
-    """The gaps of contacts that hit, and how they change.
+    """The gaps of the contacts that hit, and their derivatives.
 
     Attributes:
         gaps: just before each hit, shape (hits,), m.
         speeds: contact speeds then, shape (hits,), m/s.
-        by_start: their derivatives with initial state and parameters, shape (hits, 2n + p).
-        by_instant: with the instants, shape (hits, moments).
+        by_start: derivatives with respect to initial state and parameters, shape (hits, 2n + p).
+        by_instant: derivatives with respect to the instants, shape (hits, moments).
         moment: index of each hit's moment, shape (hits,).
         contact: index of its contact, shape (hits,).
         states: (q, u) just after each moment, shape (moments, 2n).
@@ -66,20 +66,20 @@ class Shot(NamedTuple):
 def shoot(
     family: ParametricFamily, start: Vector, moments: Sequence[FlightEnd], t: Vector, t0: float
 ) -> Shot:
-    """Switch the motion at the instants ``t`` and look at the gaps.
+    """The motion that is switched at the instants ``t``, and its gaps there.
 
     Args:
-        family: of the system.
+        family: the system and its free parameters.
         start: initial state (q, u) and parameters, shape (2n + p,).
-        moments: what switches.
-        t: when, ascending, s since the epoch, shape (moments,).
+        moments: the contacts that switch.
+        t: their instants, ascending, s since the epoch, shape (moments,).
         t0: where the initial state holds, s since the epoch.
     """
     n = family.system.n
-    now = _Now(family, family.at(start[2 * n :]))
-    z, Z = now.start(start[: 2 * n], t0, len(moments))
+    equations = _EquationsOfMotion(family, family.at(start[2 * n :]))
+    z, Z = equations.start(start[: 2 * n], t0, len(moments))
     lengths = np.diff(t, prepend=t0)
-    steps = now.steps(moments, lengths)
+    steps = equations.steps(moments, lengths)
     W, d = family.system.W, start.size
     states = np.zeros((len(moments), 2 * n))
     rows: list[tuple[float, float, Vector, int, int]] = []
@@ -89,16 +89,16 @@ def shoot(
         Z = E @ Z
         Z[: 2 * n, 2 * n : d] += (L @ z).T
         z = E @ z
-        rate = now.generator(before) @ z
+        rate = equations.generator(before) @ z
         Z[:, d + k] += rate
         if k:
             Z[:, d + k - 1] -= rate
         for i in moment.hit:
             row = W[:, i] @ Z[:n]
-            row[2 * n : d] += now.gap_change[:, i]
-            gap = float(W[:, i] @ z[:n] + now.numbers.gap[i])
+            row[2 * n : d] += equations.gap_change[:, i]
+            gap = float(W[:, i] @ z[:n] + equations.numbers.gap[i])
             rows.append((gap, float(W[:, i] @ z[n : 2 * n]), row, k, i))
-        z, Z = now.jumped(z, Z, moment)
+        z, Z = equations.jumped(z, Z, moment)
         states[k] = z[: 2 * n]
     table = np.array([row for _, _, row, _, _ in rows]).reshape(len(rows), d + len(moments))
     return Shot(
@@ -112,15 +112,15 @@ def shoot(
     )
 
 
-class _Now:
-    """The equations of motion where the parameters have certain values."""
+class _EquationsOfMotion:
+    """The equations of motion for certain values of the parameters."""
 
     def __init__(self, family: ParametricFamily, numbers: Coefficients) -> None:
         self.numbers = numbers
         self._changes = [each.effect for each in family.parameters]
         self._system = family.system
         self._inverse = linalg.inv(numbers.M)
-        self._kept: dict[Contacts, Matrix] = {}
+        self._inverses: dict[Contacts, Matrix] = {}
         self._presses: dict[Contacts, Matrix] = {}
         self._generators: dict[Contacts, Matrix] = {}
         h = family.system.forcing.frequency.size
@@ -128,7 +128,7 @@ class _Now:
         self.gap_change = np.reshape([each.gap for each in self._changes], (-1, family.system.m))
 
     def start(self, x: Vector, t: float, moments: int) -> tuple[Vector, Matrix]:
-        """``z`` at ``t``, and its derivative with initial state, parameters and instants."""
+        """``z`` at ``t``, and its derivatives by initial state, parameters and instants."""
         n, forcing = self._system.n, self._system.forcing
         p = len(self._changes)
         angle = forcing.frequency * t + self.numbers.phase
@@ -143,16 +143,16 @@ class _Now:
             Z[2 * n : -1, 2 * n + j] = _pairs(turn * wave)
         return z, Z
 
-    def kept(self, held: Contacts) -> Matrix:
-        """``R``: what is left of ``M^-1`` when ``held`` contacts take their loads."""
-        if held not in self._kept:
+    def constrained_inverse(self, held: Contacts) -> Matrix:
+        """``R``: the inverse of ``M`` in the directions that ``held`` contacts leave free."""
+        if held not in self._inverses:
             W = self._system.W[:, list(held)]
             free = linalg.null_space(W.T) if held else np.eye(self._system.n)
             inner = free.T @ self.numbers.M @ free
-            # scipy before 1.14 knows no empty systems
-            loose = linalg.solve(inner, free.T) if free.size else free.T
-            self._kept[held] = free @ loose
-        return self._kept[held]
+            # scipy before 1.14 refuses empty systems
+            solved = linalg.solve(inner, free.T) if free.size else free.T
+            self._inverses[held] = free @ solved
+        return self._inverses[held]
 
     def _pressing(self, pressed: Contacts) -> Matrix:
         """``X = M^-1 W G^-1`` of contacts."""
@@ -162,12 +162,12 @@ class _Now:
         return self._presses[pressed]
 
     def generator(self, held: Contacts) -> Matrix:
-        """``F`` while ``held`` contacts take loads."""
+        """``F`` while ``held`` contacts are closed."""
         if held not in self._generators:
             n, omega = self._system.n, self._system.forcing.frequency
             F = np.zeros((self._size, self._size))
             F[:n, n : 2 * n] = np.eye(n)
-            F[n : 2 * n] = self.kept(held) @ self._forces(self.numbers, force=True)
+            F[n : 2 * n] = self.constrained_inverse(held) @ self._forces(self.numbers, force=True)
             for k, rate in enumerate(omega.tolist()):
                 c = 2 * n + 2 * k
                 F[c, c + 1], F[c + 1, c] = -rate, rate
@@ -187,16 +187,16 @@ class _Now:
             found[:, -1] = forcing.constant
         return found
 
-    def _turning(self, change: Coefficients, held: Contacts) -> Matrix:
-        """The derivative of ``F`` with a parameter."""
-        n, R = self._system.n, self.kept(held)
+    def _generator_change(self, change: Coefficients, held: Contacts) -> Matrix:
+        """The derivative of ``F`` with respect to a parameter."""
+        n, R = self._system.n, self.constrained_inverse(held)
         found = np.zeros((self._size, self._size))
         pulled = self._forces(change, force=False) - change.M @ self.generator(held)[n : 2 * n]
         found[n : 2 * n] = R @ pulled
         return found
 
     def steps(self, moments: Sequence[FlightEnd], s: Vector) -> list[tuple[Matrix, Matrix]]:
-        """For each moment how ``z`` comes to it, and the derivative of that times ``z``."""
+        """For each moment the transition matrix to it, and its derivatives by the parameters."""
         N, n, p = self._size, self._system.n, len(self._changes)
         E = np.zeros((len(moments), N, N))
         L = np.zeros((len(moments), p, 2 * n, N))
@@ -208,11 +208,11 @@ class _Now:
             lengths = s[which][:, None, None]
             E[which] = linalg.expm(balanced * lengths) * scale[:, None] / scale
             for j, change in enumerate(self._changes):
-                turning = self._turning(change, held)
-                if np.any(turning):
+                generator_change = self._generator_change(change, held)
+                if np.any(generator_change):
                     both = np.zeros((2 * N, 2 * N))
                     both[:N, :N] = both[N:, N:] = balanced
-                    both[:N, N:] = turning * scale / scale[:, None]
+                    both[:N, N:] = generator_change * scale / scale[:, None]
                     found = linalg.expm(both * lengths)[:, : 2 * n, N:]
                     L[which, j] = found * scale[: 2 * n, None] / scale
         return list(zip(E, L, strict=True))
@@ -223,7 +223,7 @@ class _Now:
         u, U = z[n:d].copy(), Z[n:d].copy()
         if moment.pressed:
             P = list(moment.pressed)
-            W, R = self._system.W[:, P], self.kept(moment.pressed)
+            W, R = self._system.W[:, P], self.constrained_inverse(moment.pressed)
             X = self._pressing(moment.pressed)
             speeds, rebound = W.T @ u, 1.0 + self.numbers.eps[P]
             U -= X @ (rebound[:, None] * (W.T @ U))
@@ -232,7 +232,7 @@ class _Now:
                 U[:, d + j] -= X @ (change.eps[P] * speeds)
             u -= X @ (rebound * speeds)
         if moment.held:
-            R, M = self.kept(moment.held), self.numbers.M
+            R, M = self.constrained_inverse(moment.held), self.numbers.M
             still = R @ (M @ u)
             U = R @ (M @ U)
             for j, change in enumerate(self._changes):
@@ -244,5 +244,5 @@ class _Now:
 
 
 def _pairs(wave: np.ndarray) -> Vector:
-    """Real and imaginary parts by turns."""
+    """Real and imaginary parts in turn."""
     return np.asarray(np.stack([wave.real, wave.imag], axis=-1).reshape(-1))

@@ -1,4 +1,4 @@
-"""A recording to be explained: which of its switches are believed, and what was not heard."""
+"""A recording to be explained: which impacts count, and which were missed."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -22,56 +22,53 @@ Hit: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What was heard, and what is made of it.
+    """Recorded events, with impacts rejected and inserted.
 
     Attributes:
-        told: what was heard.
-        doubted: impacts that are not believed.
-        inserted: impacts that nobody heard, and that the motion cannot do without.
+        episode: the recorded events.
+        rejected: impacts that are taken for spurious.
+        inserted: impacts that are taken for missed.
     """
 
-    told: Episode
-    doubted: frozenset[Hit] = field(default=frozenset())
+    episode: Episode
+    rejected: frozenset[Hit] = field(default=frozenset())
     inserted: frozenset[Hit] = field(default=frozenset())
 
     @property
     def start(self) -> float:
         """Where the initial state holds, s since the epoch."""
-        return seconds_between(self.told.epoch, self.told.start)
+        return seconds_between(self.episode.epoch, self.episode.start)
 
-    def marked(self, doubted: Iterable[Hit], inserted: Iterable[Hit]) -> "Recording":
-        """The same, and other impacts believed."""
-        return replace(self, doubted=frozenset(doubted), inserted=frozenset(inserted))
-
-    @property
-    def _keys(self) -> list[EventKey]:
-        """The events that are believed, in order."""
-        kept = [
-            key._replace(switches=tuple(s for s in key.switches if not self._doubts(key, s)))
-            for key in self.told.keys
-        ]
-        added = [EventKey(stamp, 0, ((contact, Kind.IMPACT),)) for stamp, contact in self.inserted]
-        return sorted([*(key for key in kept if key.switches), *added])
-
-    def _doubts(self, key: EventKey, switch: tuple[int, Kind]) -> bool:
-        return switch[1] is not Kind.OPEN and (key.stamp, switch[0]) in self.doubted
+    def with_outliers(self, rejected: Iterable[Hit], inserted: Iterable[Hit]) -> "Recording":
+        """The same events, with other impacts rejected and inserted."""
+        return replace(self, rejected=frozenset(rejected), inserted=frozenset(inserted))
 
     def hits(self) -> list[tuple[int, tuple[int, ...]]]:
-        """Stamps (ns) and contacts of the believed moments at which something hits."""
-        return [(change.stamp, change.hit) for change in self._touches()]
+        """Stamps (ns) and contacts of the accepted moments; no contacts where some only open."""
+        return [(change.stamp, change.hit) for change in self._changes()]
 
-    def _touches(self) -> Iterator[ContactChange]:
-        return changes(self._keys, self.told.epoch)
+    def _changes(self) -> Iterator[ContactChange]:
+        """The accepted events, in order."""
+        kept = [
+            key._replace(switches=tuple(s for s in key.switches if not self._is_rejected(key, s)))
+            for key in self.episode.keys
+        ]
+        added = [EventKey(stamp, 0, ((contact, Kind.IMPACT),)) for stamp, contact in self.inserted]
+        keys = sorted([*(key for key in kept if key.switches), *added])
+        return changes(keys, self.episode.epoch)
+
+    def _is_rejected(self, key: EventKey, switch: tuple[int, Kind]) -> bool:
+        return switch[1] is not Kind.OPEN and (key.stamp, switch[0]) in self.rejected
 
     def problem(self, family: ParametricFamily) -> Problem:
-        """What a motion has to explain.
+        """The problem that a fit of ``family`` solves.
 
         Raises:
             ImpactLawError: the impact law has no solution at an event.
         """
         newton, phases = ImpactLaw(family.system), Phases(family.system)
         moments = []
-        for change in self._touches():
+        for change in self._changes():
             pressed = change.pressed(newton, -np.ones(len(change.hit))) if change.hit else ()
             inserted = any((change.stamp, i) in self.inserted for i in change.hit)
             held = phases.independent(change.closed)

@@ -52,9 +52,9 @@ def test_json_has_every_figure(model: Path, capsys: pytest.CaptureFixture[str]) 
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution", "--json"]
     assert main(words) == 0
     figures = json.loads(capsys.readouterr().out)
-    told = figures["parameters"]["restitution.stop"]
-    assert told["given"] == 0.8
-    assert told["value"] == pytest.approx(0.7, rel=1e-6)
+    learnt = figures["parameters"]["restitution.stop"]
+    assert learnt["given"] == 0.8
+    assert learnt["value"] == pytest.approx(0.7, rel=1e-6)
     assert figures["converged"]
     assert len(figures["shifts"]["shift"]) == figures["impacts"]
 
@@ -84,7 +84,7 @@ def test_check_ends_with_1_where_the_model_does_not_fit(
 def test_what_cannot_be_learnt_is_one_line(
     words: list[str], problem: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """That names it; 2 for wrong use, 1 for what the impacts do not tell."""
+    """That names it; 2 for wrong use, 1 for what the impacts do not determine."""
     assert main(["identify", bag(BAG), *words]) in {1, 2}
     error = capsys.readouterr().err
     assert problem in error

@@ -1,4 +1,4 @@
-"""Exact sensitivities of a motion that is switched where it is told."""
+"""Exact sensitivities of a motion that is switched at given instants."""
 
 from dataclasses import replace
 
@@ -25,7 +25,7 @@ OF_FORCING = ("forcing-amplitude", "forcing-phase", "clock-offset")
 def moments_of(model: System, x: Array, seconds: float) -> list[FlightEnd]:
     """What an ideal sensor tells of a plant that starts at ``x``."""
     n, phases = model.n, Phases(model)
-    told = run(model, x[:n], x[n:], seconds=seconds, rate=10.0)
+    made = run(model, x[:n], x[n:], seconds=seconds, rate=10.0)
     return [
         FlightEnd(
             seconds_between(EPOCH, each.instant.stamp) + each.instant.remainder,
@@ -33,7 +33,7 @@ def moments_of(model: System, x: Array, seconds: float) -> list[FlightEnd]:
             each.contacts,
             phases.independent(each.closed),
         )
-        for each in told.switchings
+        for each in made.switchings
     ]
 
 

@@ -17,7 +17,7 @@ from impact_observer.identify.least_squares import (
     solved,
     start_of,
 )
-from impact_observer.identify.plausibility import first_word, judged
+from impact_observer.identify.outliers import outliers_by_motion, outliers_by_observer
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
@@ -28,23 +28,23 @@ from impact_observer.states import Matrix, Vector, frozen
 ROUNDED = 1e-9 / np.sqrt(12)
 """Standard deviation of a stamp that is wrong by its rounding only, s."""
 _ROUNDS = 12
-"""Most times that the impacts are judged anew."""
+"""Most rounds of rejecting and inserting impacts."""
 _SUSPICIOUS = 0.01
-"""Error of stamps, relative to the time between two, from which on impacts are doubted."""
+"""Error of stamps, relative to the time between two, above which outliers are searched."""
 _EXCESS = 1.5
-"""Error of stamps over a declared one from which on impacts are doubted."""
+"""Error of stamps over a declared one above which outliers are searched."""
 _LOST = 0.02
-"""Error of stamps, relative to the time between two, that explains nothing."""
+"""Error of stamps, relative to the time between two, above which nothing is explained."""
 _STILL = 1e-9
 """Contact speed of no motion, m/s."""
 _WRONG = 0.03
-"""By which a wrong model is taken to move impacts, relative to the time between two."""
-_BELIEVED = 2 / 3
-"""Share of the impacts that has to be believed, and heard, of a recording that is explained."""
+"""Declared error of the model, as an error of the stamps relative to the time between two."""
+_ACCEPTED = 2 / 3
+"""Least share of accepted, measured impacts in a recording that is explained."""
 _PART = 1e-3
-"""Term of a combination that is none, relative to the largest."""
+"""Smallest term of a combination, relative to the largest."""
 _MINOR = 0.2
-"""The same of one that is told too weakly, in sizes of the parameters."""
+"""Smallest term of a weakly determined combination, relative to the largest."""
 
 
 class Term(NamedTuple):
@@ -55,26 +55,26 @@ class Term(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Identified:
-    """What impact times say of a model.
+class Identification:
+    """A model fitted to impact times.
 
     Attributes:
         family: the given system and its free parameters.
-        recording: what was believed of the impacts.
+        recording: the events, with rejected and inserted impacts.
         values: of the parameters, shape (p,), SI units.
         covariance: of initial state and parameters, shape (2n + p, 2n + p).
         start: initial state (q, u), shape (2n,), at ``recording.start``.
-        clock: standard deviation of a stamp that the errors rest on, s.
-        declared: whether it was declared; else the shifts told it.
-        rms: of the shifts, over the degrees of freedom that are left, s.
-        freedom: those.
+        clock: standard deviation of a stamp on which the errors rest, s.
+        declared: whether it was declared; else it is estimated from the shifts.
+        rms: of the shifts, over their degrees of freedom, s.
+        freedom: degrees of freedom of the shifts.
         stamps: of the impacts that were compared, s since the epoch, shape (counted,).
-        shifts: by which each was earlier than the motion's, s, shape (counted,).
+        shifts: instants of the motion minus these stamps, s, shape (counted,).
         contacts: the contacts of each.
-        singular: singular values of the gaps with the unknowns, each in its unit, over the
-            largest, shape (2n + p,).
-        unknown: combinations of parameters that the impacts do not tell.
-        converged: whether the steps came to an end at something that explains the stamps.
+        singular: singular values of the gaps with respect to the unknowns, each in its unit, over
+            the largest, shape (2n + p,).
+        undetermined: combinations of parameters that the impacts do not determine.
+        converged: whether the fit converged to a motion that explains the stamps.
     """
 
     family: ParametricFamily
@@ -90,7 +90,7 @@ class Identified:
     shifts: Vector
     contacts: tuple[tuple[str, ...], ...]
     singular: Vector
-    unknown: tuple[tuple[Term, ...], ...]
+    undetermined: tuple[tuple[Term, ...], ...]
     converged: bool
 
     @property
@@ -112,16 +112,16 @@ class Identified:
 
     @property
     def system(self) -> System:
-        """The system as it was learnt.
+        """The fitted system.
 
         Raises:
-            ModelError: it is none.
+            ModelError: the values make no valid system.
         """
         return self.family.system_at(self.values)
 
     @property
     def bounded(self) -> tuple[str, ...]:
-        """Names of parameters that would go beyond what they can be."""
+        """Names of the parameters at a bound."""
         low, high = self.family.bounds
         at = (self.values <= low) | (self.values >= high)
         return tuple(np.array(self.family.names)[at].tolist())
@@ -133,23 +133,23 @@ def identify(
     *,
     clock: float | None = None,
     horizon: float | None = None,
-    believe: bool = False,
+    trust_events: bool = False,
     progress: Callable[[str], None] = lambda _: None,
-) -> Identified:
-    """Learn the parameters of a family, and the initial state, from impact times.
+) -> Identification:
+    """Fit the parameters of a family, and the initial state, to impact times.
 
     Args:
-        family: a system and what is free of it.
-        events: of the last episode among them.
-        clock: standard deviation of a stamp, s; None where the impacts tell.
+        family: a system and its free parameters.
+        events: their last episode counts.
+        clock: standard deviation of a stamp, s; None to estimate it.
         horizon: seconds of the recording that count; None for all.
-        believe: whether every impact is believed.
-        progress: told what is being done.
+        trust_events: whether no impact is taken for spurious or missed.
+        progress: receives what is being done.
 
     Raises:
         UsageError: the forcing is sampled.
-        BagError: no event tells an impact of the system's contacts.
-        IdentificationError: fewer impacts than unknowns, or parameters that no impact tells.
+        BagError: the events contain no impact of the system's contacts.
+        IdentificationError: fewer impacts than unknowns, or parameters that move no impact.
         ImpactLawError: the impact law has no solution at an event.
     """
     if family.system.forcing.sampled is not None:
@@ -157,39 +157,40 @@ def identify(
             f"{family.system.name}: its forcing is sampled, which identify cannot take; expected"
             " a constant and harmonics"
         )
-    told = last_episode(family.system, events)
+    episode = last_episode(family.system, events)
     if horizon is not None:
-        keys = [key for key in told.keys if seconds_between(told.start, key.stamp) <= horizon]
-        told = told._replace(keys=keys)
-    recording = Recording(told)
-    progress("all impacts believed")
+        start, keys = episode.start, episode.keys
+        keys = [key for key in keys if seconds_between(start, key.stamp) <= horizon]
+        episode = episode._replace(keys=keys)
+    recording = Recording(episode)
+    progress("all impacts accepted")
     problem, solution = _fit(recording.problem(family))
-    found = _identified(recording, problem, solution, clock)
-    if believe or not _is_suspicious(problem, solution, clock):
+    found = _identification(recording, problem, solution, clock)
+    if trust_events or not _is_suspicious(problem, solution, clock):
         return found
     for wrong in (_WRONG * problem.interval, None):
-        progress("which impacts are true")
-        word = first_word(family.system, recording, events, wrong)
-        found = _identified(*_judged(word, family, clock, progress), clock)
+        progress("searching spurious and missed impacts")
+        recording = outliers_by_observer(family.system, Recording(episode), events, wrong)
+        found = _identification(*_without_outliers(recording, family, clock, progress), clock)
         if found.converged:
             break
     return found
 
 
-def _judged(
+def _without_outliers(
     recording: Recording,
     family: ParametricFamily,
     clock: float | None,
     progress: Callable[[str], None],
 ) -> tuple[Recording, Problem, Solution]:
-    """What is believed when fit and judgement agree, and the fit."""
+    """The recording in which the fitted motion finds no further outlier, and the fit."""
     problem, solution = _fit(recording.problem(family), robust=True)
     for round_ in range(_ROUNDS):
-        after = judged(recording, problem, solution, clock)
-        if (after.doubted, after.inserted) == (recording.doubted, recording.inserted):
+        after = outliers_by_motion(recording, problem, solution, clock)
+        if (after.rejected, after.inserted) == (recording.rejected, recording.inserted):
             break
         recording = after
-        progress(f"impacts judged anew, round {round_ + 1}")
+        progress(f"spurious and missed impacts, round {round_ + 1}")
         problem, solution = _fit(recording.problem(family), solution.y, robust=True)
     return recording, *_fit(recording.problem(family), solution.y)
 
@@ -200,15 +201,15 @@ def _fit(
     """The motion that explains a recording best.
 
     Args:
-        problem: what is to be explained.
-        near: where to begin; None for the gaps to tell.
+        problem: the recording and the systems.
+        near: where to begin; None for the least gaps.
         robust: whether some impacts may be wrong.
 
     Raises:
-        IdentificationError: fewer impacts than unknowns, or parameters that no impact tells.
+        IdentificationError: fewer impacts than unknowns, or parameters that move no impact.
     """
     unknowns = 2 * problem.family.system.n + problem.family.size
-    hits = sum(len(each.hit) for each in problem.moments if each.heard)
+    hits = sum(len(each.hit) for each in problem.moments if each.measured)
     if hits <= unknowns:
         raise IdentificationError(
             f"{hits} impacts for {unknowns} unknowns, {problem.family.size} of them parameters;"
@@ -222,29 +223,29 @@ def _fit(
     shot = problem.shot(y)
     if np.max(np.abs(shot.speeds)) <= _STILL:
         raise IdentificationError(
-            "no force and no gap tells the size of the motion, which has the same impacts at any"
-            " size; expected a gap that is not 0, or a force"
+            "no force and no gap determines the size of the motion, which has the same impacts at"
+            " any size; expected a gap that is not 0, or a force"
         )
-    if lost := combinations_of(problem, directions(problem, shot).unknown):
+    if lost := combinations_of(problem, directions(problem, shot).undetermined):
         words = "; ".join(combination(each) for each in lost)
         one = all(len(each) == 1 for each in lost)
         raise IdentificationError(
-            f"{words}: no impact moves by that, so it is not to be told from impact times;"
+            f"{words}: no impact moves by that, so impact times do not determine it;"
             f" hold {'it' if one else 'one of them'} fixed"
         )
     return problem, solved(problem, by_gaps(problem, y, robust=robust), robust=robust)
 
 
-def combinations_of(problem: Problem, unknown: Matrix) -> tuple[tuple[Term, ...], ...]:
-    """The parts that parameters have in directions, shape (2n + p, k), that nothing tells."""
+def combinations_of(problem: Problem, undetermined: Matrix) -> tuple[tuple[Term, ...], ...]:
+    """Combinations of parameters that span the undetermined directions, shape (2n + p, k)."""
     family = problem.family
-    part = unknown[2 * family.system.n :] / family.sizes[:, None]
+    part = undetermined[2 * family.system.n :] / family.sizes[:, None]
     if not part.size or np.max(np.abs(part)) <= _PART:
         return ()
-    # The directions of parameters alone, whatever the initial state does beside them.
+    # Directions of the parameters alone: the initial state may change in any way.
     left, singular, _ = linalg.svd(part, full_matrices=False)
     found = []
-    for direction in _readable(left[:, singular > _PART].T):
+    for direction in _sparse(left[:, singular > _PART].T):
         largest = np.max(np.abs(direction))
         found.append(
             tuple(
@@ -256,7 +257,7 @@ def combinations_of(problem: Problem, unknown: Matrix) -> tuple[tuple[Term, ...]
     return tuple(found)
 
 
-def _readable(rows: Matrix) -> Matrix:
+def _sparse(rows: Matrix) -> Matrix:
     """Another basis of the rows' span, each zero where another has its pivot."""
     if len(rows) == 0:
         return rows
@@ -270,14 +271,14 @@ def combination(terms: tuple[Term, ...]) -> str:
 
 
 def _is_suspicious(problem: Problem, solution: Solution, clock: float | None) -> bool:
-    """Whether some impacts may be none, or some may be missing."""
+    """Whether there may be spurious or missed impacts."""
     least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
     return not solution.converged or solution.rms > least
 
 
-def _identified(
+def _identification(
     recording: Recording, problem: Problem, solution: Solution, clock: float | None
-) -> Identified:
+) -> Identification:
     family, n = problem.family, problem.family.system.n
     used = max(solution.rms if clock is None else clock, ROUNDED)
     root = solution.root * used
@@ -286,12 +287,12 @@ def _identified(
     own = covariance[2 * n :, 2 * n :] / np.outer(family.sizes, family.sizes)
     values, axes = linalg.eigh(own) if own.size else (np.zeros(0), np.zeros((0, 0)))
     axes = axes[:, values > 1.0]
-    # Few stamps turn an axis a little: what has hardly a part in it may be told by itself.
+    # With few stamps an axis is rotated a little: small terms may be well determined.
     axes = np.where(np.abs(axes) < _MINOR * np.max(np.abs(axes), axis=0, initial=0.0), 0.0, axes)
     weak = np.vstack([np.zeros((2 * n, axes.shape[1])), axes * family.sizes[:, None]])
-    changed = len(recording.doubted) + len(recording.inserted)
+    changed = len(recording.rejected) + len(recording.inserted)
     hits, names = recording.hits(), family.system.contact_names
-    return Identified(
+    return Identification(
         family=family,
         recording=recording,
         values=frozen(solution.y[2 * n :]),
@@ -305,8 +306,8 @@ def _identified(
         shifts=frozen(solution.shifts),
         contacts=tuple(tuple(names[i] for i in hits[k][1]) for k in solution.counted),
         singular=frozen(found.singular / found.singular[0]),
-        unknown=combinations_of(problem, np.hstack([found.unknown, weak])),
+        undetermined=combinations_of(problem, np.hstack([found.undetermined, weak])),
         converged=solution.converged
         and solution.rms <= _LOST * problem.interval
-        and solution.counted.size >= _BELIEVED * (solution.counted.size + changed),
+        and solution.counted.size >= _ACCEPTED * (solution.counted.size + changed),
     )

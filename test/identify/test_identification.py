@@ -1,4 +1,4 @@
-"""Parameters learnt from impact times alone, what is not told, and what is not believed."""
+"""Parameters from impact times alone, undetermined ones, spurious impacts."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -10,10 +10,10 @@ from systems import EPOCH, Harmonic, event, forcing, run, sample, system
 
 from impact_observer.errors import IdentificationError, UsageError
 from impact_observer.events import ImpactEvent
-from impact_observer.identify.fit_check import checked
-from impact_observer.identify.fit_picture import identification_figure
-from impact_observer.identify.identifying import Identified, identify
-from impact_observer.identify.least_squares import least
+from impact_observer.identify.fit_check import check_fit
+from impact_observer.identify.fit_picture import fit_picture
+from impact_observer.identify.identification import Identification, identify
+from impact_observer.identify.least_squares import constrained_least_squares
 from impact_observer.identify.model_edit import changes
 from impact_observer.model import Forcing, System, parse_model
 from impact_observer.model.force_samples import Samples
@@ -33,15 +33,15 @@ def recorded(name: str) -> Run:
     return run(model.system, *model.initial_state(), seconds=60.0, rate=1.0)
 
 
-def told(name: str, seed: int = 0, **troubles: float) -> list[ImpactEvent]:
-    """What a sensor tells of it."""
+def sensed(name: str, seed: int = 0, **faults: float) -> list[ImpactEvent]:
+    """The events of a sensor of that run."""
     made, model = recorded(name), sample(name).system
     last = int(made.stamps[-1])
-    sensor = SensorModel(**troubles)  # type: ignore[arg-type]
-    sensed = simulate_sensor(
+    sensor = SensorModel(**faults)  # type: ignore[arg-type]
+    messages = simulate_sensor(
         sensor, model, made.switchings, epoch=made.epoch, last=last, seed=seed
     )
-    return sorted((each.event for each in sensed), key=lambda each: each.stamp)
+    return sorted((each.event for each in messages), key=lambda each: each.stamp)
 
 
 def wrong(model: System, stiffness: float = 1.03) -> System:
@@ -56,35 +56,37 @@ def wrong(model: System, stiffness: float = 1.03) -> System:
     )
 
 
-def truth(found: Identified, model: System, stiffness: float = 1.03) -> Array:
-    """The true values of what was learnt."""
-    known = {f"restitution.{each.name}": each.restitution for each in model.contacts}
-    known |= {f"gap.{each.name}": each.gap for each in model.contacts}
-    known |= {"stiffness-scale": 1 / stiffness}
-    return np.array([known[name] for name in found.family.names])
+def truth(found: Identification, model: System, stiffness: float = 1.03) -> Array:
+    """The true values of the learnt parameters."""
+    true = {f"restitution.{each.name}": each.restitution for each in model.contacts}
+    true |= {f"gap.{each.name}": each.gap for each in model.contacts}
+    true |= {"stiffness-scale": 1 / stiffness}
+    return np.array([true[name] for name in found.family.names])
 
 
 @pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)])
 def test_exact_times_give_every_parameter(name: str) -> None:
-    """To a part in ten millions: stamps are rounded to 1 ns, and it finds that out."""
+    """To a part in ten millions: the estimated clock error is the rounding to 1 ns."""
     model = sample(name)
-    found = identify(parametric_family(wrong(model.system), FREE), told(name))
+    found = identify(parametric_family(wrong(model.system), FREE), sensed(name))
     assert found.converged
-    assert not found.unknown
+    assert not found.undetermined
     np.testing.assert_allclose(found.values, truth(found, model.system), rtol=1e-7)
     np.testing.assert_allclose(found.start, np.concatenate(model.initial_state()), atol=1e-7)
     assert found.rms < 1e-9
-    assert checked(found).fits
+    assert check_fit(found).fits
 
 
 @pytest.mark.slow
-def test_errors_under_jitter_are_as_large_as_is_said() -> None:
+def test_errors_under_jitter_match_their_standard_errors() -> None:
     """The squares of 30 normalised errors; their sum is that of the right number, nearly."""
     model = sample("two_mass").system
     family = parametric_family(wrong(model), FREE)
     weight, freedom, sizes = 0.0, 0, []
     for seed in range(10):
-        found = identify(family, told("two_mass", seed, jitter=1e-3), clock=1e-3, believe=True)
+        found = identify(
+            family, sensed("two_mass", seed, jitter=1e-3), clock=1e-3, trust_events=True
+        )
         error = found.values - truth(found, model)
         own = found.covariance[found.start.size :, found.start.size :]
         weight += float(error @ np.linalg.solve(own, error))
@@ -95,20 +97,20 @@ def test_errors_under_jitter_are_as_large_as_is_said() -> None:
 
 
 @pytest.mark.slow
-def test_invented_impacts_are_found_out() -> None:
+def test_spurious_impacts_are_rejected() -> None:
     """One in ten, one of them 5 ms from a true one; nothing is missing in the end."""
     model = sample("two_mass").system
-    events = told("two_mass", 3, spurious=0.08)
+    events = sensed("two_mass", 3, spurious=0.08)
     events = [each for each in events if each.stamp < EPOCH + from_seconds(25.0)]
     true = {each.stamp for each in recorded("two_mass").events}
     found = identify(parametric_family(wrong(model), FREE), events)
-    assert {stamp for stamp, _ in found.recording.doubted} == {
+    assert {stamp for stamp, _ in found.recording.rejected} == {
         each.stamp for each in events if each.stamp not in true
     }
     np.testing.assert_allclose(found.values, truth(found, model), rtol=1e-6)
 
 
-def test_what_moves_no_impact_is_named() -> None:
+def test_parameters_that_move_no_impact_are_named() -> None:
     """Mass, damping and stiffness go together where no force is known."""
     free_fall = system(
         np.eye(1), [[0.1]], [[4.0]], contacts=[([1.0], -0.2, 0.9)], force=forcing(1, 0.0)
@@ -133,19 +135,19 @@ def test_a_motion_without_a_scale_is_refused() -> None:
         identify(parametric_family(same, ["restitution"]), list(made.events))
 
 
-def test_a_clock_without_a_known_force_has_no_offset() -> None:
-    """And beside a phase it has none that can be told from it."""
+def test_a_clock_offset_beside_a_phase_is_undetermined() -> None:
+    """An offset of the clock and a phase of the forcing move impacts in the same way."""
     model = sample("two_mass").system
     family = parametric_family(model, ["clock-offset", "forcing-phase"])
     with pytest.raises(IdentificationError, match="clock-offset"):
-        identify(family, told("two_mass"))
+        identify(family, sensed("two_mass"))
 
 
 def test_clock_offset_and_amplitude_are_learnt() -> None:
     """The stamps of a clock that is 20 ms ahead."""
     model = sample("three_mass").system
     family = parametric_family(model, ["clock-offset", "forcing-amplitude.2"])
-    found = identify(family, told("three_mass", clock_offset=0.02))
+    found = identify(family, sensed("three_mass", clock_offset=0.02))
     np.testing.assert_allclose(found.values, [0.02, 1.0], rtol=1e-6)
 
 
@@ -153,26 +155,28 @@ def test_too_few_impacts_are_refused() -> None:
     """With both numbers."""
     model = sample("two_mass").system
     with pytest.raises(IdentificationError, match="3 impacts for 7 unknowns"):
-        identify(parametric_family(model, FREE), told("two_mass")[:3])
+        identify(parametric_family(model, FREE), sensed("two_mass")[:3])
 
 
-def test_check_tells_right_from_wrong() -> None:
+def test_check_rejects_a_wrong_model_and_no_right_one() -> None:
     """By the declared clock error, or by shifts that are like their neighbours."""
     model = sample("three_mass").system
-    events = told("three_mass", jitter=1e-3)
-    right = checked(identify(parametric_family(model, ()), events, clock=1e-3, believe=True))
+    events = sensed("three_mass", jitter=1e-3)
+    right = check_fit(
+        identify(parametric_family(model, ()), events, clock=1e-3, trust_events=True)
+    )
     assert right.fits
     off = replace(model, K=1.02 * model.K)
-    bad = checked(identify(parametric_family(off, ()), events, clock=1e-3, believe=True))
+    bad = check_fit(identify(parametric_family(off, ()), events, clock=1e-3, trust_events=True))
     assert not bad.fits
     assert bad.worst in {"left", "right"}
 
 
-def test_least_is_what_generalised_least_squares_gives() -> None:
+def test_constrained_least_squares_is_the_generalised_one() -> None:
     """Where ``B`` can be inverted it is the textbook's formula."""
     rng = np.random.default_rng(1)
     A, B, d = rng.normal(size=(9, 3)), rng.normal(size=(9, 9)), rng.normal(size=9)
-    x, e, root = least(A, B, d)
+    x, e, root = constrained_least_squares(A, B, d)
     inverse = np.linalg.inv(B @ B.T)
     covariance = np.linalg.inv(A.T @ inverse @ A)
     np.testing.assert_allclose(x, covariance @ A.T @ inverse @ d, rtol=1e-9)
@@ -233,14 +237,14 @@ def test_a_written_model_reads_as_what_was_learnt(text: str, free: tuple[str, ..
 def test_the_picture_shows_every_contact() -> None:
     """A row of marks each, and the clock's error."""
     model = sample("three_mass").system
-    found = identify(parametric_family(model, ["restitution"]), told("three_mass"))
-    axes = identification_figure(found, title="three").axes[0]
+    found = identify(parametric_family(model, ["restitution"]), sensed("three_mass"))
+    axes = fit_picture(found, title="three").axes[0]
     legend = axes.get_legend()
     assert legend is not None
     assert [each.get_text() for each in legend.get_texts()] == ["left", "right", "2 deviations"]
 
 
-def test_lasting_contacts_are_part_of_the_motion() -> None:
+def test_persistent_contacts_are_part_of_the_motion() -> None:
     """A mass that is pressed against its stop once a period."""
     push = forcing(1, 0.0, [Harmonic(2.0, [6.0], [0.0])])
     model = system(1.0, 0.5, 4.0, contacts=[([-1.0], 0.5, 0.0)], force=push)
@@ -263,7 +267,7 @@ def test_impacts_that_accumulate_are_part_of_the_recording() -> None:
 
 
 def test_stamps_without_an_epoch_begin_with_the_first() -> None:
-    """A ball whose sender knows no epoch: the first stamp is the start."""
+    """A ball whose events have no epoch: the first stamp is the start."""
     ball = system(1.0, 0.0, 0.0, contacts=[([1.0], 0.0, 0.9)], force=forcing(1, -9.81))
     t, flight, events = 0.0, 2.0, []
     for k in range(8):
@@ -286,20 +290,20 @@ def test_a_sampled_forcing_is_refused() -> None:
     values = np.column_stack([np.zeros(time.size), 4 * np.cos(2.5 * time)])
     sampled = replace(model, forcing=Forcing.of_samples(Samples(time, values, "linear")))
     with pytest.raises(UsageError, match="sampled, which identify cannot take"):
-        identify(parametric_family(sampled, ["restitution"]), told("two_mass"))
+        identify(parametric_family(sampled, ["restitution"]), sensed("two_mass"))
 
 
-def test_what_is_told_too_weakly_is_named_after_the_fit() -> None:
-    """A value that may be wrong by all of itself is none; what is told well stays."""
+def test_weakly_determined_parameters_are_named_after_the_fit() -> None:
+    """A value with a standard error of its own size is none; the others stay."""
     model = sample("two_mass").system
     family = parametric_family(model, ["restitution", "damping-scale"])
-    found = identify(family, told("two_mass")[:12], clock=0.3, believe=True)
+    found = identify(family, sensed("two_mass")[:12], clock=0.3, trust_events=True)
     restitution, damping = found.errors
     assert 2 * restitution < 1.0 < damping
-    ((term,),) = found.unknown
+    ((term,),) = found.undetermined
     assert term.name == "damping-scale"
-    surely = identify(family, told("two_mass")[:12], clock=1e-4, believe=True)
-    assert surely.unknown == ()
+    precise = identify(family, sensed("two_mass")[:12], clock=1e-4, trust_events=True)
+    assert precise.undetermined == ()
 
 
 @pytest.mark.slow
@@ -317,7 +321,7 @@ def test_a_parameter_at_its_bound_ends_there() -> None:
         ]
         contacts = (replace(model.contacts[0], gap=0.303, restitution=0.95),)
         family = parametric_family(replace(model, contacts=contacts), ["restitution", "gap"])
-        found = identify(family, events, clock=1e-3, believe=True)
+        found = identify(family, events, clock=1e-3, trust_events=True)
         assert found.converged
         restitution, gap = found.values
         assert 0.98 < restitution <= 1.0

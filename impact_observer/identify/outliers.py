@@ -1,9 +1,9 @@
-"""Which impacts of a recording are believed: what sensors invent and miss spoils any fit.
+"""Spurious and missed impacts in a recording, which would spoil any fit.
 
-The first word has the observer of minimum variance, told that its model is wrong: it weighs every
-impact against being spurious, and knows where one is missing. Then the fitted motion is
-judge: an impact whose stamp is too far from the instant at which the motion hits is doubted, and
-where the motion would go through a stop an impact is inserted, or a doubted one believed again.
+First the observer of minimum variance, with its model declared to be wrong, weighs every impact
+against being spurious and inserts missed ones. Then the fitted motion decides: an impact whose
+stamp is too far from the instant of the motion's impact is rejected. Where the motion would go
+through a stop, an impact is inserted, or a rejected one accepted again.
 """
 
 import numpy as np
@@ -21,37 +21,37 @@ from impact_observer.states import Vector
 
 _LARGEST = 0.1
 """Most that may be declared of a clock, s."""
-_ASTRAY = 0.01
-"""Noise of accelerations, relative to those of the fastest mode, that stands for a wrong model."""
-_DOUBTED = 5.0
-"""Deviations of a stamp from which on it is doubted: of a million true ones it doubts one."""
+_MODEL_ERROR = 0.01
+"""Noise of accelerations that stands for a wrong model, relative to those of the fastest mode."""
+_GATE = 5.0
+"""Standard deviations of a stamp above which it is rejected: one true stamp in a million is."""
 _ROUNDED = 1e-9
-"""Least deviation of a stamp, s."""
+"""Least standard deviation of a stamp, s."""
 _NEAR = 0.1
-"""How far from a stamp an impact that nobody heard may have been, relative to the time between."""
+"""Largest distance of a missed impact from a rejected stamp, relative to the time between two."""
 _NEARER = 0.5
-"""Distance of a doubted impact, relative to that of the one believed, that changes places."""
-_LOOKED = 0.01
-"""How far from its predicted instant a doubted impact may be to be believed again, s."""
+"""Distance of a rejected impact, over that of the accepted one, below which they are swapped."""
+_SEARCHED = 0.01
+"""Largest distance of a rejected impact from the predicted instant to be accepted again, s."""
 _PRECISION = 1e-7
-"""Depth of a penetration that is rounding, relative to the motion."""
+"""Largest depth of a penetration that is rounding, relative to the motion."""
 _SAMPLES = 24
-"""Looks at a motion within a period of the fastest mode."""
+"""Samples of a motion within a period of the fastest mode."""
 _MOST = 2000
-"""Most looks between two moments."""
+"""Most samples between two moments."""
 
 
-def first_word(
+def outliers_by_observer(
     system: System, recording: Recording, events: list[ImpactEvent], wrong: float | None
 ) -> Recording:
-    """What an observer of minimum variance believes, its model taken to be wrong.
+    """The impacts that an observer of minimum variance rejects and inserts.
 
     Args:
-        system: as the model says.
-        recording: what is heard.
-        events: the same, as an observer hears them.
-        wrong: by which the model is wrong, as if it were the stamps, s; None for wrong
-            accelerations instead.
+        system: of the model.
+        recording: its events.
+        events: the same events, as an observer receives them.
+        wrong: error of the model, declared as an error of the stamps, s; None to declare an
+            error of the accelerations.
     """
     n = system.n
     reach = 2 * float(np.max(np.abs(system.q_r), initial=0.0)) or 1.0
@@ -59,15 +59,15 @@ def first_word(
     declared = Uncertainty(
         deviation=np.repeat([reach, reach * rate], n),
         clock_error=None if wrong is None else min(wrong, _LARGEST),
-        model_error=_ASTRAY * reach * rate**1.5 if wrong is None else 0.0,
+        model_error=_MODEL_ERROR * reach * rate**1.5 if wrong is None else 0.0,
     )
     law = law_named("minimum-variance")(system, declared)
-    span = 1.0 + (recording.told.keys[-1].stamp - recording.told.start) * 1e-9
+    span = 1.0 + (recording.episode.keys[-1].stamp - recording.episode.start) * 1e-9
     observer = Observer(
         system,
         law,
         *initial_state("zero", system),
-        epoch=recording.told.epoch,
+        epoch=recording.episode.epoch,
         history=span,
         ensemble=1,
     )
@@ -75,49 +75,51 @@ def first_word(
     verdicts = [v for v in replay(observer, events, none) if isinstance(v, Verdict)]
     index = {name: i for i, name in enumerate(system.contact_names)}
     rulings = final_rulings(verdicts)
-    heard = {(key.stamp, i) for key in recording.told.keys for i, _ in key.switches}
+    received = {(key.stamp, i) for key in recording.episode.keys for i, _ in key.switches}
     found: dict[Ruling, set[Hit]] = {Ruling.REJECTED: set(), Ruling.INSERTED: set()}
     for (stamp, _, contact), ruling in rulings.items():
         if ruling in found and contact in index:
             found[ruling].add((stamp, index[contact]))
-    return recording.marked(found[Ruling.REJECTED] & heard, found[Ruling.INSERTED] - heard)
+    return recording.with_outliers(
+        found[Ruling.REJECTED] & received, found[Ruling.INSERTED] - received
+    )
 
 
-def judged(
+def outliers_by_motion(
     recording: Recording, problem: Problem, solution: Solution, clock: float | None
 ) -> Recording:
-    """The recording as a fitted motion sees it; the same one where nothing is wrong.
+    """The recording with one more outlier, or all missed impacts; the same where none is left.
 
     Args:
-        recording: as it was believed for the fit.
+        recording: as it was fitted.
         problem: that was solved.
         solution: the fitted motion.
-        clock: standard deviation of a stamp, s; None where the shifts tell.
+        clock: standard deviation of a stamp, s; None to estimate it from the shifts.
     """
     deviation = max(clock or usual_size(solution.shifts, solution.freedom), _ROUNDED)
-    doubted, inserted = set(recording.doubted), set(recording.inserted)
+    rejected, inserted = set(recording.rejected), set(recording.inserted)
     worst = int(np.argmax(np.abs(solution.shifts)))
-    nearer = _mistaken(recording, solution)
-    if nearer is not None or abs(solution.shifts[worst]) > _DOUBTED * deviation:
-        worst = worst if nearer is None else nearer
-        return _moved(recording, problem, solution, worst, _DOUBTED * deviation)
+    swapped = _mistaken(recording, solution)
+    if swapped is not None or abs(solution.shifts[worst]) > _GATE * deviation:
+        worst = worst if swapped is None else swapped
+        return _moved(recording, problem, solution, worst, _GATE * deviation)
     for stamp, contact in penetrations(recording, problem, solution, deviation):
         near = {
             hit
-            for hit in recording.doubted
-            if hit[1] == contact and abs(hit[0] - stamp) * 1e-9 <= _DOUBTED * deviation + _LOOKED
+            for hit in recording.rejected
+            if hit[1] == contact and abs(hit[0] - stamp) * 1e-9 <= _GATE * deviation + _SEARCHED
         }
-        doubted -= near
+        rejected -= near
         inserted |= set() if near else {(stamp, contact)}
-    return recording.marked(doubted, inserted)
+    return recording.with_outliers(rejected, inserted)
 
 
 def _mistaken(recording: Recording, solution: Solution) -> int | None:
-    """Which believed impact has a doubted one beside it that is much nearer to the motion's."""
+    """Index of an accepted impact that is much farther from the motion's than a rejected one."""
     hits = recording.hits()
     for j, k in enumerate(solution.counted.tolist()):
-        at = recording.told.epoch + from_seconds(float(solution.t[k]))
-        for stamp, contact in recording.doubted:
+        at = recording.episode.epoch + from_seconds(float(solution.t[k]))
+        for stamp, contact in recording.rejected:
             own = abs(solution.shifts[j])
             if contact in hits[k][1] and abs(stamp - at) * 1e-9 + _ROUNDED < _NEARER * own:
                 return j
@@ -127,35 +129,35 @@ def _mistaken(recording: Recording, solution: Solution) -> int | None:
 def _moved(
     recording: Recording, problem: Problem, solution: Solution, worst: int, width: float
 ) -> Recording:
-    """The impact whose stamp fits worst is doubted; another takes its place if there was one.
+    """The recording without the impact that fits worst, and with the one in its place if any.
 
     Args:
-        recording: as it was believed for the fit.
+        recording: as it was fitted.
         problem: that was solved.
         solution: the fitted motion, which hits at another instant than the stamp.
         worst: index among the moments that count.
-        width: by which a stamp may be wrong, s.
+        width: largest error of a stamp, s.
     """
     k = solution.counted[worst]
     stamp, contacts = recording.hits()[k]
-    at = recording.told.epoch + from_seconds(float(solution.t[k]))
-    doubted = {*recording.doubted, *((stamp, i) for i in contacts)} - recording.inserted
+    at = recording.episode.epoch + from_seconds(float(solution.t[k]))
+    rejected = {*recording.rejected, *((stamp, i) for i in contacts)} - recording.inserted
     inserted = set(recording.inserted)
     reach = max(width, _NEARER * abs(float(solution.shifts[worst]))) + _ROUNDED
-    near = {hit for hit in recording.doubted if abs(hit[0] - at) * 1e-9 <= reach}
+    near = {hit for hit in recording.rejected if abs(hit[0] - at) * 1e-9 <= reach}
     near = {hit for hit in near if hit[1] in contacts}
     hits = bool(np.all(solution.shot.speeds[solution.shot.moment == k] < 0))
     if near:
-        doubted -= near
+        rejected -= near
     elif hits and abs(solution.shifts[worst]) <= _NEAR * problem.interval:
         inserted |= {(at, i) for i in contacts}
-    return recording.marked(doubted, inserted)
+    return recording.with_outliers(rejected, inserted)
 
 
 def penetrations(
     recording: Recording, problem: Problem, solution: Solution, deviation: float
 ) -> set[Hit]:
-    """Where a fitted motion goes through a stop for longer than stamps err: the first times."""
+    """Where a fitted motion goes through a stop, deeper than errors of the stamps explain."""
     system = problem.family.system_at(solution.y[2 * problem.family.system.n :])
     phases = Phases(system)
     ends = np.append(solution.t, np.nan)
@@ -174,17 +176,17 @@ def penetrations(
         )
         reach = np.max(np.abs(gaps), axis=0)
         deep = -np.min(gaps, axis=0)
-        for i in np.flatnonzero(deep > _DOUBTED * deviation * speeds + _PRECISION * reach):
+        for i in np.flatnonzero(deep > _GATE * deviation * speeds + _PRECISION * reach):
             if i in moment.held:
                 continue
             at = _closing(s, gaps[:, i], float(deep[i]))
-            found.add((recording.told.epoch + from_seconds(float(ends[k]) + at), int(i)))
+            found.add((recording.episode.epoch + from_seconds(float(ends[k]) + at), int(i)))
             break
     return found
 
 
 def _closing(s: Vector, gap: Vector, depth: float) -> float:
-    """When a sampled gap comes to zero before it is ``depth`` below it first, s."""
+    """When a sampled gap is zero before its first penetration of half the ``depth``, s."""
     deep = int(np.argmax(gap <= -depth / 2))
     above = np.flatnonzero(gap[:deep] > 0)
     left = int(above[-1]) if above.size else 0

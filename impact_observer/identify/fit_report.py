@@ -1,0 +1,175 @@
+"""A fitted model in words, in tables, as JSON and as a model file."""
+
+from collections.abc import Iterator
+
+from rich.table import Table
+
+from impact_observer import __version__
+from impact_observer.draw.text_tables import console, plain_table
+from impact_observer.identify.fit_check import FitCheck
+from impact_observer.identify.identification import Identification, combination
+from impact_observer.identify.model_edit import changes
+from impact_observer.identify.recorded_impacts import Hit
+from impact_observer.model.model_file import edited
+from impact_observer.stamps import seconds_between
+
+_CORRELATED = 0.9
+"""Correlation of two parameters above which it is printed."""
+_SHOWN = 6
+"""Most rejected or inserted impacts that are printed."""
+
+
+def figures_of(found: Identification, check: FitCheck) -> dict[str, object]:
+    """All figures by key, as ``--json`` prints them; SI units."""
+    family, recording = found.family, found.recording
+    names = family.system.contact_names
+    return {
+        "name": family.system.name,
+        "converged": found.converged,
+        "fits": check.fits and found.converged,
+        "parameters": {
+            each.name: {
+                "given": each.value,
+                "value": value,
+                "standard_error": error,
+                "unit": each.unit,
+                "at_bound": each.name in found.bounded,
+            }
+            for each, value, error in zip(
+                family.parameters, found.values.tolist(), found.errors.tolist(), strict=True
+            )
+        },
+        "correlation": found.correlation.tolist(),
+        "unknown": [{term.name: term.change for term in each} for each in found.undetermined],
+        "singular_values": found.singular.tolist(),
+        "initial_state": found.start.tolist(),
+        "initial_state_error": found.start_errors.tolist(),
+        "initial_state_seconds": recording.start,
+        "clock_error": found.clock,
+        "clock_error_declared": found.declared,
+        "residual": found.rms,
+        "degrees_of_freedom": found.freedom,
+        "impacts": len(found.shifts),
+        "rejected": [[stamp, names[i]] for stamp, i in sorted(recording.rejected)],
+        "inserted": [[stamp, names[i]] for stamp, i in sorted(recording.inserted)],
+        "probability_of_size": check.size,
+        "probability_of_whiteness": check.white,
+        "contacts": {
+            name: {"impacts": count, "mean": mean, "rms": rms}
+            for name, (count, mean, rms) in check.by_contact.items()
+        },
+        "worst_contact": check.worst,
+        "shifts": {
+            "seconds": found.stamps.tolist(),
+            "shift": found.shifts.tolist(),
+            "contacts": [list(each) for each in found.contacts],
+        },
+    }
+
+
+def print_parameters(found: Identification) -> None:
+    """Print the fitted parameters and how well they are determined."""
+    _print(_parameter_table(found), [*_about_fit(found), *_about_parameters(found)])
+
+
+def print_check(found: Identification, check: FitCheck) -> None:
+    """Print how well each contact's impacts fit, and whether the model is rejected."""
+    table = plain_table("contact", "impacts", "mean [s]", "rms [s]", words={"contact"})
+    for name, (count, mean, rms) in check.by_contact.items():
+        table.add_row(name, str(count), f"{mean:.3g}", f"{rms:.3g}")
+    _print(table, [*_about_fit(found), *_about_check(found, check)])
+
+
+def _print(table: Table, sentences: list[str]) -> None:
+    terminal = console(100)
+    terminal.print(table)
+    terminal.print()
+    for sentence in sentences:
+        terminal.print(sentence)
+
+
+def _parameter_table(found: Identification) -> Table:
+    """A row a parameter."""
+    headings = ("parameter", "given", "learnt", "standard error", "unit")
+    table = plain_table(*headings, words={"parameter", "unit"})
+    undetermined = {term.name for each in found.undetermined for term in each}
+    for each, value, error in zip(
+        found.family.parameters, found.values, found.errors, strict=True
+    ):
+        shown, own = f"{value:.10g}", f"{error:.2g}"
+        if each.name in undetermined:
+            shown, own = "not determined", ""
+        if each.name in found.bounded:
+            own = "at its bound"
+        table.add_row(each.name, f"{each.value:.6g}", shown, own, each.unit)
+    return table
+
+
+def _about_fit(found: Identification) -> Iterator[str]:
+    """How well the recording is explained."""
+    declared = f" ({found.clock:.3g} s declared)" if found.declared else ""
+    off = f"{found.rms:.3g} s from the model's impacts (rms)"
+    yield f"{len(found.shifts)} stamps, {off}{declared}."
+    if not found.converged:
+        yield "No motion of the model explains them: nothing here is to be trusted."
+    if found.recording.rejected:
+        yield _listed(found, found.recording.rejected, "taken for spurious")
+    if found.recording.inserted:
+        yield _listed(found, found.recording.inserted, "inserted as missed")
+
+
+def _listed(found: Identification, hits: frozenset[Hit], outcome: str) -> str:
+    """The instants of some impacts since the epoch."""
+    names, epoch = found.family.system.contact_names, found.recording.episode.epoch
+    shown = [f"{names[i]} at {seconds_between(epoch, stamp):.3f} s" for stamp, i in sorted(hits)]
+    more = len(shown) - _SHOWN
+    times = ", ".join(shown[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+    return f"{len(hits)} impacts {outcome}: {times}."
+
+
+def _about_parameters(found: Identification) -> Iterator[str]:
+    """Which parameters are not determined, at a bound, or correlated."""
+    for each in found.undetermined:
+        yield f"Not determined by these impacts: {combination(each)}. Hold one of them fixed."
+    for name in found.bounded:
+        yield f"{name} ended at its bound."
+    names, correlation = found.family.names, found.correlation
+    for i in range(len(names)):
+        for j in range(i):
+            if abs(correlation[i, j]) > _CORRELATED:
+                yield f"{names[j]} and {names[i]} are correlated by {correlation[i, j]:.3f}."
+
+
+def _about_check(found: Identification, check: FitCheck) -> Iterator[str]:
+    """The tests and the verdict."""
+    if check.size is not None:
+        yield f"Were the model right, shifts that large had a probability of {check.size:.2g}."
+    yield (
+        "Were the model right, neighbouring shifts so alike had a probability of"
+        f" {check.white:.2g} ({check.lags} lags)."
+    )
+    good = check.fits and found.converged
+    yield "The model fits." if good else f"The model does not fit; worst: {check.worst}."
+
+
+def text_of(text: str, document: dict[str, object], found: Identification, bag: str) -> str:
+    """The model file with the fitted values, in its own form, with provenance.
+
+    Args:
+        text: of the given file.
+        document: its contents.
+        found: the fitted model.
+        bag: the recording.
+    """
+    rows = zip(found.family.names, found.values.tolist(), found.errors.tolist(), strict=True)
+    provenance: dict[str, object] = {
+        "package": "impact_observer",
+        "version": __version__,
+        "identified_from": bag,
+        "clock_error": found.clock,
+        "parameters": {name: {"value": v, "standard_error": error} for name, v, error in rows},
+    }
+    if "provenance" in document:
+        provenance["before"] = document["provenance"]
+    entries = changes(document, found.family, found.values)
+    return edited(text, {**entries, ("provenance",): provenance})
