@@ -1,7 +1,7 @@
 """Make a bag of impact times in a CSV file, for observe to run on.
 
-Columns are time, contact and kind (impact, close or open): by name under a header, in any order,
-or without one in this order. The last ones may be left out. Lines with # in front are comments.
+Columns are time, contact and kind (impact, close or open): with a header in any order, without one
+in this order. The last ones may be left out. Lines that begin with # are comments.
 """
 
 import argparse
@@ -38,11 +38,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=stamp,
         help="stamp of t = 0 of the forcing (default: that of the file's time 0)",
     )
-    parser.add_argument("--sort", action="store_true", help="the rows may stand in any order")
+    parser.add_argument("--sort", action="store_true", help="the rows may be in any order")
 
 
 def _start(text: str) -> int:
-    """A stamp given in seconds; 0 for times that are stamps themselves."""
+    """A stamp in seconds, or 0."""
     return 0 if text.strip("0.") == "" and "0" in text else stamp(text)
 
 
@@ -69,16 +69,16 @@ def import_csv(
     epoch: int | None = None,
     sort: bool = False,
 ) -> int:
-    """Import a file and say what it has become.
+    """Import a file and print what was imported.
 
     Args:
         csv: the file.
         output: the bag to make.
         model: a model file or a sample's name; None for none.
         unit: of the times; None for that in the header, else s.
-        start: stamp of the file's time 0, ns; None to tell by its first time.
+        start: stamp of the file's time 0, ns; None to choose it by the first time.
         epoch: stamp of ``t = 0``, ns; None for the file's time 0.
-        sort: whether the rows may stand in any order.
+        sort: whether the rows may be in any order.
 
     Returns:
         0.
@@ -108,21 +108,19 @@ def import_csv(
             sort=sort,
             progress=show,
         )
-        progress.line(f"{output}: {_said(imported)}")
+        progress.line(f"{output}: {_summary(imported)}")
         if imported.ignored:
             progress.line(f"note: columns left out: {', '.join(imported.ignored)}")
     return 0
 
 
-def _said(imported: "Imported") -> str:
-    """What has become of a file, in words."""
+def _summary(imported: "Imported") -> str:
+    """An import in one line."""
     from impact_observer.check.findings import times
     from impact_observer.stamps import text
 
     span = f"stamps {text(imported.first)} to {text(imported.last)} s"
     zero = f"time 0 is stamp {text(imported.start)} s"
-    epoch = "epoch unknown"
-    if imported.epoch:
-        epoch = f"epoch {text(imported.epoch)} s"
+    epoch = f"epoch {text(imported.epoch)} s" if imported.epoch else "epoch unknown"
     events = f"{times(imported.events, 'event')} of {times(imported.switches, 'row')}"
     return f"{events}, {span}; {zero}, {epoch}"

@@ -1,6 +1,6 @@
-"""Impact times from a text file: rows of a CSV file become events of a bag.
+"""Impact times from a CSV file: its rows become events of a bag.
 
-Times are read as decimals, never as floats: a stamp is what the file says, to the nanosecond.
+Times are read as decimals, not as floats, so that stamps are exact to the nanosecond.
 """
 
 import csv
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from decimal import Context, Decimal
 from itertools import chain, groupby
 from pathlib import Path
-from typing import NamedTuple, NoReturn, Protocol
+from typing import NamedTuple, NoReturn
 
 from impact_observer import __version__
 from impact_observer.errors import UsageError
@@ -24,7 +24,8 @@ from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 UNITS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of time."""
 _SINCE_1970 = 100_000_000 * NS_PER_S
-"""Times from here on count from 1970, earlier ones from the beginning of the experiment."""
+"""Times from here on are taken to count from 1970, smaller ones from the start of the
+experiment."""
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,2})?")
 _TIME = re.compile(r"time(?:[ _]?[\[(]?(s|ms|us|ns)[\])]?)?", re.IGNORECASE)
 _CONTACT, _KIND = "contact", "kind"
@@ -33,24 +34,13 @@ _EXACT = Context(prec=80)
 _FORM = "time[, contact[, kind]]"
 
 
-class _Reader(Protocol):
-    """What ``csv.reader`` makes."""
-
-    @property
-    def line_num(self) -> int:
-        """Lines read."""
-
-    def __next__(self) -> list[str]:
-        """The next row."""
-
-
 class CsvRow(NamedTuple):
     """A row of the file.
 
     Attributes:
         line: where it ends in the file, from 1.
         time: ns after the file's zero.
-        switch: what switched.
+        switch: of a contact.
     """
 
     line: int
@@ -60,7 +50,7 @@ class CsvRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """What a file has become.
+    """The result of an import.
 
     Attributes:
         events: written.
@@ -69,7 +59,7 @@ class Imported:
         epoch: stamp of ``t = 0`` that the events carry, ns; 0 for unknown.
         first: stamp of the first event, ns.
         last: stamp of the last event, ns.
-        ignored: columns of the header that were not read.
+        ignored: names of the columns that were not read.
     """
 
     events: int
@@ -83,16 +73,16 @@ class Imported:
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where what stands in a row.
+    """The columns of a file.
 
     Attributes:
         separator: between the columns.
         unit: ns of a unit of time.
-        time: the column of the time, from 0.
-        contact: that of the contact; None without one.
-        kind: that of the kind; None without one.
-        width: columns of every row; 0 where there is no header to say.
-        ignored: columns that are not read.
+        time: index of the column of the time.
+        contact: index of the column of the contact; None without one.
+        kind: index of the column of the kind; None without one.
+        width: number of columns; 0 without a header.
+        ignored: names of the columns that are not read.
     """
 
     separator: str
@@ -115,7 +105,7 @@ class Table:
         Args:
             path: a CSV file; columns are separated by commas, semicolons or tabs.
             unit: of time, one of ``UNITS``; None for that in the header, else seconds.
-            contacts: those of the model; None where no model is known.
+            contacts: those of the model; None without a model.
         """
         self._path = path
         self._unit = unit
@@ -127,7 +117,7 @@ class Table:
         """The rows, one by one.
 
         Raises:
-            UsageError: one line that names the file, the line, what was found and what is wanted.
+            UsageError: names the file, the line, what was found and what is expected.
         """
         try:
             with self._path.open(encoding="utf-8-sig", newline="") as file:
@@ -140,40 +130,32 @@ class Table:
     def _rows(self, lines: Iterable[str]) -> Iterator[CsvRow]:
         """The rows below the header, if there is one."""
         uncommented = ("\n" if line.lstrip().startswith("#") else line for line in lines)
-        first = ""
-        for first in uncommented:
-            self._line += 1
-            if first.strip():
-                break
-        else:
-            raise UsageError(f"{self._path}: holds no impact; expected rows {_FORM}")
-        before = self._line - 1
+        first, skipped = "\n", -1
+        while not first.strip():
+            if not (first := next(uncommented, "")):
+                raise UsageError(f"{self._path}: holds no impact; expected rows {_FORM}")
+            skipped += 1
         separator = next((each for each in ("\t", ";") if each in first), ",")
         reader = csv.reader(chain([first], uncommented), delimiter=separator, strict=True)
         layout = None
-        while (cells := self._cells(reader)) is not None:
-            self._line = before + reader.line_num
-            if not any(cells):
-                continue
-            if layout is None:
-                layout = self._layout(cells, separator)
-                self.ignored = layout.ignored
-                if layout.width:
-                    continue
-            yield self._row(cells, layout)
-
-    def _cells(self, reader: "_Reader") -> list[str] | None:
-        """The next row; None at the end."""
-        before = self._line - reader.line_num
         try:
-            row = next(reader, None)
+            for row in reader:
+                self._line = skipped + reader.line_num
+                cells = [cell.strip() for cell in row]
+                if not any(cells):
+                    continue
+                if layout is None:
+                    layout = self._layout(cells, separator)
+                    self.ignored = layout.ignored
+                    if layout.width:
+                        continue
+                yield self._row(cells, layout)
         except csv.Error as error:
-            self._line = before + reader.line_num
+            self._line = skipped + reader.line_num
             self._wrong(f"cannot be read as CSV: {error}")
-        return None if row is None else [cell.strip() for cell in row]
 
     def _layout(self, cells: list[str], separator: str) -> _Layout:
-        """What the first row says of the columns."""
+        """The columns, by the first row."""
         times = [k for k, cell in enumerate(cells) if _TIME.fullmatch(cell)]
         if not times:
             if not _NUMBER.fullmatch(_decimal(cells[0], separator)):
@@ -185,14 +167,13 @@ class Table:
                 self._wrong(f"two columns {name} found; expected one")
         if len(times) > 1:
             self._wrong(f"two columns of time, {', '.join(cells[k] for k in times)}; expected one")
-        found = _TIME.fullmatch(cells[times[0]])
-        said = found.group(1) if found else None
-        if said and self._unit and said.lower() != self._unit:
-            self._wrong(f"the header says {said}, --time-unit {self._unit}; leave one out")
+        unit = (_TIME.findall(cells[times[0]])[0] or self._unit or "s").lower()
+        if self._unit and unit != self._unit:
+            self._wrong(f"the header says {unit}, --time-unit {self._unit}; leave one out")
         read = {times[0], *(names.index(n) for n in (_CONTACT, _KIND) if n in names)}
         return _Layout(
             separator,
-            UNITS[(said or self._unit or "s").lower()],
+            UNITS[unit],
             times[0],
             names.index(_CONTACT) if _CONTACT in names else None,
             names.index(_KIND) if _KIND in names else None,
@@ -201,7 +182,7 @@ class Table:
         )
 
     def _row(self, cells: list[str], layout: _Layout) -> CsvRow:
-        """The row in some cells."""
+        """The row with these cells."""
         most = layout.width or 3
         if len(cells) > most:
             what = "the header has" if layout.width else f"expected {_FORM}, at most"
@@ -215,7 +196,7 @@ class Table:
         return CsvRow(self._line, time, switch)
 
     def _time(self, cell: str, layout: _Layout) -> int:
-        """A time in ns after the file's zero, rounded to the nearest."""
+        """A time in ns after the file's zero, rounded to the nearest nanosecond."""
         number = _decimal(cell, layout.separator)
         if not _NUMBER.fullmatch(number) or len(number) > 60:
             self._wrong(f"{cell!r} found; expected a time as a decimal number")
@@ -225,20 +206,21 @@ class Table:
         return int(exact.to_integral_value())
 
     def _contact(self, cell: str) -> str:
-        """The contact that is named, or the model's only one."""
-        known = self._contacts
+        """The contact with a name; without a name the model's only one."""
+        contacts = self._contacts
         if not cell:
-            if known is not None and len(known) == 1:
-                return known[0]
-            which = f"one of {', '.join(known) or 'none'}" if known else "a column contact"
-            remedy = "" if known else ", or a --model with one contact"
+            if contacts is not None and len(contacts) == 1:
+                return contacts[0]
+            which = f"one of {', '.join(contacts)}" if contacts else "a column contact"
+            remedy = "" if contacts else ", or a --model with one contact"
             self._wrong(f"names no contact; expected {which}{remedy}")
-        if known is not None and cell not in known:
-            self._wrong(f"contact {cell!r} is none of the model's: {', '.join(known) or 'none'}")
+        if contacts is not None and cell not in contacts:
+            expected = ", ".join(contacts) or "none"
+            self._wrong(f"contact {cell!r} is none of the model's: {expected}")
         return cell
 
     def _kind(self, cell: str) -> Kind:
-        """How the contact switched; an impact where nothing is said."""
+        """The kind of a switch; an impact if the cell is empty."""
         if not cell:
             return Kind.IMPACT
         if cell.lower() not in _KINDS:
@@ -251,7 +233,7 @@ class Table:
 
 
 def _decimal(cell: str, separator: str) -> str:
-    """A number with a decimal point: where commas do not separate, they may be one."""
+    """A number with a decimal point, which may be a comma unless commas separate columns."""
     return cell if separator == "," else cell.replace(",", ".")
 
 
@@ -273,13 +255,13 @@ def import_csv(
     Args:
         path: the CSV file.
         output: the bag to make.
-        model: to put into the bag; its contacts are the only ones allowed. None for none.
+        model: to put into the bag; only its contacts are allowed. None for none.
         unit: of time, one of ``UNITS``; None for that in the header, else seconds.
         start: stamp of the file's time zero, ns. None for 0 where the first time lies after 1973,
             as times since 1970 do, and for 1 s elsewhere.
         epoch: stamp of ``t = 0`` of the forcing, ns; None for the file's time zero.
         sort: whether rows may stand in any order.
-        progress: told the rows read.
+        progress: called with the number of rows read.
 
     Raises:
         UsageError: the file has a mistake, or something is at ``output`` already.
@@ -298,9 +280,9 @@ def import_csv(
     make = bag_messages()
     with all_or_nothing(output) as writer:
         if model is not None:
-            told = model.text({"package": "impact_observer", "version": __version__})
-            at = max(start + first.time, 1)
-            writer.write(interfaces.PLANT_MODEL.topic, at, make.model(told))
+            text_of_model = model.text({"package": "impact_observer", "version": __version__})
+            log_time = max(start + first.time, 1)
+            writer.write(interfaces.PLANT_MODEL.topic, log_time, make.model(text_of_model))
         writer.declare(interfaces.IMPACTS.topic)
         for _, group in groupby(_ascending(path, chain([first], rows)), lambda row: row.time):
             together = list(group)
@@ -314,7 +296,7 @@ def import_csv(
 
 
 def _ascending(path: Path, rows: Iterable[CsvRow]) -> Iterator[CsvRow]:
-    """The same rows, which must not go back in time."""
+    """The same rows, checked not to go back in time."""
     before: CsvRow | None = None
     for row in rows:
         if before is not None and row.time < before.time:
@@ -339,7 +321,7 @@ def _stamp(path: Path, row: CsvRow, start: int, epoch: int) -> int:
 
 
 def _switches(path: Path, rows: Sequence[CsvRow]) -> tuple[Switch, ...]:
-    """What switches in one event, each once."""
+    """The switches of one event, checked to be different."""
     found: dict[Switch, CsvRow] = {}
     for row in rows:
         if (other := found.setdefault(row.switch, row)) is not row:

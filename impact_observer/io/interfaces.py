@@ -1,4 +1,4 @@
-"""The one table of the package's topics: name, message type, quality of service.
+"""The table of the package's topics: name, message type, quality of service.
 
 Nodes use the names relative to their namespace, bags the absolute ones.
 """
@@ -16,17 +16,17 @@ from rosbags.interfaces import (
 )
 
 _FOREVER = QosTime(9_223_372_036, 854_775_807)
-"""How ROS 2 Jazzy writes a duration without end: int64 nanoseconds, all of them."""
+"""How ROS 2 Jazzy writes an infinite duration: the largest int64 of nanoseconds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """What decides whether and what a subscriber receives.
+    """The policies of quality of service that differ among our topics.
 
     Attributes:
         reliable: whether a lost message is sent again.
         transient_local: whether a late subscriber receives the last ``depth`` messages.
-        depth: messages kept for a slow or late subscriber; 0 keeps all.
+        depth: messages kept for a slow or late subscriber; 0 for all.
     """
 
     reliable: bool = True
@@ -49,12 +49,12 @@ class Quality:
 
     @classmethod
     def recorded(cls, qos: Qos, depth: int = 10) -> "Quality":
-        """The quality that a bag says was offered.
+        """The quality that was offered, as a bag has it.
 
         Args:
-            qos: what ``rosbags`` read; where it leaves the reliability open, it is reliable.
-            depth: messages kept when the bag does not know: a recorder cannot see the history
-                of a publisher, so ``ros2 bag record`` writes ``unknown``.
+            qos: as ``rosbags`` reads it; unknown reliability is taken as reliable.
+            depth: if the bag has none: a recorder does not receive the history of a publisher, so
+                ``ros2 bag record`` writes ``unknown``.
         """
         kept = {QosHistory.KEEP_ALL: 0, QosHistory.KEEP_LAST: max(qos.depth, 1)}
         return cls(
@@ -65,7 +65,7 @@ class Quality:
 
     @classmethod
     def common(cls, offers: Iterable["Quality"]) -> "Quality":
-        """The most that a subscriber to all publishers with these ``offers`` may ask for."""
+        """The highest quality that publishers with these ``offers`` all provide."""
         reliable, transient_local, depths = zip(
             *((offer.reliable, offer.transient_local, offer.depth) for offer in offers),
             strict=True,
@@ -74,11 +74,11 @@ class Quality:
 
 
 EVENTS = Quality(transient_local=True, depth=2000)
-"""Events: none may be lost, and one who starts late receives the earlier ones."""
+"""Events: none may be lost, and a late subscriber receives the earlier ones."""
 STATES = Quality()
-"""States: none should be lost, the earlier ones are of no use."""
+"""States: none should be lost; a late subscriber does not need earlier ones."""
 LATCHED = Quality(transient_local=True, depth=1)
-"""A value that holds until the next: whoever starts late receives the last one."""
+"""A value that holds until the next one: a late subscriber receives the last one."""
 
 IMPACT_EVENT = "impact_observer_msgs/msg/ImpactEvent"
 CONTACT_SWITCH = "impact_observer_msgs/msg/ContactSwitch"
@@ -114,7 +114,7 @@ class Interface:
         return self.name if self.name.startswith("/") else f"/{self.name}"
 
     def of(self, owner: str) -> str:
-        """The topic's relative name below another owner, such as ``observer_geometric``."""
+        """The relative name of the same topic of another owner, such as ``observer_geometric``."""
         return f"{owner}/{self.name.rpartition('/')[2]}"
 
     def fits(self, topic: str) -> bool:
@@ -160,11 +160,11 @@ INTERFACES = (
 
 
 def interface(topic: str) -> Interface | None:
-    """The interface that an absolute ``topic`` fits; None for a foreign topic."""
+    """The interface of an absolute ``topic``; None for a foreign topic."""
     return next((each for each in INTERFACES if each.fits(topic)), None)
 
 
 def usual_quality(topic: str) -> Quality:
-    """The quality of service to expect on an absolute ``topic``: the table's, else ``STATES``."""
+    """The quality of service of an absolute ``topic`` in the table; else ``STATES``."""
     known = interface(topic)
     return known.quality if known else STATES

@@ -39,7 +39,7 @@ def _our_types() -> Typesdict:
 
 
 def new_typestore() -> Typestore:
-    """A typestore of ROS 2 Jazzy's and our message types, for the caller to add to.
+    """A typestore of ROS 2 Jazzy's and our message types; types may be added to it.
 
     Raises:
         UsageError: the package was installed without its message texts.
@@ -51,16 +51,16 @@ def new_typestore() -> Typestore:
 
 @cache
 def typestore() -> Typestore:
-    """The typestore that our own messages are made of; not to be added to."""
+    """A shared typestore; no types may be added to it."""
     return new_typestore()
 
 
 def parse_definition(definition: str, type_name: str) -> Typesdict:
-    """The types in the text that a bag stores beside a message type.
+    """The types in the definition of a message type that a bag has.
 
     Args:
-        definition: message text with those of its parts appended, or the same in IDL.
-        type_name: the message type that the text begins with.
+        definition: the text of the message type, followed by those of its parts; or as IDL.
+        type_name: the message type, whose text is the first one.
 
     Raises:
         BagError: the text is no definition of ``type_name``.
@@ -77,18 +77,18 @@ def parse_definition(definition: str, type_name: str) -> Typesdict:
 
 
 def add_definition(store: Typestore, definition: str, type_name: str) -> set[str]:
-    """Add to ``store`` the types of a ``definition`` that it does not know.
+    """Add to ``store`` the types of a ``definition`` that it does not have.
 
     Returns:
-        The names of types that ``store`` knows with other fields; these stay as they were.
+        The names of types that ``store`` has with other fields; these are not changed.
 
     Raises:
         BagError: the text is no definition of ``type_name``.
     """
     types = parse_definition(definition, type_name)
-    known = types.keys() & store.fielddefs.keys()
-    store.register({name: parts for name, parts in types.items() if name not in known})
-    return {name for name in known if _fields(types, name) != _fields(store.fielddefs, name)}
+    present = types.keys() & store.fielddefs.keys()
+    store.register({name: parts for name, parts in types.items() if name not in present})
+    return {name for name in present if _fields(types, name) != _fields(store.fielddefs, name)}
 
 
 def _fields(types: Typesdict, name: str) -> list[tuple[str, FieldDesc]]:
@@ -99,17 +99,17 @@ def _fields(types: Typesdict, name: str) -> list[tuple[str, FieldDesc]]:
 def deserialize(store: Typestore, data: bytes, type_name: str) -> object:
     """The message in serialized ``data`` (CDR of either byte order).
 
-    A few bytes too many are let pass: ``rclpy.serialization.serialize_message``, with which
-    scripts write bags, returns as many as it had reserved.
+    A few bytes too many are accepted: ``rclpy.serialization.serialize_message``, with which
+    scripts write bags, returns its whole buffer.
 
     Raises:
         SerdeError: the bytes are no message of that type; or another exception of ``rosbags``.
     """
     if len(data) < 4 or data[0] != 0 or data[1] > 1:
         raise SerdeError("no CDR header")
-    known = store.get_msgdef(type_name)
-    read = known.deserialize_cdr_le if data[1] else known.deserialize_cdr_be
-    message, end = read(data[4:], 0, known.cls, store)
+    definition = store.get_msgdef(type_name)
+    read = definition.deserialize_cdr_le if data[1] else definition.deserialize_cdr_be
+    message, end = read(data[4:], 0, definition.cls, store)
     if (left := len(data) - 4 - end) > _RESERVE:
         raise SerdeError(f"{left} bytes are left over")
     return message
@@ -118,14 +118,14 @@ def deserialize(store: Typestore, data: bytes, type_name: str) -> object:
 def installed_definition(type_name: str) -> str | None:
     """The text of a message type and its parts, as installed by its interface package.
 
-    Looked for in ``share/<package>/msg`` of every prefix of ``AMENT_PREFIX_PATH`` and of the
-    Python environment.
+    The text is searched in ``share/<package>/msg`` of the prefixes in ``AMENT_PREFIX_PATH`` and of
+    the Python environment.
 
     Args:
         type_name: such as ``sensor_msgs/msg/Imu``.
 
     Returns:
-        The text that :func:`parse_definition` reads; None when a part is not installed.
+        A text for :func:`parse_definition`; None when a part is not installed.
     """
     texts: dict[str, str] = {}
     pending = [type_name]
@@ -144,7 +144,7 @@ def installed_definition(type_name: str) -> str | None:
 
 
 def _installed_text(type_name: str) -> Path | None:
-    """Where the ``.msg`` text of a type is installed."""
+    """The installed ``.msg`` file of a type; None if there is none."""
     package, kind, name = type_name.split("/")
     prefixes = (*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix)
     paths = (Path(prefix, "share", package, kind, f"{name}.msg") for prefix in prefixes if prefix)
