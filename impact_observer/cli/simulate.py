@@ -98,7 +98,7 @@ def simulate(
         epoch: stamp of ``t = 0``, ns.
         integrator: ``event-driven`` or ``moreau``.
         step: length of the steps of ``moreau``, s; None for the default.
-        sensor: what is wrong with the sensor; None for nothing.
+        sensor: faults of the sensor; None for none.
 
     Returns:
         0.
@@ -135,10 +135,10 @@ def simulate(
         done = plant.simulate(master, stamps, progress=show)
         progress.show(f"writing {output}")
         how = described(integrator, step)
-        told = write_run(output, read, done, seed=seed, integrator=how, sensor=sensor)
-        sensed = f", {told} events of a sensor with {', '.join(sensor.faults)}"
+        events = write_run(output, read, done, seed=seed, integrator=how, sensor=sensor)
+        of_sensor = f", {events} events of a sensor with {', '.join(sensor.faults)}"
         progress.line(
             f"{output}: {read.system.name}, {duration:g} s, {len(done.impacts)} impacts,"
-            f" {stamps.size} true states{sensed if sensor.faults else ''}"
+            f" {stamps.size} true states{of_sensor if sensor.faults else ''}"
         )
     return 0

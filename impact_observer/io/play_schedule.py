@@ -1,4 +1,4 @@
-"""How a bag is played, and when each message is due: all but the publishing."""
+"""How a bag is played, and when each message is due. The publishing is in ``ros/player.py``."""
 
 import math
 import queue
@@ -16,13 +16,13 @@ from impact_observer.io.reader import RawMessage
 from impact_observer.stamps import NS_PER_S
 
 _READ_AHEAD = 5000
-"""Messages read before their time: a bag is stored in chunks that take a while to open."""
+"""Messages read before they are due: to open the next chunk of a bag takes a while."""
 _PATIENCE = 0.05
-"""How often a reader that is ahead looks whether it is still wanted, s."""
+"""How often a reader with a full queue checks whether it is closed, s."""
 
 
 class Control(Enum):
-    """What whoever watches may want of a bag that is played."""
+    """How the user controls a bag that is played."""
 
     PAUSE = "pause, or go on"
     NEXT = "the next message, while paused"
@@ -37,15 +37,15 @@ class Playing:
 
     Attributes:
         topics: only these absolute names; None for all.
-        rate: seconds of the bag a second of the wall clock.
+        rate: seconds of the bag per second of the wall clock.
         start: where to begin, s after the bag's start.
-        duration: how much of the bag, s; None for all that is left.
+        duration: of the part that is played, s; None up to the end.
         loop: whether to begin again at the end.
         paused: whether to begin paused.
-        clock_rate: ticks of ``/clock``, Hz of wall time, besides one at every message; the bag's
-            own clock is left out then. None for no clock.
-        names: what topics are called instead, by their absolute names in the bag.
-        profiles: qualities of service to offer instead, by names in the bag.
+        clock_rate: ticks of ``/clock``, Hz of wall time, in addition to one at every message; the
+            bag's own clock is then not played. None for no clock.
+        names: new names of topics, by their absolute names in the bag.
+        profiles: quality of service to offer instead, by the names in the bag.
     """
 
     topics: Collection[str] | None = None
@@ -73,14 +73,14 @@ class Playing:
 
 @dataclass(slots=True)
 class Pace:
-    """Which log time is due at which wall time; may be paused, and its rate changed.
+    """The relation of log times to wall times; it can be paused, and its rate changed.
 
-    All is measured from one pair of a log time and a wall time, so delays do not add up.
+    All times are measured from one pair of a log time and a wall time, so delays do not add up.
 
     Attributes:
         bag: a log time, ns.
         wall: the wall time at which it is due, ns.
-        rate: seconds of the bag a second of the wall clock.
+        rate: seconds of the bag per second of the wall clock.
         paused: whether the bag's time stands still.
     """
 
@@ -94,39 +94,39 @@ class Pace:
         return None if self.paused else self.wall + round((log_time - self.bag) / self.rate)
 
     def at(self, wall: int) -> int:
-        """Log time at a ``wall`` time, ns; before the pair that of the pair."""
+        """Log time at a ``wall`` time, ns; not before ``bag``."""
         return (
             self.bag if self.paused else self.bag + max(round((wall - self.wall) * self.rate), 0)
         )
 
     def jump(self, log_time: int, wall: int) -> None:
-        """Have ``log_time`` due at ``wall``, both ns."""
+        """Make ``log_time`` due at ``wall``, both ns."""
         self.bag, self.wall = log_time, wall
 
-    def turn(self, wall: int, latest: int) -> None:
+    def toggle_pause(self, wall: int, latest: int) -> None:
         """Pause, or go on.
 
         Args:
             wall: now, ns.
-            latest: the next message's log time, ns: one that is late is still to come.
+            latest: log time of the next message, ns, which may be overdue and is played first.
         """
         self.jump(min(self.at(wall), latest), wall)
         self.paused = not self.paused
 
-    def change(self, wall: int, latest: int, factor: float) -> None:
-        """Go on ``factor`` times as fast; the other arguments as for :meth:`turn`."""
+    def scale_rate(self, wall: int, latest: int, factor: float) -> None:
+        """Go on ``factor`` times as fast; other arguments as for :meth:`toggle_pause`."""
         self.jump(min(self.at(wall), latest), wall)
         self.rate *= factor
 
 
 @dataclass(slots=True)
 class Ticks:
-    """Wall times at which the simulated clock ticks besides the messages: never summed up.
+    """Wall times of the regular ticks of ``/clock``, each computed from the first one.
 
     Attributes:
         rate: Hz.
         begin: the first tick, ns.
-        count: ticks that were.
+        count: number of past ticks.
     """
 
     rate: float
@@ -141,12 +141,12 @@ class Ticks:
 
 @final
 class ReadAhead:
-    """Messages, read in a thread so that each is there when it is due; a context manager."""
+    """Reads messages ahead in a thread; a context manager and iterator."""
 
     def __init__(self, messages: Iterable[RawMessage]) -> None:
         """Begin to read."""
         self._ahead: queue.Queue[RawMessage | Exception | None] = queue.Queue(_READ_AHEAD)
-        self._given_up = threading.Event()
+        self._closed = threading.Event()
         self._first: list[RawMessage | Exception | None] = []
         self._thread = threading.Thread(
             target=self._read, args=(messages,), name="read ahead", daemon=True
@@ -176,24 +176,24 @@ class ReadAhead:
         item = self._first.pop() if self._first else self._ahead.get()
         if isinstance(item, RawMessage):
             return item
-        self._first = [item]  # the end stays the end
+        self._first = [item]  # to be raised again
         if item is None:
             raise StopIteration
         raise item
 
     def wait(self) -> None:
-        """Until the first message is there."""
+        """Wait until the first message is read."""
         if not self._first:
             self._first = [self._ahead.get()]
 
     def close(self) -> None:
-        """Give up what is left; closing twice does no harm."""
-        self._given_up.set()
+        """Stop reading; closing twice does no harm."""
+        self._closed.set()
         self._thread.join()
 
     def _put(self, item: RawMessage | Exception | None) -> None:
-        """In the thread: hand over, unless nobody wants it."""
-        while not self._given_up.is_set():
+        """In the thread: put an item into the queue, unless closed."""
+        while not self._closed.is_set():
             with suppress(queue.Full):
                 self._ahead.put(item, timeout=_PATIENCE)
                 break
@@ -203,14 +203,14 @@ class ReadAhead:
         try:
             for message in messages:
                 self._put(message)
-                if self._given_up.is_set():
+                if self._closed.is_set():
                     return
             self._put(None)
-        except Exception as error:  # noqa: BLE001 (raised where the messages are wanted)
+        except Exception as error:  # noqa: BLE001 (raised by __next__)
             self._put(error)
 
 
 def _check_positive(name: str, value: float) -> None:
-    """Raise unless ``value`` is a positive finite number."""
+    """Check that ``value`` is a positive finite number."""
     if not 0 < value < math.inf:
         raise UsageError(f"{name} is {value}; expected a positive number")

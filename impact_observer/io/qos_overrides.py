@@ -1,7 +1,7 @@
-"""Qualities of service by topic, in the file that ``ros2 bag`` takes.
+"""Quality of service by topic, in the YAML file of ``ros2 bag play --qos-profile-overrides-path``.
 
-That is the YAML of ``ros2 bag play --qos-profile-overrides-path``: topics, and below each its
-policies by their short names. The package's own file is made from the interface table.
+The file has topics, and below each its policies by their short names. The file that comes with the
+package is made from the table of topics.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ _MOST = 2**31 - 1
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """All policies of a topic; what a file leaves out is as ``rclpy.qos.QoSProfile`` has it.
+    """All policies of a topic; the defaults are those of ``rclpy.qos.QoSProfile``.
 
     Attributes:
         history: ``keep_last``, ``keep_all`` or ``system_default``.
@@ -42,7 +42,7 @@ class Profile:
         deadline: ns; 0 for none.
         lifespan: ns; 0 for none.
         liveliness_lease_duration: ns; 0 for none.
-        avoid_ros_namespace_conventions: whether the topic's name is taken as it stands.
+        avoid_ros_namespace_conventions: whether the topic's name gets no prefix of ROS.
     """
 
     history: str = "keep_last"
@@ -57,7 +57,7 @@ class Profile:
 
     @property
     def quality(self) -> Quality:
-        """What decides whether and what a subscriber receives."""
+        """The policies that differ among our topics."""
         return Quality(
             reliable=self.reliability != "best_effort",
             transient_local=self.durability == "transient_local",
@@ -69,7 +69,7 @@ def read_overrides(path: Path) -> dict[str, Profile]:
     """The profiles in a file, by topic.
 
     Raises:
-        UsageError: one line that names the file, the topic, the policy and what is wanted.
+        UsageError: names the file, the topic, the policy and what is expected.
     """
     try:
         document = load_yaml(path.read_text(encoding="utf-8-sig"))
@@ -80,61 +80,50 @@ def read_overrides(path: Path) -> dict[str, Profile]:
         raise UsageError(f"{path}: {error}") from None
     if not isinstance(document, Mapping) or not document:
         raise UsageError(f"{path}: no topic found; expected topics with their policies")
-    return {
-        topic: _profile(f"{path}: {topic}", policies)
-        for topic, policies in ((_topic(path, name), document[name]) for name in document)
-    }
-
-
-def _topic(path: Path, name: object) -> str:
-    """The name of a topic, which ``ros2 bag`` compares with those of the bag as it stands."""
-    if not (isinstance(name, str) and name.startswith("/")):
-        raise UsageError(f"{path}: {name!r} is no topic; expected an absolute name: /impacts")
-    return name
+    for name in document:  # ros2 bag compares these with the absolute names in the bag
+        if not (isinstance(name, str) and name.startswith("/")):
+            raise UsageError(f"{path}: {name!r} is no topic; expected an absolute name: /impacts")
+    return {topic: _profile(f"{path}: {topic}", document[topic]) for topic in document}
 
 
 def _profile(where: str, policies: object) -> Profile:
     """The profile of one topic."""
     if not isinstance(policies, Mapping):
         raise UsageError(f"{where}: {policies!r} found; expected policies: {', '.join(_KEYS)}")
-    values: dict[str, object] = {}
-    for key, value in policies.items():
-        if key in _CHOICES:
-            values[key] = _choice(f"{where}: {key}", value, _CHOICES[key])
-        elif key in _DURATIONS:
-            values[key] = _duration(f"{where}: {key}", value)
-        elif key == _DEPTH:
-            values[key] = _whole(f"{where}: {key}", value)
-        elif key == _CONVENTIONS:
-            if not isinstance(value, bool):
-                raise UsageError(f"{where}: {key} is {value!r}; expected true or false")
-            values[key] = value
-        else:
-            raise UsageError(
-                f"{where}: {key} is not known here; expected one of {', '.join(_KEYS)}"
-            )
+    values = {key: _policy(f"{where}: {key}", key, value) for key, value in policies.items()}
     profile = Profile(**values)  # type: ignore[arg-type]
     if profile.history == "keep_last" and _DEPTH not in values:
         raise UsageError(f"{where}: depth is missing; expected it with history keep_last")
     return profile
 
 
-def _choice(where: str, value: object, choices: tuple[str, ...]) -> str:
-    """One of several words."""
-    if not isinstance(value, str) or value not in choices:
+def _policy(where: str, key: object, value: object) -> object:
+    """The value of the policy ``key``, checked."""
+    if key not in _KEYS:
+        raise UsageError(f"{where} is not known here; expected one of {', '.join(_KEYS)}")
+    if key in _DURATIONS:
+        return _duration(where, value)
+    if key == _DEPTH:
+        return _whole(where, value)
+    if key == _CONVENTIONS:
+        if not isinstance(value, bool):
+            raise UsageError(f"{where} is {value!r}; expected true or false")
+        return value
+    choices = _CHOICES[str(key)]
+    if value not in choices:
         raise UsageError(f"{where} is {value!r}; expected one of {', '.join(choices)}")
     return value
 
 
 def _whole(where: str, value: object) -> int:
-    """A whole number, not below zero."""
+    """A whole number, 0 or more."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= _MOST:
         raise UsageError(f"{where} is {value!r}; expected a whole number, 0 or more")
     return value
 
 
 def _duration(where: str, value: object) -> int:
-    """``{sec: , nsec: }`` as ns; what ROS writes for "without end" is 0, "none"."""
+    """``{sec: , nsec: }`` as ns; 0 for what ROS writes for an infinite duration."""
     if not isinstance(value, Mapping) or set(value) != {"sec", "nsec"}:
         raise UsageError(f"{where} is {value!r}; expected both sec and nsec, and nothing else")
     seconds, nanoseconds = value["sec"], value["nsec"]
@@ -144,10 +133,10 @@ def _duration(where: str, value: object) -> int:
 
 
 def shipped_text() -> str:
-    """The file that the package ships, made from the interface table.
+    """The text of the file that comes with the package.
 
-    ``ros2 bag`` knows exact names only, so observers and monitors are there as they are called
-    alone and with each built-in law.
+    ``ros2 bag`` compares exact names. So observers and monitors are listed without a law and with
+    each built-in law.
     """
     parts = [
         "# Qualities of service of our topics, made from impact_observer/io/interfaces.py, for",
@@ -169,7 +158,7 @@ def shipped_text() -> str:
 
 
 def _topics(each: Interface) -> list[str]:
-    """The absolute names of an interface, those of every built-in law's observer included."""
+    """The absolute names of an interface, also those with the name of a built-in law."""
     owner, _, _ = each.name.partition("/")
     if owner not in {"observer", "monitor"}:
         return [each.topic]

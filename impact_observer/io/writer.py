@@ -23,7 +23,7 @@ _Result = TypeVar("_Result")
 
 
 def check_free(path: Path) -> None:
-    """Raise unless a bag can be made at ``path``.
+    """Check that a bag can be made at ``path``.
 
     Raises:
         UsageError: something is there already, or its parent is no folder.
@@ -43,7 +43,7 @@ class BagWriter:
 
     Attributes:
         path: the folder that is written.
-        message_count: messages taken so far.
+        message_count: messages written so far.
     """
 
     def __init__(self, path: Path | str, *, compressed: bool = False) -> None:
@@ -86,7 +86,7 @@ class BagWriter:
         self.close()
 
     def close(self) -> None:
-        """Write what is left, the index and the metadata; closing twice does no harm.
+        """Write the pending messages, the index and the metadata; closing twice does no harm.
 
         Raises:
             BagError: the disk is full or gone.
@@ -107,7 +107,7 @@ class BagWriter:
         quality: Quality | None = None,
         definition: str = "",
     ) -> None:
-        """Say what a topic carries; our own topics need not be declared.
+        """Declare the type and quality of service of a topic; our own need not be declared.
 
         Args:
             topic: the absolute name.
@@ -116,8 +116,8 @@ class BagWriter:
             definition: the text of a message type that ROS 2 Jazzy and we do not define.
 
         Raises:
-            UsageError: the topic is in the bag already, or its type is not known.
-            BagError: the definition is not one, or disagrees with what is known.
+            UsageError: the topic is in the bag already, or its type is unknown.
+            BagError: the definition is not valid, or there is another one of the same type.
         """
         if topic in self._topics:
             raise UsageError(f"{self.path}: {topic} is declared twice; declare it once")
@@ -143,7 +143,7 @@ class BagWriter:
         """Write a message of :func:`~impact_observer.io.messages.bag_messages`.
 
         Args:
-            topic: the absolute name; declared by itself when it is one of ours.
+            topic: the absolute name; if it is one of ours, it need not be declared.
             log_time: when it is recorded, ns.
             message: a message of the topic's type.
 
@@ -168,7 +168,7 @@ class BagWriter:
         """Write a serialized message (CDR).
 
         Args:
-            topic: the absolute name; declared by itself when it is one of ours.
+            topic: the absolute name; if it is one of ours, it need not be declared.
             log_time: when it is recorded, ns.
             data: the message of the topic's type, serialized.
 
@@ -187,7 +187,7 @@ class BagWriter:
             self._run(self._write_pending)
 
     def _topic(self, topic: str) -> Topic:
-        """The open topic, declared from the interface table if need be."""
+        """A topic, which is declared if it is one of ours."""
         if not self._open:
             raise UsageError(f"{self.path}: is closed; nothing more can be written")
         if topic not in self._topics:
@@ -225,11 +225,11 @@ class BagWriter:
 def copy_topics(
     reader: BagReader, writer: BagWriter, topics: Collection[str] | None = None
 ) -> int:
-    """Copy topics as they are: bytes, log times, types and qualities.
+    """Copy topics: serialized messages, log times, types and quality of service.
 
     Args:
         reader: the bag to copy from.
-        writer: the bag to copy to; topics that it does not know yet are declared.
+        writer: the bag to copy to; its topics are declared.
         topics: only these absolute names; None for all.
 
     Returns:

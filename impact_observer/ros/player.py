@@ -115,13 +115,13 @@ class Player:
         """Do what one who watches wants; the end is for the caller of :meth:`play`."""
         now = time.monotonic_ns()
         if wanted is Control.PAUSE:
-            self.pace.turn(now, self._upcoming)
+            self.pace.toggle_pause(now, self._upcoming)
         elif wanted is Control.NEXT and self.pace.paused:
             self._steps += 1
         elif wanted in {Control.FASTER, Control.SLOWER}:
             factor = _TENTH if wanted is Control.FASTER else 1 / _TENTH
             if _RATES[0] <= self.pace.rate * factor <= _RATES[1]:
-                self.pace.change(now, self._upcoming, factor)
+                self.pace.scale_rate(now, self._upcoming, factor)
 
     def _quality(self, topic: str) -> Quality:
         """The quality of service to offer: as told, else as recorded, else the usual one."""

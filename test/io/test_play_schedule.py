@@ -49,10 +49,10 @@ def test_pause_moves_what_is_due_by_its_length(
     before = pace.due(log_time)
     assert before is not None
     there = pace.at(begin + pause)
-    pace.turn(begin + pause, 10**18)
+    pace.toggle_pause(begin + pause, 10**18)
     assert pace.at(begin + pause) == pace.at(begin + pause + length) == there
     assert pace.due(log_time) is None
-    pace.turn(begin + pause + length, 10**18)
+    pace.toggle_pause(begin + pause + length, 10**18)
     after = pace.due(log_time)
     assert after is not None
     assert abs(after - before - length) <= 2  # rounded to ns of the bag at the pause
@@ -64,7 +64,7 @@ def test_another_rate_holds_from_now_on(change: int, later: int, factor: float) 
     """The bag's time does not jump."""
     pace = Pace(500, WALL)
     there = pace.at(WALL + change)
-    pace.change(WALL + change, 10**18, factor)
+    pace.scale_rate(WALL + change, 10**18, factor)
     assert pace.at(WALL + change) == there == 500 + change
     assert abs(pace.at(WALL + change + later) - (there + later * factor)) <= 1
 
@@ -72,7 +72,7 @@ def test_another_rate_holds_from_now_on(change: int, later: int, factor: float) 
 def test_message_that_is_late_is_not_passed_over_by_a_pause() -> None:
     """The bag's time stops at what comes next, so that the clock need not go back."""
     pace = Pace(0, WALL)
-    pace.turn(WALL + 1000, latest=700)
+    pace.toggle_pause(WALL + 1000, latest=700)
     assert pace.paused
     assert pace.at(WALL + 2000) == 700
 
