@@ -30,7 +30,8 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io.pairing import Series
 from impact_observer.model import Model, System, parse_model, read_model
-from impact_observer.observer import AGREED, Observer, law_named, law_names, replay
+from impact_observer.observer import Observer, law_named, law_names, replay
+from impact_observer.options import Options
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid, seconds_between
 from impact_observer.states import Estimate, Stamps, Vector
@@ -150,7 +151,9 @@ def outcome(name: str, case: Case, law: str, seed: int) -> Outcome:
     states = np.array([np.concatenate([each.q, each.u]) for each in estimates])
     V = _energy(system, states - case.truth.x)
     where = np.searchsorted(case.truth.stamps, [each.last_event for each in estimates])
-    threshold = AGREED * _energy(system, states)[where]  # of the motion just after the last event
+    threshold = (
+        Options.agreed * _energy(system, states)[where]
+    )  # of the motion just after the last event
     flagged = np.array([each.synchronized for each in estimates]) & case.regular
     above = threshold < V
     excess = V[flagged] / np.maximum(threshold[flagged], np.finfo(float).tiny)

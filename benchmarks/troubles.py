@@ -51,9 +51,10 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.model import System, parse_model, read_model
-from impact_observer.observer import AGREED, Law, Observer
+from impact_observer.observer import Law, Observer
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
+from impact_observer.options import Options
 from impact_observer.plant import (
     Plant,
     Run,
@@ -287,7 +288,7 @@ def flags(
             then = observer.estimate(now.last_event)
             moving = _energy(case.system, np.concatenate([then.q, then.u]))
             flagged += 1
-            wrong += _energy(case.system, differences) > AGREED * moving
+            wrong += _energy(case.system, differences) > Options.agreed * moving
     return flagged, wrong
 
 

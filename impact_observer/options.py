@@ -5,7 +5,6 @@ Command lines, node parameters, launch files, the YAML samples in ``config/nodes
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import List, TypeAlias, TypeVar  # noqa: UP035
 
@@ -218,13 +217,11 @@ class Options:
 OBSERVER_OPTIONS = rows_of(Options)
 
 
-def named(table: Sequence[Option], name: str) -> Option:
-    """The row of that name.
+def highest(name: str) -> float:
+    """The largest value allowed for an option of observers; infinite for no limit.
 
     Raises:
-        KeyError: there is none.
+        KeyError: there is no such option.
     """
-    found = next((each for each in table if each.name == name), None)
-    if found is None:
-        raise KeyError(name)
-    return found
+    high = {each.name: each.high for each in OBSERVER_OPTIONS}[name]
+    return math.inf if high is None else high

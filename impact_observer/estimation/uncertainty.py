@@ -9,20 +9,19 @@ from scipy import linalg
 from impact_observer.errors import UsageError
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
+from impact_observer.options import Options, highest
 from impact_observer.states import Matrix, Vector, frozen
 
-DEFAULT_DEVIATION = 1.0
-"""Standard deviation of every initial coordinate (m or rad) and velocity (m/s or rad/s)."""
-LARGEST = {
-    "deviation": 1e9,
-    "clock_error": 0.1,
-    "clock_offset_error": 0.1,
-    "model_error": 1e6,
-    "missed": 0.9,
-    "spurious": 0.9,
-    "mislabelled": 0.9,
-}
-"""Most that may be declared, SI units: beyond it stamps are meaningless, or numbers overflow."""
+LARGEST_DEVIATION = 1e9
+"""Most that a standard deviation of the initial state may be, SI units."""
+_LIMITED = (
+    "clock_error",
+    "clock_offset_error",
+    "model_error",
+    "missed",
+    "spurious",
+    "mislabelled",
+)
 _SEED = 2014
 """Of the replicas' initial states: always the same, and not a seed that users give."""
 _SYMMETRY = 1e-9
@@ -49,13 +48,13 @@ class Uncertainty:
         unknowns: parameters of the model that are estimated; None for none.
     """
 
-    deviation: Vector | float = DEFAULT_DEVIATION
+    deviation: Vector | float = float(Options.initial_deviation)
     clock_error: float | None = None
-    clock_offset_error: float = 0.0
-    model_error: float = 0.0
-    missed: float = 0.1
-    spurious: float = 0.1
-    mislabelled: float = 0.01
+    clock_offset_error: float = Options.clock_offset_error
+    model_error: float = Options.model_error
+    missed: float = Options.missed
+    spurious: float = Options.spurious
+    mislabelled: float = Options.mislabelled
     unknowns: UnknownParameters | None = None
 
     def __post_init__(self) -> None:
@@ -65,13 +64,15 @@ class Uncertainty:
             UsageError: naming what was found.
         """
         object.__setattr__(self, "deviation", frozen(self.deviation))
-        for name, most in LARGEST.items():
+        most = {name: highest(name) for name in _LIMITED}
+        most["deviation"] = LARGEST_DEVIATION
+        for name, high in most.items():
             if getattr(self, name) is None:
                 continue
             values = np.asarray(getattr(self, name))
-            if not np.all((values >= 0) & (values <= most)):
+            if not np.all((values >= 0) & (values <= high)):
                 found = ",".join(f"{value:g}" for value in np.ravel(values))
-                raise UsageError(f"{name}: {found} found; expected 0 to {most:g}")
+                raise UsageError(f"{name}: {found} found; expected 0 to {high:g}")
 
     @property
     def trusts_events(self) -> bool:
@@ -103,7 +104,7 @@ def deviation_of(text: str, system: System) -> Vector:
         values = np.array([float(part) for part in text.split(",")])
     except ValueError:
         values = np.empty(0)
-    most = LARGEST["deviation"]
+    most = LARGEST_DEVIATION
     if values.size not in (1, size) or not np.all((values >= 0) & (values <= most)):
         raise UsageError(
             f"deviation {text!r}: expected one number from 0 to {most:g}, or {size} of them:"
@@ -119,7 +120,7 @@ def covariance_root(covariance: ArrayLike, n: int) -> Matrix:
         UsageError: it is none: of the wrong size, not finite, not symmetric, not semidefinite.
     """
     values = np.asarray(covariance, dtype=float)
-    most = LARGEST["deviation"] ** 2
+    most = LARGEST_DEVIATION**2
     if values.size != 4 * n * n or not np.all(np.abs(values) <= most):
         raise UsageError(
             f"covariance: {values.size} numbers; expected {4 * n * n} of at most {most:g},"

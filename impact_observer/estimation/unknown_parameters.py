@@ -10,14 +10,13 @@ from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.free_parameters import OFFSET, parametric_family
 from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.options import highest
 from impact_observer.states import Vector, frozen
 
 DEVIATIONS = (1e-12, 1.0)
 """Least and largest standard deviation of a parameter, relative to its size."""
 GAPS = 100.0
 """The largest deviation of a gap, relative to the gap, which may be small beside the motion."""
-MOST_DRIFT = 1e3
-"""Most that a parameter may drift in a minute, in its deviations."""
 RESTITUTION = 0.1
 """Standard deviation of a restitution where none is declared."""
 SHARE = 0.05
@@ -47,10 +46,9 @@ class UnknownParameters:
             UsageError: naming what was found.
         """
         object.__setattr__(self, "deviations", frozen(self.deviations))
-        if not 0 <= self.drift <= MOST_DRIFT:
-            raise UsageError(
-                f"parameter_drift: {self.drift:g} found; expected 0 to {MOST_DRIFT:g}"
-            )
+        most = highest("parameter_drift")
+        if not 0 <= self.drift <= most:
+            raise UsageError(f"parameter_drift: {self.drift:g} found; expected 0 to {most:g}")
         if self.deviations.shape != (self.family.size,):
             found, size = self.deviations.size, self.family.size
             raise UsageError(f"deviations: {found} found; expected {size}, one a parameter")

@@ -13,16 +13,13 @@ from impact_observer.observer.make_observer import (
     needs_compiling,
     options_of_laws,
 )
-from impact_observer.observer.observer import DEFAULT_ENSEMBLE, DEFAULT_HISTORY, Observer
+from impact_observer.observer.observer import Observer
 from impact_observer.observer.replay import replay, replay_batches
-from impact_observer.observer.synchronization import AGREED, LARGEST_INNOVATION
+from impact_observer.observer.synchronization import LARGEST_INNOVATION
 from impact_observer.options import Options
 
 __all__ = [
-    "AGREED",
     "COMPILING",
-    "DEFAULT_ENSEMBLE",
-    "DEFAULT_HISTORY",
     "LARGEST_INNOVATION",
     "Belief",
     "ContactChange",

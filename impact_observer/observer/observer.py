@@ -15,7 +15,7 @@ from impact_observer.observer.event_order import EventKey, LatestSequences
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.sequence_numbers import SequenceNumbers
-from impact_observer.observer.synchronization import AGREED, SynchronizationTest
+from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
 from impact_observer.observer.verdicts import (
     IssuedVerdicts,
@@ -23,6 +23,7 @@ from impact_observer.observer.verdicts import (
     with_outcome,
     with_reasons,
 )
+from impact_observer.options import Options
 from impact_observer.stamps import from_seconds, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
@@ -34,10 +35,6 @@ from impact_observer.states import (
     frozen,
 )
 
-DEFAULT_HISTORY = 10.0
-"""How late an event may be and still be applied, s."""
-DEFAULT_ENSEMBLE = 10
-"""Replicas that are run together."""
 MOST_NUMBERS = 100_000
 """Sequence numbers that are remembered while no event can be applied."""
 
@@ -65,9 +62,9 @@ class Observer:
         velocity: Vector,
         *,
         epoch: int = 0,
-        history: float = DEFAULT_HISTORY,
-        ensemble: int = DEFAULT_ENSEMBLE,
-        agreed: float = AGREED,
+        history: float = Options.history,
+        ensemble: int = Options.ensemble,
+        agreed: float = Options.agreed,
     ) -> None:
         """Make an observer that has received nothing yet.
 

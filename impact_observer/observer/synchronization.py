@@ -17,12 +17,11 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
+from impact_observer.options import Options
 from impact_observer.states import Matrix
 
 REQUIRED_EVENTS = 3
 """Events in a row at which replicas must agree."""
-AGREED = 1e-4
-"""V distance that counts as agreement, relative to the energy of the estimated motion."""
 LARGEST_INNOVATION = 6.0
 """Innovation, in standard deviations, up to which the declared uncertainty explains an event."""
 _MARGIN = 2.0
@@ -58,7 +57,7 @@ class SynchronizationTest:
         threshold: largest V distance that counts as agreement, relative to the motion's energy.
     """
 
-    def __init__(self, system: System, threshold: float = AGREED) -> None:
+    def __init__(self, system: System, threshold: float = Options.agreed) -> None:
         """Take the metric of ``V`` from ``system``."""
         self._n = system.n
         self._metric = linalg.block_diag(system.K, system.M)

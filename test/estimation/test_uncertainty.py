@@ -1,6 +1,5 @@
 """What users declare not to know: read, checked, and spread over replicas."""
 
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -9,15 +8,13 @@ from systems import sample
 
 from impact_observer.errors import UsageError
 from impact_observer.estimation.uncertainty import (
-    LARGEST,
     Uncertainty,
     covariance_root,
     deviation_of,
     spread,
 )
-from impact_observer.estimation.unknown_parameters import MOST_DRIFT
 from impact_observer.observer import Options, make_observer
-from impact_observer.ros.parameters import OBSERVER
+from impact_observer.options import OBSERVER_OPTIONS, Option
 
 SYSTEM = sample("two_mass").system
 
@@ -112,13 +109,20 @@ def test_few_replicas_are_spread_as_far() -> None:
     assert spread(np.zeros(8), np.eye(8), 1).shape == (1, 8)
 
 
-def test_node_and_command_mean_the_same_by_nothing_said() -> None:
-    """The node's defaults are those of the options, and its limits those of what is declared."""
-    table = {each.name: each for each in OBSERVER}
-    renamed = {"initial": "initial_state", "deviation": "initial_deviation"}
-    for option in fields(Options):
-        default = -1.0 if option.default is None else option.default  # nothing declared
-        assert table[renamed.get(option.name, option.name)].default == default
-    limited = [name for name in LARGEST if name != "deviation"]
-    assert [table[name].high for name in limited] == [LARGEST[name] for name in limited]
-    assert table["parameter_drift"].high == MOST_DRIFT
+@pytest.mark.parametrize("option", OBSERVER_OPTIONS, ids=lambda option: option.name)
+def test_every_default_of_the_table_is_allowed_by_it(option: Option) -> None:
+    """An observer with nothing declared can be made."""
+    option.check(option.default)
+
+
+def test_what_the_table_refuses_is_refused_of_an_uncertainty_too() -> None:
+    """The ranges are those of the table, whoever declares."""
+    limited = {
+        each.name: each.high for each in OBSERVER_OPTIONS if hasattr(Uncertainty(), each.name)
+    }
+    assert set(limited) >= {"clock_error", "missed", "spurious", "mislabelled", "model_error"}
+    for name, most in limited.items():
+        assert most is not None
+        Uncertainty(**{name: most})  # type: ignore[arg-type]
+        with pytest.raises(UsageError, match=f"^{name}: .* found; expected 0 to"):
+            Uncertainty(**{name: 1.01 * most})  # type: ignore[arg-type]

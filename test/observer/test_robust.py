@@ -15,8 +15,9 @@ from impact_observer.errors import UsageError
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
-from impact_observer.observer import AGREED, Observer
+from impact_observer.observer import Observer
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
+from impact_observer.options import Options
 from impact_observer.plant import Run, SensorMessage, SensorModel, simulate_sensor
 from impact_observer.stamps import NS_PER_S
 
@@ -342,7 +343,7 @@ def never_wrong(name: str, sensor: SensorModel, declared: dict[str, Any], seed: 
         if now.synchronized:
             then = watcher.estimate(now.last_event)
             differences = np.concatenate([now.q, now.u]) - whole.states[k]
-            assert squared(model, differences) <= AGREED * squared(
+            assert squared(model, differences) <= Options.agreed * squared(
                 model, np.concatenate([then.q, then.u])
             )
             came += 1

@@ -17,7 +17,6 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Kind, Ruling
 from impact_observer.model import System
 from impact_observer.observer import (
-    DEFAULT_ENSEMBLE,
     LARGEST_INNOVATION,
     Observer,
     ReplicaLaw,
@@ -25,6 +24,7 @@ from impact_observer.observer import (
 )
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.observer.synchronization import REQUIRED_EVENTS
+from impact_observer.options import Options
 from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S
 
@@ -48,7 +48,7 @@ def started(
 
 def observer(model: System, law: str, x: ArrayLike, **options: object) -> Observer:
     """An observer with the default ensemble."""
-    return observer_of(model, law, x, **{"ensemble": DEFAULT_ENSEMBLE, **options})
+    return observer_of(model, law, x, **{"ensemble": Options.ensemble, **options})
 
 
 def random_start(seed: int) -> Array:
