@@ -33,7 +33,7 @@ def test_seconds_between_late_stamps_keep_their_nanoseconds() -> None:
 @examples(200)
 @given(STAMPS, st.floats(-1e3, 1e3))
 def test_instant_is_within_half_a_nanosecond_of_its_stamp(start: int, seconds: float) -> None:
-    """However far one goes, what is left over is what rounding to a stamp leaves."""
+    """After any step the remainder is at most half a nanosecond."""
     later = Instant(start).after(seconds)
     assert abs(later.remainder) <= 0.5e-9 * (1 + 1e-6)
     assert -later.until(start) == pytest.approx(seconds, abs=2e-13)
@@ -92,8 +92,8 @@ def test_events_are_values() -> None:
         one.stamp = 4  # type: ignore[misc]
 
 
-def test_defaults_say_that_there_is_nothing_to_tell() -> None:
-    """No innovation and no convergence are -1, which no true value can be."""
+def test_defaults_mean_that_a_value_is_absent() -> None:
+    """Innovation and convergence are -1, which no real value can be."""
     assert Verdict(1, Ruling.APPLIED).innovation == -1.0
     estimate = Estimate(1, "geometric", frozen([0.0]), frozen([0.0]))
     assert estimate.convergence == -1.0
@@ -101,7 +101,7 @@ def test_defaults_say_that_there_is_nothing_to_tell() -> None:
 
 
 def test_frozen_is_a_read_only_copy_without_minus_zero() -> None:
-    """The caller's array stays the caller's."""
+    """Changes of the caller's array do not reach the copy."""
     mine = np.array([-0.0, 1.0])
     theirs = frozen(mine)
     mine[1] = 2.0
@@ -121,10 +121,10 @@ def test_frozen_is_a_read_only_copy_without_minus_zero() -> None:
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_every_error_is_one_of_ours_with_an_exit_code(
+def test_every_error_is_of_the_package_with_an_exit_code(
     error: errors.ImpactObserverError, builtin: type[Exception], exit_code: int
 ) -> None:
-    """Callers may catch ours or the builtin one."""
+    """Callers may catch the package's class or the builtin one."""
     assert isinstance(error, errors.ImpactObserverError)
     assert isinstance(error, builtin)
     assert error.exit_code == exit_code

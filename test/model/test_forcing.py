@@ -72,7 +72,7 @@ def test_forcing_at_one_instant_is_that_at_many(data: st.DataObject) -> None:
 
 @pytest.mark.parametrize("hold", ["previous", "linear"])
 def test_knot_that_was_rounded_is_the_knot(hold: str) -> None:
-    """A phase's start plus the seconds to a sample may be just below it; what follows counts."""
+    """A phase's start plus the seconds to a sample may be just below it: the sample counts."""
     f = sampled(hold)
     t = np.array([np.nextafter(0.5, 0.0)])
     np.testing.assert_allclose(f(float(t[0])), f(0.5), rtol=1e-14, atol=1e-15)
@@ -98,7 +98,7 @@ def test_knots_are_the_samples_strictly_inside() -> None:
 @examples(40)
 @given(st.data())
 def test_bound_holds_up_to_the_next_knot(data: st.DataObject) -> None:
-    """For every derivative, in any seminorm, wherever one starts."""
+    """For every derivative, in any seminorm, from any instant."""
     n = data.draw(st.integers(1, 3))
     f = data.draw(any_forcing(n))
     root = data.draw(matrices(2, n))
@@ -132,7 +132,7 @@ def test_mapped_forcing_is_the_map_of_the_forcing(data: st.DataObject) -> None:
 
 
 def test_instant_without_a_sample_is_one_line() -> None:
-    """It names the instant and where the samples end or begin; a stamp's rounding is none."""
+    """It names the instant and where the samples end or begin; a stamp's rounding is allowed."""
     f = sampled("previous")
     assert f(2.0 + 5e-10).tolist() == [4.0, 4.0]
     with pytest.raises(DynamicsError, match=r"the samples end at t = 2 s, .* at t = 2.01 s"):
@@ -152,7 +152,7 @@ def test_spacing_that_is_even_but_for_rounding_is_even() -> None:
 
 
 def test_samples_are_copied_and_read_only() -> None:
-    """Nobody can change them behind another's back."""
+    """Neither the caller's array nor the copy can change them."""
     time, force = TIME.copy(), FORCE.copy()
     samples = Samples(time, force, "linear")
     time[0] = force[0, 0] = 9.0

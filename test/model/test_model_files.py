@@ -304,7 +304,7 @@ def test_mistake_in_element_form_is_one_line(old: str, new: str, line: str) -> N
 
 @pytest.mark.parametrize(("text", "line"), NOT_A_MODEL.values(), ids=list(NOT_A_MODEL))
 def test_text_that_is_no_model_is_one_line(text: str, line: str) -> None:
-    """Whatever YAML raises, its user reads one line."""
+    """Whatever YAML raises, the error is one line."""
     with pytest.raises(ModelError) as caught:
         parse_model(text, "my.yaml")
     assert_one_line(caught.value, f"my.yaml: {line}")
@@ -365,7 +365,7 @@ def write_sparse(path: Path, matrix: np.ndarray) -> None:
 def test_matrix_is_read_from_a_file_beside_the_model(
     name: str, write: Callable[[Path, np.ndarray], None], tmp_path: Path
 ) -> None:
-    """The path is relative to the model file, wherever one calls from."""
+    """The path is relative to the model file, not to the working folder."""
     write(tmp_path / name, np.array([[20.0, -10], [-10, 10]]))
     file = tmp_path / "model.yaml"
     file.write_text(mistaken(MATRICES, "[[20, -10], [-10, 10]]", name))
@@ -373,7 +373,7 @@ def test_matrix_is_read_from_a_file_beside_the_model(
 
 
 def test_integer_matrix_file_is_read(tmp_path: Path) -> None:
-    """A file of whole numbers is as good."""
+    """Whole numbers are converted."""
     np.save(tmp_path / "m.npy", np.eye(2, dtype=np.int32))
     model = parse_model(mistaken(MATRICES, "[[1, 0], [0, 1]]", "m.npy"), "m", tmp_path)
     assert model.system.M.tolist() == [[1, 0], [0, 1]]
@@ -429,7 +429,7 @@ def test_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
 def test_sample_is_found_by_name_and_a_file_goes_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file called two_mass in the working folder is what its owner means."""
+    """A file called two_mass in the working folder goes before the sample."""
     monkeypatch.chdir(tmp_path)
     assert read_model("two_mass").system.n == 2
     Path("two_mass").write_text(ELEMENTS)
@@ -472,7 +472,7 @@ def test_any_model_survives_its_text(data: st.DataObject) -> None:
 
 
 def test_provenance_is_carried_and_can_be_replaced() -> None:
-    """Who wrote a file is kept beside its meaning."""
+    """Provenance survives reading and writing, unless another is given."""
     model = parse_model(MATRICES + "provenance: {version: 0.1.0, seed: 3}\n", "m")
     again = parse_model(model.text(), "m")
     assert dict(again.provenance) == {"version": "0.1.0", "seed": 3}

@@ -215,7 +215,7 @@ def test_sampled_model_survives_its_text(data: st.DataObject) -> None:
 
 @pytest.mark.parametrize("name", ["time", " x", "a,b", 'a"b', "#1", "null", "ä", "two\nlines"])
 def test_odd_names_survive_the_text(name: str) -> None:
-    """Whatever a coordinate is called, its column is found again."""
+    """The column of a coordinate with an unusual name is found again."""
     forcing = Forcing.of_samples(Samples(np.array([0.0, 1.0]), np.array([[1.0], [2]]), "linear"))
     one = np.eye(1)
     again = parse_model(Model(System("s", (name,), one, one, one, forcing, ())).text(), "m")

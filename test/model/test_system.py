@@ -126,7 +126,7 @@ def test_invalid_system_is_named_by_its_key(change: dict[str, object], message: 
 
 
 def test_states_are_checked_and_frozen() -> None:
-    """A state has n finite numbers twice."""
+    """A state has n finite coordinates and n finite velocities."""
     q, u = example().checked_state([1, 2], (3, 4))
     assert (q.tolist(), u.tolist()) == ([1, 2], [3, 4])
     assert not q.flags.writeable
@@ -147,10 +147,10 @@ def test_states_are_checked_and_frozen() -> None:
         ("K", 1e-6, -1e-6, "stiffness: it is not positive semidefinite"),
     ],
 )
-def test_a_long_chain_is_judged_the_same_in_whatever_order(
+def test_definiteness_of_a_long_chain_does_not_depend_on_the_order_of_coordinates(
     key: str, lowered: float, smallest: float, message: str, *, shuffled: bool
 ) -> None:
-    """In its own order its matrices have bands; a free chain can move without its springs.
+    """In natural order its matrices are banded; the stiffness of a free chain is semidefinite.
 
     The eigenvalue in the error is compared as a number: its last digits depend on the processor.
     """

@@ -106,8 +106,8 @@ BAR = [([1, -1], 0.0, 0.5), ([1, 0], 0.0, 0.5), ([1, 1], 0.0, 0.5)]
 """A bar on supports at -1, 0 and 1; its coordinates are height and angle."""
 
 
-def test_bar_on_three_supports_hands_its_load_over_without_an_event() -> None:
-    """Two of them carry it, which two changes with the moment; a sensor sees nothing."""
+def test_bar_on_three_supports_transfers_its_load_without_an_event() -> None:
+    """Two of them carry it; which two changes with the moment, without an event."""
     force = forcing(2, [-3.0, 0.0], [Harmonic(1.0, [0, 0], [0, 2.0])])
     found = run(free(2, contacts=BAR, force=force), [0.0, 0.0], [0.0, 0.0], seconds=20.0)
     assert len(found.events) == 1
@@ -142,7 +142,7 @@ def grazing(depth: float) -> Run:
 
 @pytest.mark.parametrize("depth", [1e-2, 1e-6, 1e-10, 1e-12, 6 * DEPTH])
 def test_graze_deeper_than_rounding_is_one_impact(depth: float) -> None:
-    """It is at the closed form, and the contact, which is drawn away, does not close."""
+    """Its instant is the closed form, and the contact, which is pulled away, does not close."""
     found = grazing(depth)
     assert [kinds_in_order(one) for one in found.switchings] == [[Kind.IMPACT]]
     change = found.switchings[0]
@@ -161,7 +161,7 @@ def test_graze_shallower_than_rounding_is_none(depth: float) -> None:
 
 @pytest.mark.parametrize("K", [0.0, 1.0])
 def test_body_at_rest_on_its_stop_without_load_is_closed_and_costs_nothing(K: float) -> None:
-    """It rests there for ever; a look a window, and never further ahead than twice as far."""
+    """It rests there for ever; the search costs at most two evaluations per window."""
     model = system(1, 0.1, K, contacts=[([1], 0.0, 0.5)])
     plant = started(model, [0.0], [0.0])
     closed = plant.next_switching(EPOCH)
@@ -279,7 +279,7 @@ def assert_loads(model: System, found: Run) -> None:
 @examples(60)
 @given(st.data())
 def test_random_systems_obey_all_laws(data: st.DataObject) -> None:
-    """No penetration, complementary loads, no energy from nowhere, consistent switchings."""
+    """No penetration, complementary loads, no gain of energy, consistent switchings."""
     model = data.draw(systems(gaps=(0.0, 1.0), max_n=3, rigid=data.draw(st.booleans())))
     assume(np.all(model.eps < 1))  # with damping, full restitution takes for ever to rest
     x = np.concatenate([data.draw(vectors(model.n, -0.25, 0.25)), data.draw(vectors(model.n))])
@@ -300,7 +300,7 @@ def test_random_systems_obey_all_laws(data: st.DataObject) -> None:
 
 
 def test_heavy_body_does_not_hide_the_impacts_of_a_light_one() -> None:
-    """What a gap is rounded against is what it sees, not the largest body of the system."""
+    """A gap is rounded against the motions in it, not against the largest body."""
     model = system(
         np.diag([1e6, 1e-6]),
         np.zeros((2, 2)),
@@ -314,7 +314,7 @@ def test_heavy_body_does_not_hide_the_impacts_of_a_light_one() -> None:
 
 @pytest.mark.slow
 def test_chain_of_three_hundred_sticks_and_flies_and_its_observer_follows() -> None:
-    """Two stops close, hold and open again: no gap is ever negative; what starts true stays."""
+    """Two stops close, hold and open again: no gap is ever negative; a replica that starts true stays true."""
     n = 300
     left, middle = -np.eye(n)[0], np.eye(n)[n // 2 - 1]
     pushed = [Harmonic(1.3, np.eye(n)[0].tolist(), [0.0] * n)]

@@ -188,7 +188,7 @@ def test_plant_that_starts_at_a_stop_hits_it_at_once() -> None:
 def test_impossible_start_is_refused(
     position: list[float], velocity: list[float], message: str
 ) -> None:
-    """One line that names what is wrong."""
+    """One line that names the argument and the problem."""
     with pytest.raises(UsageError, match=message):
         started(sample("bouncing_ball").system, position, velocity)
 
@@ -216,7 +216,7 @@ def test_run_without_samples_is_empty() -> None:
 
 
 def test_progress_is_called_at_every_impact() -> None:
-    """For a bar that a command shows."""
+    """With its stamp, for progress bars."""
     stamps: list[int] = []
     plant = started(sample("bouncing_ball").system, [1.0], [0.0])
     found = simulate(plant, grid(EPOCH, EPOCH + 3 * NS_PER_S, 10.0), progress=stamps.append)

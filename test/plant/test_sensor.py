@@ -99,7 +99,7 @@ def test_value_out_of_range_is_named(fault: Option) -> None:
     ("sensor", "contacts"), [(SensorModel(mislabelled=0.1), 1), (SensorModel(spurious=0.1), 0)]
 )
 def test_sensor_that_needs_more_contacts_is_refused(sensor: SensorModel, contacts: int) -> None:
-    """No other contact can be named where there is one, none spurious where there is none."""
+    """One contact cannot be mislabelled, and no contact cannot have spurious impacts."""
     model = system(1, 0, 1, contacts=[([1], 1.0, 0.5)] * contacts)
     with pytest.raises(UsageError, match=f"or more: test has {contacts}"):
         simulate_sensor(sensor, model, [], epoch=EPOCH, last=EPOCH)
@@ -169,7 +169,7 @@ def test_clock_that_would_show_less_than_zero_is_refused() -> None:
 @pytest.mark.parametrize("offset", [-0.999999999 * EPOCH / NS_PER_S, 3600.0])
 @pytest.mark.parametrize("quantisation", [0.0, 0.7])
 def test_stamps_stay_where_messages_can_carry_them(offset: float, quantisation: float) -> None:
-    """Above zero, below the last stamp there is, and multiples even there."""
+    """Above zero, not after the last stamp, and multiples of the tick even there."""
     start = EPOCH if offset < 0 else MAX_STAMP - 10 * NS_PER_S
     switchings = dataclasses.replace(impacts(1)[0], instant=Instant(start + NS_PER_S))
     sensor = SensorModel(clock_offset=offset, quantisation=quantisation)

@@ -59,7 +59,7 @@ def last_of(switchings: Sequence[Switching]) -> int:
 def test_streaming_gives_the_events_of_the_whole_run(
     switchings: list[Switching], sensor: SensorModel, seed: int, waits: list[int]
 ) -> None:
-    """Whenever it is asked; nothing arrives before ``next_stamp`` or is lost."""
+    """For any instants of ``due``; nothing arrives before ``next_stamp`` or is lost."""
     last = last_of(switchings)
     whole = simulate_sensor(sensor, THREE, switchings, epoch=EPOCH, last=last, seed=seed)
     simulation = SensorSimulation(sensor, THREE, epoch=EPOCH, last=last, seed=seed)

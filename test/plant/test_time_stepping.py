@@ -95,7 +95,7 @@ def test_ball_bounces_at_the_times_of_the_closed_form_to_first_order() -> None:
 )
 @pytest.mark.parametrize("step", [8e-3, 2e-3, pytest.param(5e-4, marks=pytest.mark.slow)])
 def test_ball_comes_to_rest_where_its_impacts_accumulate(eps: float, step: float) -> None:
-    """Its last event is CLOSE, to first order at the closed form; then it lies still."""
+    """Its last event is CLOSE, to first order at the closed form; then it does not move."""
     first = np.sqrt(2 / 9.81)
     rest = first * (1 + eps) / (1 - eps)
     plant = started(ball(eps), [1.0], [0.0], step)
@@ -234,7 +234,7 @@ def test_held_contact_takes_part_in_an_impact_without_a_switch() -> None:
 
 
 def test_bodies_at_rest_on_each_other_stay_so() -> None:
-    """Nine beads lie on a wall while a tenth bounces on them: nothing flickers by rounding."""
+    """Nine beads lie on a wall while a tenth bounces on them: no contact opens by rounding."""
     case = resting_beads()
     found = crossed(started(*case[:3], 1e-3), case.seconds)
     assert {kind for _, kind in kinds(found[:1])[0]} == {Kind.CLOSE}
@@ -257,7 +257,7 @@ def test_gaps_are_violated_by_a_step_of_motion_at_most() -> None:
 
 @pytest.mark.slow
 def test_states_at_the_ends_of_steps_are_the_schemes() -> None:
-    """Impacts included, and after them; positions are continuous, velocities from the left too."""
+    """At impacts the state after them; positions are continuous, velocities from the left too."""
     model, start = sample("two_mass").system, sample("two_mass").initial_state()
     step = 2_000_003
     plant = TimeSteppingPlant(model, *start, epoch=EPOCH, step=step / NS_PER_S)
@@ -355,7 +355,7 @@ def test_steps_are_whole_nanoseconds_from_the_epoch() -> None:
 def test_invalid_start_is_one_line(
     position: list[float], velocity: list[float], step: float, message: str
 ) -> None:
-    """The thing, what was found, what is expected."""
+    """It names the argument, what was found, what is expected."""
     with pytest.raises(UsageError, match=message) as caught:
         started(ball(0.9), position, velocity, step)
     assert len(str(caught.value).splitlines()) == 1
