@@ -9,7 +9,7 @@ from impact_observer.states import Vector
 
 
 def is_seminorm(system: System) -> bool:
-    """Whether ``V`` is blind to some displacement: ``K`` is singular, a rigid-body mode."""
+    """Whether ``V`` is zero for some displacement: ``K`` is singular, a rigid-body mode."""
     eigenvalues = linalg.eigvalsh(system.K)
     return bool(eigenvalues[0] <= 1e-12 * max(float(eigenvalues[-1]), 0.0))
 
@@ -17,7 +17,7 @@ def is_seminorm(system: System) -> bool:
 def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> Vector:
     """``V = 1/2 du^T M du + 1/2 dq^T K dq``, J.
 
-    A seminorm where ``K`` is singular: it does not see rigid-body displacements.
+    A seminorm where ``K`` is singular: it is zero for rigid-body displacements.
 
     Args:
         system: gives M and K.
@@ -27,4 +27,6 @@ def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> 
     Returns:
         Shape (...).
     """
-    return system.energy(q, u)
+    kinetic = np.einsum("...i,...i->...", u @ system.M, u)
+    potential = np.einsum("...i,...i->...", q @ system.K, q)
+    return np.asarray((kinetic + potential) / 2)

@@ -124,17 +124,6 @@ class System:
         """Contact distances ``g = W^T q + q_r``, shape (m,), paper's equation (2)."""
         return np.asarray(self.W.T @ q + self.q_r)
 
-    def energy(self, q: Matrix, u: Matrix) -> Vector:
-        """Kinetic and elastic energy, J, of states or of differences of states, shape (...).
-
-        Args:
-            q: coordinates, shape (..., n).
-            u: velocities, shape (..., n).
-        """
-        kinetic = np.einsum("...i,...i->...", u @ self.M, u)
-        potential = np.einsum("...i,...i->...", q @ self.K, q)
-        return np.asarray((kinetic + potential) / 2)
-
     def contact_speed(self, u: Vector) -> Vector:
         """Contact speeds ``gamma = W^T u``, shape (m,), paper's equation (3)."""
         return np.asarray(self.W.T @ u)

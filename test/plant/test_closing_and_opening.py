@@ -314,7 +314,7 @@ def test_heavy_body_does_not_hide_the_impacts_of_a_light_one() -> None:
 
 @pytest.mark.slow
 def test_chain_of_three_hundred_sticks_and_flies_and_its_observer_follows() -> None:
-    """Two stops close, hold and open again: no gap is ever negative; a replica that starts true stays true."""
+    """Two stops close and open: no gap is ever negative; a replica that starts true stays so."""
     n = 300
     left, middle = -np.eye(n)[0], np.eye(n)[n // 2 - 1]
     pushed = [Harmonic(1.3, np.eye(n)[0].tolist(), [0.0] * n)]

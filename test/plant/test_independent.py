@@ -184,7 +184,7 @@ def test_simultaneous_impacts_are_those_of_an_enumeration(
 
 
 def test_some_of_the_simultaneous_contacts_take_no_impulse() -> None:
-    """The chain's first impact needs the complementarity: Newton's equations alone are not enough."""
+    """Its first impact needs the complementarity: Newton's equations alone are not enough."""
     first = Other(cases.thrown_beads()).run()[0]
     model = cases.thrown_beads().system
     before, after = (model.contact_speed(x[model.n :]) for x in (first.before, first.after))
