@@ -1,7 +1,7 @@
-"""How two plotting tools find numbers in messages, and a bag that holds all there is to plot.
+"""How two plotting tools find numbers in messages, and a bag with everything that is plotted.
 
 Foxglove's message paths follow its grammar; PlotJuggler's names of series follow its parser of ROS
-messages. Both are written from the tools' own sources, and know nothing of our layouts.
+messages. Both are written from the sources of the tools, independently of our layouts.
 """
 
 import math

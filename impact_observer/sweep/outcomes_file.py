@@ -1,8 +1,8 @@
-"""The outcomes of a sweep in one Parquet file, which is complete at any time.
+"""The outcomes of a sweep in one Parquet file.
 
 There is one row a case, in order of their numbers: the labels of the case, then its figures. The
-metadata describe the sweep. The file is written beside the old one and then replaces it, so that
-nobody reads half of a file. Equal outcomes make equal files.
+metadata describe the sweep. The file is written beside the old one and then replaces it, so it
+is always complete. Equal outcomes make equal files.
 """
 
 import json

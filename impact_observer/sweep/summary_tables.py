@@ -1,20 +1,12 @@
 """The summary of a sweep as a table and as JSON."""
 
 import math
-import os
-import sys
 from collections.abc import Sequence
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
-
-from impact_observer.draw.text_tables import upright
+from impact_observer.draw.text_tables import console, ruled_table, upright
 from impact_observer.sweep.plan import Label, Sweep
 from impact_observer.sweep.summary import SUMMARY, CaseGroup, Quartiles, SummaryFigure
 
-_WIDTH = 140
-"""Columns without a terminal."""
 _WIDE = 1000
 """Columns in which any table has room."""
 
@@ -56,23 +48,14 @@ def _finite(values: Quartiles | None) -> dict[str, float | None] | None:
 
 def print_groups(sweep: Sweep, groups: Sequence[CaseGroup]) -> None:
     """Print a row for each law with each combination of what was swept."""
-    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else _WIDTH
-    table = Table(
-        box=box.SIMPLE_HEAD,
-        title="Medians, and quartiles in brackets, over the runs",
-        title_justify="left",
-        collapse_padding=True,
-        pad_edge=False,
-    )
-    table.add_column("law", overflow="fold")
     failed = any(group.failed for group in groups)
-    for heading in _headings(sweep, failed=failed):
-        table.add_column(heading, justify="right", overflow="fold")
+    title = "Medians, and quartiles in brackets, over the runs"
+    table = ruled_table(title, "law", *_headings(sweep, failed=failed))
     for group in groups:
         table.add_row(group.law, *_cells(group, failed=failed))
-    console = Console(highlight=False, markup=False, emoji=False, width=width)
-    needed = console.measure(table, options=console.options.update(width=_WIDE)).maximum
-    console.print(table if needed <= console.width else upright(table))
+    output = console()
+    needed = output.measure(table, options=output.options.update(width=_WIDE)).maximum
+    output.print(table if needed <= output.width else upright(table))
 
 
 def _headings(sweep: Sweep, *, failed: bool) -> list[str]:

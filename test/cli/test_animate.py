@@ -34,7 +34,7 @@ def refusal(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> tup
 def test_gif_has_all_pictures_and_the_right_speed(
     sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It begins again and again; what is not there is left out of a second film."""
+    """It repeats for ever, and no other file is left."""
     output = tmp_path / "film.gif"
     assert main(["animate", str(sample_bag), "-o", str(output), *QUICK]) == 0
     assert capsys.readouterr().out == f"film: {output}, 9 pictures of 0.40 s\n"
@@ -124,7 +124,7 @@ def test_encoder_that_fails_is_one_line(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Its last words are told, and no half a film is left."""
+    """The line has its last message, and no half film is left."""
     broken = tmp_path / "ffmpeg"
     broken.write_text("#!/bin/sh\necho first >&2\necho no such encoder >&2\nexit 1\n")
     broken.chmod(0o755)
@@ -143,7 +143,7 @@ def test_longer_bags_are_cut_and_that_is_said(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Nobody waits an hour for a film of a day."""
+    """By default a film is not longer than a minute."""
     monkeypatch.setattr(animate, "LONGEST", 0.2)
     output = tmp_path / "film.gif"
     assert main(["animate", str(sample_bag), "-o", str(output)]) == 0

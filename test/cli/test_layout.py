@@ -21,7 +21,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_layout_of_a_bag_shows_its_own_observers(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And nothing that is not in it: no scene, as nobody published markers."""
+    """And only its topics: no scene, as there are no markers."""
     written = tmp_path / "bag.json"
     assert main(["layout", str(bag), "-o", str(written)]) == 0
     text = written.read_text("utf-8")

@@ -51,7 +51,7 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_rows_say_what_was_run_and_what_came_out(serial: Path) -> None:
+def test_rows_have_labels_and_figures_of_the_cases(serial: Path) -> None:
     """In the order of the cases."""
     table = table_of(serial)
     assert table["case"] == [*range(SIZE)]
@@ -96,8 +96,8 @@ def test_a_cluster_without_workers_is_one_line(
         address = cluster.scheduler_address
         words = ["sweep", *SMALL, "--scheduler", address, "-o", str(tmp_path / "sweep.parquet")]
         assert main(words) == 2
-    told = f"impact-observer: --scheduler {address}: has no workers; start some\n"
-    assert capsys.readouterr().err == told
+    line = f"impact-observer: --scheduler {address}: has no workers; start some\n"
+    assert capsys.readouterr().err == line
     assert [*tmp_path.iterdir()] == []
 
 
@@ -117,10 +117,10 @@ def test_a_worker_without_the_compiler_is_one_line(
         words = ["sweep", "two_mass", "--runs", "1", "--duration", "1", "--compiled"]
         words += ["--scheduler", address, "-o", str(path)]
         assert main([*words, "--laws", "geometric,minimum-variance"]) == 2
-        told = capsys.readouterr().err
-        assert told.startswith(f"impact-observer: --scheduler {address}: worker ")
-        assert "has no numba, which --compiled needs; pip install impact_observer[comp" in told
-        assert len(told.splitlines()) == 1
+        line = capsys.readouterr().err
+        assert line.startswith(f"impact-observer: --scheduler {address}: worker ")
+        assert "has no numba, which --compiled needs; pip install impact_observer[comp" in line
+        assert len(line.splitlines()) == 1
         assert not path.exists()
         assert main([*words, "--laws", "geometric"]) == 0
 
@@ -144,7 +144,7 @@ class Engine:
             yield case_runs.run_case(case)
 
 
-def test_what_is_finished_is_kept_and_not_done_again(
+def test_finished_cases_are_kept_and_not_run_again(
     serial: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -155,8 +155,8 @@ def test_what_is_finished_is_kept_and_not_done_again(
     first, second, third = Engine(5), Engine(), Engine()
     monkeypatch.setattr(sweep_run, "run_cases", first)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 1
-    told = "impact-observer: interrupted; 5 of 16 cases are done; the same command goes on\n"
-    assert capsys.readouterr().err == told
+    line = "impact-observer: interrupted; 5 of 16 cases are done; the same command goes on\n"
+    assert capsys.readouterr().err == line
     assert table_of(path)["case"] == sorted(first.numbers) == [11, 12, 13, 14, 15]
     monkeypatch.setattr(sweep_run, "run_cases", second)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 0
@@ -169,7 +169,7 @@ def test_what_is_finished_is_kept_and_not_done_again(
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
 
 
-def test_what_takes_long_is_written_now_and_then(
+def test_the_file_is_written_from_time_to_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process that is killed loses seconds, not hours."""
@@ -194,8 +194,8 @@ def test_another_sweep_is_never_written_over(
     path = tmp_path / "sweep.parquet"
     path.write_bytes(serial.read_bytes())
     assert main(["sweep", *SMALL, "--seed", "1", "-o", str(path)]) == 2
-    told = f"{path}: holds another sweep: seed is 0 there and 1 here; name another file"
-    assert capsys.readouterr().err == f"impact-observer: {told}\n"
+    line = f"{path}: holds another sweep: seed is 0 there and 1 here; name another file"
+    assert capsys.readouterr().err == f"impact-observer: {line}\n"
     assert path.read_bytes() == serial.read_bytes()
     path.write_text("a letter")
     assert main(["sweep", *SMALL, "-o", str(path)]) == 2
@@ -225,8 +225,8 @@ def test_a_case_that_fails_is_a_row_and_exit_code_1(
     for _ in range(2):
         assert main([*words, "-o", str(path)]) == 1
         printed = capsys.readouterr()
-        told = "impact-observer: 1 of 5 cases failed, such as case 3: no solution"
-        assert printed.err.splitlines()[-1] == told
+        line = "impact-observer: 1 of 5 cases failed, such as case 3: no solution"
+        assert printed.err.splitlines()[-1] == line
         figures = json.loads(printed.out)
         assert figures["failed"] == figures["groups"][0]["failed"] == 1
         assert figures["groups"][0]["runs"] == 5
@@ -257,7 +257,7 @@ def test_a_row_is_what_the_other_commands_say_of_its_seed(
         assert table[name] == [figures[name]], name
 
 
-def test_what_comes_out_is_a_table_and_a_picture(
+def test_the_summary_is_a_table_and_a_picture(
     serial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Made from a finished file without running anything again."""
@@ -265,10 +265,10 @@ def test_what_comes_out_is_a_table_and_a_picture(
     path.write_bytes(serial.read_bytes())
     words = ["--plot", str(plot), "--against", "stiffness-scale"]
     assert main(["sweep", *SMALL, *words, "-o", str(path)]) == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for word in ("jitter [s]", "observer's stiffness-scale", "not settled", "minimum-variance"):
-        assert word in said
-    assert f"picture: {plot}" in said
+        assert word in printed
+    assert f"picture: {plot}" in printed
     assert plot.stat().st_size > 0
 
 

@@ -1,4 +1,4 @@
-"""The one list of curves: of a model, and of a bag."""
+"""The list of curves: of a model, and of a bag."""
 
 from pathlib import Path
 
@@ -26,7 +26,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return everything(tmp_path_factory.mktemp("curves") / "bag", LAWS)
 
 
-def test_what_a_name_promises_is_what_the_law_publishes(bag: Path) -> None:
+def test_topics_by_name_are_those_that_the_law_publishes(bag: Path) -> None:
     """Bounds, covariance and learnt parameters: of the name as found in the bag."""
     with BagReader(bag) as reader:
         found = {each.prefix: each for each in observers_in(reader)}
@@ -35,7 +35,7 @@ def test_what_a_name_promises_is_what_the_law_publishes(bag: Path) -> None:
 
 
 def test_an_observer_without_a_law_in_its_name_has_the_default_one() -> None:
-    """The node called observer runs geometric, unless told."""
+    """The node called observer runs geometric by default."""
     assert ObserverTopics.of_node("observer") == ObserverTopics("/observer", bounded=True)
 
 
@@ -77,7 +77,7 @@ def test_every_coordinate_is_drawn_for_plant_and_observer() -> None:
     assert contacts == ["right", "left"]
 
 
-def test_observers_of_two_rigs_are_told_apart() -> None:
+def test_observers_of_two_rigs_are_distinguished() -> None:
     """By names and colours, and each is drawn beside its own plant and contacts."""
     rigs = [ObserverTopics.of_node(name) for name in ("/a/observer", "/b/observer")]
     found = curves(read_model("two_mass").system, rigs)
@@ -112,14 +112,14 @@ def test_only_topics_that_are_there_are_drawn() -> None:
 
 
 def test_a_name_that_no_node_can_have_is_refused() -> None:
-    """In one line; and so is drawing nobody."""
+    """In one line; a list without observers is refused too."""
     with pytest.raises(UsageError, match="'my observer': no name of a node"):
         ObserverTopics.of_node("my observer")
     with pytest.raises(UsageError, match="no observer"):
         curves(read_model("two_mass").system, [])
 
 
-def test_an_observer_that_said_nothing_still_counts(tmp_path: Path) -> None:
+def test_an_observer_without_messages_is_found(tmp_path: Path) -> None:
     """Its topics are in the bag without messages, or it has joint states only."""
     from impact_observer.io import BagWriter
 

@@ -1,4 +1,4 @@
-"""Films of bags: a stretch of time, the observers that are asked for, and nothing more."""
+"""Films of bags: a part of the time, and chosen observers."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -57,8 +57,8 @@ def test_film_of_a_bag_has_plant_and_estimates(sample_bag: Path) -> None:
     assert film.truth.jumps.tolist() == film.contacts.hits[0].tolist()
 
 
-def test_only_the_stretch_is_kept(sample_bag: Path) -> None:
-    """From its first to its last stamp, both in it."""
+def test_only_the_chosen_part_is_kept(sample_bag: Path) -> None:
+    """From its first to its last stamp, both included."""
     with BagReader(sample_bag) as reader:
         film = read_film(reader, SYSTEM, start=0.1, duration=0.2)
     assert film.truth is not None
@@ -68,15 +68,15 @@ def test_only_the_stretch_is_kept(sample_bag: Path) -> None:
     assert (film.start, film.end) == (EPOCH + 100_000_000, EPOCH + 300_000_000)
 
 
-def test_stretch_without_states_is_one_line(sample_bag: Path) -> None:
-    """It says the stretch."""
+def test_part_without_states_is_one_line(sample_bag: Path) -> None:
+    """It names the stamps."""
     with BagReader(sample_bag) as reader, pytest.raises(BagError) as error:
         read_film(reader, SYSTEM, start=100.0, duration=1.0)
     assert "no states between 101.000000000 and 102.000000000 s" in str(error.value)
 
 
 def test_plant_alone_and_estimate_alone_are_films(tmp_path: Path) -> None:
-    """Without events the time begins at the first state, and nothing lights up."""
+    """Without events the time begins at the first state, and nothing is highlighted."""
     for topic, truth in (("/plant/joint_states", True), ("/observer_rig/joint_states", False)):
         folder = tmp_path / str(truth)
         folder.mkdir()
@@ -138,7 +138,7 @@ def test_too_many_observers_are_refused(tmp_path: Path) -> None:
 
 
 def test_estimate_jumps_where_its_observer_inserted_an_impact(tmp_path: Path) -> None:
-    """An impact that nobody received is a jump all the same."""
+    """An impact without an event is a jump too."""
     make, names = bag_messages(), SYSTEM.coordinates
 
     def write(writer: BagWriter, stamp: int, q: Vector) -> None:
@@ -154,7 +154,7 @@ def test_estimate_jumps_where_its_observer_inserted_an_impact(tmp_path: Path) ->
 
 
 def test_inserted_impact_makes_no_earlier_estimate_late(tmp_path: Path) -> None:
-    """Nobody told the observer of it, so no estimate waits for it."""
+    """There is no event that estimates would have to contain."""
     make, names = bag_messages(), SYSTEM.coordinates
     received = EPOCH + 50_000_000
 
@@ -177,7 +177,7 @@ def test_inserted_impact_makes_no_earlier_estimate_late(tmp_path: Path) -> None:
 
 
 def test_estimates_that_came_before_their_event_are_left_out(tmp_path: Path) -> None:
-    """A live observer may hear of an impact late; until then it is on the wrong side of it."""
+    """A live observer may receive an event late; its earlier estimates lack the jump."""
     make, names = bag_messages(), SYSTEM.coordinates
     hit, received = EPOCH + 195_000_000, EPOCH + 230_000_000
 

@@ -85,7 +85,7 @@ def test_every_path_for_foxglove_finds_a_number_in_the_bag(
 def test_every_series_for_plotjuggler_is_a_number_in_the_bag(
     name: str, series: dict[str, list[object]]
 ) -> None:
-    """As it flattens messages; what is computed is computed of such a series, by known Lua."""
+    """Named as it flattens messages; transformed series are computed from such a series by Lua."""
     text = drawn([*LAWS])[1] if name == "all" else (LAYOUTS / f"{name}.xml").read_text("utf-8")
     root = ET.fromstring(text)
     computed = set()

@@ -1,4 +1,4 @@
-"""The picture of a sweep: units, laws, what never settles."""
+"""The picture of a sweep: units, laws, runs that never settle."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -57,7 +57,7 @@ def test_each_law_is_a_line_with_a_band_over_what_was_swept(tmp_path: Path) -> N
     assert (tmp_path / "sweep.png").stat().st_size > 0
 
 
-def test_what_never_settles_stands_above_all_times() -> None:
+def test_runs_that_never_settle_are_above_all_times() -> None:
     """In a zone of its own, and as a share below."""
     upper, lower = drawn(swept({"missed": [0.0, 0.2]}, {}), [2.0, 4.0, None, None]).axes
     words = [label.get_text() for label in upper.get_yticklabels()]
@@ -103,8 +103,8 @@ def test_a_fault_that_is_there_or_not_has_words_on_its_axis() -> None:
     assert [label.get_text() for label in lower.get_xticklabels()] == ["no", "yes"]
 
 
-def test_an_axis_that_there_is_not_is_refused() -> None:
-    """As are more panels than one can read."""
+def test_an_axis_that_is_not_swept_is_refused() -> None:
+    """And too many panels."""
     sweep = swept({"jitter": [0.0, 1e-3], "missed": [0.1]}, {})
     with pytest.raises(UsageError, match=r"--against missed: has not several values.*jitter"):
         against_of(sweep, "missed")

@@ -111,14 +111,14 @@ def test_figures_are_those_of_a_single_run(stiffness: float) -> None:
     stamps = grid(EPOCH, EPOCH + 9_000_000_000, 20.0)
     run = simulate(Plant(system, *model.initial_state(), epoch=EPOCH), stamps)
     sensor = SensorModel(missed=0.4)
-    told = simulate_sensor(
+    sensed = simulate_sensor(
         sensor, system, run.switchings, epoch=EPOCH, last=int(stamps[-1]), seed=1
     )
-    assert 0 < len(told) < len(run.events)
+    assert 0 < len(sensed) < len(run.events)
     wrong = replace(system, K=stiffness * system.K)
     start = initial_state("random:1", system)
     observer = Observer(wrong, law_named("geometric")(wrong), *start, epoch=EPOCH, ensemble=1)
-    for each in told:
+    for each in sensed:
         observer.receive(each.event)
     V = []
     for stamp, x in zip(stamps.tolist(), run.states, strict=True):
@@ -128,7 +128,7 @@ def test_figures_are_those_of_a_single_run(stiffness: float) -> None:
     above = np.flatnonzero(np.array(V) > 0.5 * V[0])[-1]
     found = run_case(case)
     assert found.error == ""
-    assert found.events == len(told)
+    assert found.events == len(sensed)
     assert found.settling_time == (above + 1) / 20 < 9
     assert found.V_start == pytest.approx(V[0], rel=1e-12)
     assert found.V_end == pytest.approx(V[-1], rel=1e-12)
@@ -181,8 +181,8 @@ def test_groups_differ_in_law_and_in_what_is_swept() -> None:
 
 @examples(100)
 @given(st.lists(st.floats(0, 1e3), min_size=1, max_size=30), st.integers(0, 30))
-def test_quartiles_take_what_never_settles_for_infinite(times: list[float], never: int) -> None:
-    """Those of numpy where all are finite; where they touch an infinite one, infinite."""
+def test_quartiles_of_runs_that_never_settle_are_infinite(times: list[float], never: int) -> None:
+    """Those of numpy where all are finite; infinite where they depend on an infinite one."""
     found = quartiles(times)
     assert found is not None
     np.testing.assert_allclose(found, np.quantile(times, [0.25, 0.5, 0.75]), rtol=1e-12)
@@ -196,13 +196,13 @@ def test_quartiles_take_what_never_settles_for_infinite(times: list[float], neve
 
 
 def replicas(off: Mapping[str, Sequence[float]]) -> list[Model]:
-    """The models that observers of two stops believe in."""
+    """Models of the observers, for two stops."""
     model = parse_model(ELEMENTS, "elements")
     return [parse_model(each.text, "replica") for each in model_variants(model, off)]
 
 
-def test_replicas_are_off_by_what_is_told_and_by_nothing_else() -> None:
-    """Of a kind all have the value; an element can be off alone; no start is told."""
+def test_model_variants_differ_in_the_given_parameters_only() -> None:
+    """All of a kind, or a single element; no variant has an initial state."""
     true = parse_model(ELEMENTS, "elements").system
     (plain,) = replicas({})
     assert plain.position is None
@@ -227,7 +227,7 @@ def test_replicas_are_off_by_what_is_told_and_by_nothing_else() -> None:
         ({"stiffness-scale": [1.0], "stiffness.a-b": [1.0]}, "stands beside stiffness"),
     ],
 )
-def test_a_model_that_cannot_be_off_like_that_is_refused(
+def test_values_that_a_model_cannot_have_are_refused(
     off: Mapping[str, Sequence[float]], problem: str
 ) -> None:
     """In one line that names the parameter."""
@@ -255,7 +255,7 @@ def test_what_no_case_could_run_is_refused_at_once(
         replace(swept(), **change)  # type: ignore[arg-type]
 
 
-def test_the_description_tells_sweeps_apart() -> None:
+def test_the_description_distinguishes_sweeps() -> None:
     """Whatever outcomes depend on is in it, and JSON brings it back."""
     sweep = swept(faults={"jitter": [0.0, 1e-3]}, off={"stiffness-scale": [1.0, 1.02]})
     changed = [

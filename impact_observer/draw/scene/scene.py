@@ -1,7 +1,7 @@
 """Where bodies, springs and stops of a system are drawn: boxes on one line, in true distances.
 
 A coordinate is a box, home at its place in the row and displaced by ``q``. A contact of one
-coordinate is a wall that the box's face touches exactly when ``g = 0``; one that compares two
+coordinate is a wall that the box's face reaches exactly when ``g = 0``; one that compares two
 neighbours is a bumper between them, which fills the room between their faces exactly then. Any
 other contact is a bar with a pin, whose distance from the plate is ``g``. Along the line all is
 in metres (rad where a coordinate is an angle), across it in heights of a body.

@@ -1,4 +1,4 @@
-"""Moving pictures: bodies where they are, stops that light up, readable in grey."""
+"""Pictures of films: positions of bodies, highlighted stops, readable in grey."""
 
 from dataclasses import replace
 from functools import cache
@@ -47,6 +47,12 @@ def film() -> Film:
     )
 
 
+@cache
+def pictures() -> FilmPictures:
+    """The pictures of that film."""
+    return FilmPictures(film(), title="two_mass")
+
+
 def still(model: System, q: Array, **changes: object) -> Film:
     """A film in which nothing moves: a plant alone."""
     stamps = np.array([EPOCH, EPOCH + NS_PER_S])
@@ -78,7 +84,7 @@ def lit(picture: Picture) -> int:
 
 def test_pictures_have_an_even_number_of_pixels() -> None:
     """As encoders of films want them."""
-    moving = FilmPictures(film(), title="two_mass")
+    moving = pictures()
     picture = moving.picture(EPOCH)
     assert picture.shape == (moving.size[1], moving.size[0], 4)
     assert picture.dtype == np.uint8
@@ -87,7 +93,7 @@ def test_pictures_have_an_even_number_of_pixels() -> None:
 
 def test_a_picture_depends_on_its_stamp_only() -> None:
     """Not on those that were taken before it."""
-    moving = FilmPictures(film(), title="two_mass")
+    moving = pictures()
     first = moving.picture(EPOCH + 900 * MS)
     assert not np.array_equal(moving.picture(EPOCH + 2500 * MS), first)
     np.testing.assert_array_equal(moving.picture(EPOCH + 900 * MS), first)
@@ -108,10 +114,10 @@ def test_plant_is_drawn_where_its_frame_says(q: list[float]) -> None:
     np.testing.assert_allclose(found, [expected[0], expected[-1]], atol=2)
 
 
-def test_stop_lights_up_when_it_is_hit_and_goes_out() -> None:
-    """In every row; slow films let it glow as long to the eye."""
+def test_stop_is_highlighted_at_an_impact_and_fades() -> None:
+    """In every row, and as long in a slow film."""
     shown = film()
-    moving = FilmPictures(shown, title="")
+    moving = pictures()
     hit = int(shown.contacts.hits[0][0])
     before, at = lit(moving.picture(hit - 10 * MS)), lit(moving.picture(hit + MS))
     after = lit(moving.picture(hit + 400 * MS))
@@ -122,12 +128,13 @@ def test_stop_lights_up_when_it_is_hit_and_goes_out() -> None:
     assert lit(slow.picture(hit + MS // 10)) > 300
 
 
-def test_stop_stays_lit_while_it_is_closed() -> None:
+def test_stop_is_highlighted_during_persistent_contact() -> None:
     """From CLOSE to OPEN, without fading."""
     model = sample("two_mass").system
-    told = [(EPOCH + 100 * MS, Kind.CLOSE), (EPOCH + 800 * MS, Kind.OPEN)]
+    switches = [(EPOCH + 100 * MS, Kind.CLOSE), (EPOCH + 800 * MS, Kind.OPEN)]
     events = [
-        ImpactEvent(stamp, (Switch("stop", kind),), i) for i, (stamp, kind) in enumerate(told, 1)
+        ImpactEvent(stamp, (Switch("stop", kind),), i)
+        for i, (stamp, kind) in enumerate(switches, 1)
     ]
     shown = still(model, np.array([0.0, 0.5]), contacts=ContactHistory.of(model, events))
     moving = FilmPictures(shown, title="")
@@ -143,8 +150,8 @@ def test_lit_stops_are_dark_in_grey_and_others_are_light() -> None:
 
 
 def test_axes_of_v_carry_units_and_a_cursor() -> None:
-    """What is still to come lies under a veil."""
-    moving = FilmPictures(film(), title="")
+    """The future lies under a veil."""
+    moving = pictures()
     below = moving._distances
     assert below is not None
     axes = below._cursor.axes
@@ -161,7 +168,7 @@ def test_axes_of_v_carry_units_and_a_cursor() -> None:
 
 def test_rows_have_one_scale_and_names() -> None:
     """Plant on top; a length to measure by is in the first row."""
-    moving = FilmPictures(film(), title="two_mass")
+    moving = pictures()
     limits = {row.axes.get_xlim() for row in moving._rows}
     assert len(limits) == 1
     texts = [[text.get_text() for text in row.axes.texts] for row in moving._rows]

@@ -33,26 +33,26 @@ def switch(stamp: int, kind: Kind, sequence: int, contact: str = "stop") -> Impa
     return ImpactEvent(stamp, (Switch(contact, kind),), sequence)
 
 
-def test_track_goes_straight_between_samples() -> None:
+def test_track_is_linear_between_samples() -> None:
     """At the samples it is what they say."""
     moving = track([100, 200, 400], [0.0, 1.0, 3.0])
     assert [place(moving, t) for t in (100, 150, 200, 300, 400)] == [0.0, 0.5, 1.0, 2.0, 3.0]
 
 
-def test_track_stays_until_the_impact_and_is_behind_it_from_then_on() -> None:
-    """A jump is no motion: no state lies between its two sides."""
+def test_track_holds_its_sample_until_the_impact_and_is_after_it_from_then_on() -> None:
+    """No state lies between the two sides of a jump."""
     moving = track([100, 200, 300], [0.0, 5.0, 6.0], jumps=[150])
     assert [place(moving, t) for t in (101, 149, 150, 199, 250)] == [0.0, 0.0, 5.0, 5.0, 5.5]
 
 
-def test_sample_at_the_stamp_of_an_impact_is_behind_it() -> None:
-    """So the stretch before it is held, and the one after it is straight."""
+def test_sample_at_the_stamp_of_an_impact_is_after_it() -> None:
+    """The sample before it is held, and the motion after it is linear."""
     moving = track([100, 200, 300], [0.0, 5.0, 6.0], jumps=[200])
     assert [place(moving, t) for t in (150, 199, 200, 250)] == [0.0, 0.0, 5.0, 5.5]
 
 
 def test_track_of_two_impacts_between_samples_waits_for_the_last() -> None:
-    """What was between them nobody has sampled."""
+    """There is no sample between them."""
     moving = track([100, 200], [0.0, 5.0], jumps=[120, 180])
     assert [place(moving, t) for t in (119, 150, 179, 180)] == [0.0, 0.0, 0.0, 5.0]
 
@@ -96,19 +96,19 @@ def test_distance_is_taken_at_common_stamps() -> None:
     assert Distance.between(SYSTEM, truth, late).V.size == 0
 
 
-def test_contact_glows_when_it_is_hit_and_fades() -> None:
+def test_impact_is_highlighted_and_fades() -> None:
     """From 1 at the instant to 0; not before it, and not at all where nothing hits."""
     contacts = ContactHistory.of(
         SYSTEM, [switch(1000, Kind.IMPACT, 1), switch(5000, Kind.IMPACT, 2)]
     )
-    glows = [contacts.highlight(0, stamp, 1000) for stamp in (999, 1000, 1250, 2000, 4999, 5500)]
-    assert glows == [0.0, 1.0, 0.75, 0.0, 0.0, 0.5]
+    found = [contacts.highlight(0, stamp, 1000) for stamp in (999, 1000, 1250, 2000, 4999, 5500)]
+    assert found == [0.0, 1.0, 0.75, 0.0, 0.0, 0.5]
     assert ContactHistory.of(SYSTEM, []).highlight(0, 1000, 1000) == 0.0
     assert not contacts.is_closed(0, 1100)
 
 
 def test_contact_is_closed_from_close_to_open() -> None:
-    """A closing is a hit too; what says nothing new changes nothing."""
+    """A closing is an impact too; closing a closed contact changes nothing."""
     events = [
         switch(1000, Kind.CLOSE, 1),
         switch(2000, Kind.CLOSE, 2),

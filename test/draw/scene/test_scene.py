@@ -1,4 +1,4 @@
-"""Scenes: contact looks like contact exactly when the gap is zero, and nothing overlaps."""
+"""Scenes: bodies meet stops exactly when the gap is zero, and nothing overlaps."""
 
 from itertools import pairwise
 
@@ -43,7 +43,7 @@ def chains_with_stops(draw: st.DrawFn) -> tuple[System, Array]:
 @examples(40)
 @given(chains_with_stops())
 def test_a_body_is_as_far_from_its_stop_as_the_gap_says(case: tuple[System, Array]) -> None:
-    """Over the direction's factor: so it touches exactly where the gap is zero."""
+    """Over the direction's factor, so they meet exactly where the gap is zero."""
     model, states = case
     scene = Scene.of(model, states)
     for q in states:
@@ -182,7 +182,7 @@ def test_couplings_over_other_bodies_never_share_a_lane() -> None:
 
 
 def test_bumper_puts_its_bodies_in_order() -> None:
-    """What is stopped from the left stands on the left, whatever its number."""
+    """A body that is stopped from the left stands on the left, whatever its number."""
     scene = Scene.of(free(3, ([1.0, 0.0, -1.0], 0.5)))
     assert scene.order == (1, 2, 0)
     (bumper,) = scene.bumpers
@@ -191,7 +191,7 @@ def test_bumper_puts_its_bodies_in_order() -> None:
 
 
 def test_contradicting_bumpers_leave_the_order_alone() -> None:
-    """One of two contacts that hold the same bodies together and apart is a bar."""
+    """The second of two contacts that contradict each other is a bar."""
     scene = Scene.of(free(2, ([-1.0, 1.0], 0.5), ([1.0, -1.0], 0.5)))
     assert scene.order == (0, 1)
     assert [each.contact for each in scene.bumpers] == [0]

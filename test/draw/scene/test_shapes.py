@@ -32,7 +32,7 @@ def test_coupling_goes_from_end_to_end(joint: SceneJoint, end: float) -> None:
 
 
 def test_spring_is_one_line_and_a_damper_is_not() -> None:
-    """A zigzag ends where the next stroke begins; piston and cup do not touch."""
+    """A zigzag ends where the next stroke begins; piston and cup are separate."""
     spring = strokes(SceneJoint.SPRING, 0.0, 1.0, 0.0, 0.1)
     np.testing.assert_array_equal(spring[:-1, 1], spring[1:, 0])
     assert {round(float(y), 3) for y in spring[..., 1].flat} == {-0.1, 0.0, 0.1}
@@ -72,7 +72,7 @@ def test_lanes_are_above_and_bars_below_the_bodies() -> None:
 
 
 def test_scene_without_springs_has_no_strokes() -> None:
-    """An array of the right shape, so that nobody has to ask."""
+    """But arrays of the right shape."""
     scene = Scene.of(sample("bouncing_ball").system)
     frame = scene.frame(np.zeros(1))
     for empty in (couplings(scene, frame), rods(frame), rails(scene)):
