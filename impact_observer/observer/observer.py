@@ -1,13 +1,12 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.errors import ImpactObserverError, UsageError
-from impact_observer.estimation.hypotheses import Note
 from impact_observer.estimation.uncertainty import covariance_root, spread
 from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
@@ -17,12 +16,7 @@ from impact_observer.observer.laws.law import Law
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
-from impact_observer.observer.verdicts import (
-    IssuedVerdicts,
-    Subject,
-    with_outcome,
-    with_reasons,
-)
+from impact_observer.observer.verdicts import IssuedVerdicts, with_reasons
 from impact_observer.options import Options
 from impact_observer.stamps import from_seconds, seconds_between, text
 from impact_observer.states import (
@@ -114,7 +108,7 @@ class Observer:
         self._timeline: Timeline | None = None
         self._is_state_given = False
         self._numbers = SequenceNumbers()
-        self._issued = IssuedVerdicts()
+        self._issued = IssuedVerdicts(self._names)
         self._earliest = 0
         if self.epoch:
             self._timeline = Timeline(self._first_entry(self.epoch), self._update.apply)
@@ -396,19 +390,12 @@ class Observer:
             superseded = [each.is_superseded for each in overruled]
             self.remarks[Remark.SUPERSEDED] += sum(superseded)
             self.remarks[Remark.DISORDER] += not all(superseded)
-        if not (overruled or entry.belief.hypotheses or entry.belief.innovations):
-            return self._with_notices(verdicts)
-        notes: Mapping[Subject, Note] = {}
-        others: tuple[Verdict, ...] = ()
-        if entry.belief.hypotheses:
-            # Verdicts on what has been forgotten are final, also where the event itself is late.
-            start = max(entry.key.stamp - self._history, timeline.start.stamp)
-            notes, others = self._issued.after(insertion, start, self._names)
+        # Verdicts on what has been forgotten are final, also where the event itself is late.
+        start = max(entry.key.stamp - self._history, timeline.start.stamp)
+        own, others = self._issued.complete(verdicts, insertion, start)
         if others:
             self.remarks[Remark.SECOND_THOUGHT] += sum(verdict.revises for verdict in others)
-        index = self._index
-        own = [with_outcome(v, index.get(v.contact, -1), insertion, notes) for v in verdicts]
-        return (*self._with_notices(tuple(own)), *others)
+        return (*self._with_notices(own), *others)
 
 
 def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:

@@ -21,7 +21,82 @@ class Subject(NamedTuple):
     inserted: bool = False
 
 
-def with_outcome(
+class IssuedVerdicts:
+    """The latest verdict on each subject, so that a changed one is issued again."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        """Start with no verdict issued; ``names`` are those of the contacts."""
+        self._names = names
+        self._index = {name: i for i, name in enumerate(names)}
+        self._issued: dict[Subject, Note] = {}
+        self._notes: tuple[Note, ...] = ()
+
+    def complete(
+        self, verdicts: tuple[Verdict, ...], insertion: Insertion, start: int
+    ) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
+        """The verdicts on an inserted event, and those that change with it.
+
+        Args:
+            verdicts: on the switches of the event, without their outcome.
+            insertion: of the event.
+            start: stamp of the start of the past, ns; older verdicts are final.
+
+        Returns:
+            ``verdicts`` with their outcome; verdicts on inserted impacts and on earlier events.
+        """
+        entry, belief = insertion.entry, insertion.entry.belief
+        notes: dict[Subject, Note] = {}
+        others: tuple[Verdict, ...] = ()
+        if belief.hypotheses:
+            notes, others = self._revised(insertion, start)
+        elif not (entry.overruled or insertion.overrules or belief.innovations):
+            return verdicts, ()
+        index = self._index
+        own = [_with_outcome(v, index.get(v.contact, -1), insertion, notes) for v in verdicts]
+        return tuple(own), others
+
+    def _revised(
+        self, insertion: Insertion, start: int
+    ) -> tuple[dict[Subject, Note], tuple[Verdict, ...]]:
+        """The notes of the likeliest hypothesis, and verdicts on other subjects than the event."""
+        notes, outdated = self._changed(insertion, start)
+        verdicts, own = [], insertion.entry.event
+        for subject, latest in notes.items():
+            issued = self._issued.get(subject)
+            outdated.pop(subject, None)
+            if issued is not None and issued.decision == latest.decision:
+                continue
+            note = latest if issued is None else latest._replace(stamp=issued.stamp)
+            if subject.inserted or subject.event != own:
+                verdicts.append(_verdict(note, self._names, revises=issued is not None))
+            self._issued[subject] = note
+        for subject, note in outdated.items():
+            del self._issued[subject]
+            if subject.inserted:
+                verdicts.append(_withdrawal(note, self._names))
+        return notes, tuple(verdicts)
+
+    def _changed(
+        self, insertion: Insertion, start: int
+    ) -> tuple[dict[Subject, Note], dict[Subject, Note]]:
+        """Notes that may not have been issued, and issued ones that may be outdated."""
+        last = insertion.later[-1] if insertion.later else insertion.entry
+        before, self._notes = self._notes, _notes(last)
+        added = () if insertion.later else _added(before, self._notes)
+        found = _by_subject(added) if added else _all_notes(insertion)
+        current = {subject: n for subject, n in found.items() if subject.event[0] >= start}
+        if added or not current:  # the usual case: the same hypothesis goes on
+            return current, {}
+        since = min(subject.event for subject in current)
+        return current, {s: note for s, note in self._issued.items() if s.event >= since}
+
+    def forget_before(self, stamp: int) -> None:
+        """Drop verdicts on what lies before ``stamp`` (ns): they are final."""
+        for subject in [*takewhile(lambda each: each.event[0] < stamp, self._issued)]:
+            del self._issued[subject]
+
+
+def _with_outcome(
     verdict: Verdict, contact: int, insertion: Insertion, notes: Mapping[Subject, Note]
 ) -> Verdict:
     """``verdict`` with its ruling, its innovation, and the effect of other events.
@@ -72,65 +147,6 @@ def _overrules(key: EventKey, each: OverruledSwitch) -> str:
 
 def _event(sequence: int) -> str:
     return f"event {sequence}" if sequence else "its stamp"
-
-
-class IssuedVerdicts:
-    """The latest verdict on each subject, so that a changed one is issued again."""
-
-    def __init__(self) -> None:
-        """Start with no verdict issued."""
-        self._issued: dict[Subject, Note] = {}
-        self._notes: tuple[Note, ...] = ()
-
-    def after(
-        self, insertion: Insertion, start: int, names: Sequence[str]
-    ) -> tuple[Mapping[Subject, Note], tuple[Verdict, ...]]:
-        """The notes of the likeliest hypothesis, and the verdicts that follow from them.
-
-        Args:
-            insertion: of an event. Its own switches have their verdicts already.
-            start: stamp of the start of the past, ns; older verdicts are final.
-            names: of the contacts.
-
-        Returns:
-            Notes, with those on the event itself, and verdicts on inserted impacts and on
-            earlier events.
-        """
-        notes, outdated = self._changed(insertion, start)
-        verdicts, own = [], insertion.entry.event
-        for subject, latest in notes.items():
-            issued = self._issued.get(subject)
-            outdated.pop(subject, None)
-            if issued is not None and issued.decision == latest.decision:
-                continue
-            note = latest if issued is None else latest._replace(stamp=issued.stamp)
-            if subject.inserted or subject.event != own:
-                verdicts.append(_verdict(note, names, revises=issued is not None))
-            self._issued[subject] = note
-        for subject, note in outdated.items():
-            del self._issued[subject]
-            if subject.inserted:
-                verdicts.append(_withdrawal(note, names))
-        return notes, tuple(verdicts)
-
-    def _changed(
-        self, insertion: Insertion, start: int
-    ) -> tuple[dict[Subject, Note], dict[Subject, Note]]:
-        """Notes that may not have been issued, and issued ones that may be outdated."""
-        last = insertion.later[-1] if insertion.later else insertion.entry
-        before, self._notes = self._notes, _notes(last)
-        added = () if insertion.later else _added(before, self._notes)
-        found = _by_subject(added) if added else _all_notes(insertion)
-        current = {subject: n for subject, n in found.items() if subject.event[0] >= start}
-        if added or not current:  # the usual case: the same hypothesis goes on
-            return current, {}
-        since = min(subject.event for subject in current)
-        return current, {s: note for s, note in self._issued.items() if s.event >= since}
-
-    def forget_before(self, stamp: int) -> None:
-        """Drop verdicts on what lies before ``stamp`` (ns): they are final."""
-        for subject in [*takewhile(lambda each: each.event[0] < stamp, self._issued)]:
-            del self._issued[subject]
 
 
 def _notes(entry: Entry) -> tuple[Note, ...]:

@@ -149,7 +149,7 @@ def test_true_state_is_left_alone(law: type[ReplicaLaw]) -> None:
         replica = law(model.system)
         for impact in switchings_of(model.system, x, seconds=8.0):
             found = replica.impact(impact.before, impact.contacts, impact.closed)
-            np.testing.assert_allclose(found, impact.after, atol=1e-13)
+            np.testing.assert_allclose(found, impact.after, atol=1e-12)
 
 
 def test_open_loop_ignores_events() -> None:
@@ -162,7 +162,7 @@ def test_kinematic_law_is_a_sprag_clutch() -> None:
     """Velocities jump only where the replica's own contact closes, positions never do."""
     law = Kinematic(sample("two_mass").system)
     closing = law.impact(np.array([0.1, 0.2, 1.0, 2.0]), (0,), ())
-    np.testing.assert_allclose(closing, [0.1, 0.2, 1.0, -1.4], rtol=1e-14)
+    np.testing.assert_allclose(closing, [0.1, 0.2, 1.0, -1.4], rtol=1e-12)
     opening = law.impact(np.array([0.1, 0.2, 1.0, -2.0]), (0,), ())
     assert opening.tolist() == [0.1, 0.2, 1.0, -2.0]
 
@@ -172,7 +172,7 @@ def test_geometric_law_also_closes_the_gap() -> None:
     law = Geometric(sample("two_mass").system)
     found = law.impact(np.array([0.1, 0.2, 1.0, 2.0]), (0,), ())
     # K^-1 w is proportional to (1, 2): the first mass moves half as far as the second.
-    np.testing.assert_allclose(found, [0.1 + 0.15, 0.5, 1.0, -1.4], rtol=1e-14)
+    np.testing.assert_allclose(found, [0.1 + 0.15, 0.5, 1.0, -1.4], rtol=1e-12)
 
 
 @CORRECTING

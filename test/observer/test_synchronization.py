@@ -112,7 +112,7 @@ def test_replicas_of_an_ensemble_move_as_each_does_alone(law: str) -> None:
     for entry in timeline.entries[1:]:
         states = [watcher.estimate(entry.key.stamp) for watcher in alone]
         expected = [np.concatenate([each.q, each.u]) for each in states]
-        np.testing.assert_allclose(entry.belief.replicas, expected, atol=1e-13)
+        np.testing.assert_allclose(entry.belief.replicas, expected, atol=1e-12)
 
 
 @pytest.mark.slow
@@ -126,8 +126,9 @@ def test_convergence_is_the_largest_distance_of_two_replicas() -> None:
             watcher.receive(each)
         timeline = watcher._timeline
         assert timeline is not None
-        pairs = itertools.combinations(timeline.entries[-1].belief.replicas, 2)
-        largest = max(V(THREE_MASS.system, one, two) for one, two in pairs)
+        replicas = timeline.entries[-1].belief.replicas
+        pairs = replicas[:, None] - replicas
+        largest = float(np.max(lyapunov.distance(THREE_MASS.system, *np.split(pairs, 2, axis=-1))))
         found = watcher.estimate(TRUTH.events[2].stamp + 1000).convergence
         if count < 100:
             assert found == pytest.approx(largest, rel=1e-12)
@@ -301,6 +302,7 @@ def test_refuted_bound_ends_the_agreement() -> None:
     assert not last.synchronized
 
 
+@pytest.mark.filterwarnings("ignore:invalid value")
 def test_estimate_that_is_not_finite_is_refused() -> None:
     """A law that overflows ends with one line; the event is not applied."""
 
