@@ -13,7 +13,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.ros.wiring import Setting, Started, monitors, observers, plant
+from impact_observer.ros.wiring import DemoSetup, NodeSetup, monitors, observers, plant
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -50,7 +50,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def _nodes(context: LaunchContext) -> list[Node]:
     given = context.launch_configurations
-    setting = Setting(
+    setup = DemoSetup(
         model=given["model"],
         laws=given["laws"].split(","),
         initial=given["initial_state"],
@@ -59,21 +59,21 @@ def _nodes(context: LaunchContext) -> list[Node]:
         rate=float(given["rate"]),
         epoch=int(given["epoch"]),
     )
-    return [_node(each) for each in (*observers(setting), *monitors(setting), plant(setting))]
+    return [_node(each) for each in (*observers(setup), *monitors(setup), plant(setup))]
 
 
-def _node(started: Started) -> Node:
+def _node(node_setup: NodeSetup) -> Node:
     return Node(
         package="impact_observer",
-        executable=started.executable,
-        name=started.name,
+        executable=node_setup.executable,
+        name=node_setup.name,
         parameters=[
             {
                 name: ParameterValue(value, value_type=type(value))
-                for name, value in started.parameters.items()
+                for name, value in node_setup.parameters.items()
             }
         ],
-        remappings=list(started.remappings.items()),
+        remappings=list(node_setup.remappings.items()),
         output="screen",
         on_exit=Shutdown(),
     )

@@ -20,7 +20,7 @@ from impact_observer.cli.demo import LAWS
 from impact_observer.cli.main import main
 from impact_observer.io.interfaces import VIEWER_MARKERS
 from impact_observer.ros.parameters import TABLES
-from impact_observer.ros.wiring import Setting, monitors, observers, plant
+from impact_observer.ros.wiring import DemoSetup, monitors, observers, plant
 
 ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted(ROOT.glob("launch/*.launch.py"))
@@ -122,8 +122,8 @@ def demo_nodes(duration: float) -> list[Started]:
     """What the demo command starts."""
     pytest.importorskip("rclpy")
     demonstration = importlib.import_module("impact_observer.ros.demonstration")
-    setting = Setting("three_mass", LAWS, "random:7", duration, 4.0, 200.0, EPOCH)
-    nodes = (*observers(setting), *monitors(setting), plant(setting, recorders=1))
+    setup = DemoSetup("three_mass", LAWS, "random:7", duration, 4.0, 200.0, EPOCH)
+    nodes = (*observers(setup), *monitors(setup), plant(setup, recorders=1))
     commands = [demonstration._arguments(node) for node in nodes]
     return [started(name, rest) for _, name, *rest in commands]
 

@@ -1,6 +1,6 @@
 """Plant, two observers and their monitors as ROS 2 processes: recorded, compared, drawn.
 
-The observers hear of the plant's impact times and of nothing else, and start from a wrong state.
+The observers receive the plant's impact times only, and start from a wrong state.
 """
 
 import argparse
@@ -10,7 +10,7 @@ from pathlib import Path
 from impact_observer.cli.arguments import positive
 
 GOAL = 1e-2
-"""V/V0 at which the geometric law must end."""
+"""Largest final V/V0 of the geometric law."""
 LAWS = ("geometric", "kinematic")
 
 
@@ -68,21 +68,21 @@ def demo(
     initial: str,
     rate: float,
 ) -> int:
-    """Run the demonstration and judge it.
+    """Run the demonstration and check its result.
 
     Args:
         model: a model file or a sample's name.
         output: folder for bag, picture and logs; None for a new one here.
         duration: simulated seconds.
         realtime_factor: simulated seconds a second.
-        initial: the observers' initial state, as users write it.
+        initial: the observers' initial state, as on the command line.
         rate: true states and estimates, Hz.
 
     Returns:
         0 when the geometric law ends at ``V/V0 <= GOAL``, 1 otherwise.
 
     Raises:
-        UsageError, ModelError: the arguments cannot be used, or ROS is not here.
+        UsageError, ModelError: an argument is wrong, or ROS is not installed.
         DemonstrationError: a process failed.
     """
     from impact_observer.cli.progress import Progress
@@ -95,24 +95,24 @@ def demo(
     read.initial_state()
     initial_state(initial, read.system)
     from impact_observer.ros import demonstration
-    from impact_observer.ros.wiring import Setting
+    from impact_observer.ros.wiring import DemoSetup
 
     folder = output or Path(time.strftime("demo_%Y%m%d_%H%M%S"))
-    setting = Setting(model, LAWS, initial, duration, realtime_factor, rate, epoch=time.time_ns())
+    setup = DemoSetup(model, LAWS, initial, duration, realtime_factor, rate, epoch=time.time_ns())
     with Progress() as progress:
         progress.line(f"{read.system.name}: plant, {len(LAWS)} observers, {len(LAWS)} monitors")
         progress.show("starting the processes")
 
-        def show(live: demonstration.Live) -> None:
-            v = "  ".join(f"{law} {value:.2e}" for law, value in sorted(live.v.items()))
-            progress.show(f"{live.time:5.1f}/{duration:g} s {live.impacts:4d} impacts  V [J]: {v}")
+        def show(now: demonstration.DemoProgress) -> None:
+            v = "  ".join(f"{law} {value:.2e}" for law, value in sorted(now.v.items()))
+            progress.show(f"{now.time:5.1f}/{duration:g} s {now.impacts:4d} impacts  V [J]: {v}")
 
-        bag = demonstration.run(setting, folder, show)
-    return _judge(bag, folder / "lyapunov.png")
+        bag = demonstration.run(setup, folder, show)
+    return _check_result(bag, folder / "lyapunov.png")
 
 
-def _judge(bag: Path, picture: Path) -> int:
-    """Compare, draw, and say whether the geometric law has made it."""
+def _check_result(bag: Path, picture: Path) -> int:
+    """Compare, draw, and check the geometric law."""
     from impact_observer.compare.bag_comparison import compare_bag, labelled_by_law
     from impact_observer.compare.error_pictures import distance_picture
     from impact_observer.compare.error_tables import print_tables

@@ -1,4 +1,4 @@
-"""Single keys from a terminal, which is put back as it was."""
+"""Single keys from a terminal, whose settings are restored."""
 
 import os
 import re
@@ -13,38 +13,34 @@ from typing import Any, TextIO, final
 
 _KEY = re.compile(r"\x1b[\[O][0-9;]*[A-Za-z~]|.", re.DOTALL)
 _ARROWS = {"A": "up", "B": "down", "C": "right", "D": "left"}
-_ENDS = (signal.SIGTSTP, signal.SIGQUIT, signal.SIGHUP)
-"""Signals that take the terminal away from the command without asking it."""
+_SIGNALS = (signal.SIGTSTP, signal.SIGQUIT, signal.SIGHUP)
+"""Signals that stop or end the command while the terminal is changed."""
 
 
 def keys_in(text: str) -> list[str]:
-    """The keys in what a terminal sends: characters, and arrows as ``up``, ``right``, ...
+    """The keys in the characters of a terminal: arrows are ``up``, ``right``, ...
 
-    Other keys that are more than a character are left out.
+    Other keys of several characters are omitted.
     """
     found = _KEY.findall(text)
-    return [key if len(key) == 1 else _ARROWS[key[-1]] for key in found if _known(key)]
-
-
-def _known(key: str) -> bool:
-    """Whether a key is a character or an arrow."""
-    return len(key) == 1 or key[-1] in _ARROWS
+    names = [key if len(key) == 1 else _ARROWS.get(key[-1]) for key in found]
+    return [name for name in names if name]
 
 
 @final
 class Keyboard:
     """Reads keys as they are pressed, without echo; a context manager.
 
-    Where the input is no terminal, or another program's, no key ever comes. Ctrl-C stays a
-    signal; Ctrl-Z and the like find the terminal as it was.
+    Without a terminal, or in the background, there are no keys. Ctrl-C stays a signal. Signals
+    that stop or end the process restore the terminal first.
 
     Attributes:
-        there: whether keys can come; known within the block.
+        available: whether keys can be read; valid within the block.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
         """Read from ``stream``; None for standard input."""
-        self.there = False
+        self.available = False
         self._stream = stream or sys.stdin
         self._saved: list[Any] = []
         self._file = -1
@@ -57,9 +53,9 @@ class Keyboard:
         except (OSError, ValueError, termios.error):  # closed, or no terminal
             return self
         if threading.current_thread() is threading.main_thread():
-            for each in _ENDS:
+            for each in _SIGNALS:
                 if signal.getsignal(each) is signal.SIG_DFL:
-                    self._handlers[each] = signal.signal(each, self._leave)
+                    self._handlers[each] = signal.signal(each, self._on_signal)
         self._take()
         return self
 
@@ -75,36 +71,40 @@ class Keyboard:
         self._handlers.clear()
 
     def pressed(self) -> list[str]:
-        """The keys since the last call: characters, ``up``, ``down``, ``right``, ``left``."""
-        if not (self.there and self._ours() and select.select([self._file], [], [], 0.0)[0]):
+        """The keys since the last call, as :func:`keys_in` names them."""
+        if not (
+            self.available
+            and self._in_foreground()
+            and select.select([self._file], [], [], 0.0)[0]
+        ):
             return []
         if not (data := os.read(self._file, 64)):
-            self.there = False  # the terminal is gone
+            self.available = False  # the terminal is gone
         return keys_in(data.decode(errors="ignore"))
 
-    def _ours(self) -> bool:
-        """Whether the terminal is ours: from the background, touching it would stop us."""
+    def _in_foreground(self) -> bool:
+        """Whether this process is in the foreground; otherwise changing the terminal stops it."""
         try:
             return os.tcgetpgrp(self._file) == os.getpgrp()
         except OSError:
             return False
 
     def _take(self) -> None:
-        """Have keys come at once and unseen."""
-        if self._ours():
+        """Have keys delivered without a line's end, and without echo."""
+        if self._in_foreground():
             tty.setcbreak(self._file, termios.TCSANOW)
-            self.there = True
+            self.available = True
 
     def _restore(self) -> None:
-        """Leave the terminal as it was found."""
-        if self.there and self._ours():
+        """Restore the terminal's settings."""
+        if self.available and self._in_foreground():
             termios.tcsetattr(self._file, termios.TCSADRAIN, self._saved)
-        self.there = False
+        self.available = False
 
-    def _leave(self, number: int, _frame: FrameType | None) -> None:
-        """Restore the terminal, and let the signal do what it does; if it was a stop, go on."""
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        """Restore the terminal and apply the signal's default; take keys again after a stop."""
         self._restore()
         signal.signal(number, signal.SIG_DFL)
         signal.raise_signal(signal.Signals(number))
-        signal.signal(number, self._leave)
+        signal.signal(number, self._on_signal)
         self._take()

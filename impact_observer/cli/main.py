@@ -1,4 +1,4 @@
-"""The entry point: finds the subcommand, runs it, turns known errors into one line."""
+"""The entry point: runs the subcommand, and prints the package's errors in one line."""
 
 import argparse
 import os
@@ -17,16 +17,16 @@ PROGRAM = "impact-observer"
 COMMANDS = {
     "demo": "plant, observers and monitors as processes, a bag, a comparison, a picture",
     "check-model": "what a model means for an observer: modes, contacts, impact law",
-    "observability": "what the impacts in a bag have told of the state: rank, condition, unknowns",
-    "identify": "learn a model's parameters from impact times, or check it against them",
+    "observability": "what the impacts in a bag reveal of the state: rank, condition, unknowns",
+    "identify": "estimate a model's parameters from impact times, or check it against them",
     "simulate": "run a plant without ROS: impacts and true states into a bag",
     "detect": "find the impacts in a bag of switches, accelerations, forces",
-    "import": "make a bag of impact times in a CSV file",
+    "import": "make a bag from the impact times in a CSV file",
     "observe": "run an observer on the impacts in a bag",
     "compare": "estimates against the truth: V(t), errors, a picture",
     "sweep": "Monte Carlo over laws, starts, sensors and wrong models, on all cores or a cluster",
     "figure": "from a model to the picture: V(t) of several laws",
-    "animate": "plant and estimates of a bag, moving: a film or a page",
+    "animate": "plant and estimates of a bag in motion: a film or a page",
     "export": "states, errors or events of a bag as CSV or Parquet",
     "urdf": "a URDF of a model, moved by the joint states of plant or observer",
     "info": "what is in a bag",
@@ -62,7 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{PROGRAM}: {'; '.join(['interrupted', *map(str, stopped.args)])}", file=sys.stderr)
         return 1
     except BrokenPipeError:
-        # The reader of our output went away; it must not be told so again at exit.
+        # The reader of our output has closed it; Python would report that again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
 
@@ -81,7 +81,7 @@ def _joined(argv: Sequence[str]) -> list[str]:
 def _run(argv: Sequence[str]) -> int:
     parser = _Parser(
         prog=PROGRAM,
-        description="Know the state of an impacting mechanical system from its impact times.",
+        description="Estimate the state of an impacting mechanical system from its impact times.",
     )
     parser.add_argument("--version", action="version", version=f"{PROGRAM} {__version__}")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -99,6 +99,6 @@ def _run(argv: Sequence[str]) -> int:
 
 
 def _module(command: str) -> ModuleType:
-    """The module of a subcommand; one that is a word of Python has ``_`` at its end."""
+    """The module of a subcommand; a keyword of Python has ``_`` at its end."""
     name = f"{command}_" if iskeyword(command) else command.replace("-", "_")
     return import_module(f"impact_observer.cli.{name}")

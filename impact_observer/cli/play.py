@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _DELAY = 5.0
 _CLOCK_RATE = 100.0
-"""Nodes that hear the bag want its time too, so /clock is published unless told otherwise."""
+"""Nodes that receive the bag need its time too, so /clock is published by default."""
 _NAME = r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*"
 _REMAPPING = re.compile(f"({_NAME}):=({_NAME})")
 _KEYS = {
@@ -30,7 +30,7 @@ _KEYS = {
     "down": "SLOWER",
     "q": "QUIT",
 }
-"""What keys want, by the names of :class:`~impact_observer.io.play_schedule.Control`."""
+"""Keys, and names of :class:`~impact_observer.io.play_schedule.Control`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,9 +45,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rate", metavar="R", type=float, default=1.0, help="times as fast (default: 1)"
     )
-    parser.add_argument("--loop", action="store_true", help="begin again at the end")
+    parser.add_argument("--loop", action="store_true", help="start again at the end")
     parser.add_argument(
-        "--start", metavar="S", type=float, default=0.0, help="begin S seconds into the bag"
+        "--start", metavar="S", type=float, default=0.0, help="start S seconds into the bag"
     )
     parser.add_argument(
         "--duration", metavar="S", type=positive, help="play S seconds of the bag (default: all)"
@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_clock_arguments(parser: argparse.ArgumentParser) -> None:
-    """Whether ``/clock`` is published, and how often."""
+    """Whether ``/clock`` is published, and its rate."""
     clock = parser.add_mutually_exclusive_group()
     clock.add_argument(
         "--clock",
@@ -101,7 +101,7 @@ def _add_clock_arguments(parser: argparse.ArgumentParser) -> None:
         dest="clock",
         action="store_const",
         const=None,
-        help="leave /clock alone: for a bag whose stamps are the present",
+        help="do not publish /clock: for a bag whose stamps are in the present",
     )
 
 
@@ -138,15 +138,15 @@ def play(bag: Path, how: "Playing", *, delay: float = _DELAY) -> int:
 
     Args:
         bag: the bag.
-        how: what of it and how fast.
+        how: topics, part and rate.
         delay: longest wait for subscribers before the first message, s.
 
     Returns:
         0.
 
     Raises:
-        UsageError: ROS or the bag is not here, an argument does not fit the bag, or it is to
-            begin paused where no key can be read.
+        UsageError: ROS is not installed, there is no bag, an argument does not fit the bag, or it
+            should start paused where no keys can be read.
         BagError: the bag is damaged.
     """
     from impact_observer.cli.keyboard import Keyboard
@@ -158,11 +158,11 @@ def play(bag: Path, how: "Playing", *, delay: float = _DELAY) -> int:
 
     name = bag.resolve().name
     with Progress() as progress, Keyboard() as keyboard:
-        if keyboard.there:
+        if keyboard.available:
             progress.line("space pauses, n: next message, up, down: rate, q ends")
         elif how.paused:
             raise UsageError(
-                "start-paused: nobody can go on; standard input is no terminal that takes keys"
+                "start-paused: needs a terminal on standard input, for the key that continues"
             )
 
         def show(now: "Player") -> None:
@@ -179,7 +179,7 @@ def play(bag: Path, how: "Playing", *, delay: float = _DELAY) -> int:
 
 
 def controls_of(keyboard: "Keyboard") -> "list[Control]":
-    """What the keys pressed want; other keys want nothing."""
+    """The controls of the keys pressed."""
     from impact_observer.io.play_schedule import Control
 
     return [Control[_KEYS[key]] for key in keyboard.pressed() if key in _KEYS]

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from impact_observer.ros.recorder import RecordedTopic
+    from impact_observer.ros.recorder import RecordedTopics
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.add_argument(
-        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
+        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to create"
     )
     parser.add_argument(
         "--topics",
@@ -64,10 +64,10 @@ def record(
     duration: float | None = None,
     compressed: bool = False,
 ) -> int:
-    """Record a bag and say what is found.
+    """Record a bag and print what is found.
 
     Args:
-        output: the folder to make.
+        output: the folder to create.
         topics: only these topics; None for every topic that appears.
         exclude: none of these; ``*`` in a name stands for anything.
         use_sim_time: whether log times follow ``/clock``.
@@ -78,7 +78,7 @@ def record(
         0.
 
     Raises:
-        UsageError: ROS is not here, something is at ``output`` already, or the duration is not
+        UsageError: ROS is not installed, ``output`` exists already, or the duration is not
             positive.
         BagError: the bag cannot be written.
     """
@@ -106,16 +106,16 @@ def record(
             on_topic=lambda topic, type_name: progress.line(f"recording {topic} [{type_name}]"),
             on_progress=show,
         )
-        for line in _account(recorded):
+        for line in _counts(recorded):
             progress.line(line)
         count = sum(recorded.counts.values())
         progress.line(f"{count:>9} {'message' if count == 1 else 'messages'} in {output}")
     return 0
 
 
-def _account(recorded: "RecordedTopic") -> Iterator[str]:
-    """What came, and what did not."""
+def _counts(recorded: "RecordedTopics") -> Iterator[str]:
+    """Lines with the count of each topic."""
     for topic, count in recorded.counts.items():
-        yield f"{count:>9} {topic}{'' if count else ': was there, but said nothing'}"
+        yield f"{count:>9} {topic}{'' if count else ': no messages'}"
     for topic in recorded.missing:
         yield f"{0:>9} {topic}: never appeared"

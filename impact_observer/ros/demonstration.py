@@ -26,8 +26,8 @@ from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.recorder import Recorder, drain
 from impact_observer.ros.session import Stop, ros_node
 from impact_observer.ros.wiring import (
-    Setting,
-    Started,
+    DemoSetup,
+    NodeSetup,
     monitor_name,
     monitors,
     observer_name,
@@ -40,28 +40,28 @@ _START_UP = 30.0
 _SHUT_DOWN = 10.0
 """How long a process may take to end after SIGINT, s."""
 _SILENCE = 20.0
-"""How long the plant may say nothing before it counts as dead, s."""
+"""Time without a message after which the plant counts as dead, s."""
 _CATCH_UP = 5.0
-"""How long the observers may go on after the plant has ended, s."""
+"""How long the observers may continue after the plant has ended, s."""
 _DISCOVERY = 1.5
-"""How long to look for others on the same ROS domain, s."""
+"""How long to search for other nodes on the same ROS domain, s."""
 _SPIN = 0.05
-"""Between two looks at the processes, s."""
+"""Between two checks of the processes, s."""
 
 
 class DemonstrationError(ImpactObserverError):
-    """A process that failed, or that did not come up."""
+    """A process failed, or did not start."""
 
 
 @dataclass(slots=True)
-class Live:
-    """What is known while it runs.
+class DemoProgress:
+    """How far the demonstration is.
 
     Attributes:
         time: simulated time since the epoch, s.
         impacts: events so far.
         v: latest Lyapunov distance of each law, J.
-        reached: how far each law's estimates have come, simulated time since the epoch, s.
+        reached: time of each law's last estimate, simulated, since the epoch, s.
     """
 
     time: float = 0.0
@@ -70,23 +70,23 @@ class Live:
     reached: dict[str, float] = field(default_factory=dict)
 
 
-def run(setting: Setting, folder: Path, show: Callable[[Live], None]) -> Path:
+def run(setup: DemoSetup, folder: Path, show: Callable[[DemoProgress], None]) -> Path:
     """Run the demonstration.
 
     Args:
-        setting: what to run.
-        folder: to make, for the bag and the ``logs`` of what the processes print.
-        show: told what is known, about twenty times a second.
+        setup: what to run.
+        folder: created for the bag and the processes' ``logs``.
+        show: called with the progress about twenty times a second.
 
     Returns:
         The bag.
 
     Raises:
-        UsageError: another plant runs on this ROS domain, a parameter cannot be used, or the
-            folder cannot be made.
+        UsageError: another plant runs on this ROS domain, a parameter is not allowed, or the
+            folder cannot be created.
         DemonstrationError: a process failed, or the run was interrupted.
     """
-    for each in (plant(setting), *observers(setting), *monitors(setting)):
+    for each in (plant(setup), *observers(setup), *monitors(setup)):
         check(TABLES[each.executable], each.parameters)
     bag, logs = folder / "bag", folder / "logs"
     with (
@@ -94,28 +94,28 @@ def run(setting: Setting, folder: Path, show: Callable[[Live], None]) -> Path:
         ros_node("demo", use_sim_time=True) as (node, executor),
         contextlib.ExitStack() as later,
     ):
-        _refuse_company(node, executor)
+        _refuse_other_nodes(node, executor)
         _make(folder)
         logs.mkdir()
         writer = later.enter_context(BagWriter(bag))
-        recorder, live = Recorder(node, writer), Live()
-        _subscribe(node, setting, live)
-        with _processes(setting, logs) as processes:
-            _wait_until_heard(executor, recorder, processes, stop, setting=setting, logs=logs)
-            with _process(plant(setting, recorders=1), logs) as master:
-                heard, told = time.monotonic(), -1
+        recorder, progress = Recorder(node, writer), DemoProgress()
+        _subscribe(node, setup, progress)
+        with _processes(setup, logs) as processes:
+            _wait_for_connections(executor, recorder, processes, stop, setup=setup, logs=logs)
+            with _process(plant(setup, recorders=1), logs) as master:
+                last_message, count = time.monotonic(), -1
                 while master.poll() is None and not stop.requested:
                     executor.spin_once(timeout_sec=_SPIN)
                     _check_all(processes, logs)
-                    show(live)
-                    if writer.message_count > told:
-                        heard, told = time.monotonic(), writer.message_count
-                    elif time.monotonic() > heard + _SILENCE:
+                    show(progress)
+                    if writer.message_count > count:
+                        last_message, count = time.monotonic(), writer.message_count
+                    elif time.monotonic() > last_message + _SILENCE:
                         raise DemonstrationError(f"plant: silent for {_SILENCE:g} s; see {logs}")
                 if stop.requested:
                     raise DemonstrationError(f"interrupted; what was recorded is in {bag}")
                 _check("plant", master, logs)
-            _let_catch_up(executor, setting, live)
+            _let_catch_up(executor, setup, progress)
             drain(executor, writer)
             recorder.close()
     return bag
@@ -130,17 +130,17 @@ def _make(folder: Path) -> None:
         raise UsageError(f"{folder}: cannot be made: {error.strerror}") from None
 
 
-def _subscribe(node: Node, setting: Setting, live: Live) -> None:
-    """Keep ``live`` up to date."""
+def _subscribe(node: Node, setup: DemoSetup, progress: DemoProgress) -> None:
+    """Update ``progress`` by messages."""
 
     def on_impact(_: object) -> None:
-        live.impacts += 1
+        progress.impacts += 1
 
     def on_error(message: ErrorMessage) -> None:
-        live.v[message.law] = message.v
+        progress.v[message.law] = message.v
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-        at = live.reached[message.law] = (stamp - setting.epoch) * 1e-9
-        live.time = max(live.time, at)
+        at = progress.reached[message.law] = (stamp - setup.epoch) * 1e-9
+        progress.time = max(progress.time, at)
 
     node.create_subscription(
         message_class(interfaces.IMPACT_EVENT),
@@ -149,13 +149,13 @@ def _subscribe(node: Node, setting: Setting, live: Live) -> None:
         qos_profile(interfaces.EVENTS),
     )
     error = message_class(interfaces.ESTIMATE_ERROR)
-    for law in setting.laws:
+    for law in setup.laws:
         topic = f"{monitor_name(law)}/error"
         node.create_subscription(error, topic, on_error, qos_profile(interfaces.STATES))
 
 
-def _refuse_company(node: Node, executor: SingleThreadedExecutor) -> None:
-    """Another plant or demonstration on the same domain would be taken for ours."""
+def _refuse_other_nodes(node: Node, executor: SingleThreadedExecutor) -> None:
+    """Raise if another plant or demonstration runs on this domain: they would be mixed up."""
     until = time.monotonic() + _DISCOVERY
     while time.monotonic() < until:
         executor.spin_once(timeout_sec=_SPIN)
@@ -168,19 +168,19 @@ def _refuse_company(node: Node, executor: SingleThreadedExecutor) -> None:
             )
 
 
-def _wait_until_heard(
+def _wait_for_connections(
     executor: SingleThreadedExecutor,
     recorder: Recorder,
     processes: Mapping[str, "subprocess.Popen[bytes]"],
     stop: Stop,
     *,
-    setting: Setting,
+    setup: DemoSetup,
     logs: Path,
 ) -> None:
-    """Until the recorder is connected to all observers and monitors: nothing is missed then."""
+    """Wait until the recorder is connected to all observers and monitors."""
     topics = [
         topic
-        for law in setting.laws
+        for law in setup.laws
         for topic in (
             f"{observer_name(law)}/state",
             f"{observer_name(law)}/joint_states",
@@ -189,40 +189,42 @@ def _wait_until_heard(
         )
     ]
     until = time.monotonic() + _START_UP
-    while missing := [topic for topic in topics if not recorder.uses_events(topic)]:
+    while missing := [topic for topic in topics if not recorder.is_connected(topic)]:
         executor.spin_once(timeout_sec=_SPIN)
         _check_all(processes, logs)
         if stop.requested:
             raise DemonstrationError("interrupted before the plant began")
         if time.monotonic() > until:
             raise DemonstrationError(
-                f"{missing[0]}: not heard after {_START_UP:g} s; does DDS work on this machine?"
+                f"{missing[0]}: not received after {_START_UP:g} s; does DDS work on this machine?"
             )
 
 
-def _let_catch_up(executor: SingleThreadedExecutor, setting: Setting, live: Live) -> None:
-    """The plant has ended; an observer that lags behind is heard to the end as well."""
-    until, end = time.monotonic() + _CATCH_UP, setting.duration - 1.5 / setting.rate
-    while any(live.reached.get(law, 0.0) < end for law in setting.laws):
+def _let_catch_up(
+    executor: SingleThreadedExecutor, setup: DemoSetup, progress: DemoProgress
+) -> None:
+    """Wait until the estimates have reached the end of the plant's run."""
+    until, end = time.monotonic() + _CATCH_UP, setup.duration - 1.5 / setup.rate
+    while any(progress.reached.get(law, 0.0) < end for law in setup.laws):
         if time.monotonic() > until:
             return
         executor.spin_once(timeout_sec=_SPIN)
 
 
 @contextlib.contextmanager
-def _processes(setting: Setting, logs: Path) -> Iterator[dict[str, "subprocess.Popen[bytes]"]]:
-    """Observers and monitors, ended when the block ends."""
+def _processes(setup: DemoSetup, logs: Path) -> Iterator[dict[str, "subprocess.Popen[bytes]"]]:
+    """Observers and monitors, until the block ends."""
     with contextlib.ExitStack() as stack:
         processes = {
             each.name: stack.enter_context(_process(each, logs))
-            for each in (*observers(setting), *monitors(setting))
+            for each in (*observers(setup), *monitors(setup))
         }
         yield processes
 
 
 @contextlib.contextmanager
-def _process(node: Started, logs: Path) -> Iterator["subprocess.Popen[bytes]"]:
-    """One node as a process in a group of its own: Ctrl-C comes from here only."""
+def _process(node: NodeSetup, logs: Path) -> Iterator["subprocess.Popen[bytes]"]:
+    """One node as a process in a session of its own, so that Ctrl-C reaches it from here only."""
     with (logs / f"{node.name}.log").open("wb") as log:
         process = _spawn(_arguments(node), log)
         try:
@@ -264,7 +266,7 @@ def _check(name: str, process: "subprocess.Popen[bytes]", logs: Path) -> None:
     raise DemonstrationError(f"{name} ended with exit code {process.returncode}{last}")
 
 
-def _arguments(node: Started) -> list[str]:
+def _arguments(node: NodeSetup) -> list[str]:
     """For ``python -m``; strings are quoted, as YAML would read some of them otherwise."""
     arguments = ["impact_observer.ros.entry", node.executable, "--ros-args"]
     arguments += ["-r", f"__node:={node.name}"]

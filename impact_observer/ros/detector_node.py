@@ -1,4 +1,4 @@
-"""The detector node: what sensors publish in, impact events out."""
+"""The detector node: sensor messages in, impact events out."""
 
 from collections.abc import Mapping
 
@@ -18,23 +18,22 @@ from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.subscribing import MessageInfo, common_offer, waiting_messages
 from impact_observer.stamps import text
 
-_LOOK = 0.1
-"""How often the graph is looked at for the sensors' topics, s."""
+_DISCOVERY_PERIOD = 0.1
+"""How often the graph is searched for the sensors' topics, s."""
 _TICK = 0.01
-"""How often silence is listened to, s."""
+"""How often the present time is given to the detector, s."""
 _DEPTH = 5000
-"""Messages that a sensor may be ahead of the node: half a second at 10 kHz."""
-_BURST = 500
-"""Messages taken at once, before the timers have their turn."""
+"""Messages of a sensor that may wait: half a second at 10 kHz."""
+_MAX_MESSAGES = 500
+"""Waiting messages taken before the timers have their turn."""
 
 
 class DetectorNode(Node):
     """Runs one :class:`Detector` on the topics of its sources.
 
-    A message without a stamp in its header is stamped by the middleware where it was published;
-    under simulated time, which the middleware does not know, by the clock when it is heard. What
-    a latched switch has said before the node began is heard too, but not under simulated time:
-    the clock would stamp it with the present.
+    A message without a stamp in its header gets the middleware's time of publication. The
+    middleware has no simulated time: there it gets the time of arrival. Past messages of a latched
+    switch are received too, but not under simulated time, where they would get the present time.
     """
 
     def __init__(self) -> None:
@@ -43,10 +42,10 @@ class DetectorNode(Node):
         self._wanted = list(read_sources(values.text("sources")))
         self._detector = Detector(epoch=values.integer("epoch"))
         self._indices: dict[str, list[int]] = {}
-        self._asked: dict[str, Quality] = {}
+        self._requested: dict[str, Quality] = {}
         self._subscriptions_by_topic: dict[str, Subscription] = {}
-        self._told: dict[int, tuple[int, int]] = {}
-        self._unheard = 0
+        self._last_counts: dict[int, tuple[int, int]] = {}
+        self._unstamped = 0
         self._make = ros_messages()
         self._impacts = self.create_publisher(
             message_class(interfaces.IMPACTS.type),
@@ -57,7 +56,7 @@ class DetectorNode(Node):
             DiagnosticArray, "/diagnostics", qos_profile(interfaces.DIAGNOSTIC_ARRAYS.quality)
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_LOOK, self._discover, clock=steady)
+        self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=steady)
         self.create_timer(_TICK, self._on_tick, clock=steady)
         self.create_timer(1.0, self._diagnose, clock=steady)
         backwards = JumpThreshold(
@@ -71,7 +70,7 @@ class DetectorNode(Node):
         return int(self.get_clock().now().nanoseconds)
 
     def _discover(self) -> None:
-        """Listen to the topics that have a publisher, whose type says what they are."""
+        """Subscribe to the sensors' topics that have a publisher, and thus a type."""
         for source in tuple(self._wanted):
             topic = self.resolve_topic_name(source.topic)
             publishers = self.get_publishers_info_by_topic(topic)
@@ -80,53 +79,55 @@ class DetectorNode(Node):
                 self._indices.setdefault(topic, []).append(self._detector.add(complete))
                 self._wanted.remove(source)
         for topic in self._indices:
-            self._listen(topic)
+            self._subscribe(topic)
 
-    def _listen(self, topic: str) -> None:
-        """Subscribe to what all publishers of a topic offer, and to no more."""
+    def _subscribe(self, topic: str) -> None:
+        """Subscribe with the quality of service that all publishers of a topic offer."""
         publishers = self.get_publishers_info_by_topic(topic)
         if not publishers:
             return
         offered = common_offer(topic, publishers)
-        before = self._asked.get(topic)
+        before = self._requested.get(topic)
         reliable = offered.reliable and (before is None or before.reliable)
-        latched = reliable and offered.transient_local and self._has_latched_switch(topic)
+        latched = reliable and offered.transient_local and self._wants_past_messages(topic)
         wanted = Quality(reliable, latched and (before is None or before.transient_local), _DEPTH)
         if wanted == before:
             return
         if before is not None:
             self.destroy_subscription(self._subscriptions_by_topic.pop(topic))
-        self._asked[topic] = wanted
+        self._requested[topic] = wanted
         self._subscriptions_by_topic[topic] = self.create_subscription(
             message_class(publishers[0].topic_type),
             topic,
             lambda message, info: self._on_message(topic, message, info),
-            qos_profile(self._asked[topic]),
+            qos_profile(self._requested[topic]),
         )
 
-    def _has_latched_switch(self, topic: str) -> bool:
-        """Whether what was said before now still holds, and when it was said can be known."""
+    def _wants_past_messages(self, topic: str) -> bool:
+        """Whether past messages are of use: those of a switch, if their time is available."""
         kinds = {self._detector.sources[index].kind for index in self._indices[topic]}
         return SWITCH in kinds and not self.get_clock().ros_time_is_active
 
     def _on_message(self, topic: str, message: object, info: MessageInfo) -> None:
-        """Hear a message that the executor brings, and at once those that wait behind it.
+        """Process a message, and those that wait behind it.
 
-        Under simulated time they wait for the clock's next tick, which stamps them.
+        Under simulated time those wait for the clock, which stamps them.
         """
-        self._hear(topic, message, info)
+        self._detect(topic, message, info)
         if self.get_clock().ros_time_is_active:
             return
-        for behind, its_info in waiting_messages(self._subscriptions_by_topic[topic], _BURST):
-            self._hear(topic, behind, its_info)
+        for waiting, its_info in waiting_messages(
+            self._subscriptions_by_topic[topic], _MAX_MESSAGES
+        ):
+            self._detect(topic, waiting, its_info)
 
-    def _hear(self, topic: str, message: object, info: MessageInfo) -> None:
-        """Detect, unless simulated time has not begun."""
+    def _detect(self, topic: str, message: object, info: MessageInfo) -> None:
+        """Publish the events in a message, unless simulated time has not started."""
         arrival = self._now()
         if not self.get_clock().ros_time_is_active:
             arrival = info["source_timestamp"] or arrival
         if arrival == 0:
-            self._unheard += 1
+            self._unstamped += 1
             return
         for index in self._indices[topic]:
             self._publish(self._detector.feed(index, message, arrival))
@@ -136,39 +137,39 @@ class DetectorNode(Node):
             self._impacts.publish(self._make.event(event))
 
     def _on_tick(self) -> None:
-        """A switch that stays silent may have closed for long."""
+        """Let time pass: a switch without messages may stay closed."""
         if now := self._now():
             self._publish(self._detector.advance(now))
 
     def _on_clock_back(self, _: TimeJump) -> None:
-        """The clock jumped back (a bag loop, say): a new episode."""
+        """Start a new episode after a backward jump of the clock, as of a looped bag."""
         self._detector.restart()
 
     def _diagnose(self) -> None:
-        """Publish what each sensor says, and what is wrong, to ``/diagnostics``."""
+        """Publish the state of each sensor to ``/diagnostics``."""
         array = DiagnosticArray()
         array.header.stamp = self.get_clock().now().to_msg()
         array.status = [
-            *(self._waited_for(source) for source in self._wanted),
-            *(self._heard(index) for index in range(len(self._detector.sources))),
+            *(self._missing_status(source) for source in self._wanted),
+            *(self._sensor_status(index) for index in range(len(self._detector.sources))),
         ]
         self._diagnostics.publish(array)
 
-    def _waited_for(self, source: Source) -> DiagnosticStatus:
-        """A sensor that has no publisher."""
+    def _missing_status(self, source: Source) -> DiagnosticStatus:
+        """The status of a sensor without a publisher."""
         topic = self.resolve_topic_name(source.topic)
-        return self._status(source, DiagnosticStatus.WARN, f"nobody publishes {topic}", {})
+        return self._status(source, DiagnosticStatus.WARN, f"no node publishes {topic}", {})
 
-    def _heard(self, index: int) -> DiagnosticStatus:
-        """A sensor that has one."""
+    def _sensor_status(self, index: int) -> DiagnosticStatus:
+        """The status of a sensor with a publisher."""
         source, counts = self._detector.sources[index], self._detector.counts[index]
-        messages, passed_over = self._told.get(index, (0, 0))
-        now_passed_over = counts.invalid + counts.out_of_order
-        self._told[index] = (counts.messages, now_passed_over)
+        messages, unusable = self._last_counts.get(index, (0, 0))
+        now_unusable = counts.invalid + counts.out_of_order
+        self._last_counts[index] = (counts.messages, now_unusable)
         level, message = DiagnosticStatus.OK, f"{counts.impacts} impacts"
-        if now_passed_over > passed_over or not counts.messages:
+        if now_unusable > unusable or not counts.messages:
             level, message = DiagnosticStatus.WARN, self._detector.problem(index)
-        if self._unheard and not self._now():
+        if self._unstamped and not self._now():
             level, message = DiagnosticStatus.WARN, "use_sim_time is set, but no /clock has come"
         return self._status(source, level, message, _figures(source, counts, messages))
 

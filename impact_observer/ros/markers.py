@@ -37,8 +37,8 @@ class MarkerRow:
     """A plant or an estimate among the rows.
 
     Attributes:
-        name: what it is called; its markers' namespaces begin with it.
-        place: which row, from 0.
+        name: of the row; namespaces of its markers begin with it.
+        place: number of the row, from 0.
         colour: of its bodies.
     """
 
@@ -56,16 +56,16 @@ class Painter:
         self._unit = 2 * scene.half
 
     def clear(self, time: Time) -> MarkerArray:
-        """What removes all markers that are there from before."""
+        """Deletes all earlier markers."""
         return MarkerArray(markers=[self._marker("", 0, Marker.DELETEALL, time)])
 
     def markers(self, row: MarkerRow, q: Vector, lit: Collection[int], time: Time) -> list[Marker]:
         """All markers of a row.
 
         Args:
-            row: which.
+            row: the row.
             q: coordinates, shape (n,), m.
-            lit: indices of contacts that are closed or were hit a moment ago.
+            lit: indices of contacts that are closed or had an impact just before.
             time: when the state holds.
         """
         frame = self._scene.frame(q)
@@ -75,7 +75,7 @@ class Painter:
         return found
 
     def _boxes(self, row: MarkerRow, frame: Frame, lit: Collection[int]) -> Iterator[Marker]:
-        """Bodies, stops, pins of bars, and what springs to the ground end in."""
+        """Bodies, stops, pins of bars, and the ground ends of springs."""
         scene = self._scene
         for slot, x in enumerate(frame.bodies.tolist()):
             box = Box(x - scene.half, 0.0, 2 * scene.half, 1.0)
@@ -120,7 +120,7 @@ class Painter:
         return marker
 
     def _list(self, row: MarkerRow, name: str, strokes: Matrix, width: float) -> Marker:
-        """Strokes, in the middle of the bodies."""
+        """Lines, in the middle plane of the bodies."""
         marker = self._marker(f"{row.name}/{name}", 0, Marker.ADD)
         marker.type = Marker.LINE_LIST
         marker.points = [self._point(row, x, z) for x, z in strokes.reshape(-1, 2).tolist()]
@@ -131,7 +131,7 @@ class Painter:
     def _text(
         self, row: MarkerRow, key: tuple[str, int], at: tuple[float, float], text: str
     ) -> Marker:
-        """Letters that look at the viewer."""
+        """A text that faces the viewer."""
         marker = self._marker(f"{row.name}/{key[0]}", key[1], Marker.ADD)
         marker.type, marker.text = Marker.TEXT_VIEW_FACING, text
         marker.pose.position = self._point(row, *at)

@@ -1,4 +1,4 @@
-"""The monitor node: the estimate's distance from the truth. Only it sees both."""
+"""The monitor node: the estimate's distance from the truth. Only this node has both."""
 
 from collections import OrderedDict
 
@@ -15,12 +15,12 @@ from impact_observer.ros import parameters
 from impact_observer.ros.message_classes import message_class, read_state, ros_messages
 from impact_observer.ros.qos import qos_profile
 
-_MEMORY = 2000
-"""States kept until their counterpart comes, and until there is time for them."""
+_DEPTH = 2000
+"""States kept until their counterpart arrives, and depth of the subscriptions."""
 
 
 class MonitorNode(Node):
-    """Publishes ``~/error`` for every estimate whose stamp the truth has too."""
+    """Publishes ``~/error`` for each estimate and the true state of the same stamp."""
 
     def __init__(self) -> None:
         super().__init__("monitor")
@@ -34,7 +34,7 @@ class MonitorNode(Node):
         self._errors = self.create_publisher(
             message_class(interfaces.MONITOR_ERROR.type), "~/error", quality
         )
-        burst = qos_profile(Quality(depth=_MEMORY))
+        burst = qos_profile(Quality(depth=_DEPTH))
         self.create_subscription(joint_state, "plant/joint_states", self._on_truth, burst)
         estimates = self.create_subscription(
             joint_state, "observer/joint_states", self._on_estimate, burst
@@ -51,7 +51,7 @@ class MonitorNode(Node):
             self._compare(state, estimate)
 
     def _on_estimate(self, message: JointStateMessage) -> None:
-        """An estimate may come twice: the second time corrected by an event that was late."""
+        """An estimate may arrive twice: the second is corrected by a late event."""
         state = read_state(self, "observer/joint_states", message, self._system.coordinates)
         if state is None:
             return
@@ -69,7 +69,7 @@ class MonitorNode(Node):
 
 
 def _keep(states: OrderedDict[int, JointState], state: JointState) -> None:
-    """Remember ``state`` by its stamp and forget the oldest."""
+    """Keep ``state`` by its stamp, and drop the oldest."""
     states[state.stamp] = state
-    while len(states) > _MEMORY:
+    while len(states) > _DEPTH:
         states.popitem(last=False)

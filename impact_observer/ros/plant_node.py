@@ -25,24 +25,24 @@ from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds
 
 _LOOK_AHEAD = NS_PER_S
-"""How far beyond the present a switching is looked for, ns."""
+"""How far ahead the next switching is searched, ns."""
 _LONGEST_SLEEP = 0.05
-"""Between two looks at a clock that is not the node's own, s."""
-_LAST_WORDS = Duration(seconds=1.0)
-"""How long the last messages may take to be heard before the node ends."""
-_SETTLE = 3.5
-"""Between the last subscriber's appearance and the beginning, s of wall time.
+"""Between two readings of a clock that is not the node's own, s."""
+_ACKNOWLEDGE_TIMEOUT = Duration(seconds=1.0)
+"""How long the node waits at its end for subscribers to receive the last messages."""
+_SETTLING_TIME = 3.5
+"""Between the last subscriber's appearance and the start, s of wall time.
 
-That we know of a subscriber does not say that it knows of us: DDS announces a participant anew
-only every 3 s, should the first announcements have been lost.
+A subscriber that this node has found may not have found this node yet: DDS repeats a lost
+announcement after 3 s only.
 """
 
 
 class PlantNode(Node):
     """Publishes ``impacts``, true states and the model; owns ``/clock`` on request.
 
-    What its sensor tells is published when it arrives, and what is under way at the end of the
-    duration still is; a reset begins with a new sensor, and what is under way is lost.
+    Events of its sensor are published when they arrive, also after the end of the duration. A
+    reset starts with a new sensor, and events in transit are lost.
 
     Attributes:
         done: whether the duration is over.
@@ -63,10 +63,8 @@ class PlantNode(Node):
         self._wanted_subscribers = values.integer("wait_for_subscribers")
         self._wanted_epoch = values.integer("epoch")
         self._seed = values.integer("seed")
-        troubles: dict[str, Any] = {
-            t.name: values.value(f"sensor.{t.name}") for t in SENSOR_FAULTS
-        }
-        self._sensor = SensorModel(**troubles)
+        faults: dict[str, Any] = {t.name: values.value(f"sensor.{t.name}") for t in SENSOR_FAULTS}
+        self._sensor = SensorModel(**faults)
         self._sensor.check(self._model.system)
         self._check_time_source()
         self._make = ros_messages()
@@ -82,13 +80,13 @@ class PlantNode(Node):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._episode = 0
         self._plant: Master | None = None
-        # The plant paces itself by wall time: the timer sleeps just to what is due next.
+        # The timer is set to the next thing that is due, in wall time.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_LONGEST_SLEEP, self._tick, clock=steady)
         self._ready_since: float | None = None
 
     def _check_time_source(self) -> None:
-        """Refuse two owners of the time, or a pace that nobody else would know."""
+        """Refuse two owners of the time, or a pace that other nodes could not follow."""
         simulated = self.get_parameter("use_sim_time").value
         if self._owns_clock and simulated:
             raise UsageError(
@@ -105,35 +103,35 @@ class PlantNode(Node):
         )
 
     def _tick(self) -> None:
-        """Publish what is due, in the order of stamps, and sleep to the next."""
-        if self._plant is None and not self._begins():
+        """Publish what is due, in the order of stamps, and set the timer."""
+        if self._plant is None and not self._try_to_start():
             return
         now = self._now()
         self._publish_until(now)
         if now >= self._end and self._sensing.next_stamp is None:
             self.get_logger().info(f"{self._duration / NS_PER_S:g} s are over")
             for publisher in (self._impacts, self._states):
-                publisher.wait_for_all_acked(_LAST_WORDS)
+                publisher.wait_for_all_acked(_ACKNOWLEDGE_TIMEOUT)
             self.done = True
             return
-        self._sleep_from(now)
+        self._set_timer(now)
 
-    def _begins(self) -> bool:
-        """Start the plant if it is time: subscribers are there and the clock runs.
+    def _try_to_start(self) -> bool:
+        """Start the plant when all subscribers are connected and the clock runs.
 
-        Until then simulated time, if it is the plant's own, stands still just before the epoch.
+        Until then simulated time, if the plant owns it, stands still just before the epoch.
         """
         now = self._wanted_epoch or self.get_clock().now().nanoseconds
         if self._clock_topic is not None:
             self._wanted_epoch = now
             self._clock_topic.publish(self._make.clock(max(now - self._clock_period, 1)))
-        listeners = min(
+        subscribers = min(
             self._impacts.get_subscription_count(), self._states.get_subscription_count()
         )
-        if listeners < self._wanted_subscribers:
+        if subscribers < self._wanted_subscribers:
             return False
         self._ready_since = self._ready_since or time.monotonic()
-        if self._wanted_subscribers and time.monotonic() < self._ready_since + _SETTLE:
+        if self._wanted_subscribers and time.monotonic() < self._ready_since + _SETTLING_TIME:
             return False
         if now == 0:
             return False  # simulated time that has not begun
@@ -141,7 +139,7 @@ class PlantNode(Node):
         return True
 
     def _start(self, epoch: int) -> None:
-        """Begin an episode at ``epoch``."""
+        """Start an episode at ``epoch``."""
         self._plant = make_plant(
             self._model.system,
             *self._model.initial_state(),
@@ -160,7 +158,7 @@ class PlantNode(Node):
             episode=self._episode,
         )
         self._epoch = epoch
-        self._started = time.monotonic_ns()  # last: the first use of everything takes its time
+        self._started = time.monotonic_ns()  # last, as first calls take long
         self._next_sample = 0
         self._next_clock = epoch
         name = self._model.system.name
@@ -178,9 +176,9 @@ class PlantNode(Node):
         return self._epoch + round(k * NS_PER_S / self._rate)
 
     def _publish_until(self, now: int) -> None:
-        """What is due: at equal stamps the event first, the clock last.
+        """Publish what is due: at equal stamps the event first, the clock last.
 
-        After the end only events that are still under way are, and the clock that they need.
+        After the end only events in transit are due, and the clock for them.
         """
         assert self._plant is not None
         last = min(now, self._end)
@@ -196,14 +194,14 @@ class PlantNode(Node):
             self._next_clock += (late + 1) * self._clock_period
 
     def _publish_present(self, last: int) -> None:
-        """Events that arrive and true states up to ``last``, all of the present phase."""
+        """Publish arriving events and true states up to ``last``, within the present phase."""
         for event, arrival in self._sensing.due(last):
             self._publish_states(arrival - 1)
             self._impacts.publish(self._make.event(event))
         self._publish_states(last)
 
     def _publish_states(self, last: int) -> None:
-        """True states of the present phase up to the stamp ``last``, none after the end."""
+        """Publish true states of the present phase up to ``last`` and the end."""
         assert self._plant is not None
         n, names = self._model.system.n, self._model.system.coordinates
         last = min(last, self._end)
@@ -213,19 +211,19 @@ class PlantNode(Node):
             self._states.publish(self._make.joint_state(state))
             self._next_sample += 1
 
-    def _sleep_from(self, now: int) -> None:
-        """Set the timer to the next thing that is due."""
-        wait = max(min(self._coming(now)) - now, 0) / self._factor
+    def _set_timer(self, now: int) -> None:
+        """Set the timer to what is due next."""
+        wait = max(min(self._next_stamps(now)) - now, 0) / self._factor
         if not self._owns_clock:
             wait = min(wait, _LONGEST_SLEEP * NS_PER_S)
         self._timer.timer_period_ns = max(int(wait), 1000)
         self._timer.reset()
 
-    def _coming(self, now: int) -> Iterator[int]:
-        """Stamps of what is due next: one at least, or all would be over."""
+    def _next_stamps(self, now: int) -> Iterator[int]:
+        """Stamps of what is due next, at least one."""
         assert self._plant is not None
-        if (heard := self._sensing.next_stamp) is not None:
-            yield heard
+        if (arrival := self._sensing.next_stamp) is not None:
+            yield arrival
         if self._owns_clock:
             yield self._next_clock
         if now < self._end:
@@ -235,7 +233,7 @@ class PlantNode(Node):
                 yield switching.instant.stamp
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Begin again from the initial state, as a new episode whose epoch is now."""
+        """Restart from the initial state, as a new episode whose epoch is now."""
         if self._plant is None:
             response.success, response.message = False, "the plant has not begun yet"
             return response

@@ -23,33 +23,33 @@ from impact_observer.ros.session import Stop, ros_node
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 
 DELAY = 5.0
-"""Longest wait for subscribers before the first message, s, unless told otherwise."""
-_SETTLE = 1.0
+"""Default of the longest wait for subscribers before the first message, s."""
+_SETTLING_TIME = 1.0
 """Between the last subscriber's appearance and the first message, s."""
 LINGER = 0.5
 """How long latched messages stay available to late subscribers after the last message, s."""
 _ACKNOWLEDGE = 2.0
 """Longest wait until reliable subscribers have acknowledged what was sent, s."""
 _LONGEST_SLEEP = 0.05
-"""How long a request to stop, or a key, may go unnoticed, s."""
+"""Longest time until a request to stop, or a key, is noticed, s."""
 _LONGEST_SLEEP_NS = from_seconds(_LONGEST_SLEEP)
-_LOOK = 0.02
-"""How often keys are looked for while messages come one upon the other, s."""
-_BURST = 1000
-"""Least depth of a volatile topic: what a fast rate piles up before it is acknowledged."""
+_KEY_PERIOD = 0.02
+"""How often keys are read during a burst of messages, s."""
+_MIN_DEPTH = 1000
+"""Least depth of a volatile topic, for messages that are not acknowledged yet at a fast rate."""
 _PROGRESS_PERIOD = 0.1
-_SHORTEST_PASS = 1_000_000
-"""The least time that one pass of a loop takes, ns, so that it cannot flood the network."""
-_TENTH = 1.1
-"""By how much one who watches makes it faster or slower."""
+_MIN_PASS_TIME = 1_000_000
+"""Least time of one pass of a loop, ns, so that it does not flood the network."""
+_RATE_STEP = 1.1
+"""Factor of the rate for one key."""
 _RATES = (0.01, 100.0)
-"""How far that can go."""
+"""Range of the rate by keys."""
 
 KeepOn = Callable[[], bool]
 
 
 def _always() -> bool:
-    """Keep on."""
+    """Never end by itself."""
     return True
 
 
@@ -57,12 +57,12 @@ class Player:
     """Publishes the messages of a bag with the quality of service they were recorded with.
 
     Attributes:
-        topics: what is played, by names in the bag; topics whose message type ROS does not know
-            are left out.
-        count: messages sent so far, the clock's not counted.
-        bag_time: log time of what was sent last, ns.
-        length: how much of the bag is played in one pass, s.
-        pace: how fast, and whether it is paused.
+        topics: topics that are played, by names in the bag; those whose message type is not
+            installed are omitted.
+        count: messages sent so far, without the clock's.
+        bag_time: log time of the last message sent, ns.
+        length: length of one pass, s.
+        pace: rate, and whether it is paused.
     """
 
     def __init__(self, node: Node, reader: BagReader, how: Playing | None = None) -> None:
@@ -71,11 +71,11 @@ class Player:
         Args:
             node: publishes.
             reader: an open bag.
-            how: None for all of it as it was.
+            how: None for the whole bag as recorded.
 
         Raises:
-            UsageError: ``start`` is not in the bag, the bag lacks a topic, a name cannot be
-                given, or nothing is to play.
+            UsageError: ``start`` is not in the bag, the bag lacks a topic, a name is invalid, or
+                no topic can be played.
         """
         self._how = how = how or Playing()
         whole = seconds_between(reader.start, reader.end)
@@ -84,7 +84,7 @@ class Player:
         self.count = 0
         self._node = node
         self._reader = reader
-        self._start = self._upcoming = reader.start + from_seconds(how.start)
+        self._start = self._next_time = reader.start + from_seconds(how.start)
         self._end = reader.end
         if how.duration is not None:
             self._end = min(self._end, self._start + from_seconds(how.duration))
@@ -92,11 +92,11 @@ class Player:
         self.bag_time = self._start
         self.pace = Pace(self._start, time.monotonic_ns(), how.rate, how.paused)
         self._ticks: Ticks | None = None
-        self._shown: int | None = None
+        self._published_time: int | None = None
         self._steps = 0
-        self._publishers = self._advertised()
+        self._publishers = self._make_publishers()
         self.topics = tuple(self._publishers)
-        self._latched = self._values_before_start()
+        self._latched = self._latched_before_start()
         self._clock: Publisher | None = None
         if how.clock_rate is not None:
             topic = SIMULATED_CLOCK.topic
@@ -108,34 +108,34 @@ class Player:
 
     @property
     def elapsed(self) -> float:
-        """From where it began to what was sent last, s."""
+        """From the start to the last message sent, s."""
         return seconds_between(self._start, self.bag_time)
 
     def control(self, wanted: Control) -> None:
-        """Do what one who watches wants; the end is for the caller of :meth:`play`."""
+        """Apply a key; ``QUIT`` is for the caller of :meth:`play`."""
         now = time.monotonic_ns()
         if wanted is Control.PAUSE:
-            self.pace.toggle_pause(now, self._upcoming)
+            self.pace.toggle_pause(now, self._next_time)
         elif wanted is Control.NEXT and self.pace.paused:
             self._steps += 1
         elif wanted in {Control.FASTER, Control.SLOWER}:
-            factor = _TENTH if wanted is Control.FASTER else 1 / _TENTH
+            factor = _RATE_STEP if wanted is Control.FASTER else 1 / _RATE_STEP
             if _RATES[0] <= self.pace.rate * factor <= _RATES[1]:
-                self.pace.scale_rate(now, self._upcoming, factor)
+                self.pace.scale_rate(now, self._next_time, factor)
 
     def _quality(self, topic: str) -> Quality:
-        """The quality of service to offer: as told, else as recorded, else the usual one."""
+        """The quality of service to offer: overridden, else as recorded, else the usual one."""
         if topic in self._how.profiles:
             return self._how.profiles[topic].quality
         return self._reader.topics[topic].quality or usual_quality(topic)
 
     def _profile(self, topic: str, quality: Quality) -> QoSProfile:
-        """The same as ``rclpy`` wants it, all policies of a file included."""
-        told = self._how.profiles.get(topic)
-        return qos_profile(quality) if told is None else overriding_profile(told)
+        """``quality`` for ``rclpy``, or the policies of a file with overrides."""
+        override = self._how.profiles.get(topic)
+        return qos_profile(quality) if override is None else overriding_profile(override)
 
-    def _advertised(self) -> dict[str, Publisher]:
-        """A publisher for every topic whose message type ROS knows."""
+    def _make_publishers(self) -> dict[str, Publisher]:
+        """A publisher for every topic whose message type is installed."""
         how, found = self._how, self._reader.topics
         topics = found if how.topics is None else how.topics
         missing = [topic for topic in (*topics, *how.names) if topic not in found]
@@ -159,7 +159,7 @@ class Player:
         return publishers
 
     def _publisher(self, topic: str, name: str, type_name: str) -> Publisher | None:
-        """A publisher of a topic called ``name``; None where ROS does not know the type."""
+        """A publisher of a topic called ``name``; None where the type is not installed."""
         try:
             message_type = message_class(type_name)
         except UsageError as error:
@@ -167,13 +167,13 @@ class Player:
             return None
         quality = self._quality(topic)
         if quality.depth and not quality.transient_local:
-            quality = replace(quality, depth=max(quality.depth, _BURST))
+            quality = replace(quality, depth=max(quality.depth, _MIN_DEPTH))
         return self._node.create_publisher(message_type, name, self._profile(topic, quality))
 
-    def _values_before_start(self) -> list[RawMessage]:
-        """What a late subscriber would have of each latched topic at the start.
+    def _latched_before_start(self) -> list[RawMessage]:
+        """Messages that latched topics hold at the start, without events.
 
-        Events are none: who begins in the middle is not to hear of what was before.
+        Events before the start would not match the states of a run that starts there.
         """
         if self._start <= self._reader.start:
             return []
@@ -187,24 +187,22 @@ class Player:
             kept[message.topic].append(message)
         return sorted((m for each in kept.values() for m in each), key=lambda m: m.log_time)
 
-    def rivals(self) -> list[str]:
-        """Topics to be played that another node publishes already, the clock included."""
+    def other_publishers(self) -> list[str]:
+        """Topics to be played that another node publishes too, including the clock."""
         names = {publisher.topic_name for publisher in self._all()}
         return sorted(
             name for name in names if len(self._node.get_publishers_info_by_topic(name)) > 1
         )
 
     def wait_for_subscribers(self, delay: float, keep_on: KeepOn = _always) -> bool:
-        """Wait until events have a subscriber, so that it misses none of them.
-
-        A bag without events waits for a subscriber on every topic.
+        """Wait until events have a subscriber; without events, until every topic has one.
 
         Args:
             delay: the longest wait, s.
-            keep_on: asked meanwhile; the wait ends when it says no.
+            keep_on: called repeatedly; the wait ends when it returns False.
 
         Returns:
-            Whether all that are waited for have one.
+            Whether these topics have a subscriber.
         """
         events = [p for topic, p in self._publishers.items() if self._quality(topic) == EVENTS]
         wanted = events or self._all()
@@ -213,10 +211,10 @@ class Player:
         matched = False
         while now < begin + from_seconds(delay):
             counts = [publisher.get_subscription_count() for publisher in wanted]
-            if counts != before:  # others may be on their way
+            if counts != before:  # more may follow
                 before, since = counts, now
             matched = all(counts)
-            if matched and now > since + from_seconds(_SETTLE):
+            if matched and now > since + from_seconds(_SETTLING_TIME):
                 break
             if not _sleep_until(now + 10_000_000, keep_on):
                 break
@@ -224,10 +222,10 @@ class Player:
         return matched
 
     def play(self, keep_on: KeepOn = _always) -> None:
-        """Publish everything when it is due.
+        """Publish every message when it is due.
 
         Args:
-            keep_on: asked at least twenty times a second; playing ends when it says no.
+            keep_on: called at least twenty times a second; playing ends when it returns False.
 
         Raises:
             BagError: the bag is damaged.
@@ -237,7 +235,7 @@ class Player:
             ahead.wait()
             begin = time.monotonic_ns()
             while self._play_once(ahead, begin, keep_on):
-                if how.loop:  # read what comes next while there is time
+                if how.loop:  # read the next pass during the rest of this one
                     ahead.close()
                     ahead = self._ahead()
                 elif how.duration is None:
@@ -245,19 +243,19 @@ class Player:
                 if not self._reach(self._end, keep_on) or not how.loop:
                     return
                 due = self.pace.due(self._end) or time.monotonic_ns()
-                begin = max(due, begin + _SHORTEST_PASS)
+                begin = max(due, begin + _MIN_PASS_TIME)
         finally:
             ahead.close()
 
     def _ahead(self) -> ReadAhead:
-        """All messages of one pass."""
+        """The messages of one pass, read ahead."""
         start = self._start if self._start > self._reader.start else 0
         return ReadAhead(self._reader.raw(self.topics, start))
 
     def _play_once(self, ahead: ReadAhead, begin: int, keep_on: KeepOn) -> bool:
-        """Play from start to end, beginning at wall time ``begin``; whether it got there."""
+        """Play one pass from wall time ``begin`` on; whether it reached the end."""
         self.pace.jump(self._start, begin)
-        self._upcoming, self._shown = self._start, None
+        self._next_time, self._published_time = self._start, None
         if self._how.clock_rate is not None:
             self._ticks = Ticks(self._how.clock_rate, begin)
         for message in self._latched:
@@ -270,19 +268,19 @@ class Player:
             if self._steps:
                 self._steps -= 1
                 self.pace.jump(message.log_time, time.monotonic_ns())
-            self._tell(message.log_time)
+            self._publish_clock(message.log_time)
             self._send(message)
         return True
 
     def _reach(self, log_time: int, keep_on: KeepOn) -> bool:
-        """Wait until ``log_time`` is due or wanted, the clock ticking; whether to keep on."""
-        self._upcoming = log_time
+        """Wait until ``log_time`` is due, and publish the clock meanwhile; whether to keep on."""
+        self._next_time = log_time
         while True:
             due, now = self.pace.due(log_time), time.monotonic_ns()
             tick = self._ticks.next if self._ticks else None
             soonest = min(t for t in (due, tick, now + _LONGEST_SLEEP_NS) if t is not None)
             if self._ticks and tick == soonest <= now:
-                self._tell(min(self.pace.at(soonest), log_time), always=self.pace.paused)
+                self._publish_clock(min(self.pace.at(soonest), log_time), always=self.pace.paused)
                 self._ticks.count += 1
             elif due == soonest <= now or self._steps:
                 return keep_on()
@@ -291,12 +289,12 @@ class Player:
             if not keep_on():
                 return False
 
-    def _tell(self, bag_time: int, *, always: bool = False) -> None:
-        """Publish the bag's time, unless the clock shows it already."""
+    def _publish_clock(self, bag_time: int, *, always: bool = False) -> None:
+        """Publish the bag's time, unless it was published already."""
         self.bag_time = bag_time
-        if self._clock and (always or bag_time != self._shown):
+        if self._clock and (always or bag_time != self._published_time):
             self._clock.publish(ros_messages().clock(bag_time))
-            self._shown = bag_time
+            self._published_time = bag_time
 
     def _send(self, message: RawMessage) -> None:
         """Publish a message."""
@@ -304,13 +302,13 @@ class Player:
         self.count += 1
 
     def finish(self, keep_on: KeepOn = _always) -> None:
-        """Wait, a short time, until what was sent has arrived.
+        """Wait a short time until the messages have arrived.
 
-        Reliable subscribers get up to two seconds to acknowledge; latched messages stay
-        available to late ones for another half.
+        Reliable subscribers get up to two seconds to acknowledge. Latched messages stay
+        available for another half second.
 
         Args:
-            keep_on: asked meanwhile; the wait ends when it says no.
+            keep_on: called repeatedly; the wait ends when it returns False.
         """
         latest = time.monotonic_ns() + from_seconds(_ACKNOWLEDGE)
         for publisher in self._all():
@@ -321,7 +319,7 @@ class Player:
             _sleep_until(time.monotonic_ns() + from_seconds(LINGER), keep_on)
 
     def _all(self) -> list[Publisher]:
-        """Every publisher, the clock's included."""
+        """Every publisher, including the clock's."""
         return [*self._publishers.values(), *([self._clock] if self._clock else [])]
 
 
@@ -337,10 +335,10 @@ def play(
 
     Args:
         path: the bag.
-        how: None for all of it as it was.
+        how: None for the whole bag as recorded.
         delay: longest wait for a subscriber on every topic before the first message, s.
-        on_progress: told about ten times a second how far it is, and at the end.
-        controls: asked for what one who watches has wanted since it was asked last.
+        on_progress: called about ten times a second, and at the end.
+        controls: returns the controls since its last call.
 
     Returns:
         The number of messages sent.
@@ -353,26 +351,26 @@ def play(
         raise UsageError(f"delay is {delay}; expected 0 or more seconds")
     with Stop() as stop, BagReader(path) as reader, ros_node("player") as (node, _):
         player = Player(node, reader, how)
-        shown = looked = time.monotonic()
+        last_shown = last_keys = time.monotonic()
         ended = False
 
         def keep_on() -> bool:
-            nonlocal shown, looked, ended
+            nonlocal last_shown, last_keys, ended
             now = time.monotonic()
-            if now > looked + _LOOK:
-                looked = now
+            if now > last_keys + _KEY_PERIOD:
+                last_keys = now
                 for control in controls():
                     ended = ended or control is Control.QUIT
                     player.control(control)
-            if on_progress and now > shown + _PROGRESS_PERIOD:
-                shown = now
+            if on_progress and now > last_shown + _PROGRESS_PERIOD:
+                last_shown = now
                 on_progress(player)
             return not (stop.requested or ended)
 
         player.wait_for_subscribers(delay, keep_on)
-        if rivals := player.rivals():
+        if others := player.other_publishers():
             node.get_logger().warning(
-                f"another node publishes {', '.join(rivals)} too; its messages mix with the bag's"
+                f"another node publishes {', '.join(others)} too; its messages mix with the bag's"
             )
         player.play(keep_on)
         player.finish(keep_on)

@@ -1,4 +1,4 @@
-"""Qualities of service as ``rclpy`` wants and gives them."""
+"""Qualities of service, to and from those of ``rclpy``."""
 
 from rclpy.duration import Duration
 from rclpy.qos import (
@@ -14,7 +14,7 @@ from impact_observer.io.qos_overrides import Profile
 
 
 def qos_profile(quality: Quality) -> QoSProfile:
-    """``quality`` for a publisher that offers it, or a subscriber that asks for it."""
+    """``quality`` as ``rclpy`` takes it, to offer or to request."""
     reliability = ReliabilityPolicy.RELIABLE if quality.reliable else ReliabilityPolicy.BEST_EFFORT
     durability = (
         DurabilityPolicy.TRANSIENT_LOCAL if quality.transient_local else DurabilityPolicy.VOLATILE
@@ -26,7 +26,7 @@ def qos_profile(quality: Quality) -> QoSProfile:
 
 
 def overriding_profile(profile: Profile) -> QoSProfile:
-    """A topic's policies as a file has them, for a publisher."""
+    """The policies that a file gives for a topic, for a publisher."""
     return QoSProfile(
         history=HistoryPolicy.get_from_short_key(profile.history),
         depth=profile.depth,
@@ -41,12 +41,11 @@ def overriding_profile(profile: Profile) -> QoSProfile:
 
 
 def offered_quality(profile: QoSProfile, depth: int = 10) -> Quality:
-    """The quality in a ``profile``.
+    """The quality of service of a publisher.
 
     Args:
-        profile: of a publisher; what it leaves open is read as reliable and volatile.
-        depth: messages kept when the profile does not know, as that of a publisher in another
-            process, whose history cannot be seen.
+        profile: the publisher's; unspecified policies count as reliable and volatile.
+        depth: messages kept, for a publisher of another process, whose history is not visible.
     """
     kept = {HistoryPolicy.KEEP_ALL: 0, HistoryPolicy.KEEP_LAST: max(profile.depth, 1)}
     return Quality(

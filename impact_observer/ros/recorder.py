@@ -22,22 +22,22 @@ from impact_observer.ros.session import Stop, ros_node
 from impact_observer.ros.subscribing import common_offer, subscribe_raw
 
 _DISCOVERY_PERIOD = 0.1
-"""How often the graph is looked at for new topics, s."""
-_BURST = 5000
-"""Messages a topic may be ahead of the recorder; more than any of our publishers keeps."""
+"""How often the graph is searched for new topics, s."""
+_DEPTH = 5000
+"""Messages of a topic that may wait; more than any publisher of this package keeps."""
 _DRAIN = 0.05
-"""How long the network must be silent before a stopped recording is closed, s."""
+"""Time without messages before a stopped recording is closed, s."""
 _LONGEST_DRAIN = 1.0
-"""After this long, a recording that was stopped is closed in any case, s."""
+"""Longest time until a stopped recording is closed, s."""
 
 
 @dataclass(frozen=True, slots=True)
-class RecordedTopic:
-    """What a recording has come to.
+class RecordedTopics:
+    """The topics of a recording.
 
     Attributes:
-        counts: messages by topic; 0 for one that has said nothing.
-        missing: topics that were asked for and never appeared.
+        counts: messages by topic; 0 for a topic without messages.
+        missing: requested topics that never appeared.
     """
 
     counts: Mapping[str, int]
@@ -52,7 +52,7 @@ class Recorder:
     time is the node's clock, which may be simulated; it never goes back.
 
     Attributes:
-        counts: messages recorded, by topic; 0 for a topic that has said nothing yet.
+        counts: messages recorded, by topic; 0 for a topic without messages so far.
     """
 
     def __init__(
@@ -72,8 +72,8 @@ class Recorder:
             writer: an open bag; the caller closes it, after :meth:`close`.
             topics: only these topics; None for every topic that appears, hidden ones left out.
             exclude: none of these; ``*`` in a name stands for anything.
-            on_topic: told the name and the type of each topic that is found.
-            on_message: told each message that is recorded.
+            on_topic: called with name and type of each topic found.
+            on_message: called with each message recorded.
         """
         self.counts: dict[str, int] = {}
         self._node = node
@@ -85,7 +85,7 @@ class Recorder:
         )
         self._on_topic = on_topic
         self._on_message = on_message
-        self._asked: dict[str, Quality] = {}
+        self._requested: dict[str, Quality] = {}
         self._given_up: set[str] = set()
         self._subscriptions: dict[str, Subscription] = {}
         self._last = 0
@@ -95,16 +95,16 @@ class Recorder:
 
     @property
     def missing(self) -> list[str]:
-        """Topics that were asked for and have not appeared."""
+        """Requested topics that have not appeared."""
         return sorted((self._wanted or set()) - self.counts.keys() - self._given_up)
 
-    def uses_events(self, topic: str) -> bool:
+    def is_connected(self, topic: str) -> bool:
         """Whether a publisher of ``topic`` is connected."""
         subscription = self._subscriptions.get(self._node.resolve_topic_name(topic))
         return subscription is not None and subscription.get_publisher_count() > 0
 
     def close(self) -> None:
-        """Stop listening."""
+        """Unsubscribe from everything."""
         if self._waiting:
             self._node.get_logger().warning(
                 f"{len(self._waiting)} messages are not recorded: /clock never ran"
@@ -115,7 +115,7 @@ class Recorder:
         self._subscriptions.clear()
 
     def discover(self) -> None:
-        """Subscribe to the topics that have appeared since the last look."""
+        """Subscribe to the topics that have appeared since the last call."""
         for topic, _ in self._node.get_topic_names_and_types():
             if self._is_wanted(topic) and (publishers := self._publishers(topic)):
                 offer = common_offer(topic, publishers)
@@ -143,7 +143,7 @@ class Recorder:
         ]
 
     def _subscribe(self, topic: str, type_name: str, offer: Quality) -> None:
-        """Record a topic from now on, or say once why it cannot be."""
+        """Record a topic from now on, or warn once why it cannot be recorded."""
         known = type_name in typestore().fielddefs
         definition = "" if known else installed_definition(type_name)
         try:
@@ -156,8 +156,8 @@ class Recorder:
             self._node.get_logger().warning(f"{topic} is not recorded: {error}")
             return
         self.counts[topic] = 0
-        self._asked[topic] = offer
-        quality = replace(offer, depth=_BURST)
+        self._requested[topic] = offer
+        quality = replace(offer, depth=_DEPTH)
         self._subscriptions[topic] = subscribe_raw(
             self._node, topic, message_type, quality, self._write
         )
@@ -165,20 +165,20 @@ class Recorder:
             self._on_topic(topic, type_name)
 
     def _check(self, topic: str, offer: Quality) -> None:
-        """Say once that a later publisher offers less than was asked of the first ones."""
-        asked = self._asked[topic]
-        if (asked.reliable, asked.transient_local) != (
-            asked.reliable and offer.reliable,
-            asked.transient_local and offer.transient_local,
+        """Warn once that a later publisher offers less than was requested."""
+        requested = self._requested[topic]
+        if (requested.reliable, requested.transient_local) != (
+            requested.reliable and offer.reliable,
+            requested.transient_local and offer.transient_local,
         ):
-            self._asked[topic] = offer
+            self._requested[topic] = offer
             self._node.get_logger().warning(
                 f"{topic} has a new publisher that is less reliable or durable than the first; "
                 "its messages are not recorded"
             )
 
     def _write(self, topic: str, data: bytes) -> None:
-        """Write a message; what comes before simulated time runs waits for its first instant."""
+        """Write a message; before simulated time runs, messages wait for its first instant."""
         self._waiting.append((topic, data))
         now = self._node.get_clock().now().nanoseconds
         if now == 0:
@@ -203,28 +203,28 @@ def record(
     compressed: bool = False,
     on_topic: Callable[[str, str], None] | None = None,
     on_progress: Callable[[int, float], None] | None = None,
-) -> RecordedTopic:
+) -> RecordedTopics:
     """Record a bag until SIGINT, SIGTERM or the end of ``duration``.
 
-    What was published before the end is still taken in.
+    Messages published before the end are still recorded.
 
     Args:
-        path: the folder to make.
+        path: the folder to create.
         topics: only these topics; None for every topic that appears.
         exclude: none of these; ``*`` in a name stands for anything.
         use_sim_time: whether log times follow ``/clock``.
         duration: how long, s of wall time; None for until a signal.
         compressed: whether what is written is compressed.
-        on_topic: told the name and the type of each topic that is found.
-        on_progress: told the number of messages so far and the seconds that have passed, about
-            ten times a second.
+        on_topic: called with name and type of each topic found.
+        on_progress: called with the number of messages and the seconds passed, about ten times
+            a second.
 
     Returns:
-        What came, and what did not.
+        The topics with their counts, and the missing ones.
 
     Raises:
-        UsageError: something is at ``path`` already, a topic cannot be called so, or the
-            duration is not positive. Then no bag is made.
+        UsageError: ``path`` exists already, a topic's name is invalid, or the duration is not
+            positive. Then no bag is created.
         BagError: the bag cannot be written.
     """
     if duration is not None and not 0 < duration < float("inf"):
@@ -243,38 +243,38 @@ def record(
                 on_progress(writer.message_count, shown - begin)
         drain(executor, writer)
         recorder.close()
-        return RecordedTopic(recorder.counts, tuple(recorder.missing))
+        return RecordedTopics(recorder.counts, tuple(recorder.missing))
 
 
 def _writer(
     path: Path | str, node: Node, topics: Collection[str] | None, *, compressed: bool
 ) -> BagWriter:
-    """An open bag; none is made where a topic cannot be called so."""
+    """An open bag, after the topics' names are checked."""
     for topic in topics or ():
         _resolved(node, topic)
     return BagWriter(path, compressed=compressed)
 
 
 def _resolved(node: Node, topic: str) -> str:
-    """The absolute name of a topic, as a node sees it.
+    """The absolute name of a topic, resolved by a node.
 
     Raises:
-        UsageError: nothing can be called so.
+        UsageError: the name is invalid.
     """
     try:
         return str(node.resolve_topic_name(topic))
-    except Exception as error:  # noqa: BLE001 (what rclpy raises it does not make public)
+    except Exception as error:  # noqa: BLE001 (rclpy's own class has no public name)
         reason = str(error).partition(", at ")[0].removeprefix("failed to resolve name: ")
         raise UsageError(f"topic {topic!r}: {reason}") from None
 
 
 def _namespace(node: Node) -> str:
-    """A node's namespace, before a slash."""
+    """A node's namespace without the last slash."""
     return str(node.get_namespace()).rstrip("/")
 
 
 def drain(executor: SingleThreadedExecutor, writer: BagWriter) -> None:
-    """Take in what is on its way: spin until nothing has come for a moment."""
+    """Spin until no message has arrived for a moment."""
     latest = silent_since = time.monotonic()
     latest += _LONGEST_DRAIN
     while time.monotonic() < min(latest, silent_since + _DRAIN):

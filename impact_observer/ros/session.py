@@ -1,4 +1,4 @@
-"""Starting and ending a process that talks ROS: one node, and an orderly stop."""
+"""Starting and ending a process that uses ROS: one node, and an orderly stop."""
 
 import signal
 import threading
@@ -17,7 +17,7 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def require_ros() -> None:
-    """Raise one line when ROS 2 is not here.
+    """Raise an error of one line where ROS 2 is not installed.
 
     Raises:
         UsageError: ``rclpy`` cannot be imported.
@@ -34,8 +34,8 @@ def require_ros() -> None:
 class Stop:
     """Whether SIGINT (Ctrl-C) or SIGTERM has asked the process to end; a context manager.
 
-    The first signal is only noted, so that nothing is torn apart; a second one raises
-    ``KeyboardInterrupt``. Outside the main thread, which alone receives signals, it stays quiet.
+    The first signal only sets ``requested``, so that work is finished in order; a second one
+    raises ``KeyboardInterrupt``. Outside the main thread, which receives signals, it does nothing.
 
     Attributes:
         requested: whether a signal has come.
@@ -47,7 +47,7 @@ class Stop:
 
     def __enter__(self) -> "Stop":
         if threading.current_thread() is threading.main_thread():
-            self._previous = {each: signal.signal(each, self._note) for each in _SIGNALS}
+            self._previous = {each: signal.signal(each, self._handle) for each in _SIGNALS}
         return self
 
     def __exit__(
@@ -59,8 +59,8 @@ class Stop:
         for each, handler in self._previous.items():
             signal.signal(each, handler)
 
-    def _note(self, _number: int, _frame: FrameType | None) -> None:
-        """Note a signal."""
+    def _handle(self, _number: int, _frame: FrameType | None) -> None:
+        """Handle a signal."""
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
@@ -68,16 +68,16 @@ class Stop:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Signals that only were noted raise ``KeyboardInterrupt`` too: for what takes long."""
+    """Within this block the first signal raises ``KeyboardInterrupt``: for long computations."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    noting = {each: signal.getsignal(each) for each in _SIGNALS}
+    previous = {each: signal.getsignal(each) for each in _SIGNALS}
 
     def raised(number: int, frame: FrameType | None) -> None:
-        note = noting[signal.Signals(number)]
-        if callable(note):
-            note(number, frame)
+        handler = previous[signal.Signals(number)]
+        if callable(handler):
+            handler(number, frame)
         raise KeyboardInterrupt
 
     for each in _SIGNALS:
@@ -85,18 +85,18 @@ def interruptible() -> Iterator[None]:
     try:
         yield
     finally:
-        for each, note in noting.items():
-            if note is not None:  # as of a handler that is not Python's
-                signal.signal(each, note)
+        for each, handler in previous.items():
+            if handler is not None:  # None for a handler that is not Python's
+                signal.signal(each, handler)
 
 
 @contextmanager
 def ros_node(
     name: str, *, use_sim_time: bool = False
 ) -> Iterator[tuple["Node", "SingleThreadedExecutor"]]:
-    """A node of its own context with an executor; destroyed before the context ends.
+    """A node in a context of its own, with an executor; both end with the block.
 
-    ``rclpy`` installs no signal handlers for such a context: :class:`Stop` does.
+    ``rclpy`` installs no signal handlers for such a context; :class:`Stop` does.
 
     Args:
         name: the node's name.
@@ -108,7 +108,7 @@ def ros_node(
     from rclpy.parameter import Parameter
 
     context = Context()
-    context.init(args=[])  # else ROS reads the command's arguments, and takes some for its own
+    context.init(args=[])  # otherwise ROS reads the command's arguments
     try:
         node = Node(
             name,

@@ -19,9 +19,9 @@ from impact_observer.ros.qos import qos_profile
 from impact_observer.stamps import NS_PER_S
 
 _GLOW = NS_PER_S // 5
-"""How long a stop that was hit is lit, ns."""
+"""How long a stop is lit after an impact, ns."""
 PLANT_ROW = "plant"
-"""Name of the row of the plant, and of its node."""
+"""Name of the plant's row, and of its node."""
 
 
 class ViewerNode(Node):
@@ -32,8 +32,8 @@ class ViewerNode(Node):
         values = parameters.declare(self, parameters.VIEWER)
         model = read_model(values.text("model"))
         self._system = model.system
-        known = () if model.position is None else [model.position]
-        scene = Scene.of(model.system, known, values.number("reach"))
+        states = () if model.position is None else [model.position]
+        scene = Scene.of(model.system, states, values.number("reach"))
         self._painter = Painter(scene, values.text("frame"))
         self._rows = _rows(values.text("observers"))
         self._states: dict[str, JointState] = {}
@@ -52,7 +52,7 @@ class ViewerNode(Node):
             self.get_logger().warning(f"{model.system.name}: shown {line}")
 
     def _subscribe(self) -> None:
-        """Listen to the states of all rows, and to impacts."""
+        """Subscribe to the states of all rows, and to impacts."""
         states = qos_profile(interfaces.STATES)
         for row in self._rows:
             self.create_subscription(
@@ -61,23 +61,23 @@ class ViewerNode(Node):
                 partial(self._on_state, row.name),
                 states,
             )
-        # Earlier events light nothing any more; and a bag that is played may offer none.
-        heard = interfaces.Quality(depth=interfaces.EVENTS.depth)
+        # Past events are of no use here, and a played bag may not offer them.
+        events = interfaces.Quality(depth=interfaces.EVENTS.depth)
         self.create_subscription(
-            message_class(interfaces.IMPACT_EVENT), "impacts", self._on_event, qos_profile(heard)
+            message_class(interfaces.IMPACT_EVENT), "impacts", self._on_event, qos_profile(events)
         )
 
     def _on_state(self, name: str, message: JointStateMessage) -> None:
-        """Remember the last state that came."""
+        """Keep the last state."""
         state = read_state(self, f"{name}/joint_states", message, self._system.coordinates)
         if state is None:
             return
         if name == PLANT_ROW and name in self._states and state.stamp < self._states[name].stamp:
-            self._closed.clear()  # as of a bag that is played again
+            self._closed.clear()  # a bag is played again
         self._states[name] = state
 
     def _on_event(self, message: EventMessage) -> None:
-        """Remember when contacts were hit, and which stay closed."""
+        """Keep the time of impacts, and the closed contacts."""
         try:
             event = read_event(message)
         except MessageError as error:
@@ -99,7 +99,7 @@ class ViewerNode(Node):
                 self._closed.add(contact)
 
     def _publish(self) -> None:
-        """Publish all rows that have a state; before the first, remove what is left of others."""
+        """Publish all rows that have a state; first delete old markers."""
         if not self._cleared:
             self._markers.publish(self._painter.clear(self.get_clock().now().to_msg()))
             self._cleared = self._markers.get_subscription_count() > 0
@@ -113,16 +113,16 @@ class ViewerNode(Node):
             self._markers.publish(message_class(interfaces.MARKERS)(markers=markers))
 
     def _lit(self, state: JointState) -> set[int]:
-        """Contacts that are closed, or were hit shortly before a state."""
+        """Contacts that are closed, or had an impact shortly before a state."""
         hit = {i for i, stamp in self._hits.items() if 0 <= state.stamp - stamp < _GLOW}
         return hit | self._closed
 
 
 def _rows(observers: str) -> tuple[MarkerRow, ...]:
-    """The plant first, then the observers that are named, each once.
+    """The plant first, then the named observers, each once.
 
     Raises:
-        UsageError: a name is empty, none of a node, or the plant's.
+        UsageError: a name is empty, invalid for a node, or the plant's.
     """
     names = list(dict.fromkeys(name.strip() for name in observers.split(","))) if observers else []
     for name in names:

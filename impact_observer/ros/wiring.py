@@ -1,6 +1,6 @@
-"""Which nodes a demonstration consists of: the one list for the demo command and the launch file.
+"""The nodes of the demonstration: one list for the demo command and the launch file.
 
-Imports no ROS, so that a launch file may read it and a test may compare.
+Imports no ROS, so that launch files and tests can read it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,14 +10,14 @@ from impact_observer.options import Value
 
 
 @dataclass(frozen=True, slots=True)
-class Started:
-    """A node as it is to be started.
+class NodeSetup:
+    """How a node is started.
 
     Attributes:
         executable: ``plant``, ``observer`` or ``monitor``.
         name: the node's name.
-        parameters: those that are not left at their defaults.
-        remappings: topics by the name that the node knows.
+        parameters: those that differ from the defaults.
+        remappings: new names of topics, by the node's own.
     """
 
     executable: str
@@ -27,13 +27,13 @@ class Started:
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
-    """What a demonstration runs.
+class DemoSetup:
+    """What the demonstration runs.
 
     Attributes:
         model: a model file or a sample's name.
-        laws: one observer and one monitor each.
-        initial: the observers' initial state, as users write it.
+        laws: each has an observer and a monitor.
+        initial: the observers' initial state, as on the command line.
         duration: simulated seconds; 0 for no end.
         realtime_factor: simulated seconds a second.
         rate: true states and estimates, Hz.
@@ -59,52 +59,52 @@ def monitor_name(law: str) -> str:
     return f"monitor_{law.replace('-', '_')}"
 
 
-def plant(setting: Setting, recorders: int = 0) -> Started:
-    """The plant; it begins when all observers or monitors, and ``recorders``, listen."""
-    return Started(
+def plant(setup: DemoSetup, recorders: int = 0) -> NodeSetup:
+    """The plant; it starts when all observers or monitors, and ``recorders``, have subscribed."""
+    return NodeSetup(
         "plant",
         "plant",
         {
-            "model": setting.model,
-            "rate": setting.rate,
-            "epoch": setting.epoch,
-            "duration": setting.duration,
+            "model": setup.model,
+            "rate": setup.rate,
+            "epoch": setup.epoch,
+            "duration": setup.duration,
             "publish_clock": True,
-            "clock_rate": max(setting.rate, 100.0),
-            "realtime_factor": setting.realtime_factor,
-            "wait_for_subscribers": len(setting.laws) + recorders,
+            "clock_rate": max(setup.rate, 100.0),
+            "realtime_factor": setup.realtime_factor,
+            "wait_for_subscribers": len(setup.laws) + recorders,
         },
     )
 
 
-def observers(setting: Setting) -> tuple[Started, ...]:
+def observers(setup: DemoSetup) -> tuple[NodeSetup, ...]:
     """An observer for each law."""
     return tuple(
-        Started(
+        NodeSetup(
             "observer",
             observer_name(law),
             {
                 "use_sim_time": True,
-                "model": setting.model,
+                "model": setup.model,
                 "law": law,
-                "initial_state": setting.initial,
-                "rate": setting.rate,
-                "epoch": setting.epoch,
+                "initial_state": setup.initial,
+                "rate": setup.rate,
+                "epoch": setup.epoch,
                 "events_durability": "transient_local",
             },
         )
-        for law in setting.laws
+        for law in setup.laws
     )
 
 
-def monitors(setting: Setting) -> tuple[Started, ...]:
+def monitors(setup: DemoSetup) -> tuple[NodeSetup, ...]:
     """A monitor for each law's observer."""
     return tuple(
-        Started(
+        NodeSetup(
             "monitor",
             monitor_name(law),
-            {"use_sim_time": True, "model": setting.model, "law": law},
+            {"use_sim_time": True, "model": setup.model, "law": law},
             {"observer/joint_states": f"{observer_name(law)}/joint_states"},
         )
-        for law in setting.laws
+        for law in setup.laws
     )

@@ -21,7 +21,7 @@ from impact_observer.cli.keyboard import Keyboard
 
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 with Keyboard() as keyboard:
-    print("ready", keyboard.there, flush=True)
+    print("ready", keyboard.available, flush=True)
     while True:
         for key in keyboard.pressed():
             print("key", repr(key), flush=True)
@@ -40,7 +40,7 @@ class Session:
     def __init__(self) -> None:
         self.main, self.side = pty.openpty()
         self.before = termios.tcgetattr(self.side)
-        self.said = ""
+        self.output = ""
         self.process = subprocess.Popen(
             [sys.executable, "-c", READ],
             stdin=self.side,
@@ -50,11 +50,11 @@ class Session:
         )
 
     def until(self, wanted: str) -> None:
-        """Read until something is said."""
+        """Read until something is output."""
         latest = time.monotonic() + PATIENCE
-        while wanted not in self.said:
-            assert time.monotonic() < latest, self.said
-            self.said += os.read(self.main, 4096).decode(errors="replace")
+        while wanted not in self.output:
+            assert time.monotonic() < latest, self.output
+            self.output += os.read(self.main, 4096).decode(errors="replace")
 
     def press(self, keys: bytes) -> None:
         """Type."""
@@ -105,7 +105,7 @@ def test_keys_come_at_once_and_unseen() -> None:
         terminal.press(b"q")
         assert terminal.process.wait(PATIENCE) == 0
         assert terminal.restored()
-        assert terminal.said.replace("\r", "").startswith("ready True\nkey 'n'\nkey 'right'")
+        assert terminal.output.replace("\r", "").startswith("ready True\nkey 'n'\nkey 'right'")
 
 
 def test_an_error_restores_the_terminal() -> None:
@@ -142,7 +142,7 @@ def test_without_a_terminal_no_key_comes() -> None:
     read, write = os.pipe()
     with os.fdopen(read) as pipe, Keyboard(pipe) as keyboard:
         os.write(write, b"q")
-        assert not keyboard.there
+        assert not keyboard.available
         assert keyboard.pressed() == []
     os.close(write)
     with Keyboard(io.StringIO("q")) as keyboard:

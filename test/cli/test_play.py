@@ -56,7 +56,7 @@ def test_a_bag_cannot_begin_paused_where_no_key_is_read(
     assert ros_environment
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     assert main(["play", str(sample_bag), "--start-paused"]) == 2
-    assert "start-paused: nobody can go on" in capsys.readouterr().err
+    assert "start-paused: needs a terminal" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("key", "wanted"), play._KEYS.items())

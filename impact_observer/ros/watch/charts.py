@@ -1,21 +1,21 @@
-"""Charts of block characters: readable in grey, and on terminals without colours."""
+"""Charts of block characters: readable without colours; `rich` has none."""
 
 import math
 from collections.abc import Sequence
 
 BLOCKS = " ▁▂▃▄▅▆▇█"
-PLAIN = " .:-=+*#@"
-"""The same where only ASCII can be printed."""
+ASCII_BLOCKS = " .:-=+*#@"
+"""The same for terminals that print ASCII only."""
 
 
-def known(values: Sequence[float | None]) -> Sequence[float | None]:
-    """``values`` from the first on that is there."""
+def from_first(values: Sequence[float | None]) -> Sequence[float | None]:
+    """``values`` from the first on that is not None."""
     first = next((i for i, value in enumerate(values) if value is not None), len(values))
     return values[first:]
 
 
 def decades(values: Sequence[float | None]) -> tuple[int, int]:
-    """The powers of ten below and above the positive ``values``, at least one apart."""
+    """The powers of ten below and above the positive ``values``, at least one decade."""
     logarithms = [math.log10(value) for value in values if value is not None and value > 0]
     if not logarithms:
         return 0, 1
@@ -29,14 +29,13 @@ def bars(
     """A chart of positive values on a logarithmic scale, filled from below.
 
     Args:
-        values: in time; None where nothing is known, which stays blank. What is not positive is
-            drawn as the least.
+        values: in time; None stays blank. What is not positive is drawn as the least.
         width: columns; values are stretched over them, or the last in each column is drawn.
         rows: height.
         levels: characters from empty to full.
 
     Returns:
-        ``rows`` texts of ``width`` characters, the highest first; blank where nothing is known.
+        ``rows`` texts of ``width`` characters, the highest first.
     """
     if not values:
         return [" " * width] * rows

@@ -15,9 +15,9 @@ from impact_observer.io import BagReader, JointState
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
-from impact_observer.ros.buffers import Arrivals, Newest, ValueBuffer
-from impact_observer.ros.snapshot import Glance
-from impact_observer.ros.topic_listener import Listening
+from impact_observer.ros.watch.buffers import Arrivals, HistoryBuffer, RecentMessages
+from impact_observer.ros.watch.snapshot import Snapshot
+from impact_observer.ros.watch.topic_listener import TopicListener
 from impact_observer.stamps import NS_PER_S
 
 LAWS = {"observer": "geometric", "observer_minimum_variance": "minimum-variance"}
@@ -28,7 +28,7 @@ MAKE = bag_messages()
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two observers of one plant, 6 s."""
-    return everything(tmp_path_factory.mktemp("listening") / "bag", LAWS, duration=6.0)
+    return everything(tmp_path_factory.mktemp("listener") / "bag", LAWS, duration=6.0)
 
 
 def serialized(message: object, kind: str) -> bytes:
@@ -48,23 +48,23 @@ def state(stamp: int, names: tuple[str, ...] = ("x1", "x2"), q: float = 0.0) -> 
     return serialized(MAKE.joint_state(found), "sensor_msgs/msg/JointState")
 
 
-def heard(bag: Path, listening: Listening, without: Collection[str] = ()) -> Glance:
+def received(bag: Path, listener: TopicListener, without: Collection[str] = ()) -> Snapshot:
     """Everything in a bag, looked at ten times a second of its own time."""
     shown = 0.0
     with BagReader(bag) as reader:
         for topic, stamp, data in reader.raw():
             now = (stamp - EPOCH) / SECOND
-            if topic not in without and listening.wants(topic, reader.topics[topic].type):
-                listening.hear(topic, data, now, stamp)
+            if topic not in without and listener.wants(topic, reader.topics[topic].type):
+                listener.receive(topic, data, now, stamp)
             if now > shown + 0.1:
                 shown = now
-                listening.glance(now, stamp)
-        return listening.glance(shown, reader.end)
+                listener.snapshot(now, stamp)
+        return listener.snapshot(shown, reader.end)
 
 
 def test_estimates_are_shown_against_the_truth_of_their_stamp(bag: Path) -> None:
     """Both as they are in the bag, at its end."""
-    seen = heard(bag, Listening())
+    seen = received(bag, TopicListener())
     assert [each.name for each in seen.observers] == ["/observer", "/observer_minimum_variance"]
     with BagReader(bag) as reader:
         truth = reader.joint_states("/plant/joint_states")
@@ -77,30 +77,30 @@ def test_estimates_are_shown_against_the_truth_of_their_stamp(bag: Path) -> None
     plain, filters = seen.observers
     assert all(line.deviation is None for line in plain.lines)
     assert all(line.deviation is not None and line.deviation > 0 for line in filters.lines)
-    assert [name for name, _, _ in filters.parameters] == ["clock_error"]
+    assert [name for name, _, _ in filters.learnt] == ["clock_error"]
     assert (seen.model, seen.truth, seen.epoch, seen.simulated) == ("two_mass", True, EPOCH, False)
 
 
 def test_v_is_the_monitors_or_computed_alike(bag: Path) -> None:
     """Where no monitor tells it: by the plant's model, or by one that was named."""
-    told = heard(bag, Listening()).observers[0]
+    told = received(bag, TopicListener()).observers[0]
     monitors = ["/monitor/error", "/monitor_minimum_variance/error"]
-    computed = heard(bag, Listening(), monitors).observers[0]
+    computed = received(bag, TopicListener(), monitors).observers[0]
     system = read_model("two_mass").system
     model = [*monitors, "/plant/model"]
-    named = heard(bag, Listening(system=system), model).observers[0]
+    named = received(bag, TopicListener(system=system), model).observers[0]
     assert (told.source, computed.source, named.source) == ("monitor", "here", "here")
     q, u = (
         np.array([e.estimate - (e.truth or 0.0) for e in told.lines[k : k + 2]]) for k in (0, 2)
     )
     assert told.distance.now == pytest.approx(float(distance(system, q, u)), rel=1e-9)
     assert computed.distance.now == named.distance.now == pytest.approx(told.distance.now)
-    assert heard(bag, Listening(), model).observers[0].source == ""
+    assert received(bag, TopicListener(), model).observers[0].source == ""
 
 
 def test_v_and_convergence_have_a_course(bag: Path) -> None:
     """It covers the window, and falls; what was before the first estimate is not known."""
-    seen = heard(bag, Listening(seconds=12.0)).observers[0]
+    seen = received(bag, TopicListener(seconds=12.0)).observers[0]
     for course in (seen.distance, seen.convergence):
         assert (len(course.values), course.seconds) == (240, 12.0)
         there = [value for value in course.values if value is not None]
@@ -113,15 +113,15 @@ def test_v_and_convergence_have_a_course(bag: Path) -> None:
 def test_without_truth_there_are_estimates_only(bag: Path) -> None:
     """And V is not known to anybody here."""
     silent = ["/plant/joint_states", "/monitor/error", "/monitor_minimum_variance/error"]
-    seen = heard(bag, Listening(), silent)
+    seen = received(bag, TopicListener(), silent)
     assert not seen.truth
     assert all(line.truth is None for line in seen.observers[0].lines)
     assert seen.observers[0].distance.now is None
 
 
 def test_events_and_verdicts_are_counted_and_the_last_are_kept(bag: Path) -> None:
-    """Newest first, with what became of them."""
-    seen = heard(bag, Listening())
+    """RecentMessages first, with what became of them."""
+    seen = received(bag, TopicListener())
     with BagReader(bag) as reader:
         events = list(reader.events())
         verdicts = list(reader.verdicts("/observer/verdicts"))
@@ -138,12 +138,12 @@ def test_events_and_verdicts_are_counted_and_the_last_are_kept(bag: Path) -> Non
 
 def test_diagnostics_go_to_their_observer() -> None:
     """By the node's name; those of others say nothing."""
-    listening = Listening(["observer", "rig/observer"])
+    listener = TopicListener(["observer", "rig/observer"])
     kind = "diagnostic_msgs/msg/DiagnosticArray"
     for name, level in (("/observer", 1), ("/rig/observer", 2), ("/elsewhere", 0)):
         data = serialized(diagnostics(name, "two_mass", level, f"of {name}"), kind)
-        listening.hear("/diagnostics", data, 0.0, EPOCH)
-    seen = listening.glance(0.0, EPOCH)
+        listener.receive("/diagnostics", data, 0.0, EPOCH)
+    seen = listener.snapshot(0.0, EPOCH)
     assert [(each.name, each.health) for each in seen.observers] == [
         ("/observer", (1, "of /observer")),
         ("/rig/observer", (2, "of /rig/observer")),
@@ -152,7 +152,7 @@ def test_diagnostics_go_to_their_observer() -> None:
 
 def test_only_wanted_observers_are_heard() -> None:
     """With their monitors; the plant always; foreign topics and types never."""
-    listening = Listening(["observer_a"])
+    listener = TopicListener(["observer_a"])
     joint, error = "sensor_msgs/msg/JointState", "impact_observer_msgs/msg/EstimateError"
     wanted = {
         ("/observer_a/joint_states", joint): True,
@@ -164,48 +164,48 @@ def test_only_wanted_observers_are_heard() -> None:
         ("/camera", joint): False,
         ("/viewer/markers", "visualization_msgs/msg/MarkerArray"): False,
     }
-    assert {each: listening.wants(*each) for each in wanted} == wanted
-    assert Listening().wants("/observer_b/joint_states", joint)
-    assert [each.name for each in listening.glance(0.0, EPOCH).observers] == ["/observer_a"]
+    assert {each: listener.wants(*each) for each in wanted} == wanted
+    assert TopicListener().wants("/observer_b/joint_states", joint)
+    assert [each.name for each in listener.snapshot(0.0, EPOCH).observers] == ["/observer_a"]
     with pytest.raises(UsageError, match="no name of a node"):
-        Listening(["no name"])
+        TopicListener(["no name"])
 
 
 def test_latency_is_by_the_clock_that_stamps_follow() -> None:
     """The system's clock until /clock comes."""
-    listening = Listening()
+    listener = TopicListener()
     for k in range(30):
         stamp = EPOCH + k * SECOND // 10
-        listening.hear("/plant/joint_states", state(stamp), 0.1 * k, stamp + 5_000_000)
-    (flow,) = listening.glance(2.9, 0).flows
+        listener.receive("/plant/joint_states", state(stamp), 0.1 * k, stamp + 5_000_000)
+    (flow,) = listener.snapshot(2.9, 0).flows
     assert flow.latency == pytest.approx(0.005)
     assert flow.rate == pytest.approx(10.0)
     assert flow.count == 30
     assert flow.silent == pytest.approx(0.0)
-    listening.hear("/clock", clock(EPOCH), 3.0, 7)
-    seen = listening.glance(3.0, 7)
+    listener.receive("/clock", clock(EPOCH), 3.0, 7)
+    seen = listener.snapshot(3.0, 7)
     assert (seen.simulated, seen.clock) == (True, EPOCH)
 
 
 def test_a_clock_that_jumps_back_begins_anew() -> None:
     """As of a bag that is played again: nothing of the first pass is left."""
-    listening = Listening(["observer"])
+    listener = TopicListener(["observer"])
     for stamp in (EPOCH, EPOCH + 9 * SECOND):
-        listening.hear("/clock", clock(stamp), 0.0, 0)
-        listening.hear("/plant/joint_states", state(stamp), 0.0, 0)
-        listening.hear("/observer/joint_states", state(stamp, q=1.0), 0.0, 0)
-    assert listening.glance(0.0, 0).observers[0].stamp == EPOCH + 9 * SECOND
-    listening.hear("/clock", clock(EPOCH + SECOND), 0.0, 0)
-    assert listening.glance(0.0, 0).observers[0].lines == ()
-    assert not listening.glance(0.0, 0).truth
+        listener.receive("/clock", clock(stamp), 0.0, 0)
+        listener.receive("/plant/joint_states", state(stamp), 0.0, 0)
+        listener.receive("/observer/joint_states", state(stamp, q=1.0), 0.0, 0)
+    assert listener.snapshot(0.0, 0).observers[0].stamp == EPOCH + 9 * SECOND
+    listener.receive("/clock", clock(EPOCH + SECOND), 0.0, 0)
+    assert listener.snapshot(0.0, 0).observers[0].lines == ()
+    assert not listener.snapshot(0.0, 0).truth
 
 
 def test_joint_states_alone_are_an_estimate_too() -> None:
     """Of an observer that is not ours: its columns in any order, without a law."""
-    listening = Listening(system=read_model("two_mass").system)
-    listening.hear("/plant/joint_states", state(EPOCH, ("x2", "x1"), q=1.0), 0.0, EPOCH)
-    listening.hear("/observer/joint_states", state(EPOCH, q=1.5), 0.0, EPOCH)
-    (seen,) = listening.glance(0.0, EPOCH).observers
+    listener = TopicListener(system=read_model("two_mass").system)
+    listener.receive("/plant/joint_states", state(EPOCH, ("x2", "x1"), q=1.0), 0.0, EPOCH)
+    listener.receive("/observer/joint_states", state(EPOCH, q=1.5), 0.0, EPOCH)
+    (seen,) = listener.snapshot(0.0, EPOCH).observers
     assert (seen.law, seen.synchronized, seen.source) == ("", None, "here")
     assert [line.truth for line in seen.lines] == [1.0, 1.0, 0.0, 0.0]
     assert seen.distance.now == pytest.approx(0.5 * 0.25 * (20 - 20 + 10))
@@ -214,10 +214,10 @@ def test_joint_states_alone_are_an_estimate_too() -> None:
 @pytest.mark.parametrize("names", [("x1",), ("a", "b")])
 def test_a_truth_of_other_coordinates_is_none(names: tuple[str, ...]) -> None:
     """The estimate is shown alone."""
-    listening = Listening(system=read_model("two_mass").system)
-    listening.hear("/plant/joint_states", state(EPOCH, names), 0.0, EPOCH)
-    listening.hear("/observer/joint_states", state(EPOCH), 0.0, EPOCH)
-    (seen,) = listening.glance(0.0, EPOCH).observers
+    listener = TopicListener(system=read_model("two_mass").system)
+    listener.receive("/plant/joint_states", state(EPOCH, names), 0.0, EPOCH)
+    listener.receive("/observer/joint_states", state(EPOCH), 0.0, EPOCH)
+    (seen,) = listener.snapshot(0.0, EPOCH).observers
     assert [line.truth for line in seen.lines] == [None] * 4
     assert seen.distance.now is None
 
@@ -225,34 +225,34 @@ def test_a_truth_of_other_coordinates_is_none(names: tuple[str, ...]) -> None:
 @pytest.mark.parametrize("topic", ["/impacts", "/plant/joint_states", "/observer/state"])
 def test_bytes_that_are_no_message_are_told_and_passed_over(topic: str) -> None:
     """Whatever they are; what comes after is heard."""
-    listening = Listening()
+    listener = TopicListener()
     for data in (b"", b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + bytes([255] * 40)):
-        listening.hear(topic, data, 0.0, EPOCH)
-    seen = listening.glance(0.0, EPOCH)
+        listener.receive(topic, data, 0.0, EPOCH)
+    seen = listener.snapshot(0.0, EPOCH)
     assert "/" in seen.trouble
-    listening.hear("/observer_x/joint_states", state(EPOCH), 0.0, EPOCH)
-    assert listening.glance(0.0, EPOCH).observers[-1].lines
+    listener.receive("/observer_x/joint_states", state(EPOCH), 0.0, EPOCH)
+    assert listener.snapshot(0.0, EPOCH).observers[-1].lines
 
 
 def test_a_namespace_keeps_to_itself() -> None:
     """The truth of one rig is not that of another."""
-    listening = Listening()
+    listener = TopicListener()
     for rig, q in (("/a", 1.0), ("/b", 2.0)):
-        listening.hear(f"{rig}/plant/joint_states", state(EPOCH, q=q), 0.0, EPOCH)
-        listening.hear(f"{rig}/observer/joint_states", state(EPOCH), 0.0, EPOCH)
-    seen = listening.glance(0.0, EPOCH).observers
+        listener.receive(f"{rig}/plant/joint_states", state(EPOCH, q=q), 0.0, EPOCH)
+        listener.receive(f"{rig}/observer/joint_states", state(EPOCH), 0.0, EPOCH)
+    seen = listener.snapshot(0.0, EPOCH).observers
     assert [each.lines[0].truth for each in seen] == [1.0, 2.0]
 
 
 def test_each_rig_has_its_own_epoch() -> None:
     """So that the times of its events are its own; there is no common one then."""
-    listening, kind = Listening(), "impact_observer_msgs/msg/ImpactEvent"
+    listener, kind = TopicListener(), "impact_observer_msgs/msg/ImpactEvent"
     for rig, epoch in (("/a", EPOCH), ("/b", EPOCH + SECOND)):
         event = ImpactEvent(epoch + 5 * SECOND, (Switch("stop", Kind.IMPACT),), epoch=epoch)
-        listening.hear(f"{rig}/impacts", serialized(MAKE.event(event), kind), 0.0, EPOCH)
-        listening.hear(f"{rig}/observer/joint_states", state(EPOCH), 0.0, EPOCH)
-        assert listening.glance(0.0, EPOCH).epoch == (EPOCH if rig == "/a" else 0)
-    seen = listening.glance(0.0, EPOCH).observers
+        listener.receive(f"{rig}/impacts", serialized(MAKE.event(event), kind), 0.0, EPOCH)
+        listener.receive(f"{rig}/observer/joint_states", state(EPOCH), 0.0, EPOCH)
+        assert listener.snapshot(0.0, EPOCH).epoch == (EPOCH if rig == "/a" else 0)
+    seen = listener.snapshot(0.0, EPOCH).observers
     assert [each.epoch for each in seen] == [EPOCH, EPOCH + SECOND]
 
 
@@ -262,20 +262,20 @@ def test_a_rate_is_that_of_the_messages_and_not_of_their_bursts() -> None:
     for burst in range(200):
         for k in range(50):
             arrivals.add(0.05 * burst + 2e-6 * k, None)
-    assert arrivals.flow("t", 10.0).rate == pytest.approx(1000.0, rel=1e-3)
+    assert arrivals.rate("t", 10.0).rate == pytest.approx(1000.0, rel=1e-3)
 
 
 def test_nobody_is_heard_while_those_who_were_named_are_silent() -> None:
     """An observer is shown because it was asked for, and yet it has said nothing."""
-    listening = Listening(["observer"])
-    assert listening.glance(0.0, EPOCH).is_empty
-    listening.hear("/observer/joint_states", state(EPOCH), 0.0, EPOCH)
-    assert not listening.glance(0.0, EPOCH).is_empty
+    listener = TopicListener(["observer"])
+    assert listener.snapshot(0.0, EPOCH).is_empty
+    listener.receive("/observer/joint_states", state(EPOCH), 0.0, EPOCH)
+    assert not listener.snapshot(0.0, EPOCH).is_empty
 
 
 def test_memory_is_constant() -> None:
     """However long it runs: the newest states, the last bins and arrivals."""
-    newest, trace, arrivals = Newest(), ValueBuffer(1.0), Arrivals()
+    newest, trace, arrivals = RecentMessages(), HistoryBuffer(1.0), Arrivals()
     for k in range(10_000):
         newest.add(k, b"")
         trace.add(k * SECOND // 100, float(k))
@@ -283,30 +283,30 @@ def test_memory_is_constant() -> None:
     assert newest.last() == 9999
     assert 8000 in newest
     assert 7999 not in newest
-    assert len(trace.course().values) == 240
-    assert arrivals.flow("t", 100.0).rate == pytest.approx(100.0)
+    assert len(trace.history().values) == 240
+    assert arrivals.rate("t", 100.0).rate == pytest.approx(100.0)
     held: Any = (newest._data, trace._bins, arrivals._times, arrivals._latencies)
     assert [len(each) for each in held] == [2000, 240, 64, 64]
 
 
 def test_a_course_holds_a_value_until_the_next() -> None:
     """Bins between two values have the first; an earlier time than is kept begins anew."""
-    trace = ValueBuffer(240.0)
-    assert trace.course().values == ()
+    trace = HistoryBuffer(240.0)
+    assert trace.history().values == ()
     for second, value in ((1000, 4.0), (1003, 2.0), (1003, 1.0)):
         trace.add(second * SECOND, value)
-    course = trace.course()
+    course = trace.history()
     assert course.values[-5:] == (None, 4.0, 4.0, 4.0, 1.0)
     assert course.now == 1.0
     trace.add(1500 * SECOND, 0.5)
-    assert trace.course().values == (*[1.0] * 239, 0.5)
+    assert trace.history().values == (*[1.0] * 239, 0.5)
     trace.add(10 * SECOND, 9.0)
-    assert trace.course().values == (*[None] * 239, 9.0)
+    assert trace.history().values == (*[None] * 239, 9.0)
 
 
 def test_the_newest_state_that_two_topics_share_is_found() -> None:
     """By stamp, the last that came first; one that is corrected counts as new."""
-    ours, theirs = Newest(), Newest()
+    ours, theirs = RecentMessages(), RecentMessages()
     for stamp in (1, 2, 3, 4):
         ours.add(stamp, b"o%d" % stamp)
     for stamp in (2, 3, 9):
@@ -316,4 +316,4 @@ def test_the_newest_state_that_two_topics_share_is_found() -> None:
     ours.add(2, b"corrected")
     assert ours.last() == ours.last(theirs) == 2
     assert ours.data(2) == b"corrected"
-    assert ours.last(Newest()) is None
+    assert ours.last(RecentMessages()) is None

@@ -1,4 +1,4 @@
-"""What one look at a running plant and its observers shows: immutable values, no ROS."""
+"""What `watch` shows at one moment: immutable values, no ROS. `--json` prints their fields."""
 
 from dataclasses import dataclass
 
@@ -7,15 +7,14 @@ from impact_observer.events import Verdict
 
 @dataclass(frozen=True, slots=True)
 class TopicRate:
-    """How the messages of a topic come.
+    """How often the messages of a topic arrive.
 
     Attributes:
         topic: the absolute name.
         count: messages so far.
-        rate: of their arrival, Hz of wall time; None before there is one.
-        latency: from stamp to arrival by the clock of the stamps, s, a median; None without
-            stamps.
-        silent: since the last one, s of wall time.
+        rate: of arrival, Hz of wall time; None before there is one.
+        latency: median from stamp to arrival, s, by the clock of the stamps; None without stamps.
+        silent: since the last message, s of wall time.
     """
 
     topic: str
@@ -26,15 +25,15 @@ class TopicRate:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class StateLine:
     """A coordinate or a velocity.
 
     Attributes:
         name: of the coordinate.
         unit: m or m/s.
         estimate: its estimate.
-        truth: its true value at the same stamp; None where it is not known.
-        deviation: the estimate's standard deviation; None for a law without.
+        truth: its true value at the same stamp; None where there is none.
+        deviation: the estimate's standard deviation; None for a law without covariance.
     """
 
     name: str
@@ -50,8 +49,8 @@ class EstimateHistory:
 
     Attributes:
         now: its last value; None before there is one.
-        values: one a time bin, the last bin is now; None where nothing was known yet.
-        seconds: what the bins cover, s.
+        values: one per time bin, the last bin is the present; None before the first value.
+        seconds: the time that the bins cover, s.
     """
 
     now: float | None = None
@@ -60,40 +59,40 @@ class EstimateHistory:
 
 
 @dataclass(frozen=True, slots=True)
-class ObserverGlance:
+class ObserverSnapshot:
     """One observer.
 
     Attributes:
         name: of its node, absolute.
         law: its law; empty before its first state.
-        epoch: stamp of ``t = 0`` of its events, ns; 0 while none has told it.
-        stamp: when the lines hold, ns; 0 before the first state.
-        lines: coordinates, then velocities; estimates only where no truth has their stamp.
+        epoch: stamp of ``t = 0`` of its events, ns; 0 before an event with one.
+        stamp: of the lines, ns; 0 before the first state.
+        lines: coordinates, then velocities; without truth where none has their stamp.
         distance: V, J.
-        source: who tells V: ``monitor``, or ``here`` where it is computed; empty for nobody.
-        convergence: largest V distance between replicas, J; -1 while there is one only.
-        synchronized: whether they have agreed; None before the first state.
-        bound: certified bound of V, J; -1 where nothing is certified, None where nothing is said.
+        source: who computes V: ``monitor``, or ``here``; empty for nobody.
+        convergence: largest V distance between replicas, J; -1 for a single replica.
+        synchronized: whether the replicas have converged; None before the first state.
+        bound: certified bound of V, J; -1 where none is certified, None before a message.
         closed: contacts that the replica holds closed.
-        parameters: what is estimated besides the state: name, value, standard deviation, SI units.
+        learnt: estimated parameters: name, value, standard deviation, SI units.
         verdicts: the last ones with the latency of each, s, newest first.
         counts: verdicts so far by ruling.
         health: level (0 ok, 1 warning, 2 error) and message of its diagnostics; None before.
-        flows: its topics.
+        flows: rates of its topics.
     """
 
     name: str
     law: str = ""
     epoch: int = 0
     stamp: int = 0
-    lines: tuple[Line, ...] = ()
+    lines: tuple[StateLine, ...] = ()
     distance: EstimateHistory = EstimateHistory()
     source: str = ""
     convergence: EstimateHistory = EstimateHistory()
     synchronized: bool | None = None
     bound: float | None = None
     closed: tuple[str, ...] = ()
-    parameters: tuple[tuple[str, float, float], ...] = ()
+    learnt: tuple[tuple[str, float, float], ...] = ()
     verdicts: tuple[tuple[Verdict, float], ...] = ()
     counts: tuple[tuple[str, int], ...] = ()
     health: tuple[int, str] | None = None
@@ -101,20 +100,20 @@ class ObserverGlance:
 
 
 @dataclass(frozen=True, slots=True)
-class Glance:
-    """Everything.
+class Snapshot:
+    """The plant and all observers.
 
     Attributes:
         clock: now, by the clock of the stamps, ns.
         simulated: whether that is ``/clock``.
-        epoch: stamp of ``t = 0``, ns; 0 while no event has told it, or plants have several.
-        model: its name; empty while no plant has told it and none was named.
+        epoch: stamp of ``t = 0``, ns; 0 before an event with one, or when plants differ.
+        model: its name; empty where no plant publishes it and none was named.
         truth: whether a plant publishes true states.
         impacts: events so far.
         last_impact: stamp, ns, and contacts of the last one; None before.
         observers: the observers, by name.
-        flows: topics that no single observer owns.
-        trouble: the last message that could not be understood; empty for none.
+        flows: rates of topics that belong to no single observer.
+        trouble: the last message that could not be read; empty for none.
     """
 
     clock: int
@@ -124,11 +123,11 @@ class Glance:
     truth: bool = False
     impacts: int = 0
     last_impact: tuple[int, str] | None = None
-    observers: tuple[ObserverGlance, ...] = ()
+    observers: tuple[ObserverSnapshot, ...] = ()
     flows: tuple[TopicRate, ...] = ()
     trouble: str = ""
 
     @property
     def is_empty(self) -> bool:
-        """Whether nobody has been heard."""
+        """Whether no message has arrived."""
         return not self.flows and not any(each.flows for each in self.observers)

@@ -30,9 +30,9 @@ from impact_observer.draw.layouts import series
 from impact_observer.draw.observer_topics import ObserverTopics
 from impact_observer.io.typestores import deserialize, typestore
 from impact_observer.model import read_model
-from impact_observer.ros.snapshot import Glance
-from impact_observer.ros.topic_listener import Listening
-from impact_observer.ros.watch_session import watch
+from impact_observer.ros.watch.snapshot import Snapshot
+from impact_observer.ros.watch.topic_listener import TopicListener
+from impact_observer.ros.watch.watch_session import watch
 
 pytestmark = pytest.mark.ros
 WATCH = [sys.executable, "-m", "impact_observer", "watch"]
@@ -66,18 +66,18 @@ def system(environment: dict[str, str]) -> Iterator[None]:
         yield
 
 
-class Keeping(Listening):
+class Keeping(TopicListener):
     """Keeps what is heard on ``/diagnostics`` as it came, too."""
 
     def __init__(self) -> None:
         super().__init__()
         self.diagnostics: list[bytes] = []
 
-    def hear(self, topic: str, data: bytes, arrived: float, wall: int) -> None:
+    def receive(self, topic: str, data: bytes, arrived: float, wall: int) -> None:
         """Take in a message."""
         if topic == "/diagnostics":
             self.diagnostics.append(data)
-        super().hear(topic, data, arrived, wall)
+        super().receive(topic, data, arrived, wall)
 
 
 def started(arguments: list[str], environment: dict[str, str]) -> "subprocess.Popen[str]":
@@ -132,8 +132,8 @@ def received(terminal: int) -> bytes:
 
 def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
     """In this process, in a terminal by keys, as lines until Ctrl-C, and once as JSON."""
-    seen: list[Glance] = []
-    listening = Keeping()
+    seen: list[Snapshot] = []
+    listener = Keeping()
 
     def is_known() -> bool:
         """Processes find each other one by one, the plant not always before its observer."""
@@ -142,7 +142,7 @@ def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
         whole, own = seen[-1], seen[-1].observers[0]
         plant = whole.model and whole.truth and whole.simulated and own.source == "monitor"
         # Diagnostics may be older than the first estimate of which they tell.
-        told = own.health and b"synchronized" in listening.diagnostics[-1]
+        told = own.health and b"synchronized" in listener.diagnostics[-1]
         return bool(plant and told and own.verdicts and own.bound is not None)
 
     with system(ros_environment), ExitStack() as stack:
@@ -152,14 +152,14 @@ def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
         look = stack.enter_context(started(once, ros_environment))
         stack.callback(look.kill)
         watch(
-            listening,
+            listener,
             seen.append,
             rate=10.0,
             keep_on=lambda: not is_known(),
             duration=PATIENCE,
         )
         check_glance(seen[-1])
-        check_diagnostics(listening.diagnostics)
+        check_diagnostics(listener.diagnostics)
         code, text, restored = screen_of(ros_environment)
         assert (code, restored) == (0, True)
         assert text.count("\x1b[?1049h") == text.count("\x1b[?1049l") == 1
@@ -174,7 +174,7 @@ def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
         assert "\x1b" not in written
 
 
-def check_glance(seen: Glance) -> None:
+def check_glance(seen: Snapshot) -> None:
     """The estimate against the truth, by the clock of the stamps."""
     (observer,) = seen.observers
     assert (seen.model, seen.truth, seen.simulated, seen.trouble) == ("two_mass", True, True, "")
@@ -215,5 +215,5 @@ def test_watching_nobody_says_so(ros_environment: dict[str, str], tmp_path: Path
         timeout=PATIENCE,
     )
     assert (done.returncode, done.stderr) == (1, "")
-    assert "nothing heard yet: no plant, no observer" in done.stdout
+    assert "nothing received yet: no plant, no observer" in done.stdout
     assert "waiting for observers" in done.stdout

@@ -1,4 +1,4 @@
-"""What ``watch`` shows: a pure function from a glance to something that rich can print."""
+"""What ``watch`` shows: a pure function from a snapshot to something that rich can print."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -11,20 +11,26 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from impact_observer.cli.blocks import BLOCKS, bars, decades, known
 from impact_observer.events import Verdict
 from impact_observer.model.free_parameters import with_unit
-from impact_observer.ros.snapshot import EstimateHistory, Glance, Line, ObserverGlance, TopicRate
+from impact_observer.ros.watch.charts import BLOCKS, bars, decades, from_first
+from impact_observer.ros.watch.snapshot import (
+    EstimateHistory,
+    ObserverSnapshot,
+    Snapshot,
+    StateLine,
+    TopicRate,
+)
 from impact_observer.stamps import seconds_between
 
 _NARROWEST = 58
-"""Columns that an observer needs beside another one."""
+"""Least columns of an observer beside another."""
 _SILENCE = 2.0
-"""After so long without a message a topic is said to be silent, s."""
+"""After so long without a message a topic is shown as silent, s."""
 _LOWEST = 12
-"""Rows that an observer needs under another one."""
+"""Least rows of an observer under another."""
 _LOW = 36
-"""A screen of fewer rows shows the topics of the plant in one."""
+"""A screen of fewer rows shows the topics of the plant in one row."""
 _MOST_CHART = 6
 _MOST_VERDICTS = 8
 _MARGIN = 7
@@ -36,13 +42,13 @@ _CHART_STYLE = "cyan"
 
 @dataclass(frozen=True, slots=True)
 class ScreenStyle:
-    """How it is shown.
+    """Size and characters of a terminal.
 
     Attributes:
         width: columns.
         height: rows; None for as many as it takes.
-        keys: whether keys are listened to.
-        frozen: whether the picture stands still.
+        keys: whether keys are read.
+        frozen: whether the screen is frozen.
         levels: characters of charts, from empty to full.
     """
 
@@ -53,30 +59,30 @@ class ScreenStyle:
     levels: str = BLOCKS
 
 
-def screen(glance: Glance, look: ScreenStyle) -> RenderableType:
+def screen(whole: Snapshot, style: ScreenStyle) -> RenderableType:
     """The whole picture.
 
     Args:
-        glance: what there is to see.
-        look: the room for it.
+        whole: what is shown.
+        style: the terminal.
     """
-    head, foot = _head(glance, look), _foot(glance, look)
-    if not glance.observers:
-        words = "waiting for observers: nobody publishes observer/state or observer_<law>/state"
+    head, foot = _head(whole, style), _foot(whole, style)
+    if not whole.observers:
+        words = "waiting for observers: no node publishes observer/state or observer_<law>/state"
         return Group(*head, Panel(Text(words), box=box.ROUNDED), *foot)
-    columns = max(min(len(glance.observers), look.width // _NARROWEST), 1)
-    rows = -(-len(glance.observers) // columns)
-    budget, shown = None, glance.observers
-    if look.height is not None:
-        room = look.height - len(head) - len(foot)
+    columns = max(min(len(whole.observers), style.width // _NARROWEST), 1)
+    rows = -(-len(whole.observers) // columns)
+    budget, shown = None, whole.observers
+    if style.height is not None:
+        room = style.height - len(head) - len(foot)
         if rows > 1 and room < rows * _LOWEST:
             rows = max((room - 1) // _LOWEST, 1)
             shown = shown[: rows * columns]
-            foot = [*_others(glance.observers[len(shown) :]), *foot]
+            foot = [*_others(whole.observers[len(shown) :]), *foot]
             room -= 1
         budget = max(room // rows, 3)
-    width = look.width // columns
-    panels = [_observer(each, glance, width, budget, look.levels) for each in shown]
+    width = style.width // columns
+    panels = [_observer(each, whole, width, budget, style.levels) for each in shown]
     grid = Table.grid(expand=True)
     for _ in range(columns):
         grid.add_column(ratio=1)
@@ -85,13 +91,13 @@ def screen(glance: Glance, look: ScreenStyle) -> RenderableType:
     return Group(*head, grid, *foot)
 
 
-def line(glance: Glance) -> str:
-    """The same in one line, for a file or a pipe."""
-    if glance.is_empty:
-        return "nothing heard yet: neither a plant nor an observer"
-    parts = [f"{_time(glance.clock, glance)}, {_impacts(glance)}"]
-    for each in glance.observers:
-        words = [f"V {_distance(each, glance, brief=True)}"]
+def line(whole: Snapshot) -> str:
+    """A snapshot in one line, for a file or a pipe."""
+    if whole.is_empty:
+        return "nothing received yet: neither a plant nor an observer"
+    parts = [f"{_time(whole.clock, whole)}, {_impacts(whole)}"]
+    for each in whole.observers:
+        words = [f"V {_distance(each, whole, brief=True)}"]
         if each.convergence.now is not None and each.convergence.now >= 0:
             words.append(f"convergence {each.convergence.now:.2e} J")
         if each.synchronized:
@@ -99,42 +105,42 @@ def line(glance: Glance) -> str:
         if each.health is not None and each.health[0]:
             words.append(_health(each))
         parts.append(f"{each.name.lstrip('/')}: {', '.join(words)}")
-    return "; ".join(parts if glance.observers else [*parts, "no observer"])
+    return "; ".join(parts if whole.observers else [*parts, "no observer"])
 
 
-def _head(glance: Glance, look: ScreenStyle) -> list[RenderableType]:
-    """What is known of the plant, and how its topics come."""
-    if glance.is_empty:
-        words = "nothing heard yet: no plant, no observer; is one running on this ROS domain?"
+def _head(whole: Snapshot, style: ScreenStyle) -> list[RenderableType]:
+    """The plant, and the rates of its topics."""
+    if whole.is_empty:
+        words = "nothing received yet: no plant, no observer; is one running on this ROS domain?"
         return [Text(words, style="bold", overflow="fold")]
     first = [
-        glance.model or "model not told",
-        f"{_time(glance.clock, glance)} ({'/clock' if glance.simulated else 'system clock'})",
-        _impacts(glance),
+        whole.model or "no model",
+        f"{_time(whole.clock, whole)} ({'/clock' if whole.simulated else 'system clock'})",
+        _impacts(whole),
     ]
-    if not glance.truth:
+    if not whole.truth:
         first.append("no truth")
-    texts = [_cut(each, "bold") for each in _packed(first, look.width)]
-    low = look.height is not None and look.height < _LOW
-    flows = list(_packed(map(_flow, glance.flows), look.width - 4 * low))
+    texts = [_cut(each, "bold") for each in _packed(first, style.width)]
+    low = style.height is not None and style.height < _LOW
+    flows = list(_packed(map(_flow, whole.flows), style.width - 4 * low))
     if low and len(flows) > 1:
         flows = [f"{flows[0]} ..."]
     return [*texts, *(_cut(each, "dim") for each in flows)]
 
 
-def _foot(glance: Glance, look: ScreenStyle) -> list[RenderableType]:
-    """Keys, and what could not be understood."""
-    words = ["FROZEN: space goes on" if look.frozen else "space freezes", "q ends"]
+def _foot(whole: Snapshot, style: ScreenStyle) -> list[RenderableType]:
+    """Keys, and the last message that could not be read."""
+    words = ["FROZEN: space goes on" if style.frozen else "space freezes", "q ends"]
     foot: list[RenderableType] = []
-    if glance.trouble:
-        foot.append(_cut(f"not understood: {glance.trouble}"))
-    if look.keys:
-        foot.append(_cut("   ".join(words), "reverse" if look.frozen else "dim"))
+    if whole.trouble:
+        foot.append(_cut(f"not understood: {whole.trouble}"))
+    if style.keys:
+        foot.append(_cut("   ".join(words), "reverse" if style.frozen else "dim"))
     return foot
 
 
-def _others(observers: Sequence[ObserverGlance]) -> list[RenderableType]:
-    """Those that there is no room for, and how to see them."""
+def _others(observers: Sequence[ObserverSnapshot]) -> list[RenderableType]:
+    """The observers without room, and how to see them."""
     if not observers:
         return []
     names = ", ".join(each.name.lstrip("/") for each in observers)
@@ -143,7 +149,7 @@ def _others(observers: Sequence[ObserverGlance]) -> list[RenderableType]:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """How many rows the parts of an observer get."""
+    """Rows of the parts of an observer."""
 
     lines: int
     chart: int
@@ -151,20 +157,20 @@ class _Plan:
     flows: int
 
 
-def _plan(seen: ObserverGlance, rows: int | None, words: int, flows: int) -> _Plan:
-    """Share ``rows``, less the frame, out: first a little for everybody, then the rest.
+def _plan(seen: ObserverSnapshot, rows: int | None, words: int, flows: int) -> _Plan:
+    """Distribute ``rows``: first a few for every part, then the rest.
 
     Args:
-        seen: what is to be shown.
-        rows: of the frame and what is in it; None for enough.
-        words: rows that are shown in any case.
-        flows: rows that the topics take.
+        seen: the observer.
+        rows: with the frame; None for enough.
+        words: rows that are always shown.
+        flows: rows of the topics.
     """
     size, events, drawn = len(seen.lines), len(seen.verdicts), bool(seen.distance.values)
     if rows is None:
         return _Plan(size, 4 * drawn, min(events, _MOST_VERDICTS), flows)
     left = rows - 2 - words - drawn - bool(size)
-    lines = size if size <= left else max(left - drawn - 1, 2)  # a row tells of the others
+    lines = size if size <= left else max(left - drawn - 1, 2)  # one row counts the others
     left -= lines + (lines < size)
     chart = int(drawn and left > 0)
     verdicts = max(min(events, left - chart, 3), 0)
@@ -178,23 +184,23 @@ def _plan(seen: ObserverGlance, rows: int | None, words: int, flows: int) -> _Pl
 
 
 def _observer(
-    seen: ObserverGlance, glance: Glance, width: int, rows: int | None, levels: str
+    seen: ObserverSnapshot, whole: Snapshot, width: int, rows: int | None, levels: str
 ) -> Panel:
     """One observer in a frame of ``width`` columns, and at most ``rows``."""
     inner = width - 4
-    belief, flows = _belief(seen, inner, levels), list(_packed(_own_flows(seen), inner))
-    plan = _plan(seen, rows, len(belief) + 2, len(flows))
+    own_error, flows = _own_error(seen, inner, levels), list(_packed(_own_flows(seen), inner))
+    plan = _plan(seen, rows, len(own_error) + 2, len(flows))
     parts: list[RenderableType] = []
     if seen.lines:
         parts += _table(seen, plan.lines, inner)
     else:
         parts.append(_cut("no estimate yet: it begins with the first impact"))
-    parts.append(_cut(f"V  {_distance(seen, glance)}"))
+    parts.append(_cut(f"V  {_distance(seen, whole)}"))
     parts += _chart(seen.distance, inner, plan.chart, levels)
-    parts += map(_cut, belief)
+    parts += map(_cut, own_error)
     counts = ", ".join(f"{n} {ruling}" for ruling, n in seen.counts) or "waiting for impacts ..."
     parts.append(_cut(f"events  {counts}"))
-    epoch = seen.epoch or glance.epoch
+    epoch = seen.epoch or whole.epoch
     parts += [_verdict(*each, epoch) for each in seen.verdicts[: plan.verdicts]]
     parts.append(_cut(f"health  {_health(seen)}", _STYLES[_level(seen)]))
     parts += [_cut(each, "dim") for each in flows[: plan.flows]]
@@ -205,8 +211,8 @@ def _observer(
     return Panel(Group(*parts), title=title, title_align="left", box=box.ROUNDED, height=cut)
 
 
-def _table(seen: ObserverGlance, rows: int, width: int) -> list[RenderableType]:
-    """Estimates against the truth, as many as fit; where it is narrow, fewer columns."""
+def _table(seen: ObserverSnapshot, rows: int, width: int) -> list[RenderableType]:
+    """Estimates against the truth, as many rows and columns as fit."""
     shown = seen.lines[:rows]
     columns = {
         "": [each.name for each in shown],
@@ -231,19 +237,19 @@ def _table(seen: ObserverGlance, rows: int, width: int) -> list[RenderableType]:
     return [table, *([_cut(f"... {left} more", "dim")] if left > 0 else [])]
 
 
-def _difference(seen: Line) -> float | None:
+def _difference(seen: StateLine) -> float | None:
     """Estimate minus truth."""
     return None if seen.truth is None else seen.estimate - seen.truth
 
 
 def _short(value: float | None, sign: str = "") -> str:
-    """A number of which the size alone matters."""
+    """A number with two digits."""
     return "" if value is None else f"{value:{sign}.1e}"
 
 
-def _chart(course: EstimateHistory, width: int, rows: int, levels: str) -> list[RenderableType]:
-    """A course with its decades at the left; nothing where there is no room."""
-    values = known(course.values)
+def _chart(history: EstimateHistory, width: int, rows: int, levels: str) -> list[RenderableType]:
+    """A history with its decades at the left; empty where there is no room."""
+    values = from_first(history.values)
     if not rows or not values:
         return []
     low, high = decades(values)
@@ -258,49 +264,52 @@ def _chart(course: EstimateHistory, width: int, rows: int, levels: str) -> list[
     ]
 
 
-def _belief(seen: ObserverGlance, width: int, levels: str) -> list[str]:
-    """What the observer says of its own error, in rows."""
+def _own_error(seen: ObserverSnapshot, width: int, levels: str) -> list[str]:
+    """What the observer reports of its own error, in rows."""
     rows = []
-    differences = seen.convergence
-    if differences.now is not None:
+    convergence = seen.convergence
+    if convergence.now is not None:
         agreed = "synchronized" if seen.synchronized else "not synchronized"
         words = (
-            f"replicas  {differences.now:.2e} J apart, {agreed}"
-            if differences.now >= 0
+            f"convergence  {convergence.now:.2e} J, {agreed}"
+            if convergence.now >= 0
             else "one replica"
         )
-        values = known(differences.values)
-        room = min(width - len(words) - 2, 24) if values and differences.now >= 0 else 0
+        values = from_first(convergence.values)
+        room = min(width - len(words) - 2, 24) if values and convergence.now >= 0 else 0
         rows.append(f"{words}  {bars(values, room, levels=levels)[0]}" if room > 7 else words)
     if seen.bound is not None:
         words = f"V <= {seen.bound:.3g} J, certified" if seen.bound >= 0 else "none certified"
         rows.append(f"bound  {words}")
-    for name, value, deviation in seen.parameters:
+    for name, value, deviation in seen.learnt:
         what, _, unit = with_unit(name).rstrip("]").partition(" [")
         number = f"{value:.2e}" if name.startswith("clock") else f"{value:.6g}"
-        rows.append(f"learnt  {' '.join(filter(None, (what, number, unit)))} +- {deviation:.1e}")
+        estimate = " ".join(filter(None, (what, number, unit)))
+        rows.append(f"estimated  {estimate} +- {deviation:.1e}")
     if seen.closed:
         rows.append(f"closed  {', '.join(seen.closed)}")
     return rows
 
 
-def _distance(seen: ObserverGlance, glance: Glance, *, brief: bool = False) -> str:
-    """V now, or why it is not known."""
+def _distance(seen: ObserverSnapshot, whole: Snapshot, *, brief: bool = False) -> str:
+    """V at present, or why it is missing."""
     if seen.distance.now is None:
-        if not glance.truth:
-            return "not known: no truth"
+        if not whole.truth:
+            return "unknown: no truth"
         if not seen.stamp:
-            return "not known: no estimate yet"
-        return "not known: no monitor, and no model of the plant's; give --model"
+            return "unknown: no estimate yet"
+        return "unknown: no monitor, and no model of the plant's; give --model"
     if brief:
         return f"{seen.distance.now:.2e} J"
-    span = len(known(seen.distance.values)) * seen.distance.seconds / len(seen.distance.values)
-    teller = " by the monitor" if seen.source == "monitor" else ""
-    return f"{seen.distance.now:.2e} J{teller}, last {span:.0f} s"
+    span = (
+        len(from_first(seen.distance.values)) * seen.distance.seconds / len(seen.distance.values)
+    )
+    source = " by the monitor" if seen.source == "monitor" else ""
+    return f"{seen.distance.now:.2e} J{source}, last {span:.0f} s"
 
 
 def _verdict(verdict: Verdict, latency: float, epoch: int) -> Text:
-    """What became of one event."""
+    """One verdict."""
     words = [
         f"{seconds_between(epoch, verdict.stamp):>13.6f} s",
         verdict.contact or "all",
@@ -312,27 +321,27 @@ def _verdict(verdict: Verdict, latency: float, epoch: int) -> Text:
     return _cut("  ".join(word for word in words if word))
 
 
-def _health(seen: ObserverGlance) -> str:
+def _health(seen: ObserverSnapshot) -> str:
     """Level and message of the diagnostics."""
     if seen.health is None:
         return "no diagnostics yet"
     return f"{_LEVELS[_level(seen)]}: {seen.health[1]}"
 
 
-def _level(seen: ObserverGlance) -> int:
-    """How bad it is; 0 where nobody has said."""
+def _level(seen: ObserverSnapshot) -> int:
+    """Level of the diagnostics; 0 before the first."""
     return 0 if seen.health is None else min(seen.health[0], len(_LEVELS) - 1)
 
 
-def _own_flows(seen: ObserverGlance) -> list[str]:
-    """How the observer's own topics come; the monitor's is told apart by its name."""
+def _own_flows(seen: ObserverSnapshot) -> list[str]:
+    """Rates of the observer's own topics, and of its monitor's with its full name."""
     return [
         _flow(each, each.topic.removeprefix(f"{seen.name}/").lstrip("/")) for each in seen.flows
     ]
 
 
 def _flow(flow: TopicRate, name: str = "") -> str:
-    """How the messages of a topic come."""
+    """Rate and latency of a topic."""
     words = [name or flow.topic]
     if flow.silent > _SILENCE and flow.rate is not None:
         words.append(f"silent {flow.silent:.0f} s")
@@ -345,22 +354,22 @@ def _flow(flow: TopicRate, name: str = "") -> str:
     return " ".join(words)
 
 
-def _impacts(glance: Glance) -> str:
-    """How many impacts have been told, and the last one."""
-    if glance.last_impact is None:
+def _impacts(whole: Snapshot) -> str:
+    """Number of impacts, and the last one."""
+    if whole.last_impact is None:
         return "waiting for impacts ..."
-    stamp, contacts = glance.last_impact
-    ago = seconds_between(stamp, glance.clock)
-    return f"{glance.impacts} impacts, last {ago:.1f} s ago ({contacts})"
+    stamp, contacts = whole.last_impact
+    ago = seconds_between(stamp, whole.clock)
+    return f"{whole.impacts} impacts, last {ago:.1f} s ago ({contacts})"
 
 
-def _time(stamp: int, glance: Glance) -> str:
-    """A stamp since the epoch where that is known."""
-    return f"t = {seconds_between(glance.epoch, stamp):.2f} s"
+def _time(stamp: int, whole: Snapshot) -> str:
+    """A stamp since the epoch, if there is one."""
+    return f"t = {seconds_between(whole.epoch, stamp):.2f} s"
 
 
 def _value(value: float | None) -> str:
-    """A number of constant width where it is of usual size."""
+    """A number of constant width below 1e4."""
     if value is None:
         return ""
     return f"{value:+.6f}" if abs(value) < 1e4 else f"{value:+.5e}"

@@ -1,7 +1,7 @@
-"""Listening to a running plant and its observers, in constant memory; no ROS.
+"""Collects the topics of a running plant and its observers, in constant memory; no ROS.
 
-Messages come as bytes, as from a bag. Of states only the stamp is read when they come, and the
-whole of the newest when somebody looks, so that a fast plant costs no more than a slow one.
+Messages arrive as bytes, as from a bag. Of a state only the stamp is read on arrival; the newest
+state is decoded when a snapshot is made, so that a fast plant costs no more than a slow one.
 """
 
 import struct
@@ -39,26 +39,26 @@ from impact_observer.io.messages import (
 )
 from impact_observer.io.typestores import deserialize, typestore
 from impact_observer.model import System, parse_model
-from impact_observer.ros.buffers import Arrivals, Newest, ValueBuffer
-from impact_observer.ros.snapshot import Glance, Line, ObserverGlance
+from impact_observer.ros.watch.buffers import Arrivals, HistoryBuffer, RecentMessages
+from impact_observer.ros.watch.snapshot import ObserverSnapshot, Snapshot, StateLine
 from impact_observer.stamps import NS_PER_S, seconds_between
 from impact_observer.states import Estimate, Vector
 
 _VERDICTS = 16
 _HEADED = (interfaces.OBSERVER_STATE, interfaces.JOINT_STATE, interfaces.ESTIMATE_ERROR)
-"""Types that begin with a header, and of which the newest alone matters."""
+"""Types that begin with a header, and of which only the newest message is shown."""
 
 
 @dataclass(slots=True)
-class _Heard:
-    """What was heard of one observer."""
+class _ObserverRecord:
+    """What was received from one observer."""
 
     observed: ObserverTopics
-    distances: ValueBuffer
-    convergences: ValueBuffer
-    states: Newest = field(default_factory=Newest)
-    joints: Newest = field(default_factory=Newest)
-    errors: Newest = field(default_factory=Newest)
+    distances: HistoryBuffer
+    convergences: HistoryBuffer
+    states: RecentMessages = field(default_factory=RecentMessages)
+    joints: RecentMessages = field(default_factory=RecentMessages)
+    errors: RecentMessages = field(default_factory=RecentMessages)
     bound: float | None = None
     verdicts: deque[tuple[Verdict, float]] = field(
         default_factory=partial(deque, maxlen=_VERDICTS)
@@ -66,20 +66,24 @@ class _Heard:
     counts: Counter[str] = field(default_factory=Counter)
     health: tuple[int, str] | None = None
 
-    def forget(self, seconds: float) -> None:
-        """Time has jumped back: what was, is not yet."""
-        self.distances, self.convergences = ValueBuffer(seconds), ValueBuffer(seconds)
-        self.states, self.joints, self.errors = Newest(), Newest(), Newest()
+    def clear(self, seconds: float) -> None:
+        """Forget everything but the diagnostics, after a backward jump of time."""
+        self.distances, self.convergences = HistoryBuffer(seconds), HistoryBuffer(seconds)
+        self.states, self.joints, self.errors = (
+            RecentMessages(),
+            RecentMessages(),
+            RecentMessages(),
+        )
         self.bound = None
         self.verdicts.clear()
         self.counts.clear()
 
 
-class Listening:
-    """What was heard so far.
+class TopicListener:
+    """Keeps what was received so far.
 
-    Topics are those of ``bag.interfaces`` in any namespace; an observer's plant and monitor are
-    looked for in its own.
+    Topics are those of ``io/interfaces.py`` in any namespace; the plant and the monitor of an
+    observer are those of its own namespace.
     """
 
     def __init__(
@@ -89,15 +93,15 @@ class Listening:
         *,
         seconds: float = 60.0,
     ) -> None:
-        """Begin.
+        """Listen to all observers, or some.
 
         Args:
             observers: only these nodes, relative or absolute names; None for all.
-            system: what V is computed with; None for the model that the plant publishes.
-            seconds: how far back courses go, s.
+            system: for V; None for the model that the plant publishes.
+            seconds: length of the histories, s.
 
         Raises:
-            UsageError: a name is none of a node.
+            UsageError: a name cannot be a node's.
         """
         named = None if observers is None else [ObserverTopics.of_node(name) for name in observers]
         self._wanted = None if named is None else {each.prefix for each in named}
@@ -105,13 +109,13 @@ class Listening:
         self._systems: dict[str, System] = {}
         self._seconds = seconds
         self._arrivals: dict[str, Arrivals] = {}
-        self._heard: dict[str, _Heard] = {}
-        self._truth: dict[str, Newest] = {}
+        self._observers: dict[str, _ObserverRecord] = {}
+        self._truth: dict[str, RecentMessages] = {}
         self._simulated: int | None = None
         self._epochs: dict[str, int] = {}
         self._impacts = 0
         self._last_impact: tuple[int, str] | None = None
-        self._trouble = ""
+        self._unreadable = ""
         for each in named or ():
             self._observer(each.prefix)
         self._handlers: dict[Interface, Callable[[str, Any], None]] = {
@@ -124,21 +128,21 @@ class Listening:
         }
 
     def wants(self, topic: str, type_name: str) -> bool:
-        """Whether a topic is one to be heard."""
-        known = interface(topic)
-        if known is None or known.type != type_name or not self._can_take(known):
+        """Whether the messages of a topic are used."""
+        kind = interface(topic)
+        if kind is None or kind.type != type_name or not self._can_take(kind):
             return False
         if self._wanted is None:
             return True
-        if known == interfaces.MONITOR_ERROR:
+        if kind == interfaces.MONITOR_ERROR:
             return any(
                 ObserverTopics.of_node(name).topic(interfaces.MONITOR_ERROR) == topic
                 for name in self._wanted
             )
-        return not known.name.startswith("observer/") or _owner(topic) in self._wanted
+        return not kind.name.startswith("observer/") or _owner(topic) in self._wanted
 
-    def hear(self, topic: str, data: bytes, arrived: float, wall: int) -> None:
-        """Take in a message of a topic that is wanted.
+    def receive(self, topic: str, data: bytes, arrived: float, wall: int) -> None:
+        """Take in a message of a wanted topic.
 
         Args:
             topic: the absolute name.
@@ -146,33 +150,35 @@ class Listening:
             arrived: monotonic time, s.
             wall: the system's clock, ns.
         """
-        known = interface(topic)
-        if known is None or not self._can_take(known):
+        kind = interface(topic)
+        if kind is None or not self._can_take(kind):
             return
         latency = None
         try:
-            if known not in self._handlers:
+            if kind not in self._handlers:
                 stamp = _stamp(data)
-                self._keep(known, topic, stamp, data)
+                self._keep(kind, topic, stamp, data)
                 latency = seconds_between(stamp, self._now(wall))
             else:
-                self._handlers[known](topic, _message(known, data))
+                self._handlers[kind](topic, _message(kind, data))
         except Exception as error:  # noqa: BLE001 (rosbags raises many kinds; a view must go on)
-            self._trouble = f"{topic}: {str(error) or type(error).__name__}"
+            self._unreadable = f"{topic}: {str(error) or type(error).__name__}"
         self._arrivals.setdefault(topic, Arrivals()).add(arrived, latency)
 
-    def glance(self, now: float, wall: int) -> Glance:
-        """What there is to see.
+    def snapshot(self, now: float, wall: int) -> Snapshot:
+        """Everything at one moment.
 
         Args:
             now: monotonic time, s.
             wall: the system's clock, ns.
         """
-        seen = tuple(self._look(self._heard[name], now) for name in sorted(self._heard))
+        seen = tuple(
+            self._observer_snapshot(self._observers[name], now) for name in sorted(self._observers)
+        )
         epochs = set(self._epochs.values())
         owned = {flow.topic for each in seen for flow in each.flows}
         systems = [*self._systems.values(), *([self._system] if self._system else [])]
-        return Glance(
+        return Snapshot(
             clock=self._now(wall),
             simulated=self._simulated is not None,
             epoch=epochs.pop() if len(epochs) == 1 else 0,
@@ -182,40 +188,40 @@ class Listening:
             last_impact=self._last_impact,
             observers=seen,
             flows=tuple(
-                self._arrivals[topic].flow(topic, now)
+                self._arrivals[topic].rate(topic, now)
                 for topic in sorted(self._arrivals.keys() - owned)
             ),
-            trouble=self._trouble,
+            trouble=self._unreadable,
         )
 
-    def _can_take(self, known: Interface) -> bool:
-        """Whether messages of an interface say something here."""
-        return known in self._handlers or known.type in _HEADED
+    def _can_take(self, kind: Interface) -> bool:
+        """Whether messages of an interface are used."""
+        return kind in self._handlers or kind.type in _HEADED
 
     def _now(self, wall: int) -> int:
         """The clock that stamps follow."""
         return wall if self._simulated is None else self._simulated
 
-    def _observer(self, prefix: str) -> _Heard:
-        """What is heard of an observer."""
-        if prefix not in self._heard:
-            self._heard[prefix] = _Heard(
+    def _observer(self, prefix: str) -> _ObserverRecord:
+        """The record of an observer."""
+        if prefix not in self._observers:
+            self._observers[prefix] = _ObserverRecord(
                 ObserverTopics.of_node(prefix),
-                ValueBuffer(self._seconds),
-                ValueBuffer(self._seconds),
+                HistoryBuffer(self._seconds),
+                HistoryBuffer(self._seconds),
             )
-        return self._heard[prefix]
+        return self._observers[prefix]
 
-    def _keep(self, known: Interface, topic: str, stamp: int, data: bytes) -> None:
-        """Keep a state until somebody looks."""
-        if known == interfaces.PLANT_JOINT_STATES:
-            self._truth.setdefault(topic, Newest()).add(stamp, data)
-        elif known == interfaces.OBSERVER_STATES:
+    def _keep(self, kind: Interface, topic: str, stamp: int, data: bytes) -> None:
+        """Keep a state for the next snapshot."""
+        if kind == interfaces.PLANT_JOINT_STATES:
+            self._truth.setdefault(topic, RecentMessages()).add(stamp, data)
+        elif kind == interfaces.OBSERVER_STATES:
             self._observer(_owner(topic)).states.add(stamp, data)
-        elif known == interfaces.OBSERVER_JOINT_STATES:
+        elif kind == interfaces.OBSERVER_JOINT_STATES:
             self._observer(_owner(topic)).joints.add(stamp, data)
         else:
-            for each in self._heard.values():
+            for each in self._observers.values():
                 if each.observed.topic(interfaces.MONITOR_ERROR) == topic:
                     each.errors.add(stamp, data)
 
@@ -232,9 +238,9 @@ class Listening:
 
     def _on_verdict(self, topic: str, message: VerdictMessage) -> None:
         verdict, latency = read_verdict(message)
-        heard = self._observer(_owner(topic))
-        heard.verdicts.appendleft((verdict, latency))
-        heard.counts[verdict.ruling.name.lower().replace("_", " ")] += not verdict.revises
+        record = self._observer(_owner(topic))
+        record.verdicts.appendleft((verdict, latency))
+        record.counts[verdict.ruling.name.lower().replace("_", " ")] += not verdict.revises
 
     def _on_bound(self, topic: str, message: ErrorMessage) -> None:
         self._observer(_owner(topic)).bound = float(message.v)
@@ -244,99 +250,95 @@ class Listening:
         if self._simulated is not None and stamp < self._simulated:
             self._truth.clear()
             self._impacts, self._last_impact = 0, None
-            for each in self._heard.values():
-                each.forget(self._seconds)
+            for each in self._observers.values():
+                each.clear(self._seconds)
         self._simulated = stamp
 
     def _on_diagnostics(self, _: str, message: Any) -> None:  # noqa: ANN401 (DiagnosticArray)
         for status in message.status:
-            for each in self._heard.values():
+            for each in self._observers.values():
                 if status.name == f"{each.observed.prefix}: impacts":
                     each.health = (int(status.level), str(status.message))
 
-    def _look(self, heard: _Heard, now: float) -> ObserverGlance:
-        """One observer as it is now."""
-        observed = heard.observed
-        topics = [
-            t
-            for t in self._arrivals
-            if _owner(t) == observed.prefix or t == observed.topic(interfaces.MONITOR_ERROR)
-        ]
-        seen = ObserverGlance(
+    def _observer_snapshot(self, record: _ObserverRecord, now: float) -> ObserverSnapshot:
+        """One observer at present."""
+        observed = record.observed
+        monitor = observed.topic(interfaces.MONITOR_ERROR)
+        topics = [t for t in self._arrivals if _owner(t) == observed.prefix or t == monitor]
+        seen = ObserverSnapshot(
             observed.prefix,
             epoch=self._epochs.get(observed.topic(interfaces.IMPACTS), 0),
-            bound=heard.bound,
-            verdicts=tuple(heard.verdicts),
-            counts=tuple(sorted(heard.counts.items())),
-            health=heard.health,
-            flows=tuple(self._arrivals[topic].flow(topic, now) for topic in sorted(topics)),
+            bound=record.bound,
+            verdicts=tuple(record.verdicts),
+            counts=tuple(sorted(record.counts.items())),
+            health=record.health,
+            flows=tuple(self._arrivals[topic].rate(topic, now) for topic in sorted(topics)),
         )
         try:
-            return self._with_state(seen, heard)
+            return self._with_state(seen, record)
         except Exception as error:  # noqa: BLE001 (as above)
-            self._trouble = f"{observed.prefix}: {str(error) or type(error).__name__}"
+            self._unreadable = f"{observed.prefix}: {str(error) or type(error).__name__}"
             return seen
 
-    def _with_state(self, seen: ObserverGlance, heard: _Heard) -> ObserverGlance:
-        """The same with the newest state, and the truth of its stamp if there is one."""
-        truths = self._truth.get(heard.observed.topic(interfaces.PLANT_JOINT_STATES))
-        kept = heard.joints if heard.states.last() is None else heard.states
-        stamp = None if truths is None else kept.last(truths)
-        known = stamp is not None
-        stamp = kept.last() if stamp is None else stamp
+    def _with_state(self, seen: ObserverSnapshot, record: _ObserverRecord) -> ObserverSnapshot:
+        """``seen`` with the newest state, and the truth at its stamp if there is one."""
+        truths = self._truth.get(record.observed.topic(interfaces.PLANT_JOINT_STATES))
+        kept = record.joints if record.states.last() is None else record.states
+        common = None if truths is None else kept.last(truths)
+        stamp = kept.last() if common is None else common
         if stamp is None:
-            return replace(seen, distance=heard.distances.course())
-        truth = _joints(truths.data(stamp)) if known and truths else None
-        if kept is heard.joints:
+            return replace(seen, distance=record.distances.history())
+        truth = None if truths is None or common is None else _joints(truths.data(common))
+        if kept is record.joints:
             names, estimate = _as_estimate(_joints(kept.data(stamp)))
         else:
             message = _message(interfaces.OBSERVER_STATES, kept.data(stamp))
             names, estimate = read_estimate(cast("EstimateMessage", message))
         true = _ordered(truth, names)
-        source = self._measure(heard, names, estimate, true)
+        source = self._measure(record, names, estimate, true)
         if estimate.convergence >= 0:
-            heard.convergences.add(stamp, estimate.convergence)
-        differences = heard.convergences.course()
+            record.convergences.add(stamp, estimate.convergence)
+        convergence = record.convergences.history()
         return replace(
             seen,
             law=estimate.law,
             stamp=stamp,
             lines=_lines(names, estimate, true),
-            distance=heard.distances.course(),
+            distance=record.distances.history(),
             source=source,
-            convergence=differences
+            convergence=convergence
             if estimate.convergence >= 0
-            else replace(differences, now=-1.0),
+            else replace(convergence, now=-1.0),
             synchronized=estimate.synchronized if estimate.law else None,
             closed=estimate.closed,
-            parameters=estimate.parameters,
+            learnt=estimate.parameters,
         )
 
     def _measure(
         self,
-        heard: _Heard,
+        record: _ObserverRecord,
         names: tuple[str, ...],
         estimate: Estimate,
         true: tuple[Vector, Vector] | None,
     ) -> str:
-        """Note V as the monitor tells it, else as it is computed here; who told it."""
-        stamp = heard.errors.last()
+        """Keep V from the monitor, else computed here; returns who computed it."""
+        stamp = record.errors.last()
         if stamp is not None:
-            message = _message(interfaces.MONITOR_ERROR, heard.errors.data(stamp))
-            heard.distances.add(stamp, read_estimate_error(cast("ErrorMessage", message)).v)
+            message = _message(interfaces.MONITOR_ERROR, record.errors.data(stamp))
+            record.distances.add(stamp, read_estimate_error(cast("ErrorMessage", message)).v)
             return "monitor"
-        model = heard.observed.topic(interfaces.PLANT_MODEL)
+        model = record.observed.topic(interfaces.PLANT_MODEL)
         system = self._system or self._systems.get(model)
         if true is None or system is None or sorted(system.coordinates) != sorted(names):
             return ""
         order = [names.index(name) for name in system.coordinates]
         q, u = estimate.q - true[0], estimate.u - true[1]
-        heard.distances.add(estimate.stamp, float(distance(system, q[order], u[order])))
+        record.distances.add(estimate.stamp, float(distance(system, q[order], u[order])))
         return "here"
 
 
 def _owner(topic: str) -> str:
-    """The node whose topic it is."""
+    """The node of a topic."""
     return topic.rpartition("/")[0]
 
 
@@ -346,9 +348,9 @@ def _stamp(data: bytes) -> int:
     return int(seconds) * NS_PER_S + int(nanoseconds)
 
 
-def _message(known: Interface, data: bytes) -> object:
+def _message(kind: Interface, data: bytes) -> object:
     """The message in serialized data."""
-    return deserialize(typestore(), data, known.type)
+    return deserialize(typestore(), data, kind.type)
 
 
 def _joints(data: bytes) -> JointState:
@@ -358,12 +360,12 @@ def _joints(data: bytes) -> JointState:
 
 
 def _as_estimate(state: JointState) -> tuple[tuple[str, ...], Estimate]:
-    """An estimate of which only the state is known."""
+    """An estimate with nothing but the state."""
     return state.names, Estimate(state.stamp, "", state.q, state.u)
 
 
 def _ordered(truth: JointState | None, names: tuple[str, ...]) -> tuple[Vector, Vector] | None:
-    """The truth in the order of ``names``; None where there is none, or it has others."""
+    """The truth in the order of ``names``; None where there is none, or with other names."""
     if truth is None:
         return None
     try:
@@ -375,7 +377,7 @@ def _ordered(truth: JointState | None, names: tuple[str, ...]) -> tuple[Vector, 
 
 def _lines(
     names: tuple[str, ...], estimate: Estimate, true: tuple[Vector, Vector] | None
-) -> tuple[Line, ...]:
+) -> tuple[StateLine, ...]:
     """Coordinates, then velocities."""
     size = 2 * len(names)
     values = np.concatenate([estimate.q, estimate.u])
@@ -383,6 +385,8 @@ def _lines(
     variances = np.diag(estimate.covariance) if estimate.covariance.size else None
     deviations = [None] * size if variances is None else np.sqrt(variances.clip(0.0)).tolist()
     return tuple(
-        Line(name, "m" if i < len(names) else "m/s", float(values[i]), truth[i], deviations[i])
+        StateLine(
+            name, "m" if i < len(names) else "m/s", float(values[i]), truth[i], deviations[i]
+        )
         for i, name in enumerate((*names, *names))
     )

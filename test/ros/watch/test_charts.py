@@ -2,11 +2,11 @@
 
 import pytest
 
-from impact_observer.cli.blocks import BLOCKS, PLAIN, bars, decades, known
+from impact_observer.ros.watch.charts import ASCII_BLOCKS, BLOCKS, bars, decades, from_first
 
 
 def test_a_chart_spans_whole_decades() -> None:
-    """At least one; zeros and what is not known do not count."""
+    """At least one; zeros and what is not from_first do not count."""
     assert decades([None, 3.0, 0.02, 0.0]) == (-2, 1)
     assert decades([5.0]) == (0, 1)
     assert decades([1.0]) == (0, 1)
@@ -45,12 +45,12 @@ def test_what_is_not_known_is_blank_and_zero_is_the_least(rows: int) -> None:
 
 def test_charts_are_for_terminals_without_blocks_too() -> None:
     """As many characters from empty to full."""
-    assert bars([1.0, 10.0, 100.0], 3, levels=PLAIN) == [".=@"]
-    assert len(PLAIN) == len(BLOCKS) == 9
-    assert PLAIN.isascii()
+    assert bars([1.0, 10.0, 100.0], 3, levels=ASCII_BLOCKS) == [".=@"]
+    assert len(ASCII_BLOCKS) == len(BLOCKS) == 9
+    assert ASCII_BLOCKS.isascii()
 
 
 def test_a_chart_begins_with_the_first_known_value() -> None:
     """So that a young one is not drawn at the edge."""
-    assert known([None, None, 1.0, None, 2.0]) == [1.0, None, 2.0]
-    assert list(known([None])) == []
+    assert from_first([None, None, 1.0, None, 2.0]) == [1.0, None, 2.0]
+    assert list(from_first([None])) == []

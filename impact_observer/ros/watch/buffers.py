@@ -1,25 +1,25 @@
-"""What is kept of messages in constant memory: arrivals, courses, the newest states."""
+"""Messages in constant memory: their rate, histories of quantities, the most recent states."""
 
 import statistics
 from collections import OrderedDict, deque
 
-from impact_observer.ros.snapshot import EstimateHistory, TopicRate
+from impact_observer.ros.watch.snapshot import EstimateHistory, TopicRate
 from impact_observer.stamps import NS_PER_S
 
-_MEMORY = 2000
-"""States kept until their counterpart comes."""
+_STATES = 2000
+"""States kept to be matched by stamp."""
 _BINS = 240
-"""Values of a course."""
+"""Values of a history."""
 _ARRIVALS = 64
-"""Arrivals that a rate or a latency is taken from."""
-_APART = 0.1
-"""How far apart those of a rate are at least, s: what waits for us comes in bursts."""
-_SETTLE = 1.0
-"""How long a topic is heard before its rate counts, s: what was kept for us comes at once."""
+"""Arrivals from which a rate or a latency is computed."""
+_MIN_SPACING = 0.1
+"""Least time between two arrivals for a rate, s: messages are read in bursts."""
+_SETTLING_TIME = 1.0
+"""Time of reception before arrivals count, s: past messages arrive in one burst."""
 
 
 class Arrivals:
-    """When the messages of a topic came."""
+    """Arrival times and latencies of the messages of a topic."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -28,19 +28,19 @@ class Arrivals:
         self._latencies: deque[float] = deque(maxlen=_ARRIVALS)
 
     def add(self, now: float, latency: float | None) -> None:
-        """One came at wall time ``now`` (s), ``latency`` (s) after its stamp."""
+        """Add a message that arrived at wall time ``now`` (s), ``latency`` (s) after its stamp."""
         if not self.count:
             self._begin = now
         self.count += 1
         self._last = now
-        if now > self._begin + _SETTLE:
-            if not self._times or now >= self._times[-1][0] + _APART:
+        if now > self._begin + _SETTLING_TIME:
+            if not self._times or now >= self._times[-1][0] + _MIN_SPACING:
                 self._times.append((now, self.count))
             if latency is not None:
                 self._latencies.append(latency)
 
-    def flow(self, topic: str, now: float) -> TopicRate:
-        """How they come, at wall time ``now`` (s)."""
+    def rate(self, topic: str, now: float) -> TopicRate:
+        """Rate, latency and silence of ``topic`` at wall time ``now`` (s)."""
         rate = None
         if len(self._times) > 1:
             (begin, first), (end, last) = self._times[0], self._times[-1]
@@ -49,8 +49,8 @@ class Arrivals:
         return TopicRate(topic, self.count, rate, latency, now - self._last)
 
 
-class ValueBuffer:
-    """A quantity over the last seconds, in bins of time; each keeps the last value that came."""
+class HistoryBuffer:
+    """A quantity over the last seconds in bins of time; each bin keeps its last value."""
 
     def __init__(self, seconds: float) -> None:
         """Keep the last ``seconds`` (s)."""
@@ -60,7 +60,7 @@ class ValueBuffer:
         self._now: float | None = None
 
     def add(self, stamp: int, value: float) -> None:
-        """A value at a ``stamp`` (ns); an older one than is kept begins anew."""
+        """Add a value at a ``stamp`` (ns); one before all bins clears them first."""
         place = stamp // self._width
         if self._bins and place <= next(reversed(self._bins)) - _BINS:
             self._bins.clear()
@@ -69,8 +69,8 @@ class ValueBuffer:
         while len(self._bins) > _BINS:
             self._bins.popitem(last=False)
 
-    def course(self) -> EstimateHistory:
-        """What is kept; a bin without a value has that of the bin before."""
+    def history(self) -> EstimateHistory:
+        """All bins; one without a value has that of the bin before."""
         if not self._bins:
             return EstimateHistory(seconds=self._seconds)
         last = max(self._bins)
@@ -83,21 +83,21 @@ class ValueBuffer:
         return EstimateHistory(self._now, tuple(values), self._seconds)
 
 
-class Newest:
-    """The last states of a topic as bytes, by stamp, in the order in which they came."""
+class RecentMessages:
+    """The most recent messages of a topic as bytes, by stamp, in the order of arrival."""
 
     def __init__(self) -> None:
         self._data: OrderedDict[int, bytes] = OrderedDict()
 
     def add(self, stamp: int, data: bytes) -> None:
-        """Keep a state, and forget the oldest."""
+        """Keep a message, and drop the oldest."""
         self._data[stamp] = data
         self._data.move_to_end(stamp)
-        if len(self._data) > _MEMORY:
+        if len(self._data) > _STATES:
             self._data.popitem(last=False)
 
-    def last(self, other: "Newest | None" = None) -> int | None:
-        """The stamp of the newest state that the ``other`` has too; of the newest without one."""
+    def last(self, other: "RecentMessages | None" = None) -> int | None:
+        """The last stamp; with ``other``, the last that both have."""
         stamps = reversed(self._data)
         if other is None:
             return next(stamps, None)
@@ -107,5 +107,5 @@ class Newest:
         return stamp in self._data
 
     def data(self, stamp: int) -> bytes:
-        """The message at a stamp that is here."""
+        """The message at a stamp that is kept."""
         return self._data[stamp]

@@ -1,4 +1,4 @@
-"""What ``watch`` shows of a glance, to the letter."""
+"""What ``watch`` shows of a snapshot, to the letter."""
 
 # ruff: noqa: E501 (a screen is as wide as it is)
 
@@ -9,10 +9,16 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 
-from impact_observer.cli.blocks import PLAIN
-from impact_observer.cli.watch_screen import ScreenStyle, line, screen
 from impact_observer.events import Ruling, Verdict
-from impact_observer.ros.snapshot import EstimateHistory, Glance, Line, ObserverGlance, TopicRate
+from impact_observer.ros.watch.charts import ASCII_BLOCKS
+from impact_observer.ros.watch.screen import ScreenStyle, line, screen
+from impact_observer.ros.watch.snapshot import (
+    EstimateHistory,
+    ObserverSnapshot,
+    Snapshot,
+    StateLine,
+    TopicRate,
+)
 from impact_observer.stamps import NS_PER_S
 
 EPOCH = 1_700_000_000 * NS_PER_S
@@ -28,15 +34,15 @@ def course(*values: float) -> EstimateHistory:
     return EstimateHistory(values[-1], (*[None] * len(values), *values), 60.0)
 
 
-GEOMETRIC = ObserverGlance(
+GEOMETRIC = ObserverSnapshot(
     "/observer_geometric",
     law="geometric",
     stamp=at(12.34),
     lines=(
-        Line("x1", "m", 0.123456789, 0.12),
-        Line("x2", "m", -1.5, -1.49),
-        Line("x1", "m/s", 12345.678, 12345.0),
-        Line("x2", "m/s", 0.0, -0.25),
+        StateLine("x1", "m", 0.123456789, 0.12),
+        StateLine("x2", "m", -1.5, -1.49),
+        StateLine("x1", "m/s", 12345.678, 12345.0),
+        StateLine("x2", "m/s", 0.0, -0.25),
     ),
     distance=course(40.0, 3.0, 0.5, 0.02),
     source="monitor",
@@ -57,29 +63,29 @@ GEOMETRIC = ObserverGlance(
         TopicRate("/monitor_geometric/error", 900, 99.6, None, 7.4),
     ),
 )
-FILTER = ObserverGlance(
+FILTER = ObserverSnapshot(
     "/observer_minimum_variance",
     law="minimum-variance",
     stamp=at(12.34),
     lines=(
-        Line("x1", "m", 0.12, 0.12, 1e-9),
-        Line("x2", "m", -1.49, -1.49, 2e-9),
-        Line("x1", "m/s", 1.0, 1.0, 3e-9),
-        Line("x2", "m/s", 0.0, 0.0, 4e-9),
+        StateLine("x1", "m", 0.12, 0.12, 1e-9),
+        StateLine("x2", "m", -1.49, -1.49, 2e-9),
+        StateLine("x1", "m/s", 1.0, 1.0, 3e-9),
+        StateLine("x2", "m/s", 0.0, 0.0, 4e-9),
     ),
     distance=course(1e-3, 1e-12, 1e-19),
     source="here",
     convergence=EstimateHistory(-1.0),
     synchronized=True,
-    parameters=(("clock_error", 2.9e-4, 1e-5),),
+    learnt=(("clock_error", 2.9e-4, 1e-5),),
     verdicts=((Verdict(at(12.0), Ruling.APPLIED, 3, "stop", innovation=1.4), 0.0),),
     counts=(("applied", 8),),
 )
 
 
-def both() -> Glance:
+def both() -> Snapshot:
     """Two observers of one plant."""
-    return Glance(
+    return Snapshot(
         at(12.35),
         simulated=True,
         epoch=EPOCH,
@@ -96,12 +102,12 @@ def both() -> Glance:
     )
 
 
-def printed(glance: Glance, look: ScreenStyle) -> str:
+def printed(snapshot: Snapshot, style: ScreenStyle) -> str:
     """What a terminal of that size gets, without the blanks at line ends."""
     console = Console(
-        file=io.StringIO(), record=True, width=look.width, height=look.height, color_system=None
+        file=io.StringIO(), record=True, width=style.width, height=style.height, color_system=None
     )
-    console.print(screen(glance, look))
+    console.print(screen(snapshot, style))
     return "\n".join(row.rstrip() for row in console.export_text().splitlines())
 
 
@@ -116,7 +122,7 @@ two_mass   t = 12.35 s (/clock)
 │ x1  m/s  +1.23457e+04  +1.23450e+04  +6.8e-01            │
 │ x2  m/s     +0.000000     -0.250000  +2.5e-01            │
 │ V  2.00e-02 J by the monitor, last 30 s                  │
-│ replicas  1.00e+00 J apart, not synchronized  ████▄▄▄▁▁▁ │
+│ convergence  1.00e+00 J, not synchronized  █████▄▄▄▄▁▁▁▁ │
 │ bound  V <= 436 J, certified                             │
 │ closed  stop                                             │
 │ events  7 applied, 1 rejected                            │
@@ -131,7 +137,7 @@ two_mass   t = 12.35 s (/clock)
 │ V  1.00e-19 J, last 30 s                                 │
 │  1e-19 █████████████████▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁ │
 │ one replica                                              │
-│ learnt  clock error 2.90e-04 s +- 1.0e-05                │
+│ estimated  clock error 2.90e-04 s +- 1.0e-05             │
 │ events  8 applied                                        │
 │ health  no diagnostics yet                               │
 ╰──────────────────────────────────────────────────────────╯
@@ -147,7 +153,7 @@ two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
 │ x1  m/s  +1.23457e+04  +1.23450e+04  +6.8e-01                                                    │
 │ x2  m/s     +0.000000     -0.250000  +2.5e-01                                                    │
 │ V  2.00e-02 J by the monitor, last 30 s                                                          │
-│ replicas  1.00e+00 J apart, not synchronized  ████████▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁                           │
+│ convergence  1.00e+00 J, not synchronized  ████████▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁                              │
 │ bound  V <= 436 J, certified                                                                     │
 │ closed  stop                                                                                     │
 │ events  7 applied, 1 rejected                                                                    │
@@ -162,7 +168,7 @@ two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
 │ V  1.00e-19 J, last 30 s                                                                         │
 │  1e-19 ██████████████████████████████▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁ │
 │ one replica                                                                                      │
-│ learnt  clock error 2.90e-04 s +- 1.0e-05                                                        │
+│ estimated  clock error 2.90e-04 s +- 1.0e-05                                                     │
 │ events  8 applied                                                                                │
 │ health  no diagnostics yet                                                                       │
 ╰──────────────────────────────────────────────────────────────────────────────────────────────────╯
@@ -182,10 +188,10 @@ two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
 │        ██████████████████▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄                                   ││        ███████████████████████                                               │
 │        ███████████████████████████████████▆▆▆▆▆▆▆▆▆▆▆▆▆▆▆▆▆                  ││        ███████████████████████                                               │
 │  1e-02 ████████████████████████████████████████████████████▂▂▂▂▂▂▂▂▂▂▂▂▂▂▂▂▂ ││        ███████████████████████▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅▅                        │
-│ replicas  1.00e+00 J apart, not synchronized  ████████▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁       ││        ██████████████████████████████████████████████                        │
+│ convergence  1.00e+00 J, not synchronized  ████████▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁          ││        ██████████████████████████████████████████████                        │
 │ bound  V <= 436 J, certified                                                 ││  1e-19 ██████████████████████████████████████████████▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁ │
 │ closed  stop                                                                 ││ one replica                                                                  │
-│ events  7 applied, 1 rejected                                                ││ learnt  clock error 2.90e-04 s +- 1.0e-05                                    │
+│ events  7 applied, 1 rejected                                                ││ estimated  clock error 2.90e-04 s +- 1.0e-05                                 │
 │     12.000000 s  stop  applied  2.1 ms                                       ││ events  8 applied                                                            │
 │     10.500000 s  stop  rejected  nothing has happened                        ││     12.000000 s  stop  applied  1.4 deviations                               │
 │      1.250000 s  all  duplicate                                              ││ health  no diagnostics yet                                                   │
@@ -195,10 +201,10 @@ two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
 space freezes   q ends
 """
 NOBODY = """\
-nothing heard yet: no plant, no observer; is one running on
-this ROS domain?
+nothing received yet: no plant, no observer; is one running
+on this ROS domain?
 ╭──────────────────────────────────────────────────────────╮
-│ waiting for observers: nobody publishes observer/state   │
+│ waiting for observers: no node publishes observer/state  │
 │ or observer_<law>/state                                  │
 ╰──────────────────────────────────────────────────────────╯
 """
@@ -217,20 +223,20 @@ def test_the_screen_to_the_letter(width: int, height: int, wanted: str) -> None:
 
 def test_nobody_is_said_in_words() -> None:
     """Never an empty frame; with a plant its figures stay."""
-    assert printed(Glance(0), ScreenStyle(60, 30)) == NOBODY.rstrip("\n")
+    assert printed(Snapshot(0), ScreenStyle(60, 30)) == NOBODY.rstrip("\n")
     found = printed(replace(both(), observers=()), ScreenStyle(60, 30))
     assert "8 impacts, last 0.3 s ago (stop)" in found
     assert "waiting for observers" in found
 
 
 @pytest.mark.parametrize(
-    ("observer", "glance", "words"),
+    ("observer", "snapshot", "words"),
     [
-        (ObserverGlance("/observer"), {}, "no estimate yet: it begins with the first impact"),
-        (ObserverGlance("/observer"), {}, "waiting for impacts ..."),
-        (ObserverGlance("/observer"), {}, "no diagnostics yet"),
-        (ObserverGlance("/observer"), {}, "not known: no estimate yet"),
-        (replace(FILTER, distance=EstimateHistory()), {"truth": False}, "not known: no truth"),
+        (ObserverSnapshot("/observer"), {}, "no estimate yet: it begins with the first impact"),
+        (ObserverSnapshot("/observer"), {}, "waiting for impacts ..."),
+        (ObserverSnapshot("/observer"), {}, "no diagnostics yet"),
+        (ObserverSnapshot("/observer"), {}, "unknown: no estimate yet"),
+        (replace(FILTER, distance=EstimateHistory()), {"truth": False}, "unknown: no truth"),
         (replace(FILTER, distance=EstimateHistory()), {"truth": False}, "no truth"),
         (
             replace(FILTER, distance=EstimateHistory()),
@@ -240,17 +246,17 @@ def test_nobody_is_said_in_words() -> None:
         (replace(FILTER, bound=-1.0), {}, "bound  none certified"),
         (FILTER, {"last_impact": None}, "waiting for impacts ..."),
         (FILTER, {"trouble": "/impacts: no CDR header"}, "not understood: /impacts: no CDR"),
-        (FILTER, {"model": ""}, "model not told"),
+        (FILTER, {"model": ""}, "no model"),
         (FILTER, {"simulated": False}, "(system clock)"),
         (replace(FILTER, health=(2, "bad")), {}, "health  error: bad"),
         (replace(FILTER, health=(7, "odd")), {}, "health  stale: odd"),
     ],
 )
 def test_what_is_not_there_is_said(
-    observer: ObserverGlance, glance: dict[str, object], words: str
+    observer: ObserverSnapshot, snapshot: dict[str, object], words: str
 ) -> None:
     """In words that tell what is missing, or what to do."""
-    shown = replace(both(), observers=(observer,), **glance)  # type: ignore[arg-type]
+    shown = replace(both(), observers=(observer,), **snapshot)  # type: ignore[arg-type]
     assert words in printed(shown, ScreenStyle(100, 40))
 
 
@@ -266,7 +272,7 @@ def test_a_frozen_screen_says_so() -> None:
 @pytest.mark.parametrize(("width", "height"), [(40, 20), (60, 30), (100, 50), (240, 16)])
 def test_it_fits_whatever_the_system(coordinates: int, width: int, height: int) -> None:
     """Lines that have no room are counted; V and the health are always there."""
-    lines = tuple(Line(f"q{i}", "m", 0.5, 0.25, 0.1) for i in range(coordinates))
+    lines = tuple(StateLine(f"q{i}", "m", 0.5, 0.25, 0.1) for i in range(coordinates))
     shown = replace(both(), observers=(replace(GEOMETRIC, lines=lines),))
     found = printed(shown, ScreenStyle(width, height, keys=True)).splitlines()
     assert len(found) <= height
@@ -314,7 +320,7 @@ def test_as_high_as_it_takes_everything_is_shown() -> None:
 
 def test_charts_are_ascii_where_nothing_else_can_be_printed() -> None:
     """Of as many levels."""
-    found = printed(both(), ScreenStyle(100, 60, levels=PLAIN))
+    found = printed(both(), ScreenStyle(100, 60, levels=ASCII_BLOCKS))
     assert "@" in found
     assert not set("▁▂▃▄▅▆▇█") & set(found)
 
@@ -327,9 +333,9 @@ def test_one_line_tells_the_same() -> None:
         " warning: 1 events were not applied;"
         " observer_minimum_variance: V 1.00e-19 J, synchronized"
     )
-    assert line(Glance(0)) == "nothing heard yet: neither a plant nor an observer"
+    assert line(Snapshot(0)) == "nothing received yet: neither a plant nor an observer"
     assert line(replace(both(), observers=())).endswith("(stop); no observer")
     unknown = replace(
         both(), truth=False, observers=(replace(FILTER, distance=EstimateHistory()),)
     )
-    assert "V not known: no truth" in line(unknown)
+    assert "V unknown: no truth" in line(unknown)

@@ -1,0 +1,1 @@
+"""The live view of a running plant and its observers: what `watch` receives, keeps and shows."""
