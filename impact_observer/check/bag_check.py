@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import cast
@@ -64,7 +64,7 @@ class Report:
     path: Path
     readable: bool
     counts: Mapping[str, int]
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[Finding]
 
     @property
     def usable(self) -> bool:

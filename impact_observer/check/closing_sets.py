@@ -48,6 +48,11 @@ class SearchResult:
     sets: tuple[Contacts, ...]
     decided: bool
 
+    @property
+    def is_empty(self) -> bool | None:
+        """Whether there is no such set; None where that is not decided."""
+        return False if self.sets else True if self.decided else None
+
 
 class ClosingSets:
     """Decides which contacts of one system can close together, with at most ``STEPS`` steps.

@@ -191,9 +191,9 @@ def growth(closing: ClosingSets, contacts: Contacts) -> Growth:
 
 def _closing_impulses(G: Matrix) -> Vector:
     """Impulses ``Lambda > 0`` with ``G Lambda > 0``, which every positive definite G has."""
+    # Maximise t subject to G Lambda >= t, Lambda >= t, Lambda <= 1.
     count = len(G)
-    rows = np.vstack([np.hstack([-G, np.ones((count, 1))]), np.eye(count, count + 1) * -1.0])
-    rows[count:, count] = 1.0
+    rows = np.hstack([np.vstack([-G, -np.eye(count)]), np.ones((2 * count, 1))])
     cost = np.append(np.zeros(count), -1.0)
     bounds = [(0.0, 1.0)] * count + [(None, None)]
     found = optimize.linprog(cost, A_ub=rows, b_ub=np.zeros(2 * count), bounds=bounds)
@@ -214,5 +214,4 @@ def is_nonexpansive(system: System) -> bool | None:
     Returns:
         None where ``STEPS`` were not enough to decide.
     """
-    answer = expansive(ClosingSets(system))
-    return False if answer.sets else True if answer.decided else None
+    return expansive(ClosingSets(system)).is_empty

@@ -18,32 +18,18 @@ _OPCODES = range(1, 0x10)
 """Record types of this version of the format."""
 
 
-class Channel(NamedTuple):
-    """The channel of a topic.
-
-    Attributes:
-        topic: the absolute name.
-        type: the message type.
-        definition: the text of the message type.
-        metadata: of the channel, such as the offered quality of service.
-    """
-
-    topic: str
-    type: str
-    definition: str
-    metadata: dict[str, str]
-
-
 class Message(NamedTuple):
     """A message.
 
     Attributes:
+        schema: of its type.
         channel: of its topic.
         log_time: when it was recorded, ns.
         data: the serialized message.
     """
 
-    channel: Channel
+    schema: records.Schema
+    channel: records.Channel
     log_time: int
     data: bytes
 
@@ -60,8 +46,8 @@ class McapFile:
         """Read ``file``, from its beginning."""
         self._file = file
         self._size = file.seek(0, 2)
-        self._schemas: dict[int, tuple[str, str]] = {}
-        self._channels: dict[int, Channel] = {}
+        self._schemas: dict[int, records.Schema] = {}
+        self._channels: dict[int, records.Channel] = {}
         self._chunks: list[int] = []
         self.at = 0
         self.losses: list[str] = []
@@ -117,11 +103,8 @@ class McapFile:
         if (summary := summary_of(self._file)) is None:
             return
         self._chunks = [each.chunk_start_offset for each in summary.chunk_indexes]
-        for schema in summary.schemas.values():
-            self._schemas[schema.id] = (schema.name, schema.data.decode(errors="replace"))
-        for channel in summary.channels.values():
-            if channel.schema_id in self._schemas:
-                self._add_channel(channel)
+        self._schemas.update(summary.schemas)
+        self._channels.update(summary.channels)
 
     def _chunk(self, body: bytes, length: int) -> Iterator[Message]:
         """The messages of a chunk, of one that was cut short as many as are whole."""
@@ -152,30 +135,21 @@ class McapFile:
                     return
                 if opcode == Opcode.MESSAGE:
                     yield self._message(body)
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._declaration(opcode, body)
+                elif opcode == Opcode.SCHEMA:
+                    schema = records.Schema.read(ReadDataStream(BytesIO(body)))
+                    self._schemas[schema.id] = schema
+                elif opcode == Opcode.CHANNEL:
+                    channel = records.Channel.read(ReadDataStream(BytesIO(body)))
+                    self._channels[channel.id] = channel
             except Exception:  # noqa: BLE001 (mcap raises anything)
                 self.losses.append(f"the chunk at byte {self.at} is damaged at its byte {place}")
                 return
             place += FRAME.size + length
-
-    def _declaration(self, opcode: int, body: bytes) -> None:
-        """Add a message type or a channel."""
-        stream = ReadDataStream(BytesIO(body))
-        if opcode == Opcode.SCHEMA:
-            schema = records.Schema.read(stream)
-            self._schemas[schema.id] = (schema.name, schema.data.decode())
-        else:
-            self._add_channel(records.Channel.read(stream))
-
-    def _add_channel(self, channel: records.Channel) -> None:
-        """Add a channel whose schema has been read."""
-        name, definition = self._schemas[channel.schema_id]
-        self._channels[channel.id] = Channel(channel.topic, name, definition, channel.metadata)
 
     def _message(self, body: bytes) -> Message:
         """The message in a record."""
         if len(body) < MESSAGE.size:
             raise ValueError
         number, _, log_time, _ = MESSAGE.unpack_from(body)
-        return Message(self._channels[number], log_time, body[MESSAGE.size :])
+        channel = self._channels[number]
+        return Message(self._schemas[channel.schema_id], channel, log_time, body[MESSAGE.size :])

@@ -134,7 +134,7 @@ class ModelCheck:
     @property
     def nonexpansive(self) -> bool | None:
         """Whether no impact ever raises ``V``; None where that is not decided."""
-        return False if self.expansive.sets else True if self.expansive.decided else None
+        return self.expansive.is_empty
 
     @property
     def damped(self) -> bool:

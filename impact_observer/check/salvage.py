@@ -119,7 +119,7 @@ class Salvage:
 
     def _has_topic(self, message: Message) -> bool:
         """Note the topic of a message; False where the message cannot be of this bag."""
-        channel = message.channel
+        channel, kind = message.channel, message.schema.name
         if not 0 <= message.log_time < _LATEST:
             return False
         if (info := self.topics.get(channel.topic)) is None:
@@ -127,11 +127,10 @@ class Salvage:
             depth = usual_quality(channel.topic).depth
             qualities = [Quality.recorded(qos, depth) for qos in offers]
             quality = Quality.common(qualities) if qualities else None
-            self.topics[channel.topic] = TopicInfo(
-                channel.topic, channel.type, 0, quality, channel.definition
-            )
-        elif info.type != channel.type:
-            self._lose(f"{channel.topic}: messages of a second type, {channel.type}")
+            definition = message.schema.data.decode(errors="replace")
+            self.topics[channel.topic] = TopicInfo(channel.topic, kind, 0, quality, definition)
+        elif info.type != kind:
+            self._lose(f"{channel.topic}: messages of a second type, {kind}")
             return False
         return True
 

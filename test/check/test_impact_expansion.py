@@ -102,6 +102,7 @@ def test_the_documented_counterexample_fails() -> None:
     assert is_nonexpansive(corner(0.3, 0.3)) is True
 
 
+@pytest.mark.slow
 @examples(25)
 @given(systems(max_n=3, contacts=(1, 5), forced=False))
 def test_answers_agree_with_trying_every_set_of_contacts(model: System) -> None:

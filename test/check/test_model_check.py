@@ -40,6 +40,7 @@ def test_eigenfrequencies_of_a_chain_are_the_closed_form() -> None:
     assert checked.rigid.shape == (0, n)
 
 
+@pytest.mark.slow
 @examples(40)
 @given(systems(forced=False))
 def test_eigenvalues_are_those_of_the_state_matrix(model: System) -> None:
@@ -144,6 +145,7 @@ def test_equal_oscillators_need_a_contact_each() -> None:
     assert not check_model(system(np.eye(2), np.eye(2) / 9, np.eye(2), contacts=both)).unseen
 
 
+@pytest.mark.slow
 @examples(40)
 @given(systems(forced=False, contacts=(1, 2)))
 def test_as_many_motions_are_hidden_as_the_observability_matrix_says(model: System) -> None:
