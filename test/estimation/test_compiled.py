@@ -1,4 +1,4 @@
-"""An impact as nearly all are: what it tells by itself, in general and in machine code."""
+"""The correction by a single impact: against that by any event, and compiled."""
 
 import math
 import re
@@ -53,13 +53,13 @@ STAMP = 1e-9 / math.sqrt(12)
 
 @pytest.fixture(scope="module")
 def machine() -> Single:
-    """``single`` in machine code; half a minute where it never was compiled."""
+    """``single``, compiled; half a minute where it was never compiled before."""
     pytest.importorskip("numba")
     return compiled_single()
 
 
 class Case(NamedTuple):
-    """An impact of one contact, and what is state before it."""
+    """An impact of one contact, and the prior."""
 
     filter: ImpactFilter
     change: ContactChange
@@ -67,7 +67,7 @@ class Case(NamedTuple):
     clock: float
 
     def asked(self) -> tuple[float, State, float, Contact]:
-        """What its filter asks ``single``."""
+        """The arguments with which the filter calls ``single``."""
         found: list[tuple[float, State, float, Contact]] = []
 
         def kept(*question: float | State | Contact) -> tuple[bool, State, Fit]:
@@ -81,16 +81,16 @@ class Case(NamedTuple):
         return question
 
     def in_general(self) -> tuple[Likelihood, GaussianState]:
-        """What it tells, as any event is heard."""
+        """Likelihood and posterior by the general methods."""
         prior = self.filter.joint_prior(self.change, self.state, self.clock)
-        evidence = self.filter.likelihood(self.change, prior)
-        heard = self.filter.joint_posterior(self.change, prior, evidence)
-        return evidence, self.filter.posterior(self.change, heard)
+        likelihood = self.filter.likelihood(self.change, prior)
+        joint = self.filter.joint_posterior(self.change, prior, likelihood)
+        return likelihood, self.filter.posterior(self.change, joint)
 
 
 @st.composite
 def cases(draw: st.DrawFn) -> Case:
-    """Any system, contact and instant; a state that is state well or badly, as far off as told."""
+    """Any system, contact and instant; any covariance, and an error within it or far beyond."""
     model = draw(systems(max_n=4, contacts=(1, 3)))
     contact, size = draw(st.integers(0, model.m - 1)), 2 * model.n
     random = np.random.default_rng(draw(st.integers(0, 999)))
@@ -110,8 +110,8 @@ def cases(draw: st.DrawFn) -> Case:
     return Case(filter_, change, GaussianState(x, np.zeros(0), root, differences), clock)
 
 
-def turning(near: float = 0.5) -> Case:
-    """A mass whose speed is as unsure as its place, and state as soon as that is.
+def correlated(near: float = 0.5) -> Case:
+    """A mass whose speed has the same error as its position.
 
     Args:
         near: deviation of its stamp, over what counts as near.
@@ -132,7 +132,7 @@ def assert_near(found: Array, wanted: Array, error: float) -> None:
 
 
 def assert_same(found: tuple[bool, State, Fit], wanted: tuple[bool, State, Fit]) -> None:
-    """Whether it is usual; if so all of it, but for rounding."""
+    """Both are near or not; if so all numbers are equal but for rounding."""
     assert found[0] == wanted[0]
     if not wanted[0]:
         return
@@ -146,59 +146,60 @@ def assert_same(found: tuple[bool, State, Fit], wanted: tuple[bool, State, Fit])
 
 
 def assert_general(case: Case, error: float) -> None:
-    """The way of what is usual, of which this is, ends where the general one does."""
-    usual, (x, root, differences), (white, *rest) = single(*case.asked())
-    assert usual
-    evidence, after = case.in_general()
+    """``single`` and the general methods agree on an impact that is near."""
+    near, (x, root, differences), (white, *rest) = single(*case.asked())
+    assert near
+    likelihood, after = case.in_general()
     assert_near(x, after.x, error)
     assert_near(root @ root.T, after.root @ after.root.T, error)
     assert_near(differences, after.differences, error)
-    (innovation,) = evidence.innovations.values()
+    (innovation,) = likelihood.innovations.values()
     assert abs(white) == pytest.approx(innovation, rel=1e-13)
-    told, later = case.filter.correct(case.change, case.state, case.clock)
-    assert told.density == pytest.approx(evidence.density, rel=1e-13, abs=1e-13)
-    assert list(told.innovations) == list(evidence.innovations)
-    assert all(type(each) is float for each in told.innovations.values())
-    assert later().x.tolist() == x.tolist()
+    found, posterior = case.filter.correct(case.change, case.state, case.clock)
+    assert found.density == pytest.approx(likelihood.density, rel=1e-13, abs=1e-13)
+    assert list(found.innovations) == list(likelihood.innovations)
+    assert all(type(each) is float for each in found.innovations.values())
+    assert posterior().x.tolist() == x.tolist()
     assert len(rest) == 3
 
 
 @pytest.mark.slow
 @given(case=cases())
 @examples(80)
-def test_machine_code_says_what_its_source_says(machine: Single, case: Case) -> None:
-    """Also of what is not usual."""
+def test_compiled_function_equals_its_source(machine: Single, case: Case) -> None:
+    """Also for impacts that are not near."""
     question = case.asked()
     assert_same(machine(*question), single(*question))
 
 
+@pytest.mark.slow
 @given(case=cases())
 @examples(80)
-def test_what_is_usual_is_what_any_event_is(case: Case) -> None:
-    """Whatever ``single`` takes for usual."""
+def test_single_impact_is_corrected_as_any_event(case: Case) -> None:
+    """Whenever ``single`` accepts it."""
     if single(*case.asked())[0]:
         assert_general(case, 1e-12)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("q", "clock", "usual"), [(0.0, STAMP, True), (1.0, STAMP, False), (0.0, 1e-3, False)]
+    ("q", "clock", "near"), [(0.0, STAMP, True), (1.0, STAMP, False), (0.0, 1e-3, False)]
 )
-def test_what_is_far_off_or_not_near_is_not_usual(
-    machine: Single, q: float, clock: float, usual: bool
+def test_outliers_and_inaccurate_stamps_are_left_to_the_general_methods(
+    machine: Single, q: float, clock: float, near: bool
 ) -> None:
-    """A gap of a hundred deviations; a stamp that leaves the instant open."""
+    """A gap of a hundred deviations; a stamp of 1 ms."""
     state = GaussianState(np.array([q, -2.0]), np.zeros(0), 0.01 * np.eye(2), np.zeros((2, 1)))
-    case = turning()._replace(state=state, clock=clock)
-    assert [how(*case.asked())[0] for how in (single, machine)] == [usual, usual]
+    case = correlated()._replace(state=state, clock=clock)
+    assert [how(*case.asked())[0] for how in (single, machine)] == [near, near]
 
 
 @pytest.mark.slow
-def test_several_linearisations_are_those_of_any_event(
+def test_iterated_linearisations_are_those_of_any_event(
     machine: Single, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the first is about a speed that turns out to be another; but for what is left out."""
-    case, count = turning(), [0]
+    """Where the prior speed is far from the posterior one."""
+    case, count = correlated(), [0]
     product = square_root.product
 
     def counted(*given: Array) -> tuple[Array, Array]:
@@ -215,9 +216,9 @@ def test_several_linearisations_are_those_of_any_event(
 
 
 @pytest.mark.slow
-def test_root_of_few_columns_is_one(machine: Single) -> None:
-    """Eight numbers that one is behind; the compiler's own factorisation would be too small."""
-    case = turning()
+def test_root_of_one_column_is_factorised(machine: Single) -> None:
+    """A covariance of rank one; the compiler's own factorisation would be too small."""
+    case = correlated()
     model = chain(4, contacts=[([1, 0, 0, 0], 0.0, 0.5)])
     x = np.array([0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 2.0, 0.0])
     state = GaussianState(x, np.zeros(0), 0.1 * np.ones((8, 1)), np.zeros((8, 0)))
@@ -226,8 +227,8 @@ def test_root_of_few_columns_is_one(machine: Single) -> None:
     assert_same(machine(*question), single(*question))
 
 
-class Told(NamedTuple):
-    """What an observer made of events."""
+class Output(NamedTuple):
+    """Verdicts and estimates of an observer."""
 
     verdicts: list[Verdict]
     x: Array
@@ -235,13 +236,13 @@ class Told(NamedTuple):
     replicas: Array
 
 
-def told_by(watcher: Observer, events: Sequence[ImpactEvent]) -> Told:
-    """It hears ``events`` in this order, and is asked after each second."""
+def output_of(watcher: Observer, events: Sequence[ImpactEvent]) -> Output:
+    """Of an observer that receives ``events`` in this order; one estimate a second."""
     verdicts = [each for event in events for each in watcher.receive(event)]
     last = max(each.stamp for each in events)
     found = [watcher.estimate(stamp) for stamp in range(EPOCH, last, NS_PER_S)]
     assert watcher._timeline is not None
-    return Told(
+    return Output(
         verdicts,
         np.array([[*each.q, *each.u] for each in found]),
         np.array([each.covariance for each in found]),
@@ -250,15 +251,15 @@ def told_by(watcher: Observer, events: Sequence[ImpactEvent]) -> Told:
 
 
 def counted(watcher: Observer) -> list[bool]:
-    """For each event that is alone, whether what ``watcher`` has for it took it for usual."""
+    """For each call of ``single`` by ``watcher``, whether it accepted the impact."""
     assert isinstance(watcher.law, MinimumVariance)
     filter_, found = watcher.law._bank.filter, list[bool]()
     own = filter_._single
 
     def asked(t: float, state: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
-        told = own(t, state, clock, contact)
-        found.append(told[0])
-        return told
+        result = own(t, state, clock, contact)
+        found.append(result[0])
+        return result
 
     filter_._single = asked
     return found
@@ -278,7 +279,7 @@ def moving(request: pytest.FixtureRequest) -> tuple[System, Run]:
 @pytest.mark.usefixtures("machine")
 @pytest.mark.parametrize("moving", ["two_mass", "three_mass", "pressed"], indirect=True)
 @pytest.mark.parametrize("doubt", [0.0, 0.01])
-def test_observer_says_the_same(moving: tuple[System, Run], doubt: float) -> None:
+def test_observer_gives_the_same_compiled(moving: tuple[System, Run], doubt: float) -> None:
     """Ten replicas, an event that comes late, contacts that stay closed."""
     model, whole = moving
     events = [*whole.events[:3], *whole.events[4:8], whole.events[3], *whole.events[8:]]
@@ -294,34 +295,34 @@ def test_observer_says_the_same(moving: tuple[System, Run], doubt: float) -> Non
         history=1e3,
     )
     plain, fast = (make_observer(model, replace(options, compiled=each)) for each in (False, True))
-    usual = counted(fast)
-    wanted, found = told_by(plain, events), told_by(fast, events)
-    assert sum(usual) >= 3
+    near = counted(fast)
+    wanted, found = output_of(plain, events), output_of(fast, events)
+    assert sum(near) >= 3
     kinds = {switch.kind for each in whole.events for switch in each.switches}
     assert (Kind.CLOSE in kinds) == (model is PRESSED)
     for one, other in zip(found.verdicts, wanted.verdicts, strict=True):
         assert one._replace(innovation=0) == other._replace(innovation=0)
-        # Exact stamps soon tell all: then what is rounded is about a deviation.
+        # With exact stamps a deviation soon is as small as rounding.
         assert one.innovation == pytest.approx(other.innovation, rel=1e-6, abs=1.0)
     assert_near(found.x, wanted.x, 1e-9)
     assert_near(found.covariances, wanted.covariances, 1e-9)
     assert_near(found.replicas, wanted.replicas, 1e-9)
 
 
-def test_one_account_tells_what_a_bank_of_one_would() -> None:
-    """Where every event is believed: the same states and verdicts, no hypotheses."""
+def test_single_hypothesis_gives_what_a_bank_of_one_gives() -> None:
+    """Where every event is trusted: the same states and verdicts, no hypotheses."""
     model = sample("three_mass")
     start = np.concatenate(model.initial_state())
     whole = run(model.system, *model.initial_state(), seconds=10.0, rate=10.0)
     watchers = []
-    for sure in (True, False):
+    for single_ in (True, False):
         options = {"epoch": EPOCH, "history": 1e3, "ensemble": 3, "uncertainty": without_faults()}
         watcher = observer(model.system, "minimum-variance", start + 0.2, **options)
         assert isinstance(watcher.law, MinimumVariance)
         assert watcher.law._single
-        watcher.law._single = sure
+        watcher.law._single = single_
         watchers.append(watcher)
-    found, wanted = (told_by(watcher, whole.events) for watcher in watchers)
+    found, wanted = (output_of(watcher, whole.events) for watcher in watchers)
     assert found.verdicts == wanted.verdicts
     assert all(each.innovation >= 0 for each in found.verdicts)
     assert all(type(each.innovation) is float for each in found.verdicts)
@@ -336,7 +337,7 @@ def test_one_account_tells_what_a_bank_of_one_would() -> None:
 
 
 @pytest.mark.parametrize("law", BUILT_IN)
-def test_whoever_asks_for_machine_code_gets_it_of_laws_that_have_some(
+def test_only_the_law_that_can_be_compiled_is_compiled(
     law: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The others take the option and have nothing to compile."""
@@ -362,7 +363,7 @@ def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(impact_filter, "compiled_single", compiled_single.__wrapped__)
 
 
-def test_a_compiler_that_cannot_be_loaded_is_told_like_one_that_is_missing(
+def test_a_compiler_that_cannot_be_loaded_gives_the_error_of_a_missing_one(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """As where llvmlite does not find its library."""
@@ -411,15 +412,15 @@ def test_commands_without_the_compiler_end_in_one_line(
     }[command]
     capsys.readouterr()
     assert main([command, *words, "--compiled"]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("impact-observer: compiled needs numba")
-    assert len(told.splitlines()) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("impact-observer: compiled needs numba")
+    assert len(error.splitlines()) == 1
     assert not output.exists()
 
 
 @pytest.mark.usefixtures("without_numba")
-def test_a_law_without_machine_code_does_not_need_the_compiler(bag: Path) -> None:
-    """The option is taken, and nothing comes of it."""
+def test_a_law_that_is_not_compiled_does_not_need_the_compiler(bag: Path) -> None:
+    """The option is accepted and has no effect."""
     output = bag.parent / "output"
     assert main(["observe", str(bag), "--compiled", "-o", str(output)]) == 0
     assert output.exists()
@@ -471,7 +472,7 @@ def parts() -> Iterator[FunctionType]:
         waiting += [each for each in used if isinstance(each, FunctionType)]
 
 
-def test_every_source_of_machine_code_is_watched() -> None:
+def test_every_compiled_source_is_in_the_digest() -> None:
     """Where each function is, and where each constant in it is written."""
     watched = {module.__name__: module for module in compiled._SOURCES}
     texts = {name: Path(str(each.__file__)).read_text() for name, each in watched.items()}
@@ -489,7 +490,7 @@ def test_every_source_of_machine_code_is_watched() -> None:
 
 
 def test_a_changed_source_has_another_digest(tmp_path: Path) -> None:
-    """Whichever of them it is; what was compiled of the old ones is not taken for it."""
+    """Whichever of them changes; machine code of the old ones is not used."""
     modules = []
     for name in ("one", "two"):
         module = ModuleType(name)
@@ -505,8 +506,8 @@ def test_a_changed_source_has_another_digest(tmp_path: Path) -> None:
     assert [[cell.cell_contents for cell in cells or ()] for cells in kept] == [[first], [second]]
 
 
-def test_what_cannot_be_kept_is_compiled_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a container without a folder of its own, say: no cache, the same function."""
+def test_without_a_cache_it_is_compiled_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a container without a writable folder, for example: the same function."""
     numba = pytest.importorskip("numba")
     asked = list[bool]()
 
@@ -519,7 +520,7 @@ def test_what_cannot_be_kept_is_compiled_all_the_same(monkeypatch: pytest.Monkey
     monkeypatch.setattr(numba, "njit", njit)
     monkeypatch.setattr("numba.extending.overload", lambda _: lambda made: made)
     monkeypatch.setattr("numba.extending.register_jitable", lambda made: made)
-    question = turning().asked()
+    question = correlated().asked()
     found = compiled_single.__wrapped__()(*question)
     assert asked == [True, False]
     assert_same(found, single(*question))

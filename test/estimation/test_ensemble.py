@@ -1,4 +1,4 @@
-"""Replicas run together: what is noted of all of them is what becomes of each."""
+"""Replicas that are propagated together: each as if it were propagated alone."""
 
 from itertools import combinations
 
@@ -16,8 +16,8 @@ from impact_observer.observer import Belief
 from impact_observer.observer.laws.geometric import Geometric
 
 
-def test_maps_that_are_due_act_in_their_order() -> None:
-    """On differences, not on the estimate; functions and replicas see the same."""
+def test_noted_maps_act_in_their_order() -> None:
+    """On differences, not on the estimate; for functions and for replicas."""
     random = np.random.default_rng(1)
     replicas, one, two = (random.normal(size=size) for size in ((5, 4), (4, 4), (4, 4)))
     x, y = random.normal(size=(2, 4))
@@ -33,8 +33,8 @@ def test_maps_that_are_due_act_in_their_order() -> None:
 
 
 @pytest.mark.parametrize(("size", "count"), [(4, 2), (4, 10), (6, 10), (20, 40)])
-def test_farthest_is_that_of_all_pairs(size: int, count: int) -> None:
-    """Before anything is due and after, for few replicas and for many."""
+def test_largest_distance_is_that_of_all_pairs(size: int, count: int) -> None:
+    """Before and after a map, for few replicas and for many."""
     random = np.random.default_rng(2)
     replicas, root = random.normal(size=(count, size)), random.normal(size=(size, size))
     metric = root.T @ root
@@ -46,8 +46,8 @@ def test_farthest_is_that_of_all_pairs(size: int, count: int) -> None:
         ensemble = ensemble.propagated(random.normal(size=size), random.normal(size=(size, size)))
 
 
-def test_differences_that_have_faded_are_none() -> None:
-    """They do not go on as numbers that are slow to reckon with."""
+def test_faded_differences_are_zero() -> None:
+    """They do not become denormal numbers."""
     ensemble = Ensemble.of(np.eye(4))
     for _ in range(12):
         ensemble = ensemble.propagated(np.ones(4), 1e-10 * np.eye(4)).without_faded()
@@ -55,6 +55,7 @@ def test_differences_that_have_faded_are_none() -> None:
     np.testing.assert_array_equal(ensemble.replicas, np.ones((4, 4)))
 
 
+@pytest.mark.slow
 @examples(60)
 @given(st.data())
 def test_replicas_that_separate_at_an_impact_keep_their_speed(data: st.DataObject) -> None:
@@ -80,13 +81,13 @@ def test_ten_thousand_replicas_come_together_as_a_few_do() -> None:
     few = spread(start, root, 10_000)[[0, 1, 77, 9_999]]
     alone = [observer(model.system, "geometric", x, epoch=EPOCH) for x in few]
     bounds = []
-    for told in truth.events:
+    for received in truth.events:
         for each in (watcher, *alone):
-            each.receive(told)
-        stamps = np.array([told.stamp + 1])
+            each.receive(received)
+        stamps = np.array([received.stamp + 1])
         one, *others = (estimates(each, stamps)[0] for each in alone)
         np.testing.assert_array_equal(estimates(watcher, stamps)[0], one)
-        bounds.append(watcher.estimate(told.stamp + 1).convergence)
+        bounds.append(watcher.estimate(received.stamp + 1).convergence)
         largest = max(lyapunov.distance(model.system, *np.split(x - one, 2)) for x in others)
         assert largest <= bounds[-1] * (1 + 1e-6)
     assert np.all(np.diff(bounds) <= 1e-9 * bounds[0])

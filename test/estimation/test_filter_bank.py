@@ -1,4 +1,4 @@
-"""Hypotheses: how they are weighed, that they are all of a mixture, and that order is nothing."""
+"""The filter bank: weights, the covariance of the mixture, events in any order."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy import special, stats
 from systems import (
     EPOCH,
     Harmonic,
@@ -22,7 +21,6 @@ from systems import (
     observer,
     run,
     sample,
-    system,
     without_faults,
 )
 
@@ -42,7 +40,7 @@ from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, seconds_between
 
 Array = NDArray[np.float64]
-DOUBTING = Uncertainty(clock_error=0.0)
+FAULTY = Uncertainty(clock_error=0.0)
 PRESSED = chain(
     2,
     damping=0.3,
@@ -67,69 +65,6 @@ def beliefs(watcher: Observer) -> list[Belief]:
     return [entry.belief for entry in watcher._timeline.entries]
 
 
-def ball(gravity: float) -> System:
-    """A mass above a floor at zero."""
-    force = forcing(1, [-gravity])
-    return system([[1.0]], [[0.0]], [[0.0]], contacts=[([1], 0.0, 0.5)], force=force)
-
-
-def passages(x: Array, root: Array, gravity: float) -> Array:
-    """When each of many such masses comes down on the floor, s: NaN where it never does."""
-    half = np.random.default_rng(3).normal(size=(100_000, 2)) @ root.T
-    q, u = (x + np.vstack([half, -half])).T
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray((u + np.sqrt(u * u + 2 * gravity * q)) / gravity)
-
-
-@pytest.mark.parametrize("clock", [1e-9, 5e-3])
-@pytest.mark.parametrize("root", [[[0.01, 0], [0, 0.01]], [[0.01, 0], [0.02, 0.01]]])
-@pytest.mark.parametrize("deviations", [-1.5, 0.0, 1.0])
-def test_evidence_is_the_density_of_the_first_passage(
-    clock: float, root: list[list[float]], deviations: float
-) -> None:
-    """200000 masses that fall, a histogram of their instants, and the clock's error on top."""
-    model, gravity, x, S = ball(9.81), 9.81, np.array([0.0, -2.0]), np.array(root)
-    spread = math.hypot(float(np.linalg.norm(S[0])) / 2.0, clock)
-    dt = deviations * spread
-    Phi = np.array([[1.0, dt], [0.0, 1.0]])
-    then = Phi @ x - gravity * np.array([dt * dt / 2, dt])
-    filter_, change = ImpactFilter(model), ContactChange(dt, (), (0,), ())
-    prior = filter_.joint_prior(change, GaussianState.of(then[None], Phi @ S), clock)
-    found = filter_.likelihood(change, prior)
-    bin_ = spread / 5
-    instants = passages(x, S, gravity)
-    low, high = (dt - bin_ / 2 - instants) / clock, (dt + bin_ / 2 - instants) / clock
-    density = np.mean(special.ndtr(high) - special.ndtr(low)) / bin_
-    assert found.density == pytest.approx(math.log(density), abs=0.06)
-    assert found.innovations[0] == pytest.approx(abs(deviations), rel=0.05, abs=0.05)
-
-
-@pytest.mark.parametrize("speed", [-1.0, -0.3, 0.0, 0.2])
-def test_evidence_knows_that_a_gap_closes_from_above(speed: float) -> None:
-    """Rice's formula for uniform motion: speeds that are hardly state, or hardly closing."""
-    S = np.diag([0.1, 0.3])
-    filter_, change = ImpactFilter(ball(0.0)), ContactChange(0.0, (), (0,), ())
-    prior = filter_.joint_prior(change, GaussianState.of(np.array([[0.0, speed]]), S), 1e-9)
-    found = filter_.likelihood(change, prior).density
-    closing = -speed * special.ndtr(-speed / 0.3) + 0.3 * stats.norm.pdf(speed / 0.3)
-    exact = math.log(stats.norm.pdf(0.0, scale=0.1) * closing)
-    assert found == pytest.approx(exact, abs=0.7 if speed > 0 else 0.3)
-    faster = filter_.joint_prior(change, GaussianState.of(np.array([[0.0, speed - 1.0]]), S), 1e-9)
-    assert filter_.likelihood(change, faster).density > found
-
-
-def test_evidence_of_what_cannot_be_goes_on_falling() -> None:
-    """Hundreds of deviations off: finite, and less the farther off it is."""
-    filter_ = ImpactFilter(ball(9.81))
-    found = []
-    for gap in (0.2, 1.0, 30.0, 1e6):
-        change = ContactChange(0.0, (), (0,), ())
-        state = GaussianState.of(np.array([[gap, -2.0]]), 0.01 * np.eye(2))
-        found.append(filter_.likelihood(change, filter_.joint_prior(change, state, 1e-9)).density)
-    assert np.all(np.isfinite(found))
-    assert found == sorted(found, reverse=True)
-
-
 def mixture(belief: Belief) -> Array:
     """Second moments of all hypotheses about the estimate."""
     size = belief.x.size
@@ -145,9 +80,9 @@ def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
     """After true, spurious and missed impacts; probabilities add up to one, and are ordered."""
     model, start, whole = truth("three_mass", 20.0)
     x = start + np.random.default_rng(3).normal(size=6)
-    watcher = observer(model, "minimum-variance", x, uncertainty=DOUBTING, epoch=EPOCH)
-    told = [each for k, each in enumerate(whole.events[:7]) if k not in (2, 5)]
-    for each in [*told, event(4.2, "left", sequence=90), event(8.3, "right", sequence=91)]:
+    watcher = observer(model, "minimum-variance", x, uncertainty=FAULTY, epoch=EPOCH)
+    events = [each for k, each in enumerate(whole.events[:7]) if k not in (2, 5)]
+    for each in [*events, event(4.2, "left", sequence=90), event(8.3, "right", sequence=91)]:
         watcher.receive(each)
     several = 0
     for belief in beliefs(watcher):
@@ -185,7 +120,7 @@ def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) ->
 
 
 @pytest.mark.parametrize("name", ["three_mass", pytest.param("pressed", marks=pytest.mark.slow)])
-def test_believing_every_event_is_the_plain_filter(name: str) -> None:
+def test_trusting_every_event_is_the_plain_filter(name: str) -> None:
     """With all three probabilities at 0: the same bits as ``ImpactFilter`` by hand."""
     if name == "pressed":
         model, start = PRESSED, np.zeros(4)
@@ -198,15 +133,15 @@ def test_believing_every_event_is_the_plain_filter(name: str) -> None:
     for each in whole.events:
         watcher.receive(each)
     end = int(whole.stamps[-1]) + 1234
-    told = watcher.estimate(end)
+    last = watcher.estimate(end)
     state, root = by_hand(model, x, whole.events, end)
-    np.testing.assert_array_equal(np.concatenate([told.q, told.u]), state + 0.0)
-    np.testing.assert_array_equal(told.covariance, root @ root.T + 0.0)
+    np.testing.assert_array_equal(np.concatenate([last.q, last.u]), state + 0.0)
+    np.testing.assert_array_equal(last.covariance, root @ root.T + 0.0)
     assert not any(each.hypotheses for each in beliefs(watcher))
 
 
-def test_event_that_is_near_needs_no_other_look(monkeypatch: pytest.MonkeyPatch) -> None:
-    """State and covariance are the same, but for rounding, if it is looked at where it was."""
+def test_event_that_is_near_needs_one_expansion(monkeypatch: pytest.MonkeyPatch) -> None:
+    """State and covariance equal those of an expansion at the estimated instant."""
     model, start, whole = truth("three_mass", 20.0)
     x = start + np.random.default_rng(0).normal(size=start.size)
     end = int(whole.stamps[-1]) + 1234
@@ -231,7 +166,7 @@ def test_event_that_is_near_needs_no_other_look(monkeypatch: pytest.MonkeyPatch)
 @given(data=st.data())
 @examples(2)
 def test_any_order_of_arrival_gives_equal_bits(data: st.DataObject) -> None:
-    """Some missed, some spurious, some told twice, estimates asked for in between."""
+    """Some missed, some spurious, some reported twice, estimates asked for in between."""
     model, start, whole = truth("two_mass", 12.0)
     kept = [each for each in whole.events if data.draw(st.integers(0, 3))]
     spurious = data.draw(st.lists(st.integers(1, 11_999), max_size=2, unique=True))
@@ -244,23 +179,23 @@ def test_any_order_of_arrival_gives_equal_bits(data: st.DataObject) -> None:
     found = []
     for arriving in (events, order):
         watcher = observer(
-            model, "minimum-variance", start + 0.3, uncertainty=DOUBTING, epoch=EPOCH, history=1e3
+            model, "minimum-variance", start + 0.3, uncertainty=FAULTY, epoch=EPOCH, history=1e3
         )
         for k, each in enumerate(arriving):
             watcher.receive(each)
             if arriving is order and k % 2:
                 watcher.estimate(EPOCH + 13 * NS_PER_S)
-        told = [watcher.estimate(EPOCH + k * NS_PER_S) for k in range(0, 14, 3)]
-        bits = [np.concatenate([each.q, each.u, each.covariance.ravel()]) for each in told]
+        asked = [watcher.estimate(EPOCH + k * NS_PER_S) for k in range(0, 14, 3)]
+        bits = [np.concatenate([each.q, each.u, each.covariance.ravel()]) for each in asked]
         found.append(np.array(bits))
     np.testing.assert_array_equal(found[0], found[1])
 
 
 def checked(watcher: Observer, stamp: int) -> None:
     """Nothing is NaN, and there are no more hypotheses than there may be."""
-    for told in (watcher.estimate(stamp), watcher.estimate(stamp + 3 * NS_PER_S)):
-        assert np.all(np.isfinite(np.concatenate([told.q, told.u, told.covariance.ravel()])))
-        assert np.all(np.isfinite([each[1:] for each in told.parameters]))
+    for now in (watcher.estimate(stamp), watcher.estimate(stamp + 3 * NS_PER_S)):
+        assert np.all(np.isfinite(np.concatenate([now.q, now.u, now.covariance.ravel()])))
+        assert np.all(np.isfinite([each[1:] for each in now.parameters]))
     assert watcher._timeline is not None
     for entry in watcher._timeline.entries:
         hypotheses = entry.belief.hypotheses
@@ -290,13 +225,15 @@ def test_absurd_streams_end_in_no_nan(declared: float) -> None:
         "backwards": [event(9.0 - k, "left", sequence=k + 1) for k in range(5)],
     }
     for stream in streams.values():
-        told = Uncertainty(clock_error=0.0, **everything)
-        watcher = observer(model, "minimum-variance", start, uncertainty=told, epoch=EPOCH)
+        declared_ = Uncertainty(clock_error=0.0, **everything)
+        watcher = observer(model, "minimum-variance", start, uncertainty=declared_, epoch=EPOCH)
         for each in stream:
             watcher.receive(each)
         checked(watcher, EPOCH + 10 * NS_PER_S)
-    told = Uncertainty(clock_error=1e-3, **everything)
-    watcher = observer(PRESSED, "minimum-variance", np.zeros(4), uncertainty=told, epoch=EPOCH)
+    declared_ = Uncertainty(clock_error=1e-3, **everything)
+    watcher = observer(
+        PRESSED, "minimum-variance", np.zeros(4), uncertainty=declared_, epoch=EPOCH
+    )
     for k, (contact, kind) in enumerate(2 * CLOSES):
         stamp = EPOCH + (k + 1) * NS_PER_S // 4
         watcher.receive(ImpactEvent(stamp, (Switch(contact, kind),), k + 1, 0, EPOCH))
@@ -306,10 +243,10 @@ def test_absurd_streams_end_in_no_nan(declared: float) -> None:
 
 @pytest.mark.slow
 def test_events_that_do_nothing_multiply_no_hypotheses() -> None:
-    """A switch that says OPEN again and again while the estimate falls through stops."""
+    """A contact that is reported OPEN again and again while the estimate penetrates stops."""
     model, start, _ = truth("three_mass", 20.0)
-    told = Uncertainty(clock_error=0.0, deviation=0.05)
-    watcher = observer(model, "minimum-variance", start, uncertainty=told, epoch=EPOCH)
+    declared_ = Uncertainty(clock_error=0.0, deviation=0.05)
+    watcher = observer(model, "minimum-variance", start, uncertainty=declared_, epoch=EPOCH)
     for k in range(100):
         switches = (Switch("left", Kind.OPEN),)
         watcher.receive(ImpactEvent(EPOCH + (k + 1) * NS_PER_S // 10, switches, k + 1, 0, EPOCH))
@@ -318,11 +255,11 @@ def test_events_that_do_nothing_multiply_no_hypotheses() -> None:
 
 
 @pytest.mark.slow
-def test_hundreds_of_invented_events_at_one_stamp_end_in_no_nan() -> None:
+def test_hundreds_of_spurious_events_at_one_stamp_end_in_no_nan() -> None:
     """And the next true events are what they are."""
     model, start, whole = truth("two_mass", 20.0)
     watcher = observer(
-        model, "minimum-variance", start, uncertainty=DOUBTING, epoch=EPOCH, history=1e3
+        model, "minimum-variance", start, uncertainty=FAULTY, epoch=EPOCH, history=1e3
     )
     for k in range(300):
         watcher.receive(event(1.0, "stop", sequence=k + 1))

@@ -1,4 +1,4 @@
-"""What a motion runs into when nothing is heard: found where it is, and as deep as it is."""
+"""Predicted penetrations, and missed impacts."""
 
 import math
 from typing import NamedTuple
@@ -14,19 +14,16 @@ from systems import (
     chain,
     examples,
     forcing,
-    sample,
     system,
     systems,
     vectors,
     without_faults,
 )
 
-from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.forecast import Dip, Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.missed_switch import posterior_of_missed
 from impact_observer.events import Kind
 from impact_observer.model import System
 
@@ -48,12 +45,12 @@ SWINGING = system(
 
 
 def forecast(model: System, t: float, x: Array, root: Array, closed: tuple[int, ...]) -> Forecast:
-    """What is foreseen from ``x`` at ``t`` on."""
+    """The forecast from ``x`` at ``t`` on."""
     bank = FilterBank(ImpactFilter(model), without_faults())
     return bank.forecast(t, GaussianState.of(x[None], root, closed))
 
 
-class Watched(NamedTuple):
+class GuardValues(NamedTuple):
     """Values of a gap or a load on a fine grid, by an oracle."""
 
     contact: int
@@ -63,8 +60,8 @@ class Watched(NamedTuple):
 
 def oracle(
     model: System, t: float, x: Array, closed: int | None
-) -> tuple[Array, list[Watched], Array]:
-    """Instants, what is watched, and the transition of one sample: one matrix exponential.
+) -> tuple[Array, list[GuardValues], Array]:
+    """Instants, guard functions, and the transition of one sample: one matrix exponential.
 
     The closed contact's load is eliminated by hand: ``G lambda = -W^T M^-1 (f - C u - K q)``.
     """
@@ -88,12 +85,12 @@ def oracle(
         path, on = np.vstack([path, path @ on.T]), on @ on
     path = path[: SAMPLES + 1]
     watched = [
-        Watched(i, Kind.IMPACT, path[:, :n] @ model.W[:, i] + model.q_r[i])
+        GuardValues(i, Kind.IMPACT, path[:, :n] @ model.W[:, i] + model.q_r[i])
         for i in range(model.m)
         if i != closed
     ]
     if closed is not None:
-        watched.append(Watched(closed, Kind.OPEN, -path @ (taken @ loads)[0]))
+        watched.append(GuardValues(closed, Kind.OPEN, -path @ (taken @ loads)[0]))
     return np.linspace(0.0, SECONDS, SAMPLES + 1), watched, np.asarray(step)
 
 
@@ -104,7 +101,7 @@ def stretches(values: Array) -> list[tuple[int, int]]:
     return [(int(run[0]), int(run[-1])) for run in runs]
 
 
-def check(dips: list[Dip], found: Forecast, s: Array, each: Watched) -> None:
+def check(dips: list[Dip], found: Forecast, s: Array, each: GuardValues) -> None:
     """Every run below zero that is deep enough is a dip, with its root and its depth."""
     mine = [dip for dip in dips if (dip.contact, dip.kind) == (each.contact, each.kind)]
     size, h = float(np.max(np.abs(each.values))), float(s[1])
@@ -144,7 +141,7 @@ def test_every_dip_of_a_gap_is_found(data: st.DataObject) -> None:
 @given(data=st.data())
 @examples(12)
 def test_every_dip_of_a_load_is_found(data: st.DataObject) -> None:
-    """One contact rests: its load is watched instead of its gap."""
+    """One contact rests: its guard is its load instead of its gap."""
     model = data.draw(systems(max_n=3, contacts=(1, 2), gaps=(0.0, 2.0)))
     n, w = model.n, model.W[:, 0]
     x = data.draw(vectors(2 * n))
@@ -160,8 +157,8 @@ def test_every_dip_of_a_load_is_found(data: st.DataObject) -> None:
 
 @given(data=st.data())
 @examples(8)
-def test_depth_is_in_deviations_of_what_is_watched_then(data: st.DataObject) -> None:
-    """The covariance carried on by the oracle's transition, any root of it."""
+def test_depth_is_in_deviations_of_the_function_then(data: st.DataObject) -> None:
+    """By the covariance that the oracle's transition propagates, any root of it."""
     model = data.draw(systems(max_n=3, gaps=(0.25, 2.0)))
     n = model.n
     x, values = data.draw(vectors(2 * n)), data.draw(vectors(4 * n * n))
@@ -198,7 +195,7 @@ def test_shallow_dips_between_samples_are_found(depth: float, phase: float) -> N
             assert dip.over
 
 
-def test_sure_is_where_it_is_deep_enough() -> None:
+def test_confident_from_is_where_the_dip_is_deep_enough() -> None:
     """The gap there, over its deviation, is what was asked for; a shallower dip never is."""
     found = forecast(SWINGING, 0.0, np.array([1.5, 0.0, 0.0, 0.0]), 0.01 * np.eye(4), ())
     dip = found.dips(4.0)[0]
@@ -209,7 +206,7 @@ def test_sure_is_where_it_is_deep_enough() -> None:
     assert shallow.depth < 3
 
 
-def test_nothing_is_foreseen_where_nothing_can_be() -> None:
+def test_there_is_no_dip_where_none_can_be() -> None:
     """Without contacts, without time, without coming near."""
     free = chain(2, force=forcing(2, 1.0, [Harmonic(2.0, [1, 0], [0, 1])]))
     assert forecast(free, 0.0, np.ones(4), np.eye(4), ()).dips(10.0) == []
@@ -219,73 +216,7 @@ def test_nothing_is_foreseen_where_nothing_can_be() -> None:
 
 
 def test_gap_that_comes_up_from_below_is_no_dip() -> None:
-    """Just after an impact that was taken for a little too early."""
+    """Just after an impact that was estimated a little too early."""
     x = np.array([-0.9 - 1e-9, 0.0, 1.0, 0.0])
     dips = forecast(SWINGING, 0.0, x, 1e-6 * np.eye(4), ()).dips(2.0)
     assert dips == []
-
-
-def flown(model: System, now: Array, x: Array, s: Array) -> Array:
-    """States (samples, 2n) each ``s`` seconds on from its ``now``: Runge and Kutta, 8 steps."""
-    n, inverse, h = model.n, np.linalg.inv(model.M), s / 8
-
-    def rate(at: Array, y: Array) -> Array:
-        force = model.forcing.derivatives(at, 0)[0]
-        pull = force - y[:, :n] @ model.K.T - y[:, n:] @ model.C.T
-        return np.hstack([y[:, n:], pull @ inverse.T])
-
-    step = h[:, None]
-    for _ in range(8):
-        one = rate(now, x)
-        two = rate(now + h / 2, x + step / 2 * one)
-        three = rate(now + h / 2, x + step / 2 * two)
-        four = rate(now + h, x + step * three)
-        x, now = x + step / 6 * (one + 2 * two + 2 * three + four), now + h
-    return x
-
-
-def thrown(model: System, t: float, x: Array, i: int) -> Array:
-    """What states (samples, 2n) at ``t`` have become of: each hits at its own root."""
-    n, w, s = model.n, model.W[:, i], np.zeros(len(x))
-    now = np.full(len(x), t)
-    for _ in range(4):
-        y = flown(model, now, x, s)
-        s = s - (y[:, :n] @ w + model.q_r[i]) / (y[:, n:] @ w)
-    y, push = flown(model, now, x, s), np.linalg.solve(model.M, w)
-    y[:, n:] -= np.outer((1 + model.eps[i]) * (y[:, n:] @ w), push / (w @ push))
-    return flown(model, now + s, y, -s)
-
-
-@pytest.mark.parametrize("deviation", [1e-3, 1e-2, 5e-2])
-def test_unheard_impact_leaves_the_moments_of_nonlinear_jumps(deviation: float) -> None:
-    """Of 8000 states that hit at an instant of their own: mean and covariance, to its noise."""
-    model, t = sample("two_mass").system, 0.3
-    x = np.array([0.1, 0.5, -0.4, 1.6])
-    rng = np.random.default_rng(5)
-    root = deviation * np.tril(rng.normal(size=(4, 4)) / 4 + np.eye(4))
-    filter_ = ImpactFilter(model)
-    state = posterior_of_missed(
-        filter_, ContactChange(t, (), (0,), ()), GaussianState.of(x[None], root)
-    )
-    drawn = rng.normal(size=(4000, 4)) @ root.T
-    after = thrown(model, t, x + np.vstack([drawn, -drawn]), 0)
-    mean, covariance = after.mean(axis=0), np.cov(after.T)
-    P = state.root @ state.root.T
-    deviations = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose((state.x - mean) / deviations, 0.0, atol=max(0.5 * deviation, 1e-3))
-    scaled = (P - covariance) / np.outer(deviations, deviations)
-    np.testing.assert_allclose(scaled, 0.0, atol=0.06 + deviation)
-
-
-def test_unheard_impact_that_is_early_jumps_at_its_own_root() -> None:
-    """A gap that is not yet zero: the state then is that of a plant that hits a little later."""
-    model, t = sample("two_mass").system, 0.3
-    x = np.array([0.1, 0.499, -0.4, 1.6])
-    state = posterior_of_missed(
-        ImpactFilter(model),
-        ContactChange(t, (), (0,), ()),
-        GaussianState.of(x[None], 1e-9 * np.eye(4)),
-    )
-    expected = thrown(model, t, x[None], 0)[0]
-    np.testing.assert_allclose(state.x, expected, atol=1e-6)
-    np.testing.assert_allclose(state.x[1], 0.499 - 1e-3, atol=2e-2)

@@ -1,4 +1,4 @@
-"""The systems of a family: what changes with each parameter, against other systems."""
+"""Sensitivities to parameters, against finite differences between other systems."""
 
 from collections.abc import Callable
 
@@ -59,7 +59,7 @@ def test_accelerations_and_loads_change_as_those_of_other_systems(closed: tuple[
         np.testing.assert_allclose(found, slopes(all_, loads), atol=1e-6)
 
 
-def test_gaps_change_by_those_that_are_learnt() -> None:
+def test_gaps_are_sensitive_to_their_own_parameters() -> None:
     """And by nothing else."""
     all_ = members(PRESSED)
     rows = all_.gap_sensitivity((1, 0))
@@ -82,7 +82,7 @@ def test_an_impact_is_that_of_the_system_with_these_parameters(pressed: tuple[in
     np.testing.assert_allclose(found.value, mirror.J @ x + mirror.offset, atol=1e-13)
 
 
-def test_members_that_only_bounce_otherwise_share_their_motion() -> None:
+def test_members_that_differ_in_impacts_only_share_their_motion() -> None:
     """Phases are prepared once for all restitutions and gaps."""
     all_ = members(PRESSED, "gap", "restitution", "stiffness-scale")
     assert all_.family.names[0] == "stiffness-scale"
@@ -95,7 +95,7 @@ def test_members_that_only_bounce_otherwise_share_their_motion() -> None:
     assert all_.at(given + 0.1 * np.eye(5)[0]).moving is not all_.given.moving
 
 
-def test_parameters_beyond_their_bounds_come_back_with_what_depends_on_them() -> None:
+def test_parameters_beyond_their_bounds_are_corrected_with_the_state() -> None:
     """By the conditional mean of a normal vector; what is inside stays."""
     all_ = members(PRESSED, "restitution")
     rng = np.random.default_rng(3)
@@ -110,11 +110,11 @@ def test_parameters_beyond_their_bounds_come_back_with_what_depends_on_them() ->
     assert np.all((theta >= 0.0) & (theta <= 1.0))
 
 
-def test_steps_are_as_large_as_what_is_not_known_and_stay_inside() -> None:
+def test_steps_are_about_the_deviations_and_stay_within_bounds() -> None:
     """Powers of two; not so small that differences would be rounding."""
     model = sample("three_mass")
-    told = UnknownParameters.named(model.system, ["stiffness.ground-x1"], model.elements)
-    all_ = Members(told.family)
+    unknowns = UnknownParameters.named(model.system, ["stiffness.ground-x1"], model.elements)
+    all_ = Members(unknowns.family)
     for deviation in (1e-12, 1e-3, 1.0, 1e3):
         for theta in (0.1, 25.0, 500.0):
             (step,) = all_.steps(np.array([theta]), np.array([[deviation]]))

@@ -1,4 +1,4 @@
-"""What unknown parameters make of an error: differences are derivatives, noise covers draws."""
+"""Sensitivities are derivatives, and their noise covers the rest."""
 
 import numpy as np
 import pytest
@@ -53,10 +53,10 @@ def test_differences_of_a_quadratic_map_are_its_derivatives(
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_noise_covers_what_is_left_of_a_quadratic_map(seed: int) -> None:
-    """The covariance of the true error is not larger than what is claimed, in any direction.
+def test_noise_covers_the_remainder_of_a_quadratic_map(seed: int) -> None:
+    """The covariance of the true remainder is nowhere larger than the noise.
 
-    Nor is what is claimed besides the linear part more than a few times what is there.
+    Nor is the noise more than a few times as large.
     """
     F = Quadratic(seed)
     seen = Sensitivity.of(F.at, F.theta, np.full(P, 0.25))
@@ -75,7 +75,7 @@ def test_noise_covers_what_is_left_of_a_quadratic_map(seed: int) -> None:
 
 @given(root=matrices(5, 7), first=st.integers(0, 3))
 @examples(40)
-def test_a_root_that_is_led_has_the_same_covariance(root: Array, first: int) -> None:
+def test_leading_triangular_root_has_the_same_covariance(root: Array, first: int) -> None:
     """And its rows begin as a lower triangle."""
     rows = slice(first, first + 2)
     found = leading_triangular(root, rows)
@@ -86,7 +86,7 @@ def test_a_root_that_is_led_has_the_same_covariance(root: Array, first: int) -> 
 @given(x=vectors(N))
 @examples(10)
 def test_without_parameters_nothing_is_added(x: Array) -> None:
-    """A map that does not depend on what is unknown."""
+    """A map that does not depend on the parameters."""
     seen = Sensitivity.of(lambda _: Map(x, np.eye(N)), np.zeros(1), np.ones(1))
     columns, noise = seen.added(np.eye(N), np.eye(1))
     assert not np.any(columns)

@@ -1,20 +1,10 @@
-"""Square roots of covariances, process noise, and the jump as a function of its instant."""
-
-from collections.abc import Callable
+"""Square roots of covariances, and the Kalman correction by them."""
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy import integrate, linalg
-from systems import Harmonic, chain, examples, forcing, numbers, system, systems, vectors
 
-from impact_observer.dynamics import ImpactLaw, Phase, Phases
-from impact_observer.estimation.process_noise import diffusion
-from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRates
 from impact_observer.estimation.square_root import correction, product, triangular
-from impact_observer.model import System
 
 Array = NDArray[np.float64]
 
@@ -50,7 +40,7 @@ def test_correction_is_that_of_the_kalman_filter(k: int) -> None:
 
 
 def test_correction_keeps_digits_where_variances_differ_by_eighteen_decades() -> None:
-    """One number state to 1e-9 of another: the sum of both is measured, exactly but for 1e-12.
+    """One number equal to another within 1e-9: the sum of both is measured, exactly but for 1e-12.
 
     By hand, with a = 1 and b = 1e-9: the variance left of either is b^2 + r^2, r = 1e-12.
     """
@@ -61,7 +51,7 @@ def test_correction_keeps_digits_where_variances_differ_by_eighteen_decades() ->
     assert np.linalg.norm(found.sum(axis=0)) == pytest.approx(1e-12, rel=1e-3)
 
 
-def test_measurement_of_what_is_known_moves_nothing() -> None:
+def test_measurement_of_an_exact_state_changes_nothing() -> None:
     """No covariance, hardly any noise: gain zero, and no NaN."""
     found = correction(np.zeros((2, 2)), np.array([[1.0, 2.0]]), np.array([[1e-150]]))
     assert not found.gain.any()
@@ -84,228 +74,3 @@ def test_product_has_the_moments_of_normal_numbers() -> None:
     np.testing.assert_allclose(mean, [np.trace(A @ P) for A in forms], atol=1e-13)
     expected = [[2 * np.trace(A @ P @ B @ P) for B in forms] for A in forms]
     np.testing.assert_allclose(noise @ noise.T, expected, atol=1e-12)
-
-
-def integrated_noise(phase: Phase, s: float, intensity: float) -> Array:
-    """``Q(s)`` by adaptive quadrature of its definition."""
-    n = phase.equations.n
-
-    def rate(r: float) -> Array:
-        B = phase.transition(r)[:, n:]
-        return np.asarray(intensity**2 * B @ B.T)
-
-    return np.asarray(integrate.quad_vec(rate, 0.0, s, epsabs=1e-13, epsrel=1e-12)[0])
-
-
-@examples(15)
-@given(st.data())
-def test_noise_is_the_integral_of_its_definition(data: st.DataObject) -> None:
-    """Damped, gyroscopic, rigid or not, free and with a contact held."""
-    model = data.draw(systems(max_n=3, contacts=(1, 1)))
-    phase = Phases(model).phase(data.draw(st.sampled_from([(), (0,)])))
-    s = data.draw(numbers(0.0, 4.0))
-    found = diffusion(phase, s, 0.3)
-    expected = integrated_noise(phase, s, 0.3)
-    np.testing.assert_allclose(found @ found.T, expected, atol=1e-10 * (1 + expected.max()))
-
-
-def test_noise_of_a_rigid_body_is_the_textbook_one() -> None:
-    """``[[s^3/3, s^2/2], [s^2/2, s]]``, over a nanosecond as over a day."""
-    phase = Phases(system(2.0, 0, 0)).phase()
-    for s in (1e-9, 1.0, 86400.0):
-        found, scale = diffusion(phase, s, 1.0), np.array([s, 1.0])
-        P = found @ found.T / np.outer(scale, scale) / s
-        np.testing.assert_allclose(P, [[1 / 3, 1 / 2], [1 / 2, 1]], rtol=1e-12)
-
-
-def test_noise_of_stiff_damping_neither_overflows_nor_takes_long() -> None:
-    """``c / m = 1e9``: velocities are lost at once, ``E u^2 = w^2 m / (2 c)``."""
-    phase = Phases(system(1.0, 1e9, 1.0)).phase()
-    found = diffusion(phase, 100.0, 1.0)
-    assert np.all(np.isfinite(found))
-    assert found[1] @ found[1] == pytest.approx(0.5e-9, rel=1e-6)
-
-
-def test_no_noise_and_no_time_add_nothing() -> None:
-    """Exactly nothing."""
-    phase = Phases(chain(2)).phase()
-    assert not diffusion(phase, 1.0, 0.0).any()
-    assert not diffusion(phase, 0.0, 1.0).any()
-
-
-FORCED = chain(
-    3,
-    damping=0.4,
-    contacts=[([1, 0, 0], 0.2, 0.6), ([0, 1, -1], 0.3, 0.8), ([0, 0, -1], 0.1, 0.5)],
-    force=forcing(3, [0.5, 0, -1], [Harmonic(2.3, [1.0, 0, 2], [0, 1.5, 0])]),
-)
-T = 0.7
-
-
-def forces(model: System, t: float) -> Array:
-    """The force and two derivatives of it."""
-    return np.asarray(model.forcing.derivatives(np.array([t]), 2)[:, 0])
-
-
-def differences(f: Callable[[float], Array], h: float = 1e-3) -> tuple[Array, Array]:
-    """First and second derivative at 0, of sixth order."""
-    first = sum(c * (f(k * h) - f(-k * h)) for k, c in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60)))
-    second = sum(
-        c * (f(k * h) - 2 * f(0.0) + f(-k * h)) for k, c in ((1, 3 / 2), (2, -3 / 20), (3, 1 / 90))
-    )
-    return np.asarray(first / h), np.asarray(second / h**2)
-
-
-Jumped = Callable[[float, Array], Array]
-
-
-def jump(
-    before: tuple[int, ...], after: tuple[int, ...], pressed: tuple[int, ...]
-) -> tuple[Phase, Mirror, Jet, Jumped]:
-    """The phase before a jump, the jump, and its exact map: back, jump, and on.
-
-    Contacts that stay closed have no restitution here, so that they are held at once.
-    """
-    phases = Phases(FORCED)
-    one, two = phases.phase(before), phases.phase(after)
-    eps = np.where(np.isin(range(FORCED.m), after), 0.0, FORCED.eps)
-    mirror = Mirror.of(FORCED, ImpactLaw(FORCED, eps).jump(pressed), pressed)
-
-    def jumped(e: float, y: Array) -> Array:
-        x = mirror.J @ one.moved(T, y, -e)[0] + mirror.offset
-        return two.moved(T - e, x, e)[0] if e else x
-
-    return one, mirror, mirror.between(StateRates(one), StateRates(two)), jumped
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "pressed"),
-    [((), (), (0,)), ((), (0,), (0,)), ((1,), (1,), (1, 2)), ((0,), (), ()), ((), (), (0, 1, 2))],
-)
-def test_jump_is_expanded_as_its_exact_map(
-    before: tuple[int, ...], after: tuple[int, ...], pressed: tuple[int, ...]
-) -> None:
-    """Back by the phase before, jump, on by the phase after: against finite differences."""
-    one, mirror, jet, jumped = jump(before, after, pressed)
-    n = FORCED.n
-    y = np.random.default_rng(6).normal(size=2 * n)
-    y[n:] = one.inverse @ FORCED.M @ y[n:]
-    found = jet.expanded(y, forces(FORCED, T))
-    np.testing.assert_allclose(found.value, jumped(0.0, y), atol=1e-14)
-    first, second = differences(lambda e: jumped(e, y))
-    np.testing.assert_allclose(found.H[:, 0], first, atol=1e-8)
-    np.testing.assert_allclose(found.E, second, atol=1e-5)
-    for dy in np.eye(2 * n):
-        dy[n:] = one.inverse @ FORCED.M @ dy[n:]
-        mixed = differences(lambda e, dy=dy: jumped(e, y + dy) - jumped(e, y))[0]  # type: ignore[misc]
-        np.testing.assert_allclose(found.D @ dy, mixed, atol=1e-8)
-    np.testing.assert_allclose(found.H[:, 1:], mirror.J, atol=0)
-    np.testing.assert_allclose(found.H[:n, 0], 0, atol=1e-14)  # positions do not notice
-
-
-def test_jump_is_expanded_about_an_instant_nearby() -> None:
-    """What is left of it is of third order; of its slope, of second."""
-    _, _, jet, jumped = jump((), (), (0,))
-    y, e = np.random.default_rng(6).normal(size=2 * FORCED.n), 1e-4
-    found = jet.expanded(y, forces(FORCED, T), e)
-    np.testing.assert_allclose(found.value, jumped(e, y), atol=1e-9)
-    first, _ = differences(lambda later: jumped(e + later, y))
-    np.testing.assert_allclose(found.H[:, 0], first, atol=1e-5)
-    for dy in np.eye(2 * FORCED.n):
-        np.testing.assert_allclose(
-            found.H[:, 1:] @ dy, jumped(e, y + dy) - jumped(e, y), atol=1e-10
-        )
-        mixed = differences(lambda d, dy=dy: jumped(e + d, y + dy) - jumped(e + d, y))[0]  # type: ignore[misc]
-        np.testing.assert_allclose(found.D @ dy, mixed, atol=1e-5)
-
-
-@examples(8)
-@given(st.data())
-def test_jump_at_the_own_root_is_the_saltation_matrix(data: st.DataObject) -> None:
-    """With ``e = g / gamma`` in it, ``Xi = J + (f+ - J f-) grad g^T / gamma``, and exactly so.
-
-    The oracle finds the root of the gap and jumps there, positions unchanged.
-    """
-    model = data.draw(systems(max_n=3, contacts=(1, 1)))
-    phases, n, law = Phases(model), model.n, ImpactLaw(model)
-    w = model.W[:, 0]
-    x = data.draw(vectors(2 * n))
-    x[:n] -= w * (w @ x[:n] + model.q_r[0]) / (w @ w)
-    x[n:] -= w * (w @ x[n:] + 2.0) / (w @ w)  # it closes with 2 m/s
-    phase = phases.phase()
-    rates = StateRates(phase)
-
-    def own_root(y: Array) -> Array:
-        e, at = 0.0, y
-        for _ in range(6):
-            at = phase.moved(T, y, -e)[0]
-            e += (w @ at[:n] + model.q_r[0]) / (w @ at[n:])
-        at[n:] = law.velocity_after(at[n:], (0,))
-        return phase.moved(T - e, at, e)[0]
-
-    mirror = Mirror.of(model, law.jump((0,)), (0,))
-    expansion = mirror.between(rates, rates).expanded(x, forces(model, T))
-    grad = np.concatenate([w, np.zeros(n)])
-    Xi = expansion.H[:, 1:] + np.outer(expansion.H[:, 0], grad) / (w @ x[n:])
-    ending = rates.along(x, forces(model, T))[0]
-    J = linalg.block_diag(np.eye(n), law.jump((0,)))
-    beginning = rates.along(np.asarray(J @ x), forces(model, T))[0]
-    textbook = J + np.outer(beginning - J @ ending, grad) / (w @ x[n:])
-    size = 1 + np.max(np.abs(textbook))
-    np.testing.assert_allclose(Xi, textbook, atol=1e-12 * size)
-    assume(size < 50)
-    for dx in np.eye(2 * n):
-        found = differences(lambda h, dx=dx: own_root(x + h * dx), h=1e-4)[0]  # type: ignore[misc]
-        np.testing.assert_allclose(Xi @ dx, found, atol=1e-7 * size)
-
-
-def test_gaps_and_loads_are_expanded_as_they_are() -> None:
-    """Values, slopes and curvatures in the instant, and their change with the state."""
-    phases, n = Phases(FORCED), FORCED.n
-    for held, contacts in (((), (0, 2)), ((0,), (0,)), ((0, 1), (1,))):
-        phase = phases.phase(held)
-        y = np.random.default_rng(7).normal(size=2 * n)
-        y[n:] = phase.inverse @ FORCED.M @ y[n:]
-
-        def watched(e: float, y: Array, phase: Phase = phase, which: tuple[int, ...] = contacts):  # type: ignore[no-untyped-def]  # noqa: ANN202
-            x = phase.moved(T, y, -e)[0]
-            if not phase.held:
-                return FORCED.gap(x[:n])[list(which)]
-            load = FORCED.forcing(T - e) - FORCED.C @ x[n:] - FORCED.K @ x[:n]
-            W = FORCED.W[:, list(phase.held)]
-            push = np.linalg.solve(FORCED.M, np.column_stack([W, load]))
-            found = -np.linalg.solve(W.T @ push[:, :-1], W.T @ push[:, -1])
-            return found[[phase.held.index(i) for i in which]]
-
-        measured = Measured.loads(phase, contacts) if held else Measured.gaps(FORCED, contacts)
-        found = measured.along(StateRates(phase)).expanded(y, forces(FORCED, T))
-        first, second = differences(lambda e: watched(e, y))  # noqa: B023
-        np.testing.assert_allclose(found.value, watched(0.0, y), atol=1e-13)
-        np.testing.assert_allclose(found.H[:, 0], first, atol=1e-8)
-        np.testing.assert_allclose(found.E, second, atol=1e-5)
-        for dy in np.eye(2 * n):
-            dy[n:] = phase.inverse @ FORCED.M @ dy[n:]
-            mixed = differences(lambda e, dy=dy: watched(e, y + dy) - watched(e, y))[0]  # type: ignore[misc]  # noqa: B023
-            np.testing.assert_allclose(found.D @ dy, mixed, atol=1e-8)
-            moved = watched(0.0, y + dy) - watched(0.0, y)
-            np.testing.assert_allclose(found.H[:, 1:] @ dy, moved, atol=1e-12)
-
-
-def test_fastest_fading_is_the_spectrum_s() -> None:
-    """By hand: ``x'' + 5 x' + 4 x`` fades with 1 and 4, an undamped one not at all."""
-    assert StateRates(Phases(system(1, 5, 4)).phase()).decay == pytest.approx(4.0)
-    assert StateRates(Phases(system(1, 0, 4)).phase()).decay == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("held", [(), (0,)])
-def test_way_back_over_a_nanosecond_loses_no_digits(held: tuple[int, ...]) -> None:
-    """``x - s dx/dt`` to rounding; and there and back again is the same state."""
-    phase = Phases(FORCED).phase(held)
-    x = np.random.default_rng(8).normal(size=6)
-    x[3:] = phase.inverse @ FORCED.M @ x[3:]
-    back = phase.moved(T, x, -1e-9)[0]
-    rate = StateRates(phase).along(x, FORCED.forcing.derivatives(np.array([T]), 1)[:, 0])[0]
-    np.testing.assert_allclose(back, x - 1e-9 * rate, rtol=0, atol=2e-15)
-    for s in (1e-9, 1e-3, 0.5):
-        there = phase.moved(T, x, -s)[0]
-        np.testing.assert_allclose(phase.moved(T - s, there, s)[0], x, rtol=0, atol=1e-13)

@@ -1,4 +1,4 @@
-"""What users declare not to know: read, checked, and spread over replicas."""
+"""Declared uncertainty: read, checked, and spread over replicas."""
 
 from typing import Any
 
@@ -26,8 +26,8 @@ def test_deviation_is_one_number_or_one_for_each_state() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "1,2", "a", "-1", "nan", "inf", "1,2,3,4,5", "1,,2,3"])
-def test_deviation_that_is_none_is_one_line(text: str) -> None:
-    """It says what was found and what is wanted."""
+def test_wrong_deviation_is_refused_in_one_line(text: str) -> None:
+    """Naming what was found and what is expected."""
     with pytest.raises(
         UsageError, match="expected one number from 0 to 1e\\+09, or 4 of them"
     ) as info:
@@ -83,14 +83,14 @@ def test_covariance_has_a_root() -> None:
         (-np.eye(4).ravel(), "has the eigenvalue -1"),
     ],
 )
-def test_what_is_no_covariance_is_one_line(covariance: object, message: str) -> None:
+def test_wrong_covariance_is_refused_in_one_line(covariance: object, message: str) -> None:
     """Of the wrong size, not finite, not symmetric, not semidefinite."""
     with pytest.raises(UsageError, match=message):
         covariance_root(covariance, 2)  # type: ignore[arg-type]
 
 
 def test_replicas_are_spread_as_declared() -> None:
-    """The first is the state itself; mean and covariance of the others are as told, exactly."""
+    """The first is the state itself; mean and covariance of the others are those declared."""
     x, root = np.array([1.0, -2.0]), np.array([[2.0, 0.0], [1.0, 0.5]])
     for count in (4, 10, 2001):
         found = spread(x, root, count)

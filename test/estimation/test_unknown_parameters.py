@@ -1,4 +1,4 @@
-"""Parameters of the model as slow states of the filter: what it learns, and how surely."""
+"""Parameters of the model that are estimated with the state, and their deviations."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -39,16 +39,16 @@ def truth(name: str, seconds: float = 60.0) -> Run:
 def watching(
     model: System, x: Array, free: Sequence[str] = (), clock: float = 0.0, **declared: object
 ) -> Observer:
-    """An observer of minimum variance that believes every event and learns ``free``."""
+    """A minimum-variance observer that trusts every event and estimates ``free``."""
     unknowns = UnknownParameters.named(model, free) if free else None
-    told = without_faults(clock_error=clock, unknowns=unknowns, **{**TRUSTING, **declared})
-    law = law_named("minimum-variance")(model, told)
+    uncertainty = without_faults(clock_error=clock, unknowns=unknowns, **{**TRUSTING, **declared})
+    law = law_named("minimum-variance")(model, uncertainty)
     n = model.n
     return Observer(model, law, x[:n], x[n:], epoch=EPOCH, history=1e4, ensemble=4)
 
 
-def heard(watcher: Observer, events: Sequence[ImpactEvent]) -> Observer:
-    """The observer when it has been told."""
+def fed(watcher: Observer, events: Sequence[ImpactEvent]) -> Observer:
+    """The observer after it has received ``events``."""
     for each in events:
         watcher.receive(each)
     return watcher
@@ -74,27 +74,27 @@ def bouncier(model: System, by: float) -> System:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-def test_wrong_stiffness_is_learnt_and_its_floor_is_gone(name: str) -> None:
+def test_wrong_stiffness_is_estimated_and_its_floor_is_gone(name: str) -> None:
     """Without, V stays where 2 % of stiffness put it."""
     model, true = sample(name).system, truth(name)
     wrong, start = stiffer(model, 1.02), np.array([0.4, -0.3, 0.2, 0.5, -0.6, 0.1])[: 2 * model.n]
     late = true.stamps > EPOCH + 40 * NS_PER_S
-    plain = heard(watching(wrong, start), true.events)
-    learning = heard(watching(wrong, start, ["stiffness-scale=0.03"]), true.events)
+    plain = fed(watching(wrong, start), true.events)
+    learning = fed(watching(wrong, start, ["stiffness-scale=0.03"]), true.events)
     floor = np.median(distances(plain, model, true)[late])
     assert floor > 1e-3
     assert np.median(distances(learning, model, true)[late]) < 1e-8 * floor
-    ((told, value, deviation),) = learning.estimate(int(true.stamps[-1])).parameters
-    assert told == "stiffness-scale"
+    ((name_, value, deviation),) = learning.estimate(int(true.stamps[-1])).parameters
+    assert name_ == "stiffness-scale"
     assert abs(value - 1 / 1.02) < 4 * deviation < 1e-7
 
 
 @pytest.mark.parametrize("wrong", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
-def test_restitution_is_learnt_and_costs_little_where_it_was_right(wrong: float) -> None:
+def test_restitution_is_estimated_and_costs_little_where_it_was_right(wrong: float) -> None:
     """The estimate is as exact as the stamps let it be a few impacts later than without."""
     model, true = sample("two_mass").system, truth("two_mass", 30.0)
     start = np.array([0.4, -0.3, 0.5, -0.6])
-    watcher = heard(
+    watcher = fed(
         watching(bouncier(model, wrong), start, ["restitution"]),
         true.events,
     )
@@ -105,28 +105,32 @@ def test_restitution_is_learnt_and_costs_little_where_it_was_right(wrong: float)
     assert watcher.estimate(int(true.stamps[-1])).synchronized
 
 
-def test_everything_at_once_is_learnt() -> None:
-    """Stiffness, restitution and gap; each within what is said of it."""
+def test_everything_at_once_is_estimated() -> None:
+    """Stiffness, restitution and gap; each within its deviation."""
     model, true = sample("two_mass").system, truth("two_mass")
     contacts = tuple(replace(c, gap=1.01 * c.gap) for c in model.contacts)
     wrong = bouncier(stiffer(replace(model, contacts=contacts), 1.03), 0.1)
     free = ["restitution=0.15", "gap=0.02", "stiffness-scale=0.05"]
-    watcher = heard(watching(wrong, np.array([0.4, -0.3, 0.5, -0.6]), free), true.events)
-    learnt = watcher.estimate(int(true.stamps[-1])).parameters
+    watcher = fed(watching(wrong, np.array([0.4, -0.3, 0.5, -0.6]), free), true.events)
+    estimated = watcher.estimate(int(true.stamps[-1])).parameters
     right = {"stiffness-scale": 1 / 1.03, "restitution.stop": 0.7, "gap.stop": 0.5}
-    assert [name for name, _, _ in learnt] == ["stiffness-scale", "restitution.stop", "gap.stop"]
-    for name, value, deviation in learnt:
+    assert [name for name, _, _ in estimated] == [
+        "stiffness-scale",
+        "restitution.stop",
+        "gap.stop",
+    ]
+    for name, value, deviation in estimated:
         assert abs(value - right[name]) < 4 * deviation < 1e-4
 
 
 @pytest.mark.slow
-def test_gaps_are_learnt_where_contacts_rest() -> None:
-    """A body at rest on a stop that is elsewhere is elsewhere itself, and so surely."""
+def test_gaps_are_estimated_where_contacts_rest() -> None:
+    """A body at rest on a stop shares the stop's error and its deviation."""
     contacts = tuple(replace(c, gap=c.gap + 0.015) for c in PRESSED.contacts)
     true = run(PRESSED, np.zeros(2), np.zeros(2), seconds=12.0, rate=10.0)
     wrong = replace(PRESSED, contacts=contacts)
     watcher = watching(wrong, np.array([0.1, -0.1, 0.2, 0.1]), ["gap=0.02"], deviation=0.3)
-    heard(watcher, true.events)
+    fed(watcher, true.events)
     at = 100
     late = watcher.estimate(int(true.stamps[at]))
     assert late.closed == ("c1", "c2")
@@ -155,43 +159,45 @@ def linearised(
 
 
 @pytest.mark.parametrize("closed", [(), (0,)])
-def test_small_errors_go_on_by_the_derivatives_of_the_motion(closed: tuple[int, ...]) -> None:
-    """State and parameters, also while a contact is held; the other replicas likewise."""
-    told = UnknownParameters.named(
+def test_small_errors_are_propagated_by_the_derivatives_of_the_motion(
+    closed: tuple[int, ...],
+) -> None:
+    """State and parameters, also while a contact is held; also the other replicas."""
+    unknowns = UnknownParameters.named(
         PRESSED, ["stiffness-scale=1e-5", "mass-scale=2e-5", "gap.c2=1e-5"]
     )
-    filter_ = ImpactFilter(PRESSED, 0.0, told)
+    filter_ = ImpactFilter(PRESSED, 0.0, unknowns)
     rng = np.random.default_rng(5)
     root = 1e-5 * np.tril(rng.normal(size=(7, 7)))
     x = np.array([0.1, 0.05, 0.0, -0.4])
     differences = 1e-5 * rng.normal(size=(7, 2))
-    state = GaussianState(x, told.family.nominal, root, differences, closed, parameters=3)
+    state = GaussianState(x, unknowns.family.nominal, root, differences, closed, parameters=3)
     found = filter_.predict(0.3, state).prior(0.8)
-    Phi, turn = linearised(told.family, 0.3, x, 0.8, closed)
+    Phi, turn = linearised(unknowns.family, 0.3, x, 0.8, closed)
     whole = np.block([[Phi, turn], [np.zeros((3, 4)), np.eye(3)]])
     P = whole @ root @ root.T @ whole.T
     size = np.sqrt(np.outer(np.diag(P), np.diag(P))) + 1e-20
     assert np.max(np.abs(found.root @ found.root.T - P) / size) < 1e-3
     np.testing.assert_allclose(found.differences, whole @ differences, atol=2e-9)
-    np.testing.assert_array_equal(found.constants, told.family.nominal)
+    np.testing.assert_array_equal(found.constants, unknowns.family.nominal)
 
 
-def test_small_errors_are_learnt_from_as_by_least_squares() -> None:
+def test_small_errors_are_corrected_as_by_least_squares() -> None:
     """The filter's parameters and deviations are those of all impacts fitted at once."""
     model, true, jitter, size = sample("two_mass").system, truth("two_mass", 12.0), 1e-6, 1e-5
     free = [f"{name}={size}" for name in ("stiffness-scale", "restitution", "gap")]
-    told = UnknownParameters.named(model, free)
+    unknowns = UnknownParameters.named(model, free)
     rng = np.random.default_rng(8)
-    start = np.concatenate([true.states[0] + size * rng.normal(size=4), told.family.nominal])
+    start = np.concatenate([true.states[0] + size * rng.normal(size=4), unknowns.family.nominal])
     late = [from_seconds(each) for each in jitter * rng.normal(size=len(true.events))]
     events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
-    watcher = heard(watching(model, start[:4], free, jitter, deviation=size), events)
+    watcher = fed(watching(model, start[:4], free, jitter, deviation=size), events)
     found = watcher.estimate(events[-1].stamp).parameters
     # shifts and start are such that all gaps are zero; the sum of squares, each over its own
     # deviation, is least
     t = np.array([seconds_between(EPOCH, each.stamp) for each in events])
     moments = [FlightEnd(float(each), (0,), (0,)) for each in t]
-    shot = shoot(told.family, start, moments, t, 0.0)
+    shot = shoot(unknowns.family, start, moments, t, 0.0)
     weights = np.concatenate([np.full(7, size), np.full(t.size, jitter)])
     rows = np.hstack([shot.by_start, shot.by_instant]) * weights
     step = weights * np.linalg.lstsq(rows, -shot.gaps, rcond=None)[0]
@@ -205,7 +211,7 @@ def test_small_errors_are_learnt_from_as_by_least_squares() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("free", ["restitution=0.1", "stiffness-scale=0.03"])
-def test_what_is_said_of_parameters_is_true_over_many_starts(free: str) -> None:
+def test_deviations_of_parameters_are_honest_over_many_starts(free: str) -> None:
     """Errors are as large as their deviations: the mean of their squares is near one."""
     model, true = sample("two_mass").system, truth("two_mass", 20.0)
     name, _, deviation = free.partition("=")
@@ -220,26 +226,28 @@ def test_what_is_said_of_parameters_is_true_over_many_starts(free: str) -> None:
         events = [replace(e, stamp=e.stamp + s) for e, s in zip(true.events, late, strict=True)]
         start = true.states[0] + 0.5 * rng.normal(size=4)
         watcher = watching(wrong, start, [free], 1e-3, deviation=0.5)
-        ((_, found, claimed),) = heard(watcher, events).estimate(int(true.stamps[-1])).parameters
+        ((_, found, claimed),) = fed(watcher, events).estimate(int(true.stamps[-1])).parameters
         squares.append(((found - right) / claimed) ** 2)
     assert 0.3 < np.mean(squares) < 2.0
 
 
-def test_a_parameter_that_drifts_is_known_less_as_time_goes_by() -> None:
-    """By its share of what was declared, as a random walk; one that does not stays state."""
+def test_the_deviation_of_a_drifting_parameter_grows() -> None:
+    """By its share of what was declared, as a random walk; a constant one keeps its deviation."""
     model, s = sample("two_mass").system, 15.0
     x = np.concatenate(sample("two_mass").initial_state())
     for free in ("restitution", "stiffness-scale"):
         for drift in (0.0, 0.4):
-            told = UnknownParameters.named(model, [f"{free}=0.02"], drift=drift)
+            unknowns = UnknownParameters.named(model, [f"{free}=0.02"], drift=drift)
             root = np.diag([1e-3] * 4 + [0.005])
-            state = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
-            found = ImpactFilter(model, 0.0, told).predict(0.0, state).prior(s)
+            state = GaussianState(
+                x, unknowns.family.nominal, root, np.empty((5, 0)), (), parameters=1
+            )
+            found = ImpactFilter(model, 0.0, unknowns).predict(0.0, state).prior(s)
             wanted = np.hypot(0.005, 0.02 * drift * np.sqrt(s / 60.0))
             assert np.linalg.norm(found.root[4]) == pytest.approx(wanted)
 
 
-def test_a_restitution_that_cannot_be_is_never_reached() -> None:
+def test_estimated_restitutions_stay_within_their_bounds() -> None:
     """However wrong the stamps are, what is published lies between 0 and 1."""
     model = system(1.0, 0.0, 4.0, contacts=[([1.0], 0.2, 0.95)])
     true = run(model, np.array([0.5]), np.array([0.0]), seconds=20.0)
@@ -252,20 +260,25 @@ def test_a_restitution_that_cannot_be_is_never_reached() -> None:
 
 
 def test_names_and_deviations_are_read_as_users_write_them() -> None:
-    """A kind is all of its members; what is said of one beats what is said of its kind."""
+    """A kind is all of its members; a deviation of one beats that of its kind."""
     model = sample("three_mass")
-    told = UnknownParameters.named(model.system, ["gap = 0.01", "restitution"])
-    assert told.family.names == ("gap.right", "gap.left", "restitution.right", "restitution.left")
-    assert told.deviations.tolist() == [0.01, 0.01, 0.1, 0.1]
-    told = UnknownParameters.named(
+    unknowns = UnknownParameters.named(model.system, ["gap = 0.01", "restitution"])
+    assert unknowns.family.names == (
+        "gap.right",
+        "gap.left",
+        "restitution.right",
+        "restitution.left",
+    )
+    assert unknowns.deviations.tolist() == [0.01, 0.01, 0.1, 0.1]
+    unknowns = UnknownParameters.named(
         model.system, ["gap.left=0.02", "stiffness.x1-x2", "mass.x2=0.3"], model.elements
     )
-    assert told.family.names == ("stiffness.x1-x2", "mass.x2", "gap.left")
-    np.testing.assert_allclose(told.deviations, [0.05 * 25, 0.3, 0.02])
+    assert unknowns.family.names == ("stiffness.x1-x2", "mass.x2", "gap.left")
+    np.testing.assert_allclose(unknowns.deviations, [0.05 * 25, 0.3, 0.02])
 
 
 @pytest.mark.parametrize(
-    ("wanted", "said"),
+    ("wanted", "error"),
     [
         (("clock-offset",), "declare clock_offset_error instead"),
         (("restitution=",), "nothing found after ="),
@@ -278,24 +291,24 @@ def test_names_and_deviations_are_read_as_users_write_them() -> None:
         (("restitution", "restitution.stop"), "found twice"),
     ],
 )
-def test_parameters_that_cannot_be_learnt_are_refused_by_name(
-    wanted: tuple[str, ...], said: str
+def test_parameters_that_cannot_be_estimated_are_refused_by_name(
+    wanted: tuple[str, ...], error: str
 ) -> None:
     """In one line."""
     options = Options("minimum-variance", estimate_parameters=wanted)
-    with pytest.raises(UsageError, match=said):
+    with pytest.raises(UsageError, match=error):
         make_observer(sample("two_mass").system, options)
 
 
-def test_a_law_that_learns_nothing_refuses_parameters() -> None:
-    """Rather than leave them as they are without a word."""
+def test_a_law_that_estimates_no_parameters_refuses_them() -> None:
+    """Rather than ignore them."""
     options = Options("geometric", estimate_parameters=("restitution",))
     with pytest.raises(UsageError, match="the law geometric estimates none"):
         make_observer(sample("two_mass").system, options)
 
 
 def test_a_drift_of_nothing_is_refused() -> None:
-    """It would be ignored; laws that learn nothing beside one that does have none."""
+    """It would be ignored; beside a law that estimates parameters other laws have no drift."""
     with pytest.raises(UsageError, match="but no estimate_parameters to"):
         make_observer(sample("two_mass").system, Options("minimum-variance", parameter_drift=0.1))
     learning = Options(estimate_parameters=("restitution",), parameter_drift=0.1)
@@ -304,13 +317,13 @@ def test_a_drift_of_nothing_is_refused() -> None:
     assert [each.estimate_parameters for each in both] == [(), ("restitution",)]
 
 
-def test_a_contact_that_rests_says_nothing_of_its_restitution() -> None:
-    """A switch may have told of many bounces as of one: it stays what impacts have told."""
+def test_a_contact_that_rests_does_not_measure_its_restitution() -> None:
+    """A CLOSE may stand for one bounce or for many: impacts alone measure the restitution."""
     model = sample("two_mass").system
-    told = UnknownParameters.named(model, ["restitution=0.1"])
-    filter_ = ImpactFilter(model, 0.0, told)
+    unknowns = UnknownParameters.named(model, ["restitution=0.1"])
+    filter_ = ImpactFilter(model, 0.0, unknowns)
     x, root = np.array([0.1, 0.5, 0.2, 1.0]), np.diag([1e-3, 1e-3, 1e-2, 1e-2, 0.1])
-    state = GaussianState(x, told.family.nominal, root, np.empty((5, 0)), (), parameters=1)
+    state = GaussianState(x, unknowns.family.nominal, root, np.empty((5, 0)), (), parameters=1)
     change = ContactChange(1.0, (), (0,), (0,))
     after = filter_.posterior(
         change, filter_.joint_posterior(change, filter_.joint_prior(change, state, 1e-4))
@@ -321,15 +334,15 @@ def test_a_contact_that_rests_says_nothing_of_its_restitution() -> None:
     assert abs(float(model.W[:, 0] @ after.x[2:])) < 1e-12
 
 
-def test_an_estimate_that_is_made_less_sure_knows_parameters_as_at_first_at_least() -> None:
-    """However far the state is opened again; one row is as any other of a covariance."""
+def test_a_widened_covariance_leaves_parameters_within_their_declared_deviations() -> None:
+    """However much the state is widened."""
     model = sample("two_mass").system
-    told = UnknownParameters.named(model, ["restitution=0.1", "gap=0.02"])
-    filter_ = ImpactFilter(model, 0.0, told)
+    unknowns = UnknownParameters.named(model, ["restitution=0.1", "gap=0.02"])
+    filter_ = ImpactFilter(model, 0.0, unknowns)
     rng = np.random.default_rng(4)
     root = np.vstack([rng.normal(size=(4, 6)), 1e-3 * np.eye(2, 6)])
     state = GaussianState(
-        np.ones(4), told.family.nominal, root, np.empty((6, 0)), (), parameters=2
+        np.ones(4), unknowns.family.nominal, root, np.empty((6, 0)), (), parameters=2
     )
     wider = filter_.widened(state, 50.0)
     np.testing.assert_allclose(wider.root[:4], 50.0 * root[:4])
@@ -346,15 +359,15 @@ def test_unknowns_check_themselves() -> None:
             UnknownParameters(family, np.array([0.1]), drift)
 
 
-def test_late_events_change_nothing_of_what_is_learnt() -> None:
+def test_late_events_change_no_estimated_parameter() -> None:
     """In any order they give the same bits."""
     model, true = sample("two_mass").system, truth("two_mass", 12.0)
     start = np.array([0.4, -0.3, 0.5, -0.6])
-    inorder = heard(watching(bouncier(model, 0.1), start, ["restitution"]), true.events)
+    inorder = fed(watching(bouncier(model, 0.1), start, ["restitution"]), true.events)
     late = watching(bouncier(model, 0.1), start, ["restitution"])
     for k in (0, 2, 1, 4, 3):
         late.receive(true.events[k])
-    heard(late, true.events[5:])
+    fed(late, true.events[5:])
     stamp = int(true.stamps[-1])
     assert inorder.estimate(stamp).parameters == late.estimate(stamp).parameters
     assert inorder.estimate(stamp).q.tolist() == late.estimate(stamp).q.tolist()

@@ -1,4 +1,4 @@
-"""The law of least variance: how fast it knows, and that it knows how well it knows."""
+"""The minimum-variance law: how fast its error falls, and that its covariance is honest."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -76,9 +76,9 @@ def watching(
 ) -> Observer:
     """An observer that starts at ``x``."""
     ensemble = int(options.pop("ensemble", 1))
-    told = law_named(law)(model, without_faults(clock_error=clock, **options))
+    made = law_named(law)(model, without_faults(clock_error=clock, **options))
     return Observer(
-        model, told, x[: model.n], x[model.n :], epoch=EPOCH, history=1e4, ensemble=ensemble
+        model, made, x[: model.n], x[model.n :], epoch=EPOCH, history=1e4, ensemble=ensemble
     )
 
 
@@ -122,15 +122,15 @@ def after(events: Sequence[ImpactEvent], k: int) -> int:
 
 
 @pytest.mark.parametrize("name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow)])
-def test_state_is_known_to_rounding_after_twice_as_many_impacts_as_coordinates(name: str) -> None:
+def test_error_is_rounding_after_twice_as_many_impacts_as_coordinates(name: str) -> None:
     """Stamps of 1 ns, 2n + 2 impacts, median of 20 wrong starts."""
     (model, start), events = case(name), truth(name, 30.0).events
-    told = events[: 2 * model.n + 2]
-    stamp, ratios = events[len(told) - 1].stamp + 1_000_000, []
+    first = events[: 2 * model.n + 2]
+    stamp, ratios = events[len(first) - 1].stamp + 1_000_000, []
     for seed in range(20):
         wrong = np.random.default_rng(seed).normal(size=2 * model.n)
         watcher = watching(model, start + wrong)
-        for each in told:
+        for each in first:
             watcher.receive(each)
         left = errors(name, watcher, stamp)[0]
         V = [float(lyapunov.distance(model, *np.split(each, 2))) for each in (left, wrong)]
@@ -144,8 +144,8 @@ def test_state_is_known_to_rounding_after_twice_as_many_impacts_as_coordinates(n
 def test_covariance_is_honest(name: str) -> None:
     """Stamps wrong by 1 ms, initial errors as declared: NEES and innovations are as they should.
 
-    Just after three impacts, the 2n-th the first, mean of 40: as near to 1 as 40 can tell. The
-    figures of 500 random runs are told by benchmarks/covariance.py.
+    Just after three impacts, the 2n-th the first, mean of 40: as near to 1 as 40 runs can
+    show. ``benchmarks/covariance.py`` has the figures of 500 random runs.
     """
     (model, start), events = case(name), truth(name, 30.0).events
     stamps = [after(events, k) for k in (2 * model.n, 2 * model.n + 5, 15)]
@@ -196,8 +196,8 @@ def followed(model: System, law: MinimumVariance, x: Array, switchings: list[Swi
 
 
 @pytest.mark.parametrize("count", [1, 3, 5])
-def test_filter_is_batch_least_squares_over_all_that_was_told(count: int) -> None:
-    """Instants state: the rows ``w^T Phi .. J .. Phi`` stacked, and the start nearest to them.
+def test_filter_is_batch_least_squares_over_all_events(count: int) -> None:
+    """Exact instants: the rows ``w^T Phi .. J .. Phi`` stacked, and the start nearest to them.
 
     What is left unknown is the projection onto their null space. The oracle flies the states and
     knows of no filter; positions are thrown back with the speeds.
@@ -270,8 +270,8 @@ def test_any_order_of_arrival_gives_equal_bits() -> None:
         for each in order:
             watcher.receive(each)
             watcher.estimate(EPOCH + 3 * NS_PER_S)
-        told = [watcher.estimate(EPOCH + k * NS_PER_S // 4) for k in range(12)]
-        found.append(np.array([np.concatenate([e.q, e.u, e.covariance.ravel()]) for e in told]))
+        asked = [watcher.estimate(EPOCH + k * NS_PER_S // 4) for k in range(12)]
+        found.append(np.array([np.concatenate([e.q, e.u, e.covariance.ravel()]) for e in asked]))
     assert all(np.array_equal(found[0], each) for each in found[1:])
 
 
@@ -285,19 +285,19 @@ def test_estimate_locks_on_in_lasting_contact_and_stays(clock: float) -> None:
         watcher = watching(PRESSED, rng.normal(size=4), clock=clock, ensemble=3)
         for each in jittered(whole.events, rng, ordered=True) if clock else whole.events:
             watcher.receive(each)
-        told = [watcher.estimate(stamp) for stamp in whole.stamps.tolist()]
-        for estimate in told:
+        asked = [watcher.estimate(stamp) for stamp in whole.stamps.tolist()]
+        for estimate in asked:
             assert np.all(np.isfinite(estimate.covariance))
             for name in estimate.closed:
                 W = np.kron(np.eye(2), PRESSED.W[:, PRESSED.contact_names.index(name)])
                 assert np.max(np.abs(W @ estimate.covariance @ W.T)) <= 1e-15
-        away = np.array([np.concatenate([e.q, e.u]) for e in told]) - whole.states
+        away = np.array([np.concatenate([e.q, e.u]) for e in asked]) - whole.states
         assert np.max(np.abs(away[-50:])) < (1e-6 if clock else 1e-12)
 
 
 @pytest.mark.slow
 def test_ball_is_followed_through_accumulation_to_rest() -> None:
-    """K = 0 and 170 impacts within eight seconds: after the second it is state."""
+    """K = 0 and 170 impacts within eight seconds: after the second its error is tiny."""
     model, whole = sample("bouncing_ball").system, truth("bouncing_ball", 10.0)
     watcher = watching(model, np.array([1.7, 0.4]), ensemble=3)
     for each in whole.events:
@@ -311,8 +311,8 @@ def test_ball_is_followed_through_accumulation_to_rest() -> None:
 
 
 @pytest.mark.parametrize("clock", [0.0, JITTER])
-def test_free_floating_hammer_is_known(clock: float) -> None:
-    """K singular: its place is state too, as V cannot tell."""
+def test_free_floating_hammer_is_located(clock: float) -> None:
+    """K singular: its position is right too, which V does not measure."""
     whole, start = truth("hammer", 20.0), case("hammer")[1]
     rng = np.random.default_rng(1)
     watcher = watching(HAMMER, start + rng.normal(size=4), clock=clock)
@@ -324,24 +324,24 @@ def test_free_floating_hammer_is_known(clock: float) -> None:
     assert surprise(watcher, stamp, wrong) < 3
 
 
-def test_release_tells_that_the_load_was_zero() -> None:
-    """After CLOSE and OPEN of one contact alone more is state than the CLOSE has told."""
+def test_release_measures_that_the_load_was_zero() -> None:
+    """OPEN of one contact alone reduces the covariance beyond that after its CLOSE."""
     law = MinimumVariance(PRESSED, without_faults(clock_error=JITTER))
     x = np.array([[0.0, 0.0, 0.0, 0.0]])
     belief = law.begin(x, law.uncertainty.root(2), (0,))
     before = law.predict(0.0, belief, (0,)).belief(0.4)
-    told = law.correct(ContactChange(0.4, (0,), (), ()), before)
-    assert list(told.innovations) == [0]
-    assert told.root is not None
+    opened = law.correct(ContactChange(0.4, (0,), (), ()), before)
+    assert list(opened.innovations) == [0]
+    assert opened.root is not None
     assert before.root is not None
     silent = law.predict(0.4, before, ()).belief(0.0)
     assert silent.root is not None
     L = Phases(PRESSED).phase((0,)).loads
     row = np.concatenate([(L @ PRESSED.K)[0], (L @ PRESSED.C)[0]])
-    assert np.linalg.norm(row @ told.root) < 0.02 * np.linalg.norm(row @ silent.root)
+    assert np.linalg.norm(row @ opened.root) < 0.02 * np.linalg.norm(row @ silent.root)
 
 
-def test_release_where_the_force_jumps_tells_nothing() -> None:
+def test_release_where_the_force_jumps_measures_nothing() -> None:
     """Its load need not have come down to zero; the same for contacts that open together."""
     steps = Samples(np.array([0.0, 0.5, 9.0]), np.array([[-3.0], [3.0], [3.0]]), "previous")
     jumping = system(1, 0.1, 1, contacts=[([1], 0.0, 0.5)], force=Forcing.of_samples(steps))
@@ -350,11 +350,13 @@ def test_release_where_the_force_jumps_tells_nothing() -> None:
         x = np.zeros((1, 2 * model.n))
         start = law.begin(x, law.uncertainty.root(model.n), closed)
         before = law.predict(0.0, start, closed).belief(0.5)
-        told = law.correct(ContactChange(0.5, closed, (), ()), before)
-        assert not told.innovations
-        assert told.root is not None
+        opened = law.correct(ContactChange(0.5, closed, (), ()), before)
+        assert not opened.innovations
+        assert opened.root is not None
         assert before.root is not None
-        np.testing.assert_allclose(told.root @ told.root.T, before.root @ before.root.T, atol=1e-9)
+        np.testing.assert_allclose(
+            opened.root @ opened.root.T, before.root @ before.root.T, atol=1e-9
+        )
 
 
 def test_contacts_closed_at_the_start_hold_at_once() -> None:
@@ -390,7 +392,7 @@ def test_model_error_lets_covariance_grow_and_leaves_the_estimate() -> None:
     assert not end.covariance.any()
 
 
-def test_true_state_that_is_declared_to_be_known_is_left_alone() -> None:
+def test_exact_start_without_deviation_is_kept() -> None:
     """Deviation 0: no covariance, no NaN; it follows the plant to what stamps allow."""
     (model, start), whole = case("two_mass"), truth("two_mass", 30.0)
     watcher = watching(model, start, deviation=0.0)
@@ -412,7 +414,7 @@ def test_stiff_damping_is_not_followed_back_into_overflow(damping: float) -> Non
         assert np.max(np.abs(end.q)) < 1.0
 
 
-def test_instant_is_not_sought_where_no_force_is_known() -> None:
+def test_instant_stays_within_the_samples_of_the_force() -> None:
     """Impacts just after the first and just before the last sample, with a clock that is wrong."""
     samples = Samples(np.array([0.0, 1.0]), np.array([[-1.0], [1.0]]), "linear")
     model = system(1, 0.1, 1, contacts=[([1], 0.5, 0.5)], force=Forcing.of_samples(samples))
@@ -439,7 +441,7 @@ def test_grazing_impact_divides_by_nothing(speed: float) -> None:
 
 
 def test_contacts_that_hit_together_share_one_instant() -> None:
-    """Two beads and a wall: both gaps are state after, and the stamp's error by both."""
+    """Two beads and a wall: both gaps are corrected, and the stamp's error by both."""
     beads = system(
         np.eye(2),
         np.zeros((2, 2)),
@@ -473,7 +475,7 @@ def test_same_stop_given_twice_is_one_stop() -> None:
     np.testing.assert_allclose(found[0], found[1], atol=1e-2)
 
 
-def test_impact_of_a_closed_contact_says_that_it_opened_unheard() -> None:
+def test_impact_of_a_closed_contact_means_a_missed_release() -> None:
     """It is applied, and nothing is NaN."""
     watcher = watching(PRESSED, np.zeros(4))
     for k, kind in enumerate((Kind.CLOSE, Kind.IMPACT, Kind.IMPACT)):
@@ -484,8 +486,8 @@ def test_impact_of_a_closed_contact_says_that_it_opened_unheard() -> None:
     assert np.all(np.isfinite(np.concatenate([end.q, end.u, end.covariance.ravel()])))
 
 
-def test_mean_alone_is_the_belief_s() -> None:
-    """``Course.state`` and ``root`` are parts of ``Course.belief``, in flight and in contact."""
+def test_state_and_root_are_those_of_the_predicted_belief() -> None:
+    """In flight and in contact."""
     law = MinimumVariance(PRESSED, without_faults(model_error=0.1))
     for closed in ((), (0,), (0, 1)):
         belief = law.begin(np.array([[0.3, 0.1, -1.0, 2.0]]), law.uncertainty.root(2), closed)

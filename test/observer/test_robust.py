@@ -1,4 +1,4 @@
-"""Sensors as they are: what is left of an error in the end, and what is state in between."""
+"""Faulty sensors: the error that is left in the end, and the covariance in between."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -47,10 +47,10 @@ def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
     return model, np.concatenate(start), run(model, *start, seconds=seconds, rate=20.0)
 
 
-def heard(
+def reported(
     name: str, seconds: float, sensor: SensorModel, seed: int = 0
 ) -> tuple[SensorMessage, ...]:
-    """What a sensor tells of it."""
+    """The events that a sensor reports of it."""
     model, _, whole = truth(name, seconds)
     last = int(whole.stamps[-1])
     return simulate_sensor(sensor, model, whole.switchings, epoch=EPOCH, last=last, seed=seed)
@@ -58,9 +58,9 @@ def heard(
 
 def watching(model: System, x: Array, declared: dict[str, Any], **options: int) -> Observer:
     """An observer that begins at ``x``."""
-    told = Uncertainty(**declared)
+    uncertainty = Uncertainty(**declared)
     return observer(
-        model, "minimum-variance", x, uncertainty=told, epoch=EPOCH, history=1e4, **options
+        model, "minimum-variance", x, uncertainty=uncertainty, epoch=EPOCH, history=1e4, **options
     )
 
 
@@ -83,7 +83,7 @@ def left(
     model, start, whole = truth(name, seconds)
     x = start + np.random.default_rng(seed).normal(size=start.size)
     watcher = watching(model, x, declared)
-    for each in heard(name, seconds, sensor, seed):
+    for each in reported(name, seconds, sensor, seed):
         watcher.receive(each.event)
     k = beside(whole, 0.02)[-1]
     error = estimates(watcher, whole.stamps[[k]])[0] - whole.states[k]
@@ -105,7 +105,7 @@ def left(
     ],
     ids=["missed", "spurious", "both", "late", "jitter", "ticks", "dead time", "mislabelled"],
 )
-def test_troubled_sensor_costs_little(
+def test_faulty_sensor_costs_little(
     name: str, sensor: SensorModel, declared: dict[str, Any], bound: float
 ) -> None:
     """After 24 s, from a start that is wrong by about 1 in every number."""
@@ -113,7 +113,7 @@ def test_troubled_sensor_costs_little(
 
 
 def closed_at(whole: Run, stamp: int) -> tuple[str, ...]:
-    """Contacts of a plant that are closed, by what an ideal sensor tells."""
+    """Contacts of a plant that are closed, as an ideal sensor reports them."""
     closed: set[str] = set()
     for each in whole.events:
         if each.stamp <= stamp:
@@ -123,20 +123,20 @@ def closed_at(whole: Run, stamp: int) -> tuple[str, ...]:
 
 
 @pytest.mark.slow
-def test_lasting_contact_that_nobody_tells_is_found() -> None:
-    """Impacts only: every CLOSE and every OPEN is inserted, and the estimate is right at all."""
+def test_persistent_contact_that_is_not_reported_is_found() -> None:
+    """Impacts only: every CLOSE and OPEN is inserted, and the estimate is right throughout."""
     model, _, whole = truth("pressed", 7.0)
     kinds = {switch.kind for each in whole.events for switch in each.switches}
     assert kinds == set(Kind)
     watcher = watching(model, np.random.default_rng(0).normal(size=4), EXACT)
-    for each in heard("pressed", 7.0, SensorModel(impacts_only=True)):
+    for each in reported("pressed", 7.0, SensorModel(impacts_only=True)):
         watcher.receive(each.event)
     differences = estimates(watcher, whole.stamps[30:]) - whole.states[30:]
     assert np.max(np.abs(differences)) < 1e-8
     resting = [closed_at(whole, stamp) for stamp in whole.stamps[30:].tolist()]
     assert set(resting) >= {(), ("c1",), ("c1", "c2")}
-    told = [watcher.estimate(stamp).closed for stamp in whole.stamps[30:].tolist()]
-    assert told == resting
+    closed = [watcher.estimate(stamp).closed for stamp in whole.stamps[30:].tolist()]
+    assert closed == resting
 
 
 WORST = {
@@ -152,10 +152,10 @@ WORST = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-@pytest.mark.parametrize("trouble", WORST)
-def test_troubled_sensor_costs_little_in_any_run(name: str, trouble: str) -> None:
-    """60 s and three seeds: what ``benchmarks/troubles.py`` aims at for the worst of 40."""
-    sensor, declared, bound = WORST[trouble]
+@pytest.mark.parametrize("fault", WORST)
+def test_faulty_sensor_costs_little_in_any_run(name: str, fault: str) -> None:
+    """60 s and three seeds: what ``benchmarks/faults.py`` aims at for the worst of 40."""
+    sensor, declared, bound = WORST[fault]
     assert max(left(name, 60.0, sensor, declared, seed) for seed in range(3)) < bound
 
 
@@ -176,24 +176,24 @@ def locked(count: int, *spurious: float) -> Observer:
     [(), pytest.param((17.829,), marks=pytest.mark.slow)],
     ids=["silence", "after an spurious one"],
 )
-def test_missed_impact_is_foreseen_before_anything_is_heard(spurious: tuple[float, ...]) -> None:
-    """The impacts of 18.2 and 20.1 s: on the right side 1 ms after, right to rounding for long."""
+def test_missed_impact_is_inserted_before_the_next_event(spurious: tuple[float, ...]) -> None:
+    """The impacts of 18.2 and 20.1 s: right 1 ms later, and half a second later."""
     model, _, whole = truth("two_mass", 30.0)
     watcher, missed = locked(13, *spurious), [each.stamp for each in whole.events[13:15]]
     plant = run(model, *sample("two_mass").initial_state(), seconds=20.5, rate=1000.0)
     for stamp in (*missed, missed[0] + NS_PER_S // 2):
         k = int(np.searchsorted(plant.stamps, stamp + NS_PER_S // 1000))
-        told = watcher.estimate(int(plant.stamps[k]))
-        differences = np.concatenate([told.q, told.u]) - plant.states[k]
+        now = watcher.estimate(int(plant.stamps[k]))
+        differences = np.concatenate([now.q, now.u]) - plant.states[k]
         assert np.max(np.abs(differences)) < 1e-8
-        deviations = np.sqrt(np.diag(told.covariance))
+        deviations = np.sqrt(np.diag(now.covariance))
         assert np.all(np.abs(differences) <= 5 * deviations + 1e-13)
         if not spurious:
             assert np.max(deviations) < 1e-7
 
 
 def test_estimate_is_a_function_of_the_events_and_the_stamp() -> None:
-    """Through impacts that are foreseen: asked in any order or once, not a bit differs."""
+    """Through impacts that are inserted: asked in any order or once, not a bit differs."""
     stamps = (EPOCH + np.arange(17_700, 22_000, 157) * 1_000_000).astype(np.int64)
     found = estimates(locked(13), stamps)
     order = np.random.default_rng(1).permutation(stamps.size)
@@ -201,10 +201,10 @@ def test_estimate_is_a_function_of_the_events_and_the_stamp() -> None:
     np.testing.assert_array_equal(estimates(locked(13), stamps[[16]])[0], found[16])
 
 
-def recovered(watcher: Observer, whole: Run, told: Sequence[ImpactEvent]) -> list[Verdict]:
+def recovered(watcher: Observer, whole: Run, events: Sequence[ImpactEvent]) -> list[Verdict]:
     """The verdicts until the estimate is right again, which it must be after 2n + 2 events."""
     verdicts: list[Verdict] = []
-    for each in told[: 2 * watcher.system.n + 2]:
+    for each in events[: 2 * watcher.system.n + 2]:
         verdicts += watcher.receive(each)
         k = int(np.searchsorted(whole.stamps, each.stamp + 1))
         error = estimates(watcher, whole.stamps[[k]])[0] - whole.states[k]
@@ -214,14 +214,14 @@ def recovered(watcher: Observer, whole: Run, told: Sequence[ImpactEvent]) -> lis
 
 
 def explained(verdicts: Sequence[Verdict]) -> bool:
-    """Whether one says that what was believed before is not believed any more."""
+    """Whether one says that the covariance was widened or the filter restarted."""
     words = ("accepted: the covariance is made", "restart: the estimate before it is rejected")
     return any(word in each.reason for each in verdicts for word in words)
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_start_that_is_declared_far_too_sure_is_forgotten(seed: int) -> None:
-    """Wrong by 1 and said to be state to 1e-6: right after a few impacts, and that is said."""
+def test_wrong_start_of_tiny_deviation_is_left(seed: int) -> None:
+    """Wrong by 1 with a declared deviation of 1e-6: right after a few impacts, with a reason."""
     model, start, whole = truth("two_mass", 30.0)
     x = start + np.random.default_rng(seed).normal(size=4)
     watcher = watching(model, x, {**EXACT, "deviation": 1e-6})
@@ -242,18 +242,18 @@ def test_kicked_plant_is_found_again(seed: int) -> None:
     ]
     watcher = watching(model, start + np.random.default_rng(0).normal(size=4), EXACT)
     for each in before:
-        assert all(said.ruling is Ruling.APPLIED for said in watcher.receive(each))
+        assert all(verdict.ruling is Ruling.APPLIED for verdict in watcher.receive(each))
     assert explained(recovered(watcher, later, after))
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_state_that_is_set_wrong_and_sure_is_forgotten(seed: int) -> None:
+def test_wrong_set_state_of_tiny_deviation_is_left(seed: int) -> None:
     """By ``set_state`` with a deviation of 1e-6 while locked on."""
     _, _, whole = truth("two_mass", 30.0)
     watcher = locked(10)
     position, velocity = 0.7 * np.random.default_rng(seed).normal(size=(2, 2))
-    since, sure = whole.events[9].stamp + 1000, 1e-12 * np.eye(4)
-    watcher.set_state(since, position, velocity, sure)
+    since, covariance = whole.events[9].stamp + 1000, 1e-12 * np.eye(4)
+    watcher.set_state(since, position, velocity, covariance)
     assert explained(recovered(watcher, whole, whole.events[10:]))
 
 
@@ -261,14 +261,14 @@ def learning(sensor: SensorModel, declared: dict[str, Any], seed: int = 0) -> tu
     """An observer of two_mass after 24 s, and the last stamp."""
     model, start, whole = truth("two_mass", 24.0)
     watcher = watching(model, start + np.random.default_rng(seed).normal(size=4), declared)
-    for each in heard("two_mass", 24.0, sensor, seed):
+    for each in reported("two_mass", 24.0, sensor, seed):
         watcher.receive(each.event)
     return watcher, int(whole.stamps[-1])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("error", [1e-6, 3e-3])
-def test_error_of_the_clock_is_learnt(error: float) -> None:
+def test_error_of_the_clock_is_estimated(error: float) -> None:
     """Within a factor of 3.5 of what it is."""
     watcher, end = learning(SensorModel(jitter=error), UNDECLARED, seed=1)
     ((name, found, deviation),) = watcher.estimate(end).parameters
@@ -279,14 +279,14 @@ def test_error_of_the_clock_is_learnt(error: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-def test_error_of_the_clock_is_learnt_in_any_run(name: str) -> None:
-    """60 s and two seeds; as wrongly as it says at most."""
+def test_error_of_the_clock_is_estimated_in_any_run(name: str) -> None:
+    """60 s and two seeds; within the same factor."""
     model, start, whole = truth(name, 60.0)
     for error in (1e-6, 1e-5, 1e-4, 1e-3):
         for seed in range(2):
             x = start + np.random.default_rng(seed).normal(size=start.size)
             watcher = watching(model, x, UNDECLARED)
-            for each in heard(name, 60.0, SensorModel(jitter=error), seed):
+            for each in reported(name, 60.0, SensorModel(jitter=error), seed):
                 watcher.receive(each.event)
             ((_, found, _),) = watcher.estimate(int(whole.stamps[-1])).parameters
             assert 1 / 3.5 < found / error < 3.5
@@ -302,26 +302,26 @@ def test_error_of_the_clock_is_learnt_in_any_run(name: str) -> None:
         ),
     ],
 )
-def test_offset_of_the_clock_is_learnt(delay: float, jitter: float, seed: int) -> None:
-    """Within four of the deviations that are told, which are small; and it survives a message."""
+def test_offset_of_the_clock_is_estimated(delay: float, jitter: float, seed: int) -> None:
+    """Within four of its deviations, which are small; and it survives a message."""
     pytest.importorskip("rosbags")
     from impact_observer.io.messages import bag_messages, read_estimate
 
     sensor = SensorModel(clock_offset=delay, jitter=jitter)
     watcher, end = learning(sensor, {"clock_error": jitter, "clock_offset_error": 0.03}, seed)
-    told = watcher.estimate(end)
-    name, value, deviation = told.parameters[-1]
+    last = watcher.estimate(end)
+    name, value, deviation = last.parameters[-1]
     assert name == "clock_offset"
-    assert value == told.clock_offset
+    assert value == last.clock_offset
     assert abs(value - delay) <= 4 * deviation
     assert deviation < (1e-2 if jitter else 1e-7)
-    names, back = read_estimate(bag_messages().estimate(told, ("x1", "x2")))
+    names, back = read_estimate(bag_messages().estimate(last, ("x1", "x2")))
     assert names == ("x1", "x2")
-    assert (back.clock_offset, back.parameters) == (told.clock_offset, told.parameters)
+    assert (back.clock_offset, back.parameters) == (last.clock_offset, last.parameters)
 
 
 def test_offset_is_refused_where_no_force_depends_on_time() -> None:
-    """In one line, that says why and what to do."""
+    """In one line, with the reason and the remedy."""
     with pytest.raises(UsageError, match=r"no force depends on time.*leave it out") as refused:
         MinimumVariance(sample("bouncing_ball").system, Uncertainty(**LATE))
     assert "\n" not in str(refused.value)
@@ -329,15 +329,15 @@ def test_offset_is_refused_where_no_force_depends_on_time() -> None:
 
 
 def never_wrong(name: str, sensor: SensorModel, declared: dict[str, Any], seed: int) -> int:
-    """How often ``synchronized`` came, live; asserts that V was below what that means."""
+    """How often ``synchronized`` was true, live; asserts that V was below its threshold then."""
     model, start, whole = truth(name, 24.0)
     x = start + np.random.default_rng(seed).normal(size=start.size)
-    told = heard(name, 24.0, sensor, seed)
+    events = reported(name, 24.0, sensor, seed)
     watcher, came, done = watching(model, x, declared, ensemble=10), 0, 0
     for k in beside(whole, 0.02)[::4]:
         stamp = int(whole.stamps[k])
-        while done < len(told) and told[done].arrival <= stamp:
-            watcher.receive(told[done].event)
+        while done < len(events) and events[done].arrival <= stamp:
+            watcher.receive(events[done].event)
             done += 1
         now = watcher.estimate(stamp)
         if now.synchronized:
@@ -360,25 +360,23 @@ def never_wrong(name: str, sensor: SensorModel, declared: dict[str, Any], seed: 
     ],
     ids=["both", "jitter", "late"],
 )
-def test_synchronized_is_true_when_it_is_said(
-    sensor: SensorModel, declared: dict[str, Any]
-) -> None:
+def test_synchronized_is_never_wrong(sensor: SensorModel, declared: dict[str, Any]) -> None:
     """While events come that are wrong, late or missed."""
     assert never_wrong("two_mass", sensor, declared, seed=1) > 0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-@pytest.mark.parametrize("trouble", WORST)
-def test_synchronized_is_true_when_it_is_said_in_any_run(name: str, trouble: str) -> None:
+@pytest.mark.parametrize("fault", WORST)
+def test_synchronized_is_never_wrong_in_any_run(name: str, fault: str) -> None:
     """Two seeds."""
-    sensor, declared, _ = WORST[trouble]
+    sensor, declared, _ = WORST[fault]
     counts = [never_wrong(name, sensor, declared, seed) for seed in range(2)]
     assert len(counts) == 2
 
 
 def test_clean_run_has_no_second_thoughts_once_locked() -> None:
-    """A right sensor: nothing is rejected, inserted or taken back after the first 2n + 2."""
+    """A right sensor: nothing is rejected, inserted or revised after the first 2n + 2."""
     watcher = locked(6)
     before = watcher.remarks[Remark.SECOND_THOUGHT]
     for each in truth("two_mass", 30.0)[2].events[6:]:

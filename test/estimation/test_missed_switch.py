@@ -1,0 +1,82 @@
+"""Missed impacts: state and covariance after a jump at the own root of the gap."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from systems import (
+    sample,
+)
+
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.missed_switch import posterior_of_missed
+from impact_observer.model import System
+
+Array = NDArray[np.float64]
+
+
+def flown(model: System, now: Array, x: Array, s: Array) -> Array:
+    """States (samples, 2n) each ``s`` seconds on from its ``now``: Runge and Kutta, 8 steps."""
+    n, inverse, h = model.n, np.linalg.inv(model.M), s / 8
+
+    def rate(at: Array, y: Array) -> Array:
+        force = model.forcing.derivatives(at, 0)[0]
+        pull = force - y[:, :n] @ model.K.T - y[:, n:] @ model.C.T
+        return np.hstack([y[:, n:], pull @ inverse.T])
+
+    step = h[:, None]
+    for _ in range(8):
+        one = rate(now, x)
+        two = rate(now + h / 2, x + step / 2 * one)
+        three = rate(now + h / 2, x + step / 2 * two)
+        four = rate(now + h, x + step * three)
+        x, now = x + step / 6 * (one + 2 * two + 2 * three + four), now + h
+    return x
+
+
+def thrown(model: System, t: float, x: Array, i: int) -> Array:
+    """States (samples, 2n) at ``t`` after impacts, each at its own root."""
+    n, w, s = model.n, model.W[:, i], np.zeros(len(x))
+    now = np.full(len(x), t)
+    for _ in range(4):
+        y = flown(model, now, x, s)
+        s = s - (y[:, :n] @ w + model.q_r[i]) / (y[:, n:] @ w)
+    y, push = flown(model, now, x, s), np.linalg.solve(model.M, w)
+    y[:, n:] -= np.outer((1 + model.eps[i]) * (y[:, n:] @ w), push / (w @ push))
+    return flown(model, now + s, y, -s)
+
+
+@pytest.mark.parametrize("deviation", [1e-3, 1e-2, 5e-2])
+def test_missed_impact_leaves_the_moments_of_nonlinear_jumps(deviation: float) -> None:
+    """Of 8000 states that hit at an instant of their own: mean and covariance, to its noise."""
+    model, t = sample("two_mass").system, 0.3
+    x = np.array([0.1, 0.5, -0.4, 1.6])
+    rng = np.random.default_rng(5)
+    root = deviation * np.tril(rng.normal(size=(4, 4)) / 4 + np.eye(4))
+    filter_ = ImpactFilter(model)
+    state = posterior_of_missed(
+        filter_, ContactChange(t, (), (0,), ()), GaussianState.of(x[None], root)
+    )
+    drawn = rng.normal(size=(4000, 4)) @ root.T
+    after = thrown(model, t, x + np.vstack([drawn, -drawn]), 0)
+    mean, covariance = after.mean(axis=0), np.cov(after.T)
+    P = state.root @ state.root.T
+    deviations = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose((state.x - mean) / deviations, 0.0, atol=max(0.5 * deviation, 1e-3))
+    scaled = (P - covariance) / np.outer(deviations, deviations)
+    np.testing.assert_allclose(scaled, 0.0, atol=0.06 + deviation)
+
+
+def test_missed_impact_that_is_early_jumps_at_its_own_root() -> None:
+    """A gap that is not yet zero: the state then is that of a plant that hits a little later."""
+    model, t = sample("two_mass").system, 0.3
+    x = np.array([0.1, 0.499, -0.4, 1.6])
+    state = posterior_of_missed(
+        ImpactFilter(model),
+        ContactChange(t, (), (0,), ()),
+        GaussianState.of(x[None], 1e-9 * np.eye(4)),
+    )
+    expected = thrown(model, t, x[None], 0)[0]
+    np.testing.assert_allclose(state.x, expected, atol=1e-6)
+    np.testing.assert_allclose(state.x[1], 0.499 - 1e-3, atol=2e-2)
