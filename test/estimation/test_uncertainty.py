@@ -112,7 +112,10 @@ def test_few_replicas_are_spread_as_far() -> None:
 @pytest.mark.parametrize("option", OBSERVER_OPTIONS, ids=lambda option: option.name)
 def test_every_default_of_the_table_is_allowed_by_it(option: Option) -> None:
     """An observer with nothing declared can be made."""
-    option.check(option.default)
+    try:
+        option.check(option.default)
+    except UsageError as error:
+        pytest.fail(str(error))
 
 
 def test_what_the_table_refuses_is_refused_of_an_uncertainty_too() -> None:
