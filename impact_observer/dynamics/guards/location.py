@@ -18,9 +18,9 @@ from impact_observer.dynamics.guards.watched import Watched
 from impact_observer.states import Vector
 
 DEPTH = 1e-13
-"""How far below zero counts as not at all, relative to what a function is rounded against."""
-_TOUCH = 1e-12
-"""Value that counts as zero at the instant of a crossing, relative to the same."""
+"""Depth below zero that counts as none, relative to what a function is rounded against."""
+_ZERO = 1e-12
+"""Value that counts as zero at a crossing, relative to what a function is rounded against."""
 _SAMPLES = 16
 """Intervals that are looked at together."""
 _KNOTS = 64
@@ -230,6 +230,6 @@ def _crossing(trace: Trace, s: float, which: int, scale: Vector) -> Crossing:
     """The crossing of ``which`` at ``s`` and of all that are zero but for rounding."""
     if scale.size == 1:
         return Crossing(float(s), (which,))
-    zero = trace.values(np.array([s]))[0] <= _TOUCH * scale
+    zero = trace.values(np.array([s]))[0] <= _ZERO * scale
     zero[which] = True
     return Crossing(float(s), tuple(np.flatnonzero(zero).tolist()))
