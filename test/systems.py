@@ -28,7 +28,7 @@ EPOCH = 5 * NS_PER_S
 
 
 def examples(count: int) -> settings:
-    """Settings that try the same ``count`` examples on every machine, a quarter in a hurry."""
+    """Settings with the same ``count`` examples on every machine; a quarter of them on request."""
     if os.environ.get("FEWER_EXAMPLES"):  # as ./dev test --unit sets it
         count = (count + 3) // 4
     return settings(max_examples=count, derandomize=True, deadline=None, database=None)

@@ -72,12 +72,8 @@ class ZenoCutoff:
         free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q))
 
         def flights(found: list[int], fall: Vector) -> Vector:
-            """Next flights, ``fall`` being the acceleration back; up to 1 counts as none."""
-            speed, falls = gamma[found], fall > 0
-            fall = np.where(falls, fall, 1.0)
-            time, height = 2 * speed / fall, speed**2 / (2 * fall)
-            flight = np.minimum(time / self.shortest, height / lowest[found])
-            return np.where(speed <= rounding[found], 0.0, np.where(falls, flight, np.inf))
+            flight = self._flights(gamma[found], fall, lowest[found])
+            return np.where(gamma[found] <= rounding[found], 0.0, flight)
 
         # A contact that still closes hits again at once: Newton's law allows it after separating.
         found = [i for i in contacts if gamma[i] >= -rounding[i]]
@@ -98,6 +94,20 @@ class ZenoCutoff:
         return tuple(
             i for i in contacts if i in found or len(self._phases.independent((*found, i))) == rank
         )
+
+    def _flights(self, speed: Vector, fall: Vector, lowest: Vector) -> Vector:
+        """Next flights, relative to the longest that counts as none.
+
+        Args:
+            speed: with which contacts leave their stops, shape (k,), m/s.
+            fall: acceleration back, shape (k,), m/s2; zero for contacts that do not return.
+            lowest: height that counts as none, shape (k,), m.
+        """
+        returns = fall > 0
+        fall = np.where(returns, fall, 1.0)
+        time, height = 2 * speed / fall, speed**2 / (2 * fall)
+        flight = np.minimum(time / self.shortest, height / lowest)
+        return np.where(returns, flight, np.inf)
 
     def _scale(self, q: Vector, u: Vector) -> Vector:
         """What gaps are rounded against, m, shape (m,): the sum of all modes' magnitudes."""

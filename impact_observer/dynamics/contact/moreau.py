@@ -46,11 +46,11 @@ Indices = NDArray[np.intp]
 _RESIDUAL = 1e-9
 """Violation of the complementarity that is rounding, relative to the most violated contact."""
 _ROUNDING = 1e-9
-"""Speed that counts as zero, relative to what it is the sum of."""
+"""Speed that counts as zero, relative to the terms of its sum."""
 _DRIFT = 1e-6
 """Gap that counts as closed, relative to the motion of a step: rounding moves bodies at rest."""
 _INSIDE = 1e-12
-"""The same, relative to what the gap is the sum of."""
+"""Gap that counts as closed, relative to the terms of its sum."""
 _PROJECTIONS = 2000
 """Most projections in a step; only steps far too long for the gyroscopic part need so many."""
 _INFEASIBLE = 1e-14

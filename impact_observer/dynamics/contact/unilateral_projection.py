@@ -12,7 +12,7 @@ from impact_observer.dynamics.flow.phase import Phases
 from impact_observer.states import Matrix, Vector, frozen
 
 _NEGATIVE = 1e-13
-"""Gap below zero that is rounding, relative to what it is the sum of."""
+"""Gap below zero that is rounding, relative to the terms of its sum."""
 _IMPOSSIBLE = 1e-7
 """Gap that no projection can have left by rounding, relative to the terms of its sum."""
 _TINY = np.finfo(np.float64).tiny
