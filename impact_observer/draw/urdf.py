@@ -63,7 +63,7 @@ def _body(scene: Scene, slot: int) -> Iterator[Box]:
     ends = pads(scene, scene.frame(np.zeros(scene.system.n)))
     for bumper, (_, pad) in zip(scene.bumpers, ends, strict=True):
         if bumper.slot == slot:
-            yield Box(scene.half, ROD_HEIGHT - _ROD / 2, bumper.length, _ROD)
+            yield Box(scene.half, ROD_HEIGHT - _ROD / 2, scene.rod(bumper), _ROD)
             yield pad._replace(left=pad.left - home)
 
 
@@ -75,7 +75,7 @@ def _walls(scene: Scene, prefix: str, used: set[str]) -> Iterator[tuple[str, flo
             name += "_stop"
         used.add(name)
         left = -scene.thickness if wall.side < 0 else 0.0
-        yield name, wall.face, Box(left, 0.0, scene.thickness, STOP_HEIGHT)
+        yield name, scene.face(wall), Box(left, 0.0, scene.thickness, STOP_HEIGHT)
 
 
 def _add_joint(robot: ET.Element, name: str, kind: str, links: tuple[str, str]) -> ET.Element:

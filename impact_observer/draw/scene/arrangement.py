@@ -21,8 +21,8 @@ _FAR = 8.0
 """Largest distance of a stop that is drawn in place, over the range of all motion."""
 
 
-class WallContact(NamedTuple):
-    """A contact of one body.
+class Wall(NamedTuple):
+    """A stop that one body hits.
 
     Attributes:
         contact: its index.
@@ -37,8 +37,8 @@ class WallContact(NamedTuple):
     travel: float
 
 
-class BumperContact(NamedTuple):
-    """A contact between neighbours.
+class Bumper(NamedTuple):
+    """A stop between two neighbours: a rod on the left one's right face.
 
     Attributes:
         contact: its index.
@@ -61,8 +61,8 @@ class Arrangement(NamedTuple):
         pitch: from one home to the next.
         start: left end of the picture, from the first home.
         end: right end of the picture, from the last home.
-        walls: contacts of one body.
-        bumpers: contacts between neighbours.
+        walls: stops of single bodies.
+        bumpers: stops between neighbours.
         others: indices of all other contacts.
     """
 
@@ -72,8 +72,8 @@ class Arrangement(NamedTuple):
     pitch: float
     start: float
     end: float
-    walls: tuple[WallContact, ...]
-    bumpers: tuple[BumperContact, ...]
+    walls: tuple[Wall, ...]
+    bumpers: tuple[Bumper, ...]
     others: tuple[int, ...]
 
 
@@ -153,9 +153,7 @@ def _opposed(reach: float, bodies: int) -> Matrix:
     return reach * np.array([[1.0], [-1.0]]) * (-1.0) ** np.arange(bodies)
 
 
-def _contacts(
-    system: System, order: Sequence[int]
-) -> tuple[tuple[WallContact, ...], tuple[BumperContact, ...]]:
+def _contacts(system: System, order: Sequence[int]) -> tuple[tuple[Wall, ...], tuple[Bumper, ...]]:
     """Contacts of single bodies and of neighbours among those that are drawn."""
     slots = {coordinate: slot for slot, coordinate in enumerate(order)}
     walls, bumpers = [], []
@@ -165,12 +163,12 @@ def _contacts(
         if len(moved) == 1 and moved[0] in slots:
             factor = float(contact.direction[moved[0]])
             side = 1 if factor < 0 else -1
-            walls.append(WallContact(i, slots[moved[0]], side, -contact.gap / factor))
+            walls.append(Wall(i, slots[moved[0]], side, -contact.gap / factor))
         elif pair is not None and set(pair) <= set(slots):
             left, right = slots[pair[0]], slots[pair[1]]
             if right == left + 1:
                 factor = float(contact.direction[pair[1]])
-                bumpers.append(BumperContact(i, left, contact.gap / factor))
+                bumpers.append(Bumper(i, left, contact.gap / factor))
     return tuple(walls), tuple(bumpers)
 
 
@@ -183,7 +181,7 @@ def _pair(direction: Vector) -> tuple[int, int] | None:
     return left, right
 
 
-def _plates(walls: Sequence[WallContact], bodies: int, thickness: float) -> tuple[Vector, Vector]:
+def _plates(walls: Sequence[Wall], bodies: int, thickness: float) -> tuple[Vector, Vector]:
     """Outer edges of the walls beside each body, from its face at ``q = 0``.
 
     Returns:

@@ -14,7 +14,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from impact_observer.draw.scene.arrangement import Arrangement, arranged, body_order
+from impact_observer.draw.scene.arrangement import Arrangement, Bumper, Wall, arranged, body_order
 from impact_observer.errors import UsageError
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector, frozen
@@ -38,38 +38,6 @@ class SceneJoint(Enum):
     """Damping alone."""
     LINK = "link"
     """A coupling of the opposite sign, which no spring or damper between two bodies has."""
-
-
-@dataclass(frozen=True, slots=True)
-class Wall:
-    """A stop that one body hits.
-
-    Attributes:
-        contact: its index.
-        slot: the body's place in the row.
-        side: +1 where the stop is on the body's right, -1 on its left.
-        face: where its face is, m.
-    """
-
-    contact: int
-    slot: int
-    side: int
-    face: float
-
-
-@dataclass(frozen=True, slots=True)
-class Bumper:
-    """A stop between two neighbours: a rod on the left one's right face.
-
-    Attributes:
-        contact: its index.
-        slot: the left body's place in the row.
-        length: of the rod, m; it reaches the right body's face exactly when ``g = 0``.
-    """
-
-    contact: int
-    slot: int
-    length: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,23 +150,18 @@ class Scene:
         order = body_order(system, shown)
         row = arranged(system, order, states, reach)
         homes = frozen(np.arange(shown) * row.pitch)
-        walls = tuple(_walls(row, homes))
-        bumpers = tuple(
-            Bumper(each.contact, each.slot, row.pitch - 2 * row.half - each.travel)
-            for each in row.bumpers
-        )
         couplings, left_out = _couplings(system, order, homes, row)
         extent = _extent(homes, row, couplings)
         bars = tuple(_bars(system, homes, order, row, extent[1]))
-        drawn = len(walls) + len(bumpers) + len(bars)
+        drawn = len(row.walls) + len(row.bumpers) + len(bars)
         return cls(
             system=system,
             order=order,
             homes=homes,
             half=row.half,
             thickness=row.thickness,
-            walls=walls,
-            bumpers=bumpers,
+            walls=row.walls,
+            bumpers=row.bumpers,
             bars=bars,
             couplings=couplings,
             extent=extent,
@@ -220,17 +183,26 @@ class Scene:
         """Number of lanes of bars below the bodies."""
         return max((each.lane + 1 for each in self.bars), default=0)
 
+    def face(self, wall: Wall) -> float:
+        """The position of a wall's face, m: that of its body's face at ``g = 0``."""
+        return float(self.homes[wall.slot]) + wall.side * self.half + wall.travel
+
+    def rod(self, bumper: Bumper) -> float:
+        """The length of a bumper's rod, m: it reaches the right body's face at ``g = 0``."""
+        left, right = self.homes[bumper.slot : bumper.slot + 2]
+        return float(right - left) - 2 * self.half - bumper.travel
+
     def frame(self, q: Vector) -> Frame:
         """Positions at ``q``, shape (n,), m."""
         bodies = self.homes + np.asarray(q, dtype=np.float64)[list(self.order)]
         gaps = self.system.gap(q)
-        faces = [bodies[each.slot] + self.half for each in self.bumpers]
         pins = [
             each.plate + min(max(float(gaps[each.contact]), -each.span), each.span)
             for each in self.bars
         ]
         ends = [self._ends(each, bodies) for each in self.couplings]
-        rods = [(face, face + each.length) for face, each in zip(faces, self.bumpers, strict=True)]
+        faces = [(bodies[each.slot] + self.half, self.rod(each)) for each in self.bumpers]
+        rods = [(face, face + length) for face, length in faces]
         return Frame(
             bodies=frozen(bodies),
             couplings=frozen(np.reshape(ends, (-1, 2))),
@@ -247,13 +219,6 @@ class Scene:
             for slot, side in ((coupling.left, -1), (coupling.right, 1))
         )
         return left, right
-
-
-def _walls(row: Arrangement, homes: Vector) -> Iterable[Wall]:
-    """Each where the face of its body is at ``g = 0``."""
-    for each in row.walls:
-        face = float(homes[each.slot]) + each.side * row.half + each.travel
-        yield Wall(each.contact, each.slot, each.side, face)
 
 
 def _extent(homes: Vector, row: Arrangement, couplings: Sequence[Coupling]) -> tuple[float, float]:

@@ -54,7 +54,7 @@ def plates(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
     """Index and stop of each contact: a wall, a bumper's pad, the plate of a bar."""
     thickness = scene.thickness
     for each in scene.walls:
-        left = each.face - (thickness if each.side < 0 else 0.0)
+        left = scene.face(each) - (thickness if each.side < 0 else 0.0)
         yield each.contact, Box(left, 0.0, thickness, STOP_HEIGHT)
     yield from pads(scene, frame)
     for bar in scene.bars:

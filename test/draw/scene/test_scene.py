@@ -51,7 +51,7 @@ def test_a_body_is_as_far_from_its_stop_as_the_gap_says(case: tuple[System, Arra
         for wall in scene.walls:
             face = frame.bodies[wall.slot] + wall.side * scene.half
             factor = abs(model.W[scene.order[wall.slot], wall.contact])
-            distance = wall.side * (wall.face - face) * factor
+            distance = wall.side * (scene.face(wall) - face) * factor
             assert distance == pytest.approx(gaps[wall.contact], abs=1e-12 * len(q) + 1e-12)
         for bumper, (start, end) in zip(scene.bumpers, frame.bumpers, strict=True):
             room = frame.bodies[bumper.slot + 1] - scene.half - end
@@ -74,7 +74,7 @@ def test_nothing_overlaps_while_stops_are_obeyed(case: tuple[System, Array]) -> 
         things = [(x - scene.half, x + scene.half) for x in bodies]
         assert all(a[1] < b[0] for a, b in pairwise(things))
         for wall in scene.walls:
-            left = wall.face - (scene.thickness if wall.side < 0 else 0.0)
+            left = scene.face(wall) - (scene.thickness if wall.side < 0 else 0.0)
             right = left + scene.thickness
             assert all(right <= a + 1e-12 or b <= left + 1e-12 for a, b in things)
             assert scene.extent[0] <= left < right <= scene.extent[1]
@@ -127,11 +127,11 @@ def test_chain_between_walls_has_springs_to_both() -> None:
     }
     assert [(each.slot, each.side) for each in scene.walls] == [(2, 1), (0, -1)]
     right, left = scene.walls
-    assert right.face == pytest.approx(scene.homes[2] + scene.half + 0.3)
-    assert left.face == pytest.approx(scene.homes[0] - scene.half - 0.25)
+    assert scene.face(right) == pytest.approx(scene.homes[2] + scene.half + 0.3)
+    assert scene.face(left) == pytest.approx(scene.homes[0] - scene.half - 0.25)
     grounds = sorted(each.ground for each in scene.couplings if None in (each.left, each.right))
-    assert grounds[0] < left.face - scene.thickness
-    assert grounds[1] > right.face + scene.thickness
+    assert grounds[0] < scene.face(left) - scene.thickness
+    assert grounds[1] > scene.face(right) + scene.thickness
     assert not scene.omitted
 
 
@@ -140,7 +140,7 @@ def test_matrix_model_shows_the_springs_that_its_elements_would() -> None:
     scene = Scene.of(sample("two_mass").system)
     assert joints(scene) == {(SceneJoint.SPRING, None, 0, 0), (SceneJoint.SPRING, 0, 1, 0)}
     (wall,) = scene.walls
-    assert scene.extent[1] == pytest.approx(wall.face + 2 * scene.thickness)
+    assert scene.extent[1] == pytest.approx(scene.face(wall) + 2 * scene.thickness)
 
 
 def test_ball_is_free() -> None:
@@ -148,7 +148,7 @@ def test_ball_is_free() -> None:
     scene = Scene.of(sample("bouncing_ball").system, [[1.0]])
     assert scene.couplings == ()
     (floor,) = scene.walls
-    assert (floor.side, floor.face) == (-1, scene.homes[0] - scene.half)
+    assert (floor.side, scene.face(floor)) == (-1, scene.homes[0] - scene.half)
 
 
 def test_couplings_are_what_their_signs_say() -> None:

@@ -45,8 +45,8 @@ def test_plates_stand_at_the_stops() -> None:
     scene = Scene.of(sample("three_mass").system)
     boxes = dict(plates(scene, scene.frame(np.zeros(3))))
     right, left = boxes[0], boxes[1]
-    assert right.left == pytest.approx(scene.walls[0].face)
-    assert left.left + left.width == pytest.approx(scene.walls[1].face)
+    assert right.left == pytest.approx(scene.face(scene.walls[0]))
+    assert left.left + left.width == pytest.approx(scene.face(scene.walls[1]))
     assert right.height == STOP_HEIGHT
     edges = sorted(box.left for box in grounds(scene))
     assert edges[0] < left.left
