@@ -1,4 +1,4 @@
-"""The recorded bags: what they hold, what comes out of them, fed offline and live."""
+"""The recorded bags: their contents, and the estimates from them, offline and live."""
 
 import re
 from collections import Counter
@@ -28,25 +28,25 @@ from impact_observer.sensor_faults import SENSOR_FAULTS
 
 BAGS = shared("bags")
 ROUNDED = 2
-"""By which stamps of a bag that is made anew may differ, ns."""
+"""By how much the stamps of a bag that is made again may differ, ns."""
 FIGURES = YAML(typ="safe").load(shared("bags/expected.yaml"))
-EXPECTED, TROUBLED = FIGURES["ideal"], FIGURES["troubled"]
+EXPECTED, FAULTY = FIGURES["ideal"], FIGURES["faulty"]
 ROWS = re.findall(
     r"^\| `(\w+)` .*?`impact-observer ([^`]*)`", (BAGS / "README.md").read_text(), re.MULTILINE
 )
 COMMANDS = {name: command.split() for name, command in ROWS if name not in EXPECTED}
-SENSED = [name for name, command in COMMANDS.items() if command[0] == "simulate"]
+SIMULATED = [name for name, command in COMMANDS.items() if command[0] == "simulate"]
 _AXES = "linear_acceleration.x linear_acceleration.y linear_acceleration.z"
 RIGS: dict[str, tuple[Callable[[Path], Path], str, str]] = {
     "switch": (switch_bag, "/switch", "data"),
     "accelerometer": (accelerometer_bag, "/imu", _AXES),
 }
-JUDGED = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
+DECIDING = (Ruling.APPLIED, Ruling.REJECTED, Ruling.INSERTED)
 
 
 @pytest.mark.parametrize("name", EXPECTED)
-def test_a_recorded_bag_is_what_its_model_does(name: str) -> None:
-    """Its events and its truth are those of the plant in it, started anew."""
+def test_a_recorded_bag_holds_a_run_of_its_model(name: str) -> None:
+    """Its events and true states are those of a new simulation of the model in it."""
     with BagReader(shared(f"bags/{name}")) as reader:
         model, events = model_of(reader), events_in(reader)
         truth = reader.joint_states("/plant/joint_states")
@@ -62,7 +62,7 @@ def test_a_recorded_bag_is_what_its_model_does(name: str) -> None:
 
 
 def observed(bag: Path, law: str, options: str, output: Path) -> tuple[Comparison, list[Verdict]]:
-    """What an observer makes of a bag, as a user runs it."""
+    """The comparison and the verdicts of an observer, run on a bag as a user does."""
     arguments = ["observe", str(bag), "--law", law, "--initial", "random:1", *options.split()]
     assert main([*arguments, "-o", str(output)]) == 0
     with BagReader(output) as reader:
@@ -73,12 +73,12 @@ def observed(bag: Path, law: str, options: str, output: Path) -> tuple[Compariso
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EXPECTED)
 @pytest.mark.parametrize("law", BUILT_IN)
-def test_observers_make_of_a_recorded_bag_what_is_expected(
+def test_estimates_from_a_recorded_bag_have_the_expected_error(
     name: str, law: str, tmp_path: Path
 ) -> None:
     """V at the end over V at the start, for every law."""
     comparison, _ = observed(BAGS / name, law, "", tmp_path / "out")
-    if law == "minimum-variance":  # down to where the stamps' rounding stands
+    if law == "minimum-variance":  # the rounding of the stamps remains
         assert comparison.ratio is not None
         assert 0 < comparison.ratio <= EXPECTED[name][law]
         return
@@ -87,53 +87,52 @@ def test_observers_make_of_a_recorded_bag_what_is_expected(
         assert comparison.largest_rise <= 1e-9
 
 
-def test_there_is_a_bag_for_every_trouble() -> None:
-    """The table has a command for each bag, and each bag its figures."""
+def test_there_is_a_bag_for_every_fault_of_the_sensor() -> None:
+    """The table has a command for each bag, and there are expected figures for each."""
     folders = {path.name for path in BAGS.iterdir() if path.is_dir()}
-    assert folders == {*EXPECTED, *TROUBLED}
-    assert COMMANDS.keys() == TROUBLED.keys()
-    assert {*SENSED, *RIGS} == TROUBLED.keys()
+    assert folders == {*EXPECTED, *FAULTY}
+    assert COMMANDS.keys() == FAULTY.keys()
+    assert {*SIMULATED, *RIGS} == FAULTY.keys()
     options = {word for command in COMMANDS.values() for word in command}
     assert {f"--{each.name.replace('_', '-')}" for each in SENSOR_FAULTS} <= options
 
 
-def arrived(reader: BagReader) -> list[tuple[int, ImpactEvent]]:
-    """When each event of a bag arrived, ns, and what it says."""
+def received(reader: BagReader) -> list[tuple[int, ImpactEvent]]:
+    """The events of a bag with their times of reception, ns."""
     logged = (each.log_time for each in reader.raw(["/impacts"]))
     return list(zip(logged, reader.events(), strict=True))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SENSED)
-def test_a_bag_of_a_troubled_sensor_is_what_its_command_makes(
+@pytest.mark.parametrize("name", SIMULATED)
+def test_a_bag_of_a_faulty_sensor_is_what_its_command_makes(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Events and when they arrived, the true states, and what was wrong.
+    """Events, their times of reception, true states and faults are the same.
 
-    A stamp that lies between two nanoseconds may be rounded to either: sums are rounded as the
-    machine adds them up.
+    A stamp that lies between two nanoseconds may be rounded to either on another machine.
     """
     monkeypatch.chdir(BAGS)
     given = ["--duration", "30", "--rate", "2", "--seed", "1", "-o", str(tmp_path / "bag")]
     assert main([*COMMANDS[name], *given]) == 0
     with BagReader(BAGS / name) as recorded, BagReader(tmp_path / "bag") as made:
-        for told, again in zip(arrived(recorded), arrived(made), strict=True):
-            assert abs(told[0] - again[0]) <= ROUNDED
-            assert abs(told[1].stamp - again[1].stamp) <= ROUNDED
-            assert replace(told[1], stamp=0) == replace(again[1], stamp=0)
-        model, anew = model_of(recorded), model_of(made)
+        for old, new in zip(received(recorded), received(made), strict=True):
+            assert abs(old[0] - new[0]) <= ROUNDED
+            assert abs(old[1].stamp - new[1].stamp) <= ROUNDED
+            assert replace(old[1], stamp=0) == replace(new[1], stamp=0)
+        model, new_model = model_of(recorded), model_of(made)
         states, truth = (each.joint_states("/plant/joint_states") for each in (recorded, made))
     assert model.provenance["version"] == "0.1.0"
     assert model.provenance["seed"] == 1
-    assert model.provenance["sensor"] == anew.provenance["sensor"]
-    assert model.system.name == anew.system.name
+    assert model.provenance["sensor"] == new_model.provenance["sensor"]
+    assert model.system.name == new_model.system.name
     assert (states.stamps == truth.stamps).all()
     np.testing.assert_allclose(states.q, truth.q, rtol=0, atol=1e-9)
     np.testing.assert_allclose(states.u, truth.u, rtol=0, atol=1e-9)
 
 
 def recorded(path: Path, topic: str, field: str) -> tuple[list[int], Any]:
-    """Log times of a rig's messages, and what its sensor says, (messages, any)."""
+    """Log times of a sensor's messages, and the values in them, shape (messages, any)."""
     with BagReader(path) as reader:
         read, get = reader.decoder(topic), attrgetter(*field.split())
         raw = list(reader.raw([topic]))
@@ -142,13 +141,13 @@ def recorded(path: Path, topic: str, field: str) -> tuple[list[int], Any]:
 
 @pytest.mark.parametrize("name", RIGS)
 def test_a_bag_of_a_rig_is_what_its_sensor_records(name: str, tmp_path: Path) -> None:
-    """The very messages at the very times; accelerations but for rounding."""
+    """The same messages at the same times, except for rounding."""
     make, topic, field = RIGS[name]
     times, values = recorded(BAGS / name, topic, field)
-    times_anew, values_anew = recorded(make(tmp_path / "bag"), topic, field)
+    new_times, new_values = recorded(make(tmp_path / "bag"), topic, field)
     assert len(times) >= 4 * EXPECTED["two_mass"]["impacts"]
-    assert times == times_anew
-    np.testing.assert_allclose(values, values_anew, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(times, new_times, rtol=0, atol=ROUNDED)
+    np.testing.assert_allclose(values, new_values, rtol=0, atol=1e-6)
 
 
 def detected(name: str, path: Path) -> Path:
@@ -163,7 +162,7 @@ def detected(name: str, path: Path) -> Path:
 def test_every_impact_is_detected_in_the_bag_of_a_rig(
     name: str, late: int, tmp_path: Path
 ) -> None:
-    """Never as lasting contact: to the nanosecond, or to 20 us of a signal at 1 kHz."""
+    """Never as persistent contact: to the nanosecond, or to 20 us of a signal at 1 kHz."""
     with (
         BagReader(BAGS / "two_mass") as ideal,
         BagReader(detected(name, tmp_path / "bag")) as reader,
@@ -175,7 +174,7 @@ def test_every_impact_is_detected_in_the_bag_of_a_rig(
 
 
 def test_events_that_arrive_late_and_out_of_order_change_nothing() -> None:
-    """Fed as they arrive, the observer ends bit for bit where it ends with a perfect link."""
+    """The final estimate is equal bit for bit to that from events without delay."""
     ends = []
     for name in ("transport", "two_mass"):
         with BagReader(BAGS / name) as reader:
@@ -191,7 +190,7 @@ def test_events_that_arrive_late_and_out_of_order_change_nothing() -> None:
 
 
 def rulings(verdicts: list[Verdict]) -> Counter[Ruling]:
-    """What became of the events in the end, and what was inserted and not taken back."""
+    """The number of final verdicts of each kind on events and inserted impacts."""
     last = {(v.stamp, v.sequence, v.contact): v.ruling for v in verdicts}
     return Counter(
         ruling
@@ -201,32 +200,32 @@ def rulings(verdicts: list[Verdict]) -> Counter[Ruling]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", TROUBLED)
+@pytest.mark.parametrize("name", FAULTY)
 @pytest.mark.parametrize("law", ["geometric", "minimum-variance"])
-def test_observers_make_of_a_troubled_bag_what_is_expected(
+def test_estimates_from_a_faulty_sensor_have_the_expected_error(
     name: str, law: str, tmp_path: Path
 ) -> None:
-    """V at the end over V at the start; what became of the events, and what was inserted."""
-    figures = TROUBLED[name]
+    """V at the end over V at the start, and the number of final verdicts of each kind."""
+    figures = FAULTY[name]
     bag = detected(name, tmp_path / "bag") if name in RIGS else BAGS / name
     comparison, verdicts = observed(bag, law, figures["observe"], tmp_path / "out")
     ratio, counts = comparison.ratio, rulings(verdicts)
-    if law == "geometric":  # it believes everything
+    if law == "geometric":  # it accepts every event
         assert ratio == pytest.approx(figures[law], rel=1e-6)
         assert counts == {Ruling.APPLIED: len(verdicts)}
         return
     assert ratio is not None
     assert 0 < ratio <= figures[law]
     assert comparison.V.max() <= 10 * comparison.V[0]
-    told = {each: figures.get(each.name.lower(), counts[each]) for each in JUDGED}
-    assert {each: counts[each] for each in JUDGED} == told
+    expected = {each: figures.get(each.name.lower(), counts[each]) for each in DECIDING}
+    assert {each: counts[each] for each in DECIDING} == expected
 
 
 @pytest.mark.ros
-def test_a_played_bag_makes_the_node_converge_as_it_did(
+def test_a_node_fed_by_play_estimates_what_observe_does(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """The node, fed by ``play`` with /clock, ends bit for bit where ``observe`` ends."""
+    """The node's final estimates are equal bit for bit to those of ``observe``."""
     pytest.importorskip("impact_observer_msgs")
     from impact_observer_msgs.msg import ObserverState
     from processes import ros_arguments, running, running_node, spinning
@@ -243,10 +242,13 @@ def test_a_played_bag_makes_the_node_converge_as_it_did(
     where = {stamp: i for i, stamp in enumerate(offline.stamps.tolist())}
     parameters = {"model": "two_mass", "use_sim_time": True, "initial_state": "'random:1'"}
     node = ("observer", ros_arguments(parameters), ros_environment)
-    heard: list[ObserverState] = []
+    node_states: list[ObserverState] = []
     with running_node(*node), spinning() as spinner:
         spinner.probe.create_subscription(
-            ObserverState, "observer/state", heard.append, qos_profile(Quality(depth=1000))
+            ObserverState,
+            "observer/state",
+            node_states.append,
+            qos_profile(Quality(depth=1000)),
         )
         spinner.until(lambda: "observer" in spinner.probe.get_node_names())
         truth = qos_profile(Quality())
@@ -258,7 +260,7 @@ def test_a_played_bag_makes_the_node_converge_as_it_did(
             assert player.returncode == 0, player.communicate()
         spinner.settle()
     matched = 0
-    for message in heard:
+    for message in node_states:
         _, estimate = read_estimate(message)
         i = where.get(estimate.stamp)
         if i is not None and offline.last_sequence[i] == estimate.last_sequence:
@@ -266,4 +268,4 @@ def test_a_played_bag_makes_the_node_converge_as_it_did(
             assert estimate.u.tobytes() == offline.u[i].tobytes()
             matched += 1
     assert matched > 1000
-    assert heard[-1].last_sequence == EXPECTED["two_mass"]["impacts"]
+    assert node_states[-1].last_sequence == EXPECTED["two_mass"]["impacts"]
