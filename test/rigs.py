@@ -1,4 +1,4 @@
-"""Rigs for tests: what a contact switch and an accelerometer record of a sample's plant."""
+"""Rigs for tests: the messages of a contact switch and an accelerometer at a sample model."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,11 +22,11 @@ _US = 1_000
 _LATE = 2_000 * _US
 """From an instant to its message."""
 _CHATTER = ((0, True), (300 * _US, False), (800 * _US, True), (5_000 * _US, False))
-"""A switch at a hit: what it says, and when, ns after the hit."""
+"""Values of a switch at an impact, with their times after the impact, ns."""
 _PULSE = 0.008
-"""How long an accelerometer feels a hit, s: a half-sine."""
+"""Duration of the half-sine that an accelerometer measures at an impact, s."""
 _SAMPLE, _WINDOW = 1_000 * _US, 10
-"""Samples of an accelerometer, ns apart, and how many a logger keeps before and after a hit."""
+"""Samples of an accelerometer, ns apart, and how many are recorded before and after an impact."""
 _NOISE = 1.0
 """Standard deviation of an acceleration, m/s^2."""
 _GRAVITY = np.array([0.0, 3.0, -9.34])
@@ -35,7 +35,7 @@ _Messages = Iterator[tuple[int, str, object]]
 
 
 def switch_bag(path: Path) -> Path:
-    """A switch on the stop of two_mass: it chatters, is closed for 5 ms, and tells 2 ms late."""
+    """A switch on two_mass: it chatters, is closed for 5 ms, and publishes 2 ms late."""
     model, run = _run()
     hits = [event.stamp for event in run.events]
     messages = (
@@ -47,7 +47,7 @@ def switch_bag(path: Path) -> Path:
 
 
 def accelerometer_bag(path: Path) -> Path:
-    """An accelerometer on the mass of two_mass that hits, at 1 kHz, kept 10 ms around each hit."""
+    """An accelerometer on the impacting mass of two_mass, at 1 kHz, 10 ms around each impact."""
     model, run = _run()
     return _written(path, {"/imu": IMU}, _accelerations(model, run), model, run)
 
@@ -60,7 +60,7 @@ def _run() -> tuple[Model, Run]:
 
 
 def _accelerations(model: Model, run: Run) -> _Messages:
-    """What an accelerometer says: gravity, noise, and a pulse that stops and throws back."""
+    """The signal of an accelerometer: gravity, noise, and a pulse at each impact."""
     system, rng = model.system, np.random.default_rng(1)
     for switching in run.switchings:
         hit = switching.instant.stamp
@@ -75,7 +75,7 @@ def _accelerations(model: Model, run: Run) -> _Messages:
 
 
 def _imu(stamp: int, acceleration: Vector) -> object:
-    """An Imu that knows its acceleration only, shape (3,), m/s^2."""
+    """An Imu with an acceleration only, shape (3,), m/s^2."""
     zero, vector = np.zeros(9), _TYPES["geometry_msgs/msg/Vector3"]
     return _TYPES[IMU](
         header=_TYPES["std_msgs/msg/Header"](stamp=bag_messages().time(stamp), frame_id="mass"),

@@ -30,7 +30,7 @@ def scalar(type_name: str, value: float) -> object:
 
 
 def imu(stamp: int, acceleration: tuple[float, float, float]) -> object:
-    """An Imu that knows its acceleration only."""
+    """An Imu with an acceleration only."""
     zero = np.zeros(9)
     vector = TYPES["geometry_msgs/msg/Vector3"]
     return TYPES[IMU](
@@ -76,7 +76,7 @@ def run() -> Run:
 
 @pytest.fixture(scope="module")
 def rig_bag(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same felt by a switch (5 ms late), a force at 1 kHz and an accelerometer at 500 Hz."""
+    """The same, measured by a switch (5 ms late), a force (1 kHz) and an Imu (500 Hz)."""
     recording = Recording()
     impacts = np.array([event.stamp for event in run.events])
     for hit in impacts.tolist():
@@ -158,7 +158,7 @@ def test_what_is_found_can_be_observed_without_naming_a_model(
 def test_a_file_declares_several_sensors_and_what_lacks_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A contact that lasts to the end, one that is silent, one that is not there."""
+    """A contact that is closed at the end, one without messages, one without a topic."""
     recording = Recording()
     for t, value in ((100, 1.0), (400, 0.0), (500, 1.0)):
         recording.add("/floor", BOOL, EPOCH + t * MS, scalar(BOOL, value))
@@ -172,8 +172,8 @@ def test_a_file_declares_several_sensors_and_what_lacks_is_one_line(
     )
     bag = recording.write(tmp_path / "bag")
     events = detected(bag, tmp_path / "out", "--sources", str(sources))
-    told = [(e.sequence, (e.stamp - EPOCH) // MS, e.switches[0].kind) for e in events]
-    assert sorted(told) == [
+    found = [(e.sequence, (e.stamp - EPOCH) // MS, e.switches[0].kind) for e in events]
+    assert sorted(found) == [
         (1, 100, Kind.IMPACT),
         (2, 100, Kind.CLOSE),
         (3, 400, Kind.OPEN),
@@ -193,7 +193,7 @@ def test_a_file_declares_several_sensors_and_what_lacks_is_one_line(
 def test_impacts_of_the_bag_make_way_for_those_that_are_found(
     sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Any message may be an impact: here each true state, but for the dead time."""
+    """Any message may be an impact: here each true state, except in the dead time."""
     given = ["--contact", "stop", "--topic", "/plant/joint_states", "--kind", "arrival"]
     events = detected(sample_bag, tmp_path / "out", *given, "--dead-time", "0.1")
     assert [(e.stamp - EPOCH) // MS for e in events] == [0, 100, 200, 300, 400, 500]
@@ -238,7 +238,7 @@ def test_what_cannot_be_detected_is_one_line_and_leaves_no_bag(
     code: int,
     expected: str,
 ) -> None:
-    """What was found, and what is wanted."""
+    """What was found, and what is expected."""
     output = tmp_path / "out"
     assert main(["detect", str(rig_bag), *arguments, "-o", str(output)]) == code
     errors = capsys.readouterr().err.strip().splitlines()

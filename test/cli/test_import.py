@@ -28,7 +28,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def imported(folder: Path, text: str, *options: str) -> list[ImpactEvent]:
-    """The events that a text becomes."""
+    """The events from the text of a file."""
     path = written(folder, text)
     assert main(["import", str(path), "-o", str(folder / "bag"), *options]) == 0
     with BagReader(folder / "bag") as reader:
@@ -38,7 +38,7 @@ def imported(folder: Path, text: str, *options: str) -> list[ImpactEvent]:
 def refused(
     folder: Path, text: str, capsys: pytest.CaptureFixture[str], *options: str, code: int = 2
 ) -> str:
-    """The one line that is said of a text, without the file's name; no bag is left."""
+    """The error line for a text, without the file's name; no bag is left."""
     path = written(folder, text)
     assert main(["import", str(path), "-o", str(folder / "bag"), *options]) == code
     error = capsys.readouterr().err
@@ -52,7 +52,7 @@ def refused(
 def test_observe_runs_on_what_was_imported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With the model in the bag; without truth it needs a rate, and says so."""
+    """With the model in the bag; without truth ``observe`` asks for a rate."""
     events = imported(tmp_path, "0.53\n2.7\n3.1\n", "--model", "two_mass")
     assert [event.stamp for event in events] == [1_530_000_000, 3_700_000_000, 4_100_000_000]
     assert all(event.switches == STOP for event in events)
@@ -131,7 +131,7 @@ def test_time_zero_is_where_it_is_said_to_be(tmp_path: Path) -> None:
 
 
 def test_rows_are_sorted_on_demand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """And only then; what is left out is told."""
+    """And only then; ignored columns are named."""
     text = "time,contact,peak,note\n2.5,stop,1,a\n0.5,stop,2,b\n"
     said = refused(tmp_path, text, capsys)
     assert said == (
@@ -187,7 +187,7 @@ def test_a_mistake_is_one_line_with_its_number(
     options: tuple[str, ...],
     said: str,
 ) -> None:
-    """What was found and what is wanted; exit code 2 and no bag."""
+    """What was found and what is expected; exit code 2 and no bag."""
     assert said in refused(tmp_path, text, capsys, *options)
 
 
@@ -205,7 +205,7 @@ def test_a_file_that_cannot_be_read_is_named(
 
 
 def test_a_bag_that_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nothing is written over."""
+    """Nothing is overwritten."""
     (tmp_path / "bag").mkdir()
     path = written(tmp_path, "0.5,stop\n")
     assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2

@@ -56,7 +56,7 @@ def test_a_namespace_says_which_rig_is_meant(
 def test_identify_takes_model_and_impacts_of_the_rig_that_is_meant(
     rigs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What it says of so short a bag is what it says of that rig alone."""
+    """The result for so short a bag is that for the rig alone."""
     for model, said in (("two_mass", "for 4 unknowns"), ("three_mass", "for 6 unknowns")):
         capsys.readouterr()
         assert main(["identify", str(rigs.parent / model), *CHECK]) == 1
@@ -71,7 +71,7 @@ def test_identify_takes_model_and_impacts_of_the_rig_that_is_meant(
 def test_without_one_the_line_says_how_to_name_it(
     rigs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And a namespace that the bag does not have is said to be none."""
+    """And a namespace that the bag does not have is an error."""
     for arguments, said in (
         ([], r"both fit /plant/model; name the one meant with --namespace\n"),
         (["--namespace", "x"], r"no topic in /x; in the bag: /three_mass/impacts, "),
@@ -83,7 +83,7 @@ def test_without_one_the_line_says_how_to_name_it(
 
 
 def test_info_lists_both_rigs(rigs: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It asks for nothing."""
+    """No namespace is needed."""
     assert main(["info", str(rigs)]) == 0
     out = capsys.readouterr().out
     assert "/two_mass/observer: geometric" in out

@@ -25,7 +25,7 @@ FREE = (
     *("--estimate-parameters", "restitution=0.02,stiffness-scale=0.01"),
     *("--clock-error", "0", "--missed", "0", "--spurious", "0", "--mislabelled", "0"),
 )
-"""Two parameters to be learnt from events that are all believed."""
+"""Two parameters to be estimated, all events being accepted."""
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,7 @@ def observed(bag: Path, name: str, *arguments: str) -> Path:
 
 
 def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
-    """The model in the bag is the model it was made of; provenance says by whom."""
+    """The model in the bag is the simulated one; provenance has version and seed."""
     with BagReader(run_bag) as reader:
         model = model_of(reader)
         events = events_in(reader)
@@ -60,7 +60,7 @@ def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
 def test_observe_writes_the_parameters_that_it_learns(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By name, in the order in which they are carried, with deviations that fall."""
+    """By name, in the order of the messages, with deviations that decrease."""
     bag = observed(
         run_bag, "learnt", "--law", "minimum-variance", *FREE, "--rate", "1", "--ensemble", "1"
     )
@@ -83,7 +83,7 @@ def test_observe_writes_the_parameters_that_it_learns(
 def test_laws_that_learn_nothing_are_compared_with_one_that_does(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is to be learnt is said to those that learn."""
+    """Parameters can be estimated by minimum-variance only."""
     laws = ["--laws", "geometric,minimum-variance"]
     capsys.readouterr()
     assert main(["compare", str(run_bag), *laws, *FREE, "--json"]) == 0
@@ -138,7 +138,7 @@ def test_observe_writes_what_the_observer_says(run_bag: Path, law: str) -> None:
 
 
 def test_certified_bound_is_written_when_it_changes(run_bag: Path) -> None:
-    """Once at the start, then after each impact: as an error whose parts nobody knows."""
+    """Once at the start, then after each impact: as an error without coordinates."""
     output = observed(run_bag, "bounded", "--initial", "random:3", "--deviation", "2")
     with BagReader(output) as reader:
         impacts = len(events_in(reader))
@@ -154,7 +154,7 @@ def test_certified_bound_is_written_when_it_changes(run_bag: Path) -> None:
 def test_compare_orders_the_laws_and_draws_them(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Open loop is worst; V never rises with a law that jumps; the picture is a PNG."""
+    """Open loop is worst; V never rises at an impact with the other laws; the picture is a PNG."""
     bags = {
         law: observed(run_bag, f"cmp_{law}", "--law", law, "--initial", "random:1")
         for law in ("open-loop", "kinematic", "geometric")
@@ -216,7 +216,7 @@ def test_observe_takes_another_rate_and_model(
 def test_an_epoch_that_contradicts_the_events_is_refused(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The events say 1 s; nothing is quietly replaced, and no bag is left."""
+    """The events have 1 s; it is not replaced, and no bag is left."""
     output = run_bag.parent / "contradiction"
     assert main(["observe", str(run_bag), "--epoch", "5", "-o", str(output)]) == 2
     errors = capsys.readouterr().err.strip().splitlines()
@@ -228,7 +228,7 @@ def test_an_epoch_that_contradicts_the_events_is_refused(
 def test_compare_without_estimates_says_what_to_do(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A plain recording has nothing to compare: exit code 1, one line."""
+    """A recording without estimates: exit code 1, one line."""
     assert main(["compare", str(run_bag)]) == 1
     errors = capsys.readouterr().err.strip().splitlines()
     assert len(errors) == 1
@@ -238,7 +238,7 @@ def test_compare_without_estimates_says_what_to_do(
 def test_observation_that_fails_leaves_no_bag(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Stops without play and a replica that comes another way: one line, and nothing is left."""
+    """Stops without play and a replica from another side: one line, and no bag is left."""
     model = tmp_path / "jammed.yaml"
     model.write_text(jammed(0, 1, velocity=0), encoding="utf-8")
     plant, output = tmp_path / "plant", tmp_path / "out"

@@ -43,7 +43,7 @@ def options(troubles: dict[str, Any]) -> list[str]:
 def test_bag_holds_what_the_sensor_tells_when_it_arrives(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Events are those of ``simulate_sensor`` for the seed; log times are those of arrival."""
+    """Events are those of ``simulate_sensor`` for the seed; log times are those of reception."""
     bag = tmp_path / "bag"
     arguments = ["simulate", "three_mass", "--duration", "10", "--seed", "5", "-o", str(bag)]
     assert main([*arguments, *options(TROUBLED)]) == 0
@@ -56,17 +56,19 @@ def test_bag_holds_what_the_sensor_tells_when_it_arrives(
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, LAST, 100.0))
     sensor = SensorModel(**TROUBLED)
-    told = simulate_sensor(sensor, model.system, run.switchings, epoch=EPOCH, last=LAST, seed=5)
-    assert events == [each.event for each in told]
-    assert arrivals == [each.arrival for each in told]
+    expected = simulate_sensor(
+        sensor, model.system, run.switchings, epoch=EPOCH, last=LAST, seed=5
+    )
+    assert events == [each.event for each in expected]
+    assert arrivals == [each.arrival for each in expected]
     assert arrivals != [each.stamp for each in events]
     assert (truth.stamps == run.stamps).all()
     assert model.provenance["sensor"] == TROUBLED
-    assert f"{len(told)} events of a sensor with delay, jitter" in said.out + said.err
+    assert f"{len(expected)} events of a sensor with delay, jitter" in said.out + said.err
 
 
 def test_ideal_sensor_is_not_spoken_of(tmp_path: Path) -> None:
-    """Nothing is wrong unless asked for, and provenance names what was only."""
+    """No fault by default; provenance names those that were chosen."""
     bag = tmp_path / "bag"
     assert main(["simulate", "two_mass", "--duration", "5", "-o", str(bag)]) == 0
     with BagReader(bag) as reader:
@@ -79,7 +81,7 @@ def test_ideal_sensor_is_not_spoken_of(tmp_path: Path) -> None:
 
 
 def test_help_lists_every_trouble_in_a_group(capsys: pytest.CaptureFixture[str]) -> None:
-    """Under "sensor", with what each means."""
+    """Under "sensor", with the meaning of each."""
     with pytest.raises(SystemExit):
         main(["simulate", "--help"])
     group = " ".join(capsys.readouterr().out.partition("\nsensor:\n")[2].split())

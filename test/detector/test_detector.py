@@ -36,18 +36,18 @@ def two_switches(epoch: int = 0) -> Detector:
 
 
 def test_events_of_all_sensors_are_numbered_in_one_row() -> None:
-    """Contacts that last are told in the order in which they were known."""
+    """Persistent contacts have sequence numbers in the order in which they were decided."""
     detector = two_switches(epoch=7)
-    told = detector.feed(0, Scalar(1.0), START)
-    told += detector.feed(1, Scalar(1.0), START + 10 * MS)
-    told += detector.advance(START + 500 * MS)
-    assert [d.event for d in told] == [
+    detected = detector.feed(0, Scalar(1.0), START)
+    detected += detector.feed(1, Scalar(1.0), START + 10 * MS)
+    detected += detector.advance(START + 500 * MS)
+    assert [d.event for d in detected] == [
         ImpactEvent(START, (Switch("floor"),), 1, 0, 7),
         ImpactEvent(START + 10 * MS, (Switch("ceiling"),), 2, 0, 7),
         ImpactEvent(START + 10 * MS, (Switch("ceiling", Kind.CLOSE),), 3, 0, 7),
         ImpactEvent(START, (Switch("floor", Kind.CLOSE),), 4, 0, 7),
     ]
-    assert [d.decided for d in told] == sorted(d.decided for d in told)
+    assert [d.decided for d in detected] == sorted(d.decided for d in detected)
 
 
 def test_a_restart_is_a_new_episode_that_remembers_nothing() -> None:
@@ -56,12 +56,12 @@ def test_a_restart_is_a_new_episode_that_remembers_nothing() -> None:
     detector.feed(0, Scalar(1.0), START)
     detector.restart()
     assert detector.advance(START + 500 * MS) == []
-    (told,) = detector.feed(0, Scalar(1.0), 5)
-    assert told.event == ImpactEvent(5, (Switch("floor"),), 1, 1)
+    (detected,) = detector.feed(0, Scalar(1.0), 5)
+    assert detected.event == ImpactEvent(5, (Switch("floor"),), 1, 1)
 
 
 def test_the_latency_is_subtracted_from_stamps_and_not_from_durations() -> None:
-    """All three events of a closure are early by it."""
+    """It is subtracted from the stamps of all three events of a closure."""
     signal = [(START, 1.0), (START + 60 * MS, 1.0), (START + 70 * MS, 0.0)]
     plain = detections(switch(), signal)
     early = detections(switch(latency=0.0123), signal)
@@ -71,15 +71,15 @@ def test_the_latency_is_subtracted_from_stamps_and_not_from_durations() -> None:
 
 
 def test_stamps_are_those_of_headers_unless_told_otherwise() -> None:
-    """A header that was never stamped does not count."""
+    """A header with stamp 0 is not used."""
     for given, sent, wanted in (
         (None, START, START),
         (None, 0, START + 5 * MS),
         ("receive", START, START + 5 * MS),
     ):
         source = Source("stop", "/hit", kind="arrival", stamp=given).complete("x/msg/Y")
-        (told,) = Detector([source]).feed(0, Stamped(header(sent)), START + 5 * MS)
-        assert told.event.stamp == wanted
+        (detected,) = Detector([source]).feed(0, Stamped(header(sent)), START + 5 * MS)
+        assert detected.event.stamp == wanted
     source = Source("stop", "/hit", kind="arrival", stamp="header").complete("x/msg/Y")
     with pytest.raises(UsageError, match="stamp: header found, but a message of /hit has no"):
         Detector([source]).feed(0, Stamped(header(0)), START)
@@ -89,23 +89,23 @@ def test_late_messages_of_a_switch_are_judged_by_their_own_stamps() -> None:
     """A closure of 10 ms whose end comes 60 ms later is short, one of 60 ms is not."""
     source = Source("stop", "/s", kind="switch", field="data[0]").complete("x/msg/Y")
 
-    def told(length: int, delay: int) -> list[Kind]:
+    def kinds(length: int, delay: int) -> list[Kind]:
         detector = Detector([source])
         first = detector.feed(0, Stamped(header(START), data=[1]), START)
         end = START + length * MS
         last = detector.feed(0, Stamped(header(end), data=[0]), end + delay * MS)
         return [kind for _, kind in events(first + last)]
 
-    assert told(10, 55) == [Kind.IMPACT]
-    assert told(60, 1) == [Kind.IMPACT, Kind.CLOSE, Kind.OPEN]
+    assert kinds(10, 55) == [Kind.IMPACT]
+    assert kinds(60, 1) == [Kind.IMPACT, Kind.CLOSE, Kind.OPEN]
 
 
 def test_what_cannot_be_used_is_counted_and_said() -> None:
-    """Not-a-number, stamps that go back, and events before the beginning of time."""
+    """Numbers that are not finite, stamps that go back, and events with a stamp before 0."""
     detector = Detector([peak(10.0, latency=5.0)])
     values = [(2, 0.0), (3, float("nan")), (4, 50.0), (5, 0.0), (1, 0.0)]
-    told = [d for s, v in values for d in detector.feed(0, Scalar(v), s * 1_000_000_000)]
-    assert told == []
+    detected = [d for s, v in values for d in detector.feed(0, Scalar(v), s * 1_000_000_000)]
+    assert detected == []
     count = detector.counts[0]
     assert (count.messages, count.invalid, count.out_of_order, count.impacts) == (5, 2, 1, 0)
     stamped = Detector([Source("stop", "/hit", kind="arrival").complete("x/msg/Y")])
@@ -116,7 +116,7 @@ def test_what_cannot_be_used_is_counted_and_said() -> None:
 
 
 def test_an_array_that_is_too_short_now_and_then_is_passed_over() -> None:
-    """Only where no message ever had the member it is a mistake of the file."""
+    """It is an error of the file only if no message had the member."""
     source = Source("stop", "/t", field="data[1]", threshold=1.0).complete("x/msg/Y")
     detector = Detector([source])
     for k, data in enumerate(([0.0, 0.0], [0.0], [0.0, 0.0])):
@@ -125,7 +125,7 @@ def test_an_array_that_is_too_short_now_and_then_is_passed_over() -> None:
 
 
 def test_the_memory_of_a_detector_does_not_grow() -> None:
-    """After a hundred hits it weighs what it weighed after ten."""
+    """It has the same size after a hundred impacts as after ten."""
     sizes = []
     detector = Detector([switch(), replace(peak(10.0, baseline=1.0), contact="wall")])
     for k in range(4000):
@@ -251,7 +251,7 @@ MISTAKES: list[tuple[str, str, str]] = [
 def test_a_mistake_in_a_file_is_one_line_that_names_it(
     text: str, type_name: str, expected: str
 ) -> None:
-    """File, key, what was found, what is wanted."""
+    """File, key, what was found, what is expected."""
     with pytest.raises(UsageError) as caught:
         [source.complete(type_name) for source in parse_sources(text, "rig.yaml")]
     assert str(caught.value).startswith(f"rig.yaml: {expected}")
@@ -259,7 +259,7 @@ def test_a_mistake_in_a_file_is_one_line_that_names_it(
 
 
 def test_the_sample_file_is_a_switch_at_its_defaults(tmp_path: Path) -> None:
-    """What it says is what is taken where nothing is said."""
+    """It has the default values."""
     (source,) = read_sources("switch")
     plain = Source("stop", "switch").complete(BOOL)
     assert source.complete(BOOL) == plain
@@ -290,7 +290,7 @@ def test_a_file_that_is_not_there_is_one_line(
 
 
 def test_the_documentation_has_a_file_and_all_keys() -> None:
-    """The example can be copied, each key stands in the table with its default."""
+    """The example can be copied; each key is in the table with its default."""
     document = (Path(__file__).parents[2] / "docs" / "detector.md").read_text(encoding="utf-8")
     sources = parse_sources(document.split("```yaml\n")[1].split("```")[0], "docs")
     types = (BOOL, IMU, "geometry_msgs/msg/WrenchStamped", "x/msg/Y")

@@ -40,9 +40,9 @@ def test_the_top_of_a_half_sine_is_found_to_better_than_a_hundredth_of_a_sample(
     tops = 0.5 + np.arange(100.0) * (3 * length + 0.00371 / rate) + 0.0137 / rate
     stamps = every(period, int((tops[-1] + 2 * length) * rate))
     source = peak(50.0, dead_time=length)
-    told = events(detections(source, sampled(stamps, half_sines(stamps, tops, length))))
-    assert len(told) == len(tops)
-    error = np.array([stamp for stamp, _ in told]) - START - tops * 1e9
+    detected = events(detections(source, sampled(stamps, half_sines(stamps, tops, length))))
+    assert len(detected) == len(tops)
+    error = np.array([stamp for stamp, _ in detected]) - START - tops * 1e9
     bound = (math.pi / samples) ** 2 / 62
     assert np.abs(error).max() <= bound * 1.05 * period + 1
     assert np.abs(error).max() <= 0.01 * period
@@ -78,9 +78,9 @@ def test_noise_neither_hides_nor_invents_a_peak(gaps: list[float], seed: int, ra
     stamps = every(S // rate, int((tops[-1] + 0.1) * rate))
     noise = np.random.default_rng(seed).normal(0.0, 2.0, stamps.size).clip(-10, 10)
     signal = half_sines(stamps, tops, 0.008) + noise
-    told = events(detections(peak(50.0), sampled(stamps, signal)))
-    assert [kind for _, kind in told] == [Kind.IMPACT] * len(tops)
-    error = np.array([stamp for stamp, _ in told]) * 1e-9 - START * 1e-9 - tops
+    detected = events(detections(peak(50.0), sampled(stamps, signal)))
+    assert [kind for _, kind in detected] == [Kind.IMPACT] * len(tops)
+    error = np.array([stamp for stamp, _ in detected]) * 1e-9 - START * 1e-9 - tops
     assert np.abs(error).max() < 1e-3
 
 
@@ -90,47 +90,51 @@ def test_a_structure_that_rings_after_a_hit_is_one_impact() -> None:
     stamps = every(S // rate, 3000)
     t = (stamps - START) * 1e-9 - 0.1
     ringing = np.where(t > 0, 100 * np.exp(-fading * t.clip(0)) * np.sin(w * t), 0.0)
-    told = events(detections(peak(20.0), sampled(stamps, ringing)))
+    detected = events(detections(peak(20.0), sampled(stamps, ringing)))
     first = 0.1 + math.atan(w / fading) / w
-    assert [kind for _, kind in told] == [Kind.IMPACT]
-    assert told[0][0] == pytest.approx(START + first * 1e9, abs=0.02 * S / rate)
+    assert [kind for _, kind in detected] == [Kind.IMPACT]
+    assert detected[0][0] == pytest.approx(START + first * 1e9, abs=0.02 * S / rate)
 
 
 def test_a_sensor_at_its_limit_gives_the_middle_of_what_is_cut_off() -> None:
     """A plateau of equal samples, to half a sample."""
     stamps = every(MS, 200)
     signal = half_sines(stamps, np.array([0.1003]), 0.03).clip(0, 60)
-    told = events(detections(peak(50.0, dead_time=0.04), sampled(stamps, signal)))
-    assert len(told) == 1
-    assert told[0][0] == pytest.approx(START + 100.3 * MS, abs=0.5 * MS)
+    detected = events(detections(peak(50.0, dead_time=0.04), sampled(stamps, signal)))
+    assert len(detected) == 1
+    assert detected[0][0] == pytest.approx(START + 100.3 * MS, abs=0.5 * MS)
 
 
 def test_a_signal_that_trembles_about_the_threshold_is_one_peak() -> None:
     """It has to fall by the hysteresis before another one can begin."""
     signal = np.array([0, 9.9, 10.1, 9.9, 10.2, 9.8, 10.1, 6.0, 4.9, 0, 12, 0.0])
     stamps = every(MS, signal.size)
-    told = events(detections(peak(10.0, hysteresis=5.0, dead_time=0.0), sampled(stamps, signal)))
-    assert [round((stamp - START) / MS) for stamp, _ in told] == [4, 10]
+    detected = events(
+        detections(peak(10.0, hysteresis=5.0, dead_time=0.0), sampled(stamps, signal))
+    )
+    assert [round((stamp - START) / MS) for stamp, _ in detected] == [4, 10]
 
 
 def test_a_signal_that_stays_high_is_one_peak_told_after_the_dead_time() -> None:
-    """By the next sample, or by silence; it must fall before there is another."""
+    """By the next sample, or by time without samples; it must fall before there is another."""
     stamps = every(MS, 100)
     signal = np.where(np.arange(100) < 10, 0.0, 20.0)
     signal[12] = 30.0
-    told = detections(peak(10.0), sampled(stamps, signal))
-    assert events(told) == [(told[0].event.stamp, Kind.IMPACT)]
-    assert told[0].event.stamp == pytest.approx(START + 12 * MS, abs=0.5 * MS)
-    assert told[0].decided == START + 30 * MS
+    detected = detections(peak(10.0), sampled(stamps, signal))
+    assert events(detected) == [(detected[0].event.stamp, Kind.IMPACT)]
+    assert detected[0].event.stamp == pytest.approx(START + 12 * MS, abs=0.5 * MS)
+    assert detected[0].decided == START + 30 * MS
     held = detections(peak(10.0), sampled(stamps, signal)[:14], START + 100 * MS)
-    assert [(d.event, d.decided) for d in held] == [(told[0].event, START + 30 * MS + MAX_DELAY)]
+    assert [(d.event, d.decided) for d in held] == [
+        (detected[0].event, START + 30 * MS + MAX_DELAY)
+    ]
 
 
 def test_a_signal_that_begins_high_has_no_peak_until_it_has_fallen() -> None:
-    """Nobody knows when it rose."""
+    """The stamp of its onset is unknown."""
     signal = np.array([20.0, 30.0, 20.0, 0.0, 20.0, 0.0])
-    told = events(detections(peak(10.0), sampled(every(10 * MS, 6), signal)))
-    assert told == [(START + 40 * MS, Kind.IMPACT)]
+    detected = events(detections(peak(10.0), sampled(every(10 * MS, 6), signal)))
+    assert detected == [(START + 40 * MS, Kind.IMPACT)]
 
 
 @pytest.mark.parametrize(
@@ -140,23 +144,23 @@ def test_peaks_have_a_direction(direction: str, times: list[int]) -> None:
     """A force that pushes, one that pulls, or either."""
     signal = np.zeros(80)
     signal[10], signal[50] = 20.0, -20.0
-    told = events(detections(peak(10.0, direction=direction), sampled(every(MS, 80), signal)))
-    assert [(stamp - START) // MS for stamp, _ in told] == times
+    detected = events(detections(peak(10.0, direction=direction), sampled(every(MS, 80), signal)))
+    assert [(stamp - START) // MS for stamp, _ in detected] == times
 
 
 def test_gravity_is_taken_from_an_accelerometer_however_it_lies() -> None:
     """30 m/s^2 across gravity is found; gravity that slowly turns is not."""
     source = Source("stop", "/imu", threshold=15.0, field="force").complete(IMU)
     detector = Detector([source])
-    told = []
+    detected = []
     for k in range(20_000):
         angle = 0.2 * k / 1000
         hit = 30.0 if k % 5000 == 2500 else 0.0
         force = Vector3(9.81 * math.sin(angle) + hit, 0.0, 9.81 * math.cos(angle))
         stamp = START + k * MS
-        told += detector.feed(0, Stamped(header(stamp), force), stamp + 3 * MS)
+        detected += detector.feed(0, Stamped(header(stamp), force), stamp + 3 * MS)
     wanted = [START + k * 5000 * MS + 2500 * MS for k in range(4)]
-    np.testing.assert_allclose([s for s, _ in events(told)], wanted, rtol=0, atol=0.02 * MS)
+    np.testing.assert_allclose([s for s, _ in events(detected)], wanted, rtol=0, atol=0.02 * MS)
     assert 25 < detector.counts[0].largest_signal < 35
 
 
@@ -170,12 +174,12 @@ def test_a_vector_has_no_direction() -> None:
 
 
 def test_an_arrival_is_an_impact_but_for_those_in_the_dead_time() -> None:
-    """By the header's stamp, whenever it comes."""
+    """By the header's stamp, whenever it is received."""
     source = Source("stop", "/hit", kind="arrival", dead_time=0.01).complete("x/msg/Y")
     detector = Detector([source])
     stamps = [START + k * MS for k in (0, 5, 10, 12, 30)]
-    told = [d for s in stamps for d in detector.feed(0, Stamped(header(s)), s + 7 * MS)]
-    assert events(told) == [(START + k * MS, Kind.IMPACT) for k in (0, 10, 30)]
+    detected = [d for s in stamps for d in detector.feed(0, Stamped(header(s)), s + 7 * MS)]
+    assert events(detected) == [(START + k * MS, Kind.IMPACT) for k in (0, 10, 30)]
 
 
 def test_noise_moves_a_top_by_what_the_documentation_says() -> None:
@@ -185,8 +189,8 @@ def test_noise_moves_a_top_by_what_the_documentation_says() -> None:
     stamps = every(MS, int(tops[-1] * 1000) + 100)
     noise = np.random.default_rng(1).normal(0.0, deviation, stamps.size)
     signal = half_sines(stamps, tops, 0.01) + noise
-    told = events(detections(peak(50.0), sampled(stamps, signal)))
-    error = (np.array([stamp for stamp, _ in told]) - START) / MS - tops * 1e3
+    detected = events(detections(peak(50.0), sampled(stamps, signal)))
+    error = (np.array([stamp for stamp, _ in detected]) - START) / MS - tops * 1e3
     off = tops * 1e3 - np.rint(tops * 1e3)
     beside = 200 * (1 - math.cos(w)) * np.cos(w * off)
     wanted = deviation * math.sqrt(np.mean((0.5 + 6 * off**2) / beside**2))

@@ -19,7 +19,7 @@ Changes = list[tuple[int, float]]
 
 
 def changes(*milliseconds: float, first: float = 1.0) -> Changes:
-    """A switch that says so when it changes: closed, open, closed, ... at these times."""
+    """A switch that publishes on change: closed, open, closed, ... at these times."""
     return [
         (START + round(t * MS), first if k % 2 == 0 else 1.0 - first)
         for k, t in enumerate(milliseconds)
@@ -32,44 +32,44 @@ def at(milliseconds: float) -> int:
 
 
 def test_a_short_closure_is_an_impact_at_its_edge_and_nothing_else() -> None:
-    """It is told at once, with the edge's own stamp."""
-    told = detections(switch(), changes(10, 15, 400, 405), at(1000))
-    assert events(told) == [(at(10), Kind.IMPACT), (at(400), Kind.IMPACT)]
-    assert [d.decided for d in told] == [at(10), at(400)]
+    """It is detected at once, with the edge's own stamp."""
+    detected = detections(switch(), changes(10, 15, 400, 405), at(1000))
+    assert events(detected) == [(at(10), Kind.IMPACT), (at(400), Kind.IMPACT)]
+    assert [d.decided for d in detected] == [at(10), at(400)]
 
 
 def test_a_long_closure_is_closed_since_its_edge_until_it_opens() -> None:
-    """The CLOSE has the very stamp of the IMPACT before it, and the next sequence."""
-    told = detections(switch(), [*changes(10), (at(60), 1.0), (at(90), 1.0), (at(200), 0.0)])
-    assert events(told) == [
+    """The CLOSE has the stamp of the IMPACT before it, and the next sequence number."""
+    detected = detections(switch(), [*changes(10), (at(60), 1.0), (at(90), 1.0), (at(200), 0.0)])
+    assert events(detected) == [
         (at(10), Kind.IMPACT),
         (at(10), Kind.CLOSE),
         (at(200), Kind.OPEN),
     ]
-    assert [d.event.sequence for d in told] == [1, 2, 3]
-    assert told[1].decided == at(60)
+    assert [d.event.sequence for d in detected] == [1, 2, 3]
+    assert detected[1].decided == at(60)
 
 
 def test_a_switch_that_falls_silent_while_closed_is_a_contact_that_lasts() -> None:
-    """Messages on change only: time itself decides, once a message would have been here."""
+    """Messages on change only: the deadline is over when no message can be on its way any more."""
     detector = Detector([switch()])
     assert len(detector.feed(0, Scalar(1.0), at(10))) == 1
     assert detector.advance(at(60) + MAX_DELAY - 1) == []
-    told = detector.advance(at(500))
-    assert events(told) == [(at(10), Kind.CLOSE)]
-    assert told[0].decided == at(60) + MAX_DELAY
+    detected = detector.advance(at(500))
+    assert events(detected) == [(at(10), Kind.CLOSE)]
+    assert detected[0].decided == at(60) + MAX_DELAY
     assert events(detector.feed(0, Scalar(0.0), at(600))) == [(at(600), Kind.OPEN)]
 
 
 def test_without_a_least_duration_every_edge_closes() -> None:
     """CLOSE at the rising, OPEN at the falling edge."""
-    told = detections(switch(min_contact_duration=0.0), changes(10, 20, 30, 31), at(100))
+    detected = detections(switch(min_contact_duration=0.0), changes(10, 20, 30, 31), at(100))
     kinds = [Kind.CLOSE, Kind.OPEN] * 2
-    assert events(told) == list(zip(map(at, (10, 20, 30, 31)), kinds, strict=True))
+    assert events(detected) == list(zip(map(at, (10, 20, 30, 31)), kinds, strict=True))
 
 
 def test_a_normally_closed_switch_opens_at_a_hit() -> None:
-    """Inverted it says the same; what it says before its first hit is no event."""
+    """An inverted switch has the same events; open before its first impact is no event."""
     usual = detections(switch(), [(START, 0.0), *changes(10, 15, 100, 300)], at(400))
     turned = [(START, 1.0), *changes(10, 15, 100, 300, first=0.0)]
     assert detections(switch(inverted=True), turned, at(400)) == usual
@@ -78,8 +78,8 @@ def test_a_normally_closed_switch_opens_at_a_hit() -> None:
 
 def test_a_switch_that_begins_closed_has_closed_at_its_first_message() -> None:
     """The gap is zero there in any case."""
-    told = detections(switch(), [(START, 1.0), (at(100), 1.0)])
-    assert events(told) == [(START, Kind.IMPACT), (START, Kind.CLOSE)]
+    detected = detections(switch(), [(START, 1.0), (at(100), 1.0)])
+    assert events(detected) == [(START, Kind.IMPACT), (START, Kind.CLOSE)]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -88,35 +88,39 @@ def test_chatter_of_closing_and_of_opening_is_one_edge_each(seed: int) -> None:
     times = np.sort(np.random.default_rng(seed).uniform(0, 4, 12))
     closing, opening = 10 + times, 200 + times[:-1]
     signal = changes(10, *closing, *opening)
-    told = detections(switch(), [*signal, (at(500), 0.0)], at(600))
-    assert [kind for _, kind in events(told)] == [Kind.IMPACT, Kind.CLOSE, Kind.OPEN]
-    assert [stamp for stamp, _ in events(told)] == [at(10), at(10), signal[13][0]]
+    detected = detections(switch(), [*signal, (at(500), 0.0)], at(600))
+    assert [kind for _, kind in events(detected)] == [Kind.IMPACT, Kind.CLOSE, Kind.OPEN]
+    assert [stamp for stamp, _ in events(detected)] == [at(10), at(10), signal[13][0]]
 
 
 def test_what_holds_at_the_end_of_the_dead_time_counts_from_when_it_began() -> None:
-    """A hit just after an opening is told late, with its own stamp."""
-    told = detections(switch(min_contact_duration=0.02), changes(0, 50, 53), at(200))
-    assert events(told) == [
+    """An impact just after an opening is detected late, with its own stamp."""
+    detected = detections(switch(min_contact_duration=0.02), changes(0, 50, 53), at(200))
+    assert events(detected) == [
         (at(0), Kind.IMPACT),
         (at(0), Kind.CLOSE),
         (at(50), Kind.OPEN),
         (at(53), Kind.IMPACT),
         (at(53), Kind.CLOSE),
     ]
-    assert told[3].decided == at(55) + MAX_DELAY
+    assert detected[3].decided == at(55) + MAX_DELAY
 
 
 def test_a_force_may_be_a_switch_with_hysteresis() -> None:
     """Closed from ten newtons on, open below six."""
     source = switch(kind="switch", threshold=10.0, hysteresis=4.0)
     force = [9.9, 10.0, 7.0, 6.0, 12.0, 5.9, 9.0]
-    told = detections(source, sampled(every(100 * MS, 7), np.array(force)))
-    assert events(told) == [(at(100), Kind.IMPACT), (at(100), Kind.CLOSE), (at(500), Kind.OPEN)]
+    detected = detections(source, sampled(every(100 * MS, 7), np.array(force)))
+    assert events(detected) == [
+        (at(100), Kind.IMPACT),
+        (at(100), Kind.CLOSE),
+        (at(500), Kind.OPEN),
+    ]
 
 
 @pytest.mark.parametrize("rate", [0, 100, 1000])
 def test_a_switch_that_closes_for_milliseconds_at_each_hit_gives_impacts_only(rate: int) -> None:
-    """Two masses on a stop, 5 ms a hit: on change every stamp is exact, polled within a period."""
+    """Two masses on a stop, 5 ms per impact: exact on change, polled within a period."""
     model = sample("two_mass")
     plant = Plant(model.system, *model.initial_state(), epoch=START)
     run = simulate(plant, grid(START, START + 30_000 * MS, 1.0))
@@ -131,12 +135,12 @@ def test_a_switch_that_closes_for_milliseconds_at_each_hit_gives_impacts_only(ra
         before = np.searchsorted(impacts, stamps, side="right") - 1
         closed = (before >= 0) & (stamps < impacts[before] + 5 * MS)
         signal = sampled(stamps, closed.astype(float))
-    told = events(detections(switch(), signal, START + 32_000 * MS))
-    assert {kind for _, kind in told} == {Kind.IMPACT}
-    seen = np.array([stamp for stamp, _ in told])
+    detected = events(detections(switch(), signal, START + 32_000 * MS))
+    assert {kind for _, kind in detected} == {Kind.IMPACT}
+    seen = np.array([stamp for stamp, _ in detected])
     late = seen - impacts[np.searchsorted(impacts, seen, side="right") - 1]
     assert late.max() <= (min(1_000_000_000 // rate, 5 * MS) if rate else 0)
-    assert len(told) == len(impacts) if rate != 100 else 0 < len(told) < len(impacts)
+    assert len(detected) == len(impacts) if rate != 100 else 0 < len(detected) < len(impacts)
 
 
 CHANGES = st.lists(st.integers(1, 80 * MS), min_size=1, max_size=30).map(
@@ -169,24 +173,24 @@ def test_the_time_at_which_silence_is_listened_to_changes_nothing(
 ) -> None:
     """A timer, other topics or nothing between the messages: the same detections."""
     detector = Detector([switch()])
-    told: list[Detection] = []
+    detected: list[Detection] = []
     pending = sorted(START + look for look in looks)
     for stamp, value in signal:
         while pending and pending[0] <= stamp:
-            told += detector.advance(pending.pop(0))
-        told += detector.feed(0, Scalar(value), stamp)
+            detected += detector.advance(pending.pop(0))
+        detected += detector.feed(0, Scalar(value), stamp)
     end = signal[-1][0] + 1000 * MS
-    told += detector.advance(end)
-    assert told == detections(switch(), signal, end)
+    detected += detector.advance(end)
+    assert detected == detections(switch(), signal, end)
 
 
 @examples(50)
 @given(CHANGES, st.integers(0, 20))
 def test_edges_keep_the_dead_time_apart(signal: Changes, dead_time: int) -> None:
-    """And every edge that is told is one of the signal."""
+    """And every detected edge is one of the signal."""
     source = switch(dead_time=dead_time / 1000, min_contact_duration=0.0)
-    told = events(detections(source, signal, signal[-1][0] + 1000 * MS))
-    assert all(kind == (Kind.CLOSE, Kind.OPEN)[k % 2] for k, (_, kind) in enumerate(told))
+    detected = events(detections(source, signal, signal[-1][0] + 1000 * MS))
+    assert all(kind == (Kind.CLOSE, Kind.OPEN)[k % 2] for k, (_, kind) in enumerate(detected))
     values = dict(signal)
-    assert all(values[stamp] == (kind is Kind.CLOSE) for stamp, kind in told)
-    assert told[-1][1] == (Kind.OPEN, Kind.CLOSE)[int(signal[-1][1])] if told else True
+    assert all(values[stamp] == (kind is Kind.CLOSE) for stamp, kind in detected)
+    assert detected[-1][1] == (Kind.OPEN, Kind.CLOSE)[int(signal[-1][1])] if detected else True

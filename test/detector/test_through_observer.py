@@ -15,7 +15,7 @@ from impact_observer.stamps import grid
 
 
 def signal_of(events: tuple[ImpactEvent, ...]) -> list[tuple[int, float]]:
-    """A switch that closes for 5 ms at each hit, and while the contact lasts."""
+    """A switch that closes for 5 ms at each impact, and during persistent contact."""
     signal = []
     for event in events:
         kind = event.switches[0].kind
@@ -31,7 +31,7 @@ def signal_of(events: tuple[ImpactEvent, ...]) -> list[tuple[int, float]]:
     [(0.0, "kinematic"), (0.0, "geometric"), (0.0, "minimum-variance"), (0.6, "geometric")],
 )
 def test_a_switch_is_as_good_as_an_ideal_sensor(eps: float, law: str) -> None:
-    """Hits, and contacts that close and open: superseded impacts leave nothing behind."""
+    """Impacts, and contacts that close and open: superseded impacts have no effect."""
     force = forcing(2, np.array([0.0, 1.0]), [Harmonic(2.0, [0.0, 6.0], [0.0, 0.0])])
     model = system(
         np.eye(2),
@@ -43,15 +43,15 @@ def test_a_switch_is_as_good_as_an_ideal_sensor(eps: float, law: str) -> None:
     plant = Plant(model, np.zeros(2), np.zeros(2), epoch=START)
     run = simulate(plant, grid(START, START + 7000 * MS, 10.0))
     detector = Detector([replace(switch(), contact=model.contact_names[0])], epoch=START)
-    told = [d.event for s, v in signal_of(run.events) for d in detector.feed(0, Scalar(v), s)]
-    told += [d.event for d in detector.advance(START + 8000 * MS)]
-    kinds = {event.switches[0].kind for event in told}
+    detected = [d.event for s, v in signal_of(run.events) for d in detector.feed(0, Scalar(v), s)]
+    detected += [d.event for d in detector.advance(START + 8000 * MS)]
+    kinds = {event.switches[0].kind for event in detected}
     assert kinds == ({Kind.IMPACT} if eps else set(Kind))
     options = Options(law=law, initial_state="random:1", ensemble=1, epoch=START)
     ideal, real = make_observer(model, options), make_observer(model, options)
     for event in run.events:
         ideal.receive(event)
-    for event in told:
+    for event in detected:
         real.receive(event)
     for stamp in run.stamps.tolist():
         wanted, found = ideal.estimate(stamp), real.estimate(stamp)

@@ -43,7 +43,7 @@ def by_rosbags(path: Path, start: int | None = None) -> list[tuple[str, int, byt
 def test_order_is_that_of_rosbags(
     tmp_path: Path, compression: CompressionType, start: int
 ) -> None:
-    """Of chunks that reach into each other, with equal log times, compressed or not."""
+    """Of chunks that overlap in time, with equal log times, compressed or not."""
     path = mcap(tmp_path / "bag.mcap", random_messages(2000, seed=3), compression)
     assert index_of(path) is not None
     with BagReader(path) as reader:
@@ -70,7 +70,7 @@ def test_file_without_index_is_read_by_rosbags(tmp_path: Path) -> None:
 
 
 def test_record_that_does_not_fit_its_chunk_is_one_line(tmp_path: Path) -> None:
-    """No message is made up of what lies behind it."""
+    """No message is made of the bytes behind it."""
     path = mcap(tmp_path / "bag.mcap", [("/a", 7, b"x" * 100)], CompressionType.NONE)
     data = bytearray(path.read_bytes())
     at = data.index(b"x" * 100) - 31

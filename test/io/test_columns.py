@@ -64,7 +64,7 @@ def columns(type_name: str, *names: str) -> Columns:
 
 
 def taken(type_name: str, block: list[bytes], *names: str) -> JointStates:
-    """What a block says."""
+    """The states of a block."""
     own = columns(type_name, *names)
     for data in block:
         own.add([data])
@@ -96,7 +96,7 @@ def test_a_block_of_joint_states_says_what_each_message_says() -> None:
 
 
 def test_a_block_of_estimates_says_what_each_message_says() -> None:
-    """Closed contacts, covariances and learnt numbers make other shapes, in any mixture."""
+    """Closed contacts, covariances and parameters make other shapes, in any mixture."""
     kinds = [((), False), (("stop",), False), (("stop", "left"), True), ((), True)]
     block = [
         estimate(stamp, closed, sure=sure)
@@ -118,7 +118,7 @@ def test_a_block_of_estimates_says_what_each_message_says() -> None:
 
 
 def test_messages_of_ever_new_shapes_are_all_read() -> None:
-    """More shapes than are tried together: the rest comes one by one."""
+    """More shapes than are tried together: the rest is read one by one."""
     block = [estimate(stamp, ("c" * stamp,)) for stamp in range(1, 80)]
     together, alone = decode(OBSERVER, block)
     assert alone
@@ -175,7 +175,7 @@ def test_places_are_counted_through_all_blocks() -> None:
 
 
 def test_joined_blocks_are_one() -> None:
-    """In the order in which they came; estimates stay estimates."""
+    """In the same order; estimates stay estimates."""
     own = columns(OBSERVER)
     blocks = []
     for stamps in (range(1, 4), range(4, 5), range(5, 9)):

@@ -1,4 +1,4 @@
-"""What an observer says, as messages: many together, the same as one by one."""
+"""Messages of estimates and verdicts: many together, the same as one by one."""
 
 import heapq
 from collections.abc import Iterator, Sequence
@@ -30,17 +30,17 @@ def serialize(topic: str, message: object) -> bytes:
 
 
 def estimates(size: int, n: int, *, closed: tuple[str, ...] = ()) -> Estimates:
-    """Some with random states, from just before a whole second on."""
+    """Estimates with random states, from just before a whole second on."""
     x = np.random.default_rng(size).normal(size=(size, 2 * n))
     stamps = 7 * NS_PER_S - 5 + np.arange(size) * 3
     first = Estimate(int(stamps[0]), "geometric", x[0, :n], x[0, n:], closed=closed, convergence=2)
     return Estimates(replace(first, last_sequence=3, last_event=NS_PER_S), stamps, x)
 
 
-def one_by_one(told: Estimates, names: tuple[str, ...]) -> list[tuple[int, str, bytes]]:
+def one_by_one(block: Estimates, names: tuple[str, ...]) -> list[tuple[int, str, bytes]]:
     """The messages of each estimate as ``rosbags`` makes them."""
     found = []
-    for each in told:
+    for each in block:
         joints = MAKE.joint_state(JointState(each.stamp, names, each.q, each.u))
         found.append((each.stamp, JOINTS.topic, serialize(JOINTS.topic, joints)))
         state = serialize(STATES.topic, MAKE.estimate(each, names))
@@ -53,25 +53,25 @@ def one_by_one(told: Estimates, names: tuple[str, ...]) -> list[tuple[int, str, 
 def test_messages_are_those_of_rosbags_in_every_byte(size: int, names: tuple[str, ...]) -> None:
     """Across a whole second, whatever the padding."""
     for closed in ((), ("stop",)):
-        told = estimates(size, len(names), closed=closed)
-        assert list(messages_of(told, names, serialize)) == one_by_one(told, names)
+        block = estimates(size, len(names), closed=closed)
+        assert list(messages_of(block, names, serialize)) == one_by_one(block, names)
 
 
 def test_state_that_is_not_finite_is_refused() -> None:
-    """As where it is made alone, with the name of the number."""
-    told = estimates(9, 2)
-    told.x[6, 3] = np.nan
+    """As when it is made alone, with the name of the number."""
+    block = estimates(9, 2)
+    block.x[6, 3] = np.nan
     with pytest.raises(MessageError, match=r"JointState\.velocity\[1\] is nan"):
-        list(messages_of(told, ("x1", "x2"), serialize))
+        list(messages_of(block, ("x1", "x2"), serialize))
 
 
 def test_stamp_that_no_message_carries_is_refused() -> None:
     """The last one, far in the future."""
-    told = estimates(9, 2)
-    stamps = told.stamps.copy()
+    block = estimates(9, 2)
+    stamps = block.stamps.copy()
     stamps[-1] = 2**62
     with pytest.raises(MessageError, match=r"header\.stamp is 4611686018"):
-        list(messages_of(replace(told, stamps=stamps), ("x1", "x2"), serialize))
+        list(messages_of(replace(block, stamps=stamps), ("x1", "x2"), serialize))
 
 
 def test_what_has_no_layout_is_not_made() -> None:
@@ -106,15 +106,15 @@ def slowly(items: Sequence[Estimates | Verdict]) -> Iterator[tuple[int, Estimate
 def test_verdicts_come_where_they_would_among_single_estimates(
     parts: list[tuple[int, list[int]]],
 ) -> None:
-    """Early ones wait for the estimates up to their stamps, second thoughts come at once."""
+    """Early ones wait for the estimates up to their stamps, revisions are logged at once."""
     items: list[Estimates | Verdict] = []
     now = 100
     for size, verdicts in parts:
         items += [Verdict(now + each, Ruling.APPLIED, k) for k, each in enumerate(verdicts)]
         if size:
-            told = estimates(size, 1)
+            block = estimates(size, 1)
             stamps = now + 5 * np.arange(size)
-            items.append(Estimates(replace(told.first, stamp=now), stamps, told.x))
+            items.append(Estimates(replace(block.first, stamp=now), stamps, block.x))
             now = int(stamps[-1]) + 5
     found: list[tuple[int, object]] = []
     for log_time, item in in_log_order(items):

@@ -42,7 +42,7 @@ def test_every_command_takes_every_form(
     capsys: pytest.CaptureFixture[str],
     form: str,
 ) -> None:
-    """Estimates are equal to the last bit, counts and times are equal, nothing is to remark."""
+    """Estimates are equal to the last bit, counts and times are equal, and there is no warning."""
     bag = FORMS[form](recording, tmp_path / form)
     assert main(["check", str(bag)]) == 0
     assert capsys.readouterr().out == f"{bag}: an observer can use it (nothing to remark)\n"
@@ -60,7 +60,7 @@ def test_every_command_takes_every_form(
     "form", ["humble_sqlite3", "humble_mcap_lz4", "sqlite3_file", "mcap_storage", "mcap_message"]
 )
 def test_every_form_can_be_salvaged_whole(recording: Path, tmp_path: Path, form: str) -> None:
-    """Without its metadata: all messages, their types and definitions come through."""
+    """Without its metadata: all messages, their types and definitions are saved."""
     bag = FORMS[form](recording, tmp_path / form)
     if bag.is_dir():
         (bag / "metadata.yaml").unlink()

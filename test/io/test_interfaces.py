@@ -52,7 +52,7 @@ def test_names_are_relative_for_nodes_and_absolute_in_bags() -> None:
 
 @given(quality=QUALITIES)
 def test_quality_survives_a_bag(quality: Quality) -> None:
-    """What is offered is what is read."""
+    """The quality that is offered is read back."""
     assert Quality.recorded(quality.offered()) == quality
 
 
@@ -63,7 +63,7 @@ def test_depth_that_a_recorder_could_not_see_is_the_usual_one() -> None:
 
 
 def test_quality_left_open_is_read_as_reliable_and_volatile() -> None:
-    """As a publisher with the system's defaults behaves."""
+    """As of a publisher with the system's defaults."""
     offered = STATES.offered()._replace(
         reliability=QosReliability.SYSTEM_DEFAULT, durability=QosDurability.UNKNOWN
     )
@@ -72,7 +72,7 @@ def test_quality_left_open_is_read_as_reliable_and_volatile() -> None:
 
 @given(offers=st.lists(QUALITIES, min_size=1, max_size=4))
 def test_common_quality_connects_to_every_publisher(offers: list[Quality]) -> None:
-    """It asks of nobody more than he offers, and keeps as much as the deepest."""
+    """It requests from no publisher more than it offers, and has the largest depth."""
     common = Quality.common(offers)
     assert all(offer.reliable or not common.reliable for offer in offers)
     assert all(offer.transient_local or not common.transient_local for offer in offers)

@@ -155,7 +155,7 @@ MAKERS: SearchStrategy[tuple[str, Callable[[Messages], object]]] = st.one_of(
 def test_ros_and_bag_messages_are_the_same_bytes_but_for_padding(
     maker: tuple[str, Callable[[Messages], object]],
 ) -> None:
-    """So that a bag made here and one recorded from nodes cannot be told apart."""
+    """So a bag made here has the same bytes as one recorded from nodes."""
     serialization = pytest.importorskip("rclpy.serialization")
     pytest.importorskip("impact_observer_msgs")
     from impact_observer.ros.message_classes import ros_messages
@@ -235,7 +235,7 @@ def test_counter_that_does_not_fit_is_refused() -> None:
 
 
 def test_arrays_that_do_not_fit_the_names_are_refused() -> None:
-    """There is one number a name."""
+    """There is one number for each name."""
     with pytest.raises(MessageError, match=r"velocity has 1 numbers; expected 2, as named"):
         bag_messages().joint_state(replace(STATE, u=frozen([1.0])))
     with pytest.raises(MessageError, match=r"covariance has 4 numbers; expected 16"):
@@ -243,7 +243,7 @@ def test_arrays_that_do_not_fit_the_names_are_refused() -> None:
 
 
 def test_state_has_its_columns_by_name() -> None:
-    """In the order that is asked for; other names, one too many or one twice, are refused."""
+    """In the order of the argument; other names, one too many or one twice, are refused."""
     state = JointState(7, ("a", "b"), np.array([1.0, 2.0]), np.array([3.0, 4.0]))
     turned = state.ordered(("b", "a"))
     assert (turned.stamp, turned.names) == (7, ("b", "a"))

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """A plant's bag, and an observer's with second thoughts."""
+    """A plant's bag, and an observer's with revised verdicts."""
     folder = tmp_path_factory.mktemp("bags")
     plant, estimates = folder / "plant", folder / "estimates"
     troubles = ["--missed", "0.2", "--spurious", "0.2", "--seed", "1"]
@@ -39,7 +39,7 @@ def file_of(bag: Path) -> Path:
 
 
 def same(theirs: Any, ours: Any) -> bool:  # noqa: ANN401 (messages of two libraries)
-    """Whether two decoded values say the same."""
+    """Whether two decoded values are equal."""
     if hasattr(theirs, "__slots__") and not isinstance(theirs, (str, bytes)):
         return all(same(getattr(theirs, k), getattr(ours, k)) for k in theirs.__slots__)
     if isinstance(theirs, (list, tuple)):
@@ -65,7 +65,7 @@ def test_mcap_ros2_reads_what_rosbags_reads(bags: list[Path]) -> None:
 
 
 def test_log_times_never_go_back_in_a_file(bags: list[Path]) -> None:
-    """As they lie in it: players that do not sort need that."""
+    """In the order of the file, for players that do not sort."""
     for bag in bags:
         with file_of(bag).open("rb") as stream:
             in_file = NonSeekingReader(stream).iter_messages(log_time_order=False)

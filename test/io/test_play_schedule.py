@@ -44,7 +44,7 @@ def test_due_times_do_not_drift() -> None:
 def test_pause_moves_what_is_due_by_its_length(
     begin: int, pause: int, length: int, log_time: int, rate: float
 ) -> None:
-    """And the bag's time stands still meanwhile."""
+    """And the bag's time stands still during the pause."""
     pace = Pace(0, begin, rate)
     before = pace.due(log_time)
     assert before is not None
@@ -70,7 +70,7 @@ def test_another_rate_holds_from_now_on(change: int, later: int, factor: float) 
 
 
 def test_message_that_is_late_is_not_passed_over_by_a_pause() -> None:
-    """The bag's time stops at what comes next, so that the clock need not go back."""
+    """The bag's time stops at the next message, so that the clock need not go back."""
     pace = Pace(0, WALL)
     pace.toggle_pause(WALL + 1000, latest=700)
     assert pace.paused
@@ -87,7 +87,7 @@ def test_message_that_is_late_is_not_passed_over_by_a_pause() -> None:
     ],
 )
 def test_number_out_of_range_is_named(wrong: dict[str, float], said: str) -> None:
-    """With what is wanted."""
+    """With what is expected."""
     with pytest.raises(UsageError, match=said):
         Playing(**wrong)  # type: ignore[arg-type]
 
@@ -124,7 +124,7 @@ def test_damage_is_told_where_it_was_met() -> None:
 
 
 def test_reading_ahead_can_wait_for_its_first_message() -> None:
-    """Which is not lost thereby; at the end of nothing there is nothing."""
+    """The message is not lost; without messages the iteration ends."""
     with ReadAhead(messages([1, 2])) as ahead:
         ahead.wait()
         ahead.wait()

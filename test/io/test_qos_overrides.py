@@ -12,7 +12,7 @@ from impact_observer.io.qos_overrides import SHIPPED, Profile, read_overrides, s
 from impact_observer.observer.laws import BUILT_IN
 
 ROOT = Path(__file__).parents[2]
-REMEDY = """Write it anew, at the top of the repository:
+REMEDY = """Write it again, at the top of the repository:
 .venv/bin/python -c 'from impact_observer.bag import overrides as o; \\
     open(o.SHIPPED, "w").write(o.shipped_text())'
 """
@@ -39,13 +39,13 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_shipped_file_is_made_from_the_table() -> None:
-    """When they differ, the file is out of date."""
+    """If they differ, the file is out of date."""
     path = ROOT / SHIPPED
     assert path.read_text() == shipped_text(), REMEDY
 
 
 def test_shipped_file_has_every_topic_with_its_quality() -> None:
-    """As another YAML reader sees it; those of every built-in law's observer too."""
+    """As another YAML library reads it; also those of every built-in law's observer."""
     said = YAML(typ="safe").load(ROOT / SHIPPED)
     assert {each.topic for each in interfaces.INTERFACES} <= set(said)
     for law in BUILT_IN:
@@ -60,7 +60,7 @@ def test_shipped_file_has_every_topic_with_its_quality() -> None:
 
 
 def test_every_policy_is_read(tmp_path: Path) -> None:
-    """What is left out is as rclpy has it; a duration without end is none."""
+    """Defaults are those of rclpy; an infinite duration is none."""
     profiles = read_overrides(written(tmp_path, ALL))
     assert profiles["/test_topic"] == Profile(
         "keep_all",
@@ -116,7 +116,7 @@ def test_profile_is_what_rclpy_makes_of_the_same_file(tmp_path: Path) -> None:
     ],
 )
 def test_a_mistake_is_one_line(tmp_path: Path, text: str, said: str) -> None:
-    """With file, topic, policy and what is wanted."""
+    """With file, topic, policy and what is expected."""
     path = written(tmp_path, text)
     with pytest.raises(UsageError) as wrong:
         read_overrides(path)

@@ -42,7 +42,7 @@ def estimate(stamp: int, law: str = "geometric") -> object:
 
 @pytest.fixture(scope="module")
 def first_bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What ``bag`` is a copy of."""
+    """The bag from which ``bag`` is copied."""
     path = tmp_path_factory.mktemp("first") / "bag"
     with BagWriter(path) as writer:
         writer.write("/plant/model", 5, MAKE.model("name: first"))
@@ -204,7 +204,7 @@ def break_end(path: Path) -> Path:
 
 
 def break_sqlite(path: Path) -> Path:
-    """A database that is none."""
+    """A file that is no database."""
     (path / "bag.db3").write_bytes(b"SQLite format 4\0" * 100)
     return path / "bag.db3"
 
@@ -261,7 +261,7 @@ def test_damage_anywhere_is_never_a_traceback(
 
 
 def test_index_that_promises_more_than_there_is_is_noticed(bag: Path) -> None:
-    """Rather than an analysis of half the data."""
+    """Half the data are not analysed."""
     metadata = (bag / "metadata.yaml").read_text("utf-8")
     (bag / "metadata.yaml").write_text(metadata.replace("count: 10\n", "count: 12\n"), "utf-8")
     with (
@@ -272,7 +272,7 @@ def test_index_that_promises_more_than_there_is_is_noticed(bag: Path) -> None:
 
 
 def test_missing_topic_and_wrong_type_are_named(bag: Path) -> None:
-    """With what is there instead."""
+    """With the topics that are there."""
     with BagReader(bag) as reader:
         with pytest.raises(BagError, match=r"no topic /rig/impacts; topics in the bag: /impacts,"):
             reader.events("/rig/impacts")
@@ -298,7 +298,7 @@ def test_coordinates_that_do_not_fit_are_named(
     names: list[str] | None,
     expected: str,
 ) -> None:
-    """Against those wanted, or those of the first message."""
+    """Against the given names, or those of the first message."""
     with BagWriter(tmp_path / "bag") as writer:
         if names is None:
             writer.write("/plant/joint_states", 1, state(1, a=(1, 2), b=(1, 2)))

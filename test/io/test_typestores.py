@@ -17,7 +17,7 @@ def test_all_types_of_the_table_are_known() -> None:
 
 
 def test_new_typestore_is_its_callers_own() -> None:
-    """What one bag defines is unknown to the next."""
+    """A type that one bag defines is unknown in the next."""
     mine = typestores.new_typestore()
     assert typestores.add_definition(mine, "int32 a\n", "rig/msg/A") == set()
     assert "rig/msg/A" in mine.fielddefs
@@ -37,7 +37,7 @@ def test_definition_that_disagrees_is_told_and_not_taken() -> None:
 
 
 def test_definition_in_idl_is_read() -> None:
-    """As some bags carry it."""
+    """As some bags have it."""
     text = (
         "=" * 80 + "\nIDL: rig/msg/A\nmodule rig { module msg { struct A { int32 value; }; }; };\n"
     )
@@ -53,7 +53,7 @@ def test_text_that_is_no_definition_is_one_line() -> None:
 def test_installed_definition_brings_its_parts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """From the prefixes that a sourced workspace names."""
+    """From the prefixes of a sourced workspace."""
     texts = tmp_path / "share" / "rig" / "msg"
     texts.mkdir(parents=True)
     (texts / "A.msg").write_text("B[] parts\nB[3] three\nfloat64 x\n", "utf-8")

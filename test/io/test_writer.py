@@ -85,7 +85,7 @@ def test_hash_of_our_messages_is_that_of_their_ros_classes(tmp_path: Path) -> No
 
 
 def test_qualities_are_kept(tmp_path: Path) -> None:
-    """Those of the table, and those that are given."""
+    """Those of the table, and those that are declared."""
     own = Quality(reliable=False, transient_local=True, depth=0)
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/plant/model")
@@ -141,7 +141,7 @@ def test_bag_is_whole_after_an_exception(tmp_path: Path) -> None:
 def test_bag_is_whole_wherever_an_interrupt_strikes(
     request: pytest.FixtureRequest, tmp_path: Path, patience: float
 ) -> None:
-    """Also amid a record: everything that was taken before is read back."""
+    """Also within a record: every message that was written before is read back."""
     gc.disable()  # an interrupt within a callback of it, such as hypothesis's, would be lost
     request.addfinalizer(gc.enable)
     timer = threading.Timer(patience, _thread.interrupt_main)
@@ -221,7 +221,7 @@ def test_foreign_type_is_written_and_copied_with_its_definition(tmp_path: Path) 
 
 
 def test_copy_of_some_topics_is_byte_for_byte(tmp_path: Path) -> None:
-    """In the order of the bag, with their qualities."""
+    """In the order of the bag, with their quality of service."""
     state = JointState(3, ("a",), np.array([1.0]), np.array([2.0]))
     with BagWriter(tmp_path / "one") as writer:
         for log_time in range(1, 2001):
@@ -240,7 +240,7 @@ def test_copy_of_some_topics_is_byte_for_byte(tmp_path: Path) -> None:
 
 
 def test_chunks_are_compressed_on_demand(tmp_path: Path) -> None:
-    """As ``ros2 bag record`` with chunk compression: the metadata say nothing of it."""
+    """As ``ros2 bag record`` with chunk compression: it is not in the metadata."""
     for name, compressed in (("plain", False), ("zstd", True)):
         with BagWriter(tmp_path / name, compressed=compressed) as writer:
             for stamp in range(1, 2001):
