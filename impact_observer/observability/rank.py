@@ -1,15 +1,15 @@
-"""What impact times have told of the state: an observability matrix of a recording.
+"""Which part of the state impact times determine: the observability matrix of a recording.
 
-Two motions under the same ``chi`` differ by a ``d`` that obeys linear laws in which nothing is
-unknown: it moves by the transition matrices of the phases, ``du`` jumps by a matrix at an impact,
-and there ``W_i^T dq = 0`` for the contact ``i`` that hits, since both motions are on the stop.
-While it stays closed ``W_i^T du = 0`` too, and where it opens by itself its load has come down to
+Two motions under the same ``chi`` differ by a ``d`` that obeys linear equations with known
+coefficients: the transition matrices of the phases, and a matrix for the jump of ``du`` at an
+impact. There ``W_i^T dq = 0`` for the contact ``i`` that hits, since both motions are on the stop.
+While it stays closed ``W_i^T du = 0`` too. Where it opens by itself its load has come down to
 zero, which is one more row. So every event adds rows, times ``T``, to a matrix on ``d`` at the
-start, ``T`` being all that has happened since. Its singular values say how much of a wrong initial
-state the recorded gaps show, and its null space what they never show, to no law whatever.
+start, where ``T`` is the transition matrix from the start. Its singular values say how much of a
+wrong initial state the recorded gaps show, and its null space what they never show, to any law.
 
-An instant with several impacts counts as if all of them were equally fast. What inequalities tell
-(``g >= 0`` at all other times, ``gamma- <= 0``, loads that only press) is not counted.
+An instant with several impacts counts as if all of them were equally fast. Inequalities (``g >=
+0`` at all other times, ``gamma- <= 0``, loads that only press) are not used.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,35 +30,35 @@ from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector, frozen
 
 TOLERANCE = 1e-9
-"""Singular value that counts as none, relative to the largest: what stamps of 1 ns could tell."""
+"""Singular value that counts as zero, relative to the largest: the limit of stamps of 1 ns."""
 _CLEAN = 1e-6
-"""Entry of an unknown direction that is what rounding left of a zero."""
+"""Largest entry of an undetermined direction that is a rounded zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observability:
-    """What the impacts of a recording have told of the state at its start.
+    """What the impacts of a recording determine of the state at its start.
 
     An *impact* is an instant at which any contact impacts or closes, a *release* one at which a
-    single contact opens by itself. The others, which tell nothing, are left out of the arrays.
+    single contact opens by itself. Other instants add no information, and are left out.
 
     Attributes:
         system: the system.
         start: where the initial state holds, ns.
-        deviation: standard deviations of that state, shape (2n,); where 0, it is known.
-        tolerance: singular value that counts as none, relative to the largest.
+        deviation: standard deviations of that state, shape (2n,); 0 for certain states.
+        tolerance: singular value that counts as zero, relative to the largest.
         stamps: of impacts and releases, ns, shape (events,).
         released: which of them are releases, shape (events,).
         contacts: names of those that hit or open, for each.
         singular: singular values after each, m, shape (events, states), the largest first: how
             far a wrong start, by one deviation, moves the recorded gaps in all.
-        rank: how many of them count, shape (events,); what has been told stays told.
-        unknown: errors of the initial state that moved no gap, one deviation long, SI units,
+        rank: number of singular values above the tolerance, shape (events,); it never falls.
+        undetermined: errors of the initial state that moved no gap, one deviation long, SI units,
             shape (states - rank, 2n): a basis that is zero wherever it can be.
-        left: what has become of each of them just after the last event, same shape.
-        least: the error of the initial state that moved the gaps least, one deviation long.
-        foreign: how many switches were of contacts that the model does not have, by name.
-        left_out: events that came twice, or before the start.
+        remaining: these errors just after the last event, same shape.
+        weakest: the error of the initial state that moved the gaps least, one deviation long.
+        foreign: number of switches of contacts that the model does not have, by name.
+        left_out: number of events that are duplicates, or before the start.
         episodes: in the recording; the last one counts.
     """
 
@@ -71,9 +71,9 @@ class Observability:
     contacts: tuple[tuple[str, ...], ...]
     singular: NDArray[np.float64]
     rank: NDArray[np.int64]
-    unknown: Matrix
-    left: Matrix
-    least: Vector
+    undetermined: Matrix
+    remaining: Matrix
+    weakest: Vector
     foreign: Mapping[str, int]
     left_out: int
     episodes: int
@@ -86,7 +86,7 @@ class Observability:
 
     @property
     def size(self) -> int:
-        """How many numbers of the initial state are uncertain."""
+        """Number of uncertain coordinates and velocities."""
         return int(np.count_nonzero(self.deviation))
 
     @property
@@ -109,10 +109,10 @@ class Observability:
         return int(full[0]) if full.size else None
 
     @property
-    def told(self) -> tuple[str, ...]:
-        """Names of the uncertain states that no unknown direction changes."""
-        open_ones = np.any(self.unknown != 0, axis=0) | (self.deviation == 0)
-        return tuple(np.array(self.states)[~open_ones].tolist())
+    def determined(self) -> tuple[str, ...]:
+        """Names of the uncertain states that no undetermined direction changes."""
+        others = np.any(self.undetermined != 0, axis=0) | (self.deviation == 0)
+        return tuple(np.array(self.states)[~others].tolist())
 
 
 def observability(
@@ -122,61 +122,61 @@ def observability(
     deviation: Vector | float = 1.0,
     tolerance: float = TOLERANCE,
 ) -> Observability:
-    """What the impacts among ``events`` have told of the state at their start.
+    """What the impacts among ``events`` determine of the state at their start.
 
-    One triangular factor is kept, so the cost grows with the number of events alone.
+    Only a triangular factor is kept: time is proportional to the number of events.
 
     Args:
         system: whose events they are.
-        events: in any order; of several episodes or epochs the last one counts, as with an
-            observer. The start is the epoch, or the first stamp where the events do not say it
-            or their first ones are missing.
+        events: in any order. Of several episodes or epochs the last one counts, as with an
+            observer. The start is the epoch, or the first stamp where the events do not give an
+            epoch or the first of them are missing.
         deviation: standard deviations of the initial state, shape (2n,) or one for all.
-        tolerance: singular value that counts as none, relative to the largest.
+        tolerance: singular value that counts as zero, relative to the largest.
 
     Raises:
         UsageError: a deviation or tolerance that cannot be used.
-        BagError: no event tells an impact of the system's contacts.
+        BagError: the events contain no impact of the system's contacts.
         ImpactLawError: the impact law has no solution at an event.
     """
     if not 0 < tolerance < 1:
         raise UsageError(f"tolerance: {tolerance:g} found; expected a number between 0 and 1")
     scale = np.diag(Uncertainty(deviation).root(system.n))
     if not np.any(scale):
-        raise UsageError("deviation: 0 throughout; expected a state that is not known already")
-    told = last_episode(system, events)
-    changes = told.changes
+        raise UsageError("deviation: 0 throughout; expected some state that is uncertain")
+    episode = last_episode(system, events)
+    changes = episode.changes
     errors = _Errors(system, scale)
     factor, singular = _factored(errors, changes)
-    telling = [(each, names) for each in changes if (names := errors.telling(each))]
+    counted = [(each, names) for each in changes if (names := errors.informative(each))]
     found = [np.count_nonzero(each > tolerance * each[0]) for each in singular]
     rank = np.maximum.accumulate(np.array(found, dtype=np.int64))
     directions = linalg.svd(factor)[2]
-    unknown = _readable(directions[rank[-1] :])
+    undetermined = _sparse(directions[rank[-1] :])
     return Observability(
         system=system,
-        start=told.start,
+        start=episode.start,
         deviation=frozen(scale),
         tolerance=tolerance,
-        stamps=np.array([each.stamp for each, _ in telling], dtype=np.int64),
-        released=np.array([not each.hit for each, _ in telling]),
-        contacts=tuple(tuple(system.contact_names[i] for i in names) for _, names in telling),
+        stamps=np.array([each.stamp for each, _ in counted], dtype=np.int64),
+        released=np.array([not each.hit for each, _ in counted]),
+        contacts=tuple(tuple(system.contact_names[i] for i in names) for _, names in counted),
         singular=frozen(singular),
         rank=rank,
-        unknown=frozen(_placed(unknown, scale)),
-        left=frozen(unknown @ errors.map.T),
-        least=frozen(_placed(_upright(directions[-1:]), scale)[0]),
-        foreign=told.foreign,
-        left_out=told.left_out,
-        episodes=told.episodes,
+        undetermined=frozen(_in_all_states(undetermined, scale)),
+        remaining=frozen(undetermined @ errors.map.T),
+        weakest=frozen(_in_all_states(_with_sign(directions[-1:]), scale)[0]),
+        foreign=episode.foreign,
+        left_out=episode.left_out,
+        episodes=episode.episodes,
     )
 
 
 class _Errors:
-    """How an error of the initial state goes on, and what gaps and speeds show of it.
+    """The propagation of errors of the initial state, and the rows that events add.
 
     Attributes:
-        map: to the present error, SI units, from the initial one, deviations, shape (2n, size).
+        map: from initial errors in deviations to present errors in SI units, shape (2n, size).
     """
 
     def __init__(self, system: System, scale: Vector) -> None:
@@ -190,19 +190,19 @@ class _Errors:
 
     @property
     def size(self) -> int:
-        """How many states are uncertain."""
+        """Number of uncertain states."""
         return len(self.map.T)
 
-    def telling(self, change: ContactChange) -> Contacts:
-        """The contacts that say something: those that hit, or one alone that opens by itself."""
+    def informative(self, change: ContactChange) -> Contacts:
+        """The contacts that add rows: those that hit, or a single one that opens by itself."""
         return change.informative(self._phases.independent(change.before), self._system.forcing)
 
     def cross(self, change: ContactChange) -> Matrix:
-        """Go on to ``change`` and across it.
+        """Propagate to ``change`` and across it.
 
         Returns:
-            What the plant's gaps, speeds and loads say of the initial error, as gaps in m: one row
-            each that is known to be zero, shape (rows, size).
+            One row for each gap, speed or load that is zero, on the initial error, scaled to gaps
+            in m, shape (rows, size).
         """
         n, phases = self._system.n, self._phases
         phase = phases.phase(phases.independent(change.before))
@@ -215,10 +215,10 @@ class _Errors:
             pressed = change.pressed(self._newton, -np.ones(len(change.hit)))
             du = self._newton.jump(pressed) @ du
         else:
-            rows = [self._accelerations(phase, self.telling(change), dq, du)]
+            rows = [self._accelerations(phase, self.informative(change), dq, du)]
         if change.closed:
             rows.append(self._timescale * self._system.W[:, list(change.closed)].T @ du)
-            # From here on both motions are on the stop: what remains is an error along it.
+            # From here on both motions are on the stop: only errors along it remain.
             dq = phases.unloaded(change.closed).Q @ dq
             free = phases.phase(phases.independent(change.closed)).inverse
             du = free @ self._system.M @ du
@@ -226,7 +226,7 @@ class _Errors:
         return np.vstack(rows)
 
     def _accelerations(self, phase: Phase, opened: Contacts, dq: Matrix, du: Matrix) -> Matrix:
-        """What loads would do in the time scale to the gaps of ``opened``, which they hold."""
+        """Gaps that the loads on ``opened`` alone would open in the time scale, m."""
         loads = phase.loads[[phase.held.index(i) for i in opened]]
         pushed = np.sum(self._phases.B[:, list(opened)] ** 2, axis=0)[:, None]
         forces = phase.equations.K @ dq + phase.equations.C @ du
@@ -234,7 +234,7 @@ class _Errors:
 
 
 def _factored(errors: _Errors, changes: Sequence[ContactChange]) -> tuple[Matrix, Matrix]:
-    """The triangular factor of all rows, and its singular values after each telling event.
+    """The triangular factor of all rows, and its singular values after each counted event.
 
     Returns:
         Shapes (size, size) and (events, size).
@@ -249,20 +249,20 @@ def _factored(errors: _Errors, changes: Sequence[ContactChange]) -> tuple[Matrix
             rows = errors.cross(change)
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(change.stamp)} s: {error}") from None
-        if errors.telling(change):
+        if errors.informative(change):
             factor = linalg.qr(np.vstack([factor, rows]), mode="r")[0][: errors.size]
             singular.append(np.linalg.svd(factor, compute_uv=False))
     return factor, np.array(singular)
 
 
-def _placed(directions: Matrix, scale: Vector) -> Matrix:
+def _in_all_states(directions: Matrix, scale: Vector) -> Matrix:
     """Rows of uncertain states, in deviations, as rows of all states in SI units."""
     found = np.zeros((len(directions), scale.size))
     found[:, scale > 0] = directions
     return found * scale
 
 
-def _readable(directions: Matrix) -> Matrix:
+def _sparse(directions: Matrix) -> Matrix:
     """Another basis of the rows' span, of unit length, each zero where another has its pivot."""
     r = len(directions)
     if r == 0:
@@ -271,10 +271,10 @@ def _readable(directions: Matrix) -> Matrix:
     basis = linalg.solve(directions[:, sorted(pivots.tolist())], directions)
     basis /= np.linalg.norm(basis, axis=1, keepdims=True)
     basis[np.abs(basis) <= _CLEAN] = 0.0
-    return _upright(basis)
+    return _with_sign(basis)
 
 
-def _upright(directions: Matrix) -> Matrix:
+def _with_sign(directions: Matrix) -> Matrix:
     """The same rows, the largest entry of each positive."""
     largest = np.argmax(np.abs(directions), axis=1, keepdims=True)
     return directions * np.sign(np.take_along_axis(directions, largest, axis=1))

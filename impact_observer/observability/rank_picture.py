@@ -1,4 +1,4 @@
-"""A picture of what impacts have told: singular values over time, and the rank."""
+"""A picture of observability: singular values over time, and the rank."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,78 +11,77 @@ from impact_observer.states import Vector
 
 _STYLES = ("-", (0, (6, 2)), (0, (4, 1, 1, 1)), (0, (1, 1)), "-", (0, (3, 3)))
 _NAMED = 6
-"""Most singular values, and most contacts, that are told apart."""
+"""Most singular values, and most contacts, with a label of their own."""
 _BELOW = 30.0
-"""How far below the tolerance the picture goes: there is nothing but rounding."""
+"""Factor by which the picture extends below the tolerance, where all is rounding."""
 _ABOVE = 2.0
-"""How far above the largest it goes."""
+"""Factor by which it extends above the largest."""
 
 
-def observability_figure(told: Observability, *, title: str) -> Figure:
+def rank_picture(found: Observability, *, title: str) -> Figure:
     """Singular values over time on a logarithmic axis with the tolerance, the rank below.
 
     Args:
-        told: what there is to draw.
+        found: the observability of a recording.
         title: of the picture.
     """
     figure = Figure(figsize=(8.0, 5.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (3, 1)})
-    t = told.seconds
-    _draw_values(upper, told, t)
-    _mark_impacts(upper, told, t)
+    t = found.seconds
+    _draw_values(upper, found, t)
+    _mark_impacts(upper, found, t)
     upper.set_ylabel("gaps moved by an initial\nerror of one deviation [m]")
     upper.set_title(title)
     upper.grid(visible=True, which="major", color="0.9")
     upper.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
-    # From nothing at the start.
-    lower.step(np.append(0.0, t), np.append(0, told.rank), where="post", color="black")
-    lower.axhline(told.size, color="0.5", linewidth=0.9, linestyle="--")
-    lower.set_ylim(0, told.size * 1.15)
+    lower.step(np.append(0.0, t), np.append(0, found.rank), where="post", color="black")
+    lower.axhline(found.size, color="0.5", linewidth=0.9, linestyle="--")
+    lower.set_ylim(0, found.size * 1.15)
     lower.yaxis.set_major_locator(MaxNLocator(4, integer=True))
-    lower.set_ylabel(f"rank of {told.size}")
+    lower.set_ylabel(f"rank of {found.size}")
     lower.set_xlabel("time since the start [s]")
     lower.grid(visible=True, which="major", color="0.9")
     upper.margins(x=0.02)
     return figure
 
 
-def _draw_values(axes: Axes, told: Observability, t: Vector) -> None:
-    """One line a singular value, from the impact on that made it count."""
-    size = told.size
-    for k, values in enumerate(told.singular.T):
+def _draw_values(axes: Axes, found: Observability, t: Vector) -> None:
+    """One line a singular value, from the impact on at which it rises above the tolerance."""
+    size = found.size
+    for k, values in enumerate(found.singular.T):
         named = size <= _NAMED or k in {0, size - 1}
         axes.semilogy(
             t,
             # Before that it is rounding, and zero has no logarithm.
-            np.where(told.rank > k, values, np.nan),
+            np.where(found.rank > k, values, np.nan),
             color=str(0.55 * k / max(size - 1, 1)),
             linewidth=1.3 if named else 0.6,
             linestyle=_STYLES[k % len(_STYLES)] if size <= _NAMED else "-",
             drawstyle="steps-post",
-            marker="." if np.count_nonzero(told.rank > k) == 1 else "",
-            label=_ordinal(k, size) if named and told.rank[-1] > k else None,
+            marker="." if np.count_nonzero(found.rank > k) == 1 else "",
+            label=_ordinal(k, size) if named and found.rank[-1] > k else None,
         )
-    least = np.where(told.rank > 0, told.tolerance * told.singular[:, 0], np.nan)
+    least = np.where(found.rank > 0, found.tolerance * found.singular[:, 0], np.nan)
     style = {"color": "0.3", "linewidth": 0.9, "linestyle": ":", "drawstyle": "steps-post"}
     axes.semilogy(t, least, label="tolerance", **style)
 
 
 def _ordinal(k: int, size: int) -> str:
-    """What a singular value is called."""
+    """Label of a singular value."""
     return "largest" if k == 0 else "smallest" if k == size - 1 else f"number {k + 1}"
 
 
-def _mark_impacts(axes: Axes, told: Observability, t: Vector) -> None:
+def _mark_impacts(axes: Axes, found: Observability, t: Vector) -> None:
     """A row of marks a contact along the upper edge, or one for many; one for releases."""
-    hit = ~told.released
-    names = sorted({name for names in told.contacts for name in names})
+    hit = ~found.released
+    names = sorted({name for names in found.contacts for name in names})
     rows = {
-        f"impacts at {name}": t[hit & [name in each for each in told.contacts]] for name in names
+        f"impacts at {name}": t[hit & [name in each for each in found.contacts]] for name in names
     }
     if len(rows) > _NAMED:
         rows = {"impacts": t[hit]}
-    if told.released.any():
-        rows["releases"] = t[told.released]
-    if (top := float(told.singular[-1, 0])) > 0:
-        axes.set_ylim(top * told.tolerance / _BELOW, top * _ABOVE)
+    if found.released.any():
+        rows["releases"] = t[found.released]
+    if (top := float(found.singular[-1, 0])) > 0:
+        axes.set_ylim(top * found.tolerance / _BELOW, top * _ABOVE)
     mark_rows(axes, rows)

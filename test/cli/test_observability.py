@@ -1,4 +1,4 @@
-"""The command that says what the impacts in a bag have told."""
+"""The command that prints which part of the state the impacts in a bag determine."""
 
 import argparse
 import json
@@ -14,19 +14,20 @@ from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagWriter
 from impact_observer.io.messages import bag_messages
+from impact_observer.observability import rank_report
 from impact_observer.observability.rank import observability
 from impact_observer.resources import shared
 
 TWO_MASS = shared("bags/two_mass")
-APART = """
-name: apart
+DECOUPLED = """
+name: decoupled
 bodies: [{name: x1, mass: 1}, {name: x2, mass: 1}]
 springs: [{between: [ground, x1], stiffness: 10}, {between: [ground, x2], stiffness: 7}]
 stops: [{name: stop, body: x1, limit: 0.3, side: above, restitution: 0.7}]
 """
 
 
-def said(capsys: pytest.CaptureFixture[str], bag: Path, *words: str) -> str:
+def printed(capsys: pytest.CaptureFixture[str], bag: Path, *words: str) -> str:
     """What the command prints, without line ends."""
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
@@ -45,25 +46,25 @@ def bag_of(path: Path, *events: ImpactEvent) -> Path:
 
 def impact(stamp: int, *contacts: str, episode: int = 0) -> ImpactEvent:
     """An impact ``stamp`` tenths of a second after the epoch, 1 s."""
-    return told(stamp, *(Switch(contact) for contact in contacts), episode=episode)
+    return event_of(stamp, *(Switch(contact) for contact in contacts), episode=episode)
 
 
-def told(stamp: int, *switches: Switch, episode: int = 0) -> ImpactEvent:
+def event_of(stamp: int, *switches: Switch, episode: int = 0) -> ImpactEvent:
     """An event then."""
     epoch = 1_000_000_000
     return ImpactEvent(epoch + stamp * 100_000_000, switches, stamp, episode, epoch)
 
 
 @pytest.fixture
-def differences(tmp_path: Path) -> str:
+def decoupled(tmp_path: Path) -> str:
     """A model with a mass that no contact sees."""
-    (tmp_path / "apart.yaml").write_text(APART)
-    return str(tmp_path / "apart.yaml")
+    (tmp_path / "decoupled.yaml").write_text(DECOUPLED)
+    return str(tmp_path / "decoupled.yaml")
 
 
-def test_two_mass_is_told_whole_by_four_impacts(capsys: pytest.CaptureFixture[str]) -> None:
-    """By the model in the bag: a row for each rise and the end, then what it comes down to."""
-    output = said(capsys, TWO_MASS)
+def test_two_mass_is_determined_by_four_impacts(capsys: pytest.CaptureFixture[str]) -> None:
+    """By the model in the bag: a row for each rise and the end, then the conclusions."""
+    output = printed(capsys, TWO_MASS)
     assert output.startswith("two_mass: 22 impacts in 28.189 s, 4 unknown numbers event s contact")
     for row in ("1 0.537 stop 1/4 0.723 0 -", "4 5.695 stop 4/4 1.34 0.0826 16.2", "22 28.189"):
         assert row in output
@@ -73,8 +74,8 @@ def test_two_mass_is_told_whole_by_four_impacts(capsys: pytest.CaptureFixture[st
     assert "moves the recorded gaps by 0.12 m in all, 12 times less than the best" in output
 
 
-def test_what_was_never_told_is_named(
-    tmp_path: Path, differences: str, capsys: pytest.CaptureFixture[str]
+def test_undetermined_combinations_are_named(
+    tmp_path: Path, decoupled: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """In plain words; contacts the model does not have and other episodes are counted."""
     bag = bag_of(
@@ -85,13 +86,11 @@ def test_what_was_never_told_is_named(
         impact(11, "stop", episode=1),
         impact(11, "stop", episode=1),
     )
-    output = said(capsys, bag, "--model", differences)
-    assert (
-        "The rank is 2 of 4: 2 combinations of the initial state have never been told." in output
-    )
+    output = printed(capsys, bag, "--model", decoupled)
+    assert "The rank is 2 of 4: 2 combinations of the initial state are not determined." in output
     # x2 oscillates with sqrt(7) rad/s for 0.7 s
     assert "gives the same impacts: 1.0 x2, at the end -0.28 x2 - 2.5 dx2/dt 1.0 dx2/dt," in output
-    assert "Told all the same: x1, dx1/dt." in output
+    assert "Determined all the same: x1, dx1/dt." in output
     assert "The bag has 2 episodes: this is the last one." in output
     assert "1 event left out: sent twice" in output
     assert "2 switches of contacts that the model does not have left out: bell; it has stop." in (
@@ -99,10 +98,10 @@ def test_what_was_never_told_is_named(
     )
 
 
-def test_json_has_all_figures(differences: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_all_figures(decoupled: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Per impact too; what has no meaning is null."""
     found = json.loads(
-        said(capsys, TWO_MASS, "--json", "--model", differences, "--deviation", "0.5")
+        printed(capsys, TWO_MASS, "--json", "--model", decoupled, "--deviation", "0.5")
     )
     assert found["rank"] == 2
     assert found["condition"] is found["impacts_to_full_rank"] is found["seconds_to_full_rank"]
@@ -113,7 +112,7 @@ def test_json_has_all_figures(differences: str, capsys: pytest.CaptureFixture[st
     assert {len(values) for values in growth.values()} == {22}
     assert np.shape(growth["singular_values"]) == (22, 4)
     assert growth["stamp_ns"][0] - found["start_stamp_ns"] == round(growth["seconds"][0] * 1e9)
-    full = json.loads(said(capsys, TWO_MASS, "--json"))
+    full = json.loads(printed(capsys, TWO_MASS, "--json"))
     assert full["impacts_to_full_rank"] == 4
     assert full["condition"] == full["growth"]["condition"][-1] == pytest.approx(12, abs=0.1)
     assert full["growth"]["condition"][:4][:3] == [None, None, None]
@@ -121,8 +120,8 @@ def test_json_has_all_figures(differences: str, capsys: pytest.CaptureFixture[st
 
 def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> None:
     """With a coarse one the least known direction counts as unknown."""
-    output = said(capsys, TWO_MASS, "--tolerance", "0.1")
-    assert "The rank is 3 of 4: 1 combination of the initial state has never been told" in output
+    output = printed(capsys, TWO_MASS, "--tolerance", "0.1")
+    assert "The rank is 3 of 4: 1 combination of the initial state is not determined" in output
 
 
 @pytest.mark.parametrize(
@@ -131,9 +130,9 @@ def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> No
 def test_picture_is_written(
     tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And its name is told."""
+    """And its name is printed."""
     picture = tmp_path / f"told.{ending}"
-    assert said(capsys, TWO_MASS, "--plot", str(picture)).endswith(f"picture: {picture}")
+    assert printed(capsys, TWO_MASS, "--plot", str(picture)).endswith(f"picture: {picture}")
     assert picture.stat().st_size > 5000
 
 
@@ -159,11 +158,11 @@ def test_combination_shows_its_largest_terms() -> None:
     """In SI units; what is small in deviations is left out, and so is all but six."""
     model = system(np.eye(4), np.eye(4), np.eye(4), contacts=[([1, 0, 0, 0], 0.0, 0.5)])
     found = observability(model, [impact(3, "c1")])
-    assert command._left(found, np.ones(8), np.full(8, 1e-12)) == "gone at the end"
+    assert rank_report._remaining(found, np.ones(8), np.full(8, 1e-12)) == "gone at the end"
     one = np.array([0.7, 0.003, 0, 0, 0, -0.5, 0, 0])
-    assert command.combination(found, one) == "0.70 x1 - 0.50 dx2/dt"
+    assert rank_report.combination(found, one) == "0.70 x1 - 0.50 dx2/dt"
     many = np.array([1, -2, 3, 4, 5, 6, 7, 8.0])
-    assert command.combination(found, many) == (
+    assert rank_report.combination(found, many) == (
         "3.0 x3 + 4.0 x4 + 5.0 dx1/dt + 6.0 dx2/dt + 7.0 dx3/dt + 8.0 dx4/dt and 2 more"
     )
 
@@ -173,9 +172,9 @@ def test_long_growth_is_shown_by_its_ends(capsys: pytest.CaptureFixture[str]) ->
     contacts = [(row, 0.0, 0.5) for row in np.eye(8)]
     model = system(np.eye(8), np.zeros((8, 8)), np.diag(np.arange(1.0, 9.0)), contacts=contacts)
     events = [impact(k, f"c{k % 8 + 1}") for k in range(1, 17)]
-    events.append(told(30, Switch("c1", Kind.CLOSE), Switch("c2")))
-    events.append(told(40, Switch("c1", Kind.OPEN)))
-    command.print_told(observability(model, events))
+    events.append(event_of(30, Switch("c1", Kind.CLOSE), Switch("c2")))
+    events.append(event_of(40, Switch("c1", Kind.OPEN)))
+    rank_report.print_report(observability(model, events))
     output = capsys.readouterr().out
     assert "17 impacts and 1 release in 4.000 s, 16 unknown numbers" in output
     assert "... " in output

@@ -1,4 +1,4 @@
-"""What impacts have told, against matrices that are stacked by hand."""
+"""What impacts determine, against matrices that are stacked by hand."""
 
 from collections.abc import Sequence
 from math import pi, sqrt
@@ -30,7 +30,7 @@ from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Forcing, System
 from impact_observer.model.force_samples import Samples
 from impact_observer.observability.rank import Observability, _Errors, observability
-from impact_observer.observability.rank_picture import observability_figure
+from impact_observer.observability.rank_picture import rank_picture
 from impact_observer.observer.episode import last_episode
 from impact_observer.stamps import NS_PER_S, seconds_between
 
@@ -76,24 +76,24 @@ def impacts_of(model: System, hits: Sequence[tuple[float, int]]) -> list[ImpactE
     ]
 
 
-def told_by(seconds: float, *switches: tuple[str, Kind], sequence: int = 0) -> ImpactEvent:
+def event_at(seconds: float, *switches: tuple[str, Kind], sequence: int = 0) -> ImpactEvent:
     """An event of switches by name and kind."""
     stamp = EPOCH + round(seconds * NS_PER_S)
     return ImpactEvent(stamp, tuple(Switch(*each) for each in switches), sequence, 0, EPOCH)
 
 
 def of_sample(name: str, seconds: float) -> Observability:
-    """What a run of a sample tells."""
+    """The observability of a run of a sample."""
     model = sample(name)
     return observability(
         model.system, run(model.system, *model.initial_state(), seconds=seconds).events
     )
 
 
-APART = system(
+DECOUPLED = system(
     np.diag([1.0, 2.0]), np.diag([0.1, 0.0]), np.diag([10.0, 7.0]), contacts=[([-1, 0], 0.5, 0.7)]
 )
-"""Two oscillators that know nothing of each other; one has a stop."""
+"""Two decoupled oscillators; one has a stop."""
 
 
 @examples(12)
@@ -106,33 +106,33 @@ def test_singular_values_are_those_of_the_matrix_stacked_by_hand(
         st.lists(st.tuples(numbers(0.0, 2.0), st.integers(0, model.m - 1)), min_size=1, max_size=8)
     )
     wanted = stacked(model, hits)
-    told = observability(model, impacts_of(model, hits))
+    result = observability(model, impacts_of(model, hits))
     size = np.linalg.norm(wanted, 2)
     for k in range(len(hits)):
         values = np.linalg.svd(wanted[: k + 1], compute_uv=False)
-        found = told.singular[k]
+        found = result.singular[k]
         np.testing.assert_allclose(found[: values.size], values, rtol=1e-8, atol=1e-10 * size)
         np.testing.assert_allclose(found[values.size :], 0.0, atol=1e-12 * size)
     few, many = (np.linalg.matrix_rank(wanted, tol=tol * size) for tol in (1e-8, 1e-10))
-    assert few <= told.rank[-1] <= many
-    assert len(told.unknown) == 2 * model.n - told.rank[-1]
+    assert few <= result.rank[-1] <= many
+    assert len(result.undetermined) == 2 * model.n - result.rank[-1]
     if few == many:
-        np.testing.assert_allclose(wanted @ told.unknown.T, 0.0, atol=1e-5 * size)
+        np.testing.assert_allclose(wanted @ result.undetermined.T, 0.0, atol=1e-5 * size)
 
 
 @examples(12)
 @given(systems(max_n=3, common_restitution=True, forced=False), st.data())
-def test_what_has_been_told_stays_told(model: System, data: st.DataObject) -> None:
-    """Whatever comes then: no singular value falls, and so no rank."""
+def test_rank_never_falls(model: System, data: st.DataObject) -> None:
+    """Whatever follows: no singular value falls, and so no rank."""
     switch = st.tuples(st.sampled_from(model.contact_names), KINDS)
     steps = data.draw(st.lists(st.tuples(numbers(0.0, 2.0), switch), min_size=1, max_size=6))
     instants = np.cumsum([wait for wait, _ in steps])
-    events = [told_by(t, one) for t, (_, one) in zip(instants, steps, strict=True)]
-    told = observability(model, [*events, told_by(20.0, ("c1", Kind.IMPACT))])
-    fallen = np.diff(told.singular, axis=0).min(initial=0.0)
-    assert fallen >= -1e-12 * told.singular.max()
-    assert np.all(np.diff(told.rank) >= 0)
-    assert np.all(np.isfinite(told.singular))
+    events = [event_at(t, one) for t, (_, one) in zip(instants, steps, strict=True)]
+    found = observability(model, [*events, event_at(20.0, ("c1", Kind.IMPACT))])
+    fallen = np.diff(found.singular, axis=0).min(initial=0.0)
+    assert fallen >= -1e-12 * found.singular.max()
+    assert np.all(np.diff(found.rank) >= 0)
+    assert np.all(np.isfinite(found.singular))
 
 
 @examples(15)
@@ -146,40 +146,40 @@ def test_events_are_read_as_an_observer_reads_them(data: st.DataObject) -> None:
     steps = data.draw(
         st.lists(st.tuples(st.integers(0, 3), st.lists(switch, max_size=3)), max_size=5)
     )
-    events = [told_by(t, *some, sequence=k) for k, (t, some) in enumerate(steps, start=1)]
-    events.append(told_by(4, ("c1", Kind.IMPACT), sequence=20))
-    said = last_episode(model, data.draw(st.permutations([*events, *events])))
+    events = [event_at(t, *some, sequence=k) for k, (t, some) in enumerate(steps, start=1)]
+    events.append(event_at(4, ("c1", Kind.IMPACT), sequence=20))
+    episode = last_episode(model, data.draw(st.permutations([*events, *events])))
     watcher = observer(model, "open-loop", np.zeros(4), epoch=EPOCH, ensemble=1)
     for each in events:
         watcher.receive(each)
-    assert said.start == watcher.start
+    assert episode.start == watcher.start
     assert watcher._timeline is not None
     entries = watcher._timeline.entries[1:]
-    assert [change.stamp for change in said.changes] == [entry.key.stamp for entry in entries]
-    assert [change.closed for change in said.changes] == [e.closed for e in entries]
-    assert said.left_out == len(entries)
+    assert [change.stamp for change in episode.changes] == [entry.key.stamp for entry in entries]
+    assert [change.closed for change in episode.changes] == [e.closed for e in entries]
+    assert episode.left_out == len(entries)
 
 
-def test_impact_that_a_close_supersedes_tells_nothing_of_its_own() -> None:
+def test_impact_that_a_close_supersedes_adds_nothing() -> None:
     """Every figure is that of the CLOSE alone, to the last bit."""
-    closing = told_by(1.0, ("c1", Kind.CLOSE), sequence=3)
+    closing = event_at(1.0, ("c1", Kind.CLOSE), sequence=3)
     rest = [event(0.4, "c1", sequence=1), event(1.7, "c1", sequence=4)]
-    plain = observability(APART, [*rest, closing])
-    told = observability(APART, [*rest, event(1.0, "c1", sequence=2), closing])
-    assert told.singular.tobytes() == plain.singular.tobytes()
-    assert (told.stamps.tolist(), told.left_out) == (plain.stamps.tolist(), 0)
+    plain = observability(DECOUPLED, [*rest, closing])
+    found = observability(DECOUPLED, [*rest, event(1.0, "c1", sequence=2), closing])
+    assert found.singular.tobytes() == plain.singular.tobytes()
+    assert (found.stamps.tolist(), found.left_out) == (plain.stamps.tolist(), 0)
 
 
 @pytest.mark.parametrize(("name", "impacts"), [("two_mass", 4), ("three_mass", 6)])
-def test_the_samples_tell_everything_as_early_as_can_be(name: str, impacts: int) -> None:
-    """Each of the first 2n impacts tells one more number."""
-    told = of_sample(name, 30.0)
-    assert told.complete == impacts - 1
-    np.testing.assert_array_equal(told.rank[:impacts], np.arange(1, impacts + 1))
-    assert told.condition[impacts - 2] == np.inf
-    assert told.condition[-1] < 50
-    assert told.told == told.states
-    assert told.unknown.shape == (0, 2 * told.system.n)
+def test_each_of_the_first_impacts_of_the_samples_raises_the_rank(name: str, impacts: int) -> None:
+    """So 2n impacts determine the state."""
+    found = of_sample(name, 30.0)
+    assert found.complete == impacts - 1
+    np.testing.assert_array_equal(found.rank[:impacts], np.arange(1, impacts + 1))
+    assert found.condition[impacts - 2] == np.inf
+    assert found.condition[-1] < 50
+    assert found.determined == found.states
+    assert found.undetermined.shape == (0, 2 * found.system.n)
 
 
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
@@ -191,10 +191,10 @@ def test_rows_solve_for_the_initial_state_of_a_plant(name: str) -> None:
     model = sample(name)
     plant, n = model.system, model.system.n
     truth = np.concatenate(model.initial_state())
-    told = last_episode(plant, run(plant, truth[:n], truth[n:], seconds=30.0).events)
+    found = last_episode(plant, run(plant, truth[:n], truth[n:], seconds=30.0).events)
     errors, phase = _Errors(plant, np.ones(2 * n)), Phases(plant).phase()
     rows, gaps, x, t = [], [], np.zeros(2 * n), 0.0
-    for change in told.changes:
+    for change in found.changes:
         x = phase.start(t, x).state(change.t - t)
         gaps.append(plant.gap(x[:n])[list(change.hit)])
         x, t = reset(plant, *change.hit) @ x, change.t
@@ -203,52 +203,52 @@ def test_rows_solve_for_the_initial_state_of_a_plant(name: str) -> None:
     np.testing.assert_allclose(found, truth, atol=1e-7)
 
 
-def test_an_oscillator_without_a_stop_stays_unknown() -> None:
-    """Its position and its velocity, each by itself; the other one is told whole."""
+def test_an_oscillator_without_a_stop_is_undetermined() -> None:
+    """Its position and its velocity, each by itself; the other one is determined."""
     hits = [(0.3 + 0.1 * k, 0) for k in range(12)]
-    told = observability(APART, impacts_of(APART, hits))
-    assert told.rank[-1] == 2
-    assert told.complete is None
-    np.testing.assert_array_equal(told.unknown, [[0, 1, 0, 0], [0, 0, 0, 1]])
-    assert told.told == ("x1", "dx1/dt")
-    assert np.all(np.isinf(told.condition))
+    found = observability(DECOUPLED, impacts_of(DECOUPLED, hits))
+    assert found.rank[-1] == 2
+    assert found.complete is None
+    np.testing.assert_array_equal(found.undetermined, [[0, 1, 0, 0], [0, 0, 0, 1]])
+    assert found.determined == ("x1", "dx1/dt")
+    assert np.all(np.isinf(found.condition))
 
 
-def test_ball_is_told_by_two_impacts() -> None:
+def test_ball_is_determined_by_two_impacts() -> None:
     """Rows (1, t1) and (1, t1 - eps (t2 - t1)): the determinant is -eps (t2 - t1)."""
-    told = of_sample("bouncing_ball", 3.0)
-    one, two = told.seconds[:2]
-    np.testing.assert_allclose(told.singular[0], [sqrt(1 + one**2), 0.0], atol=1e-15)
-    assert told.singular[1].prod() == pytest.approx(0.9 * (two - one), rel=1e-12)
-    np.testing.assert_array_equal(told.rank[:3], [1, 2, 2])
+    found = of_sample("bouncing_ball", 3.0)
+    one, two = found.seconds[:2]
+    np.testing.assert_allclose(found.singular[0], [sqrt(1 + one**2), 0.0], atol=1e-15)
+    assert found.singular[1].prod() == pytest.approx(0.9 * (two - one), rel=1e-12)
+    np.testing.assert_array_equal(found.rank[:3], [1, 2, 2])
 
 
-def test_orbit_whose_impacts_always_say_the_same() -> None:
+def test_orbit_whose_impacts_all_add_the_same_row() -> None:
     """``x'' + x = cos 2t``, x <= 0, eps 0.8: one impact a half period of the free oscillator.
 
-    The rank stays 1 for ever, and a plant that starts elsewhere along the unknown direction hits
-    at the same instants, at other speeds.
+    The rank stays 1 for ever, and a plant that starts elsewhere along the undetermined direction
+    hits at the same instants, at other speeds.
     """
     model = system(
         1, 0, 1, contacts=[([-1], 0.0, 0.8)], force=forcing(1, 0, [Harmonic(2.0, [1.0], [0.0])])
     )
     start = np.array([-1 / 3 - 3 * sqrt(2), 3 * sqrt(2)])
     truth = run(model, start[:1], start[1:], seconds=60.0)
-    told = observability(model, truth.events)
-    np.testing.assert_allclose(told.seconds, pi / 4 + pi * np.arange(19), atol=1e-9)
-    assert np.all(told.rank == 1)
-    np.testing.assert_allclose(np.abs(told.unknown), [[sqrt(0.5), sqrt(0.5)]], atol=1e-9)
-    assert told.unknown[0].prod() < 0 < told.unknown[0].max()
-    np.testing.assert_allclose(np.abs(told.left), [[0.0, 0.8**19]], atol=1e-9)
-    other = start + 0.5 * told.unknown[0]
+    found = observability(model, truth.events)
+    np.testing.assert_allclose(found.seconds, pi / 4 + pi * np.arange(19), atol=1e-9)
+    assert np.all(found.rank == 1)
+    np.testing.assert_allclose(np.abs(found.undetermined), [[sqrt(0.5), sqrt(0.5)]], atol=1e-9)
+    assert found.undetermined[0].prod() < 0 < found.undetermined[0].max()
+    np.testing.assert_allclose(np.abs(found.remaining), [[0.0, 0.8**19]], atol=1e-9)
+    other = start + 0.5 * found.undetermined[0]
     again = run(model, other[:1], other[1:], seconds=60.0)
     stamps = [[e.stamp for e in each.events] for each in (truth, again)]
     np.testing.assert_allclose(stamps[1], stamps[0], atol=3)
     assert np.abs(again.states[0] - truth.states[0]).max() > 0.3
 
 
-def test_lasting_contact_tells_gap_speed_and_at_its_end_the_load() -> None:
-    """Rank 2 by closing, 3 by opening; the unknown error is the one found by hand.
+def test_persistent_contact_adds_gap_speed_and_at_its_end_the_load() -> None:
+    """Rank 2 by closing, 3 by opening; the undetermined error is the one found by hand.
 
     By hand: while closed, the second mass is an oscillator of its own, and pulls at the first.
     """
@@ -262,27 +262,27 @@ def test_lasting_contact_tells_gap_speed_and_at_its_end_the_load() -> None:
     along = np.zeros((4, 4))
     along[np.ix_([1, 3], [1, 3])] = linalg.expm(A * 0.7)
     along = along @ after
-    told = observability(
-        model, [told_by(1.0, ("c1", Kind.CLOSE)), told_by(1.7, ("c1", Kind.OPEN))]
+    found = observability(
+        model, [event_at(1.0, ("c1", Kind.CLOSE)), event_at(1.7, ("c1", Kind.OPEN))]
     )
-    np.testing.assert_array_equal(told.rank, [2, 3])
-    np.testing.assert_array_equal(told.released, [False, True])
+    np.testing.assert_array_equal(found.rank, [2, 3])
+    np.testing.assert_array_equal(found.released, [False, True])
     unknown = linalg.null_space(np.array([gap @ first, speed @ after, pull @ along]))
-    np.testing.assert_allclose(np.abs(told.unknown @ unknown), [[1.0]], rtol=1e-12)
-    # An impact of a contact that is on its stop tells nothing: it has opened unheard.
-    missed = [told_by(1.0, ("c1", Kind.CLOSE)), told_by(1.7, ("c1", Kind.IMPACT))]
-    missed.append(told_by(2.1, ("c1", Kind.IMPACT)))
+    np.testing.assert_allclose(np.abs(found.undetermined @ unknown), [[1.0]], rtol=1e-12)
+    # An impact of a closed contact means a missed opening: it adds nothing.
+    missed = [event_at(1.0, ("c1", Kind.CLOSE)), event_at(1.7, ("c1", Kind.IMPACT))]
+    missed.append(event_at(2.1, ("c1", Kind.IMPACT)))
     found = observability(model, missed)
     np.testing.assert_array_equal(found.rank, [2, 2, 3])
     later = gap @ exponential(model, 0.4) @ reset(model, 0) @ along
     unknown = linalg.null_space(np.array([gap @ first, speed @ after, later]))
-    np.testing.assert_allclose(np.abs(found.unknown @ unknown), [[1.0]], rtol=1e-12)
+    np.testing.assert_allclose(np.abs(found.undetermined @ unknown), [[1.0]], rtol=1e-12)
 
 
 def test_load_is_weighed_as_the_gap_that_it_closes_in_the_time_scale() -> None:
     """The smallest case: two masses with a spring of stiffness k, one of them on its stop.
 
-    Known but for the free mass' position: the load is ``-k dq2``, the acceleration that it
+    All is certain but the free mass' position: the load is ``-k dq2``, the acceleration that it
     prevents ``-k dq2 / m1``.
     """
     m, k = 4.0, 3.0
@@ -292,28 +292,28 @@ def test_load_is_weighed_as_the_gap_that_it_closes_in_the_time_scale() -> None:
         k * np.array([[1.0, -1.0], [-1.0, 1.0]]),
         contacts=[([1, 0], 0.0, 0.5)],
     )
-    events = [told_by(0.0, ("c1", Kind.CLOSE)), told_by(0.2, ("c1", Kind.OPEN))]
-    told = observability(model, events, deviation=np.array([0.0, 1.0, 0.0, 0.0]))
+    events = [event_at(0.0, ("c1", Kind.CLOSE)), event_at(0.2, ("c1", Kind.OPEN))]
+    found = observability(model, events, deviation=np.array([0.0, 1.0, 0.0, 0.0]))
     fastest = sqrt(k / m + k)
     wanted = k / m / fastest**2 * np.cos(sqrt(k) * 0.2)
-    np.testing.assert_allclose(told.singular[:, 0], [0.0, wanted], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(found.singular[:, 0], [0.0, wanted], rtol=1e-12, atol=1e-15)
 
 
-def test_contacts_that_open_together_or_by_a_jump_of_the_force_tell_nothing() -> None:
-    """Their loads need not have come down to zero, or share it in no way that is known."""
+def test_contacts_that_open_together_or_by_a_jump_of_the_force_add_nothing() -> None:
+    """Their loads need not have come down to zero, or share it in an unknown way."""
     corner = system(
         np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=[([1, 0], 0.0, 0.5), ([1, 1], 0.0, 0.5)]
     )
     both = observability(
         corner,
         [
-            told_by(1.0, ("c1", Kind.CLOSE), ("c2", Kind.CLOSE)),
-            told_by(2.0, ("c1", Kind.OPEN), ("c2", Kind.OPEN)),
+            event_at(1.0, ("c1", Kind.CLOSE), ("c2", Kind.CLOSE)),
+            event_at(2.0, ("c1", Kind.OPEN), ("c2", Kind.OPEN)),
         ],
     )
     assert both.stamps.size == 1
-    closed_then_open = [told_by(1.0, ("c1", Kind.CLOSE)), told_by(2.0, ("c1", Kind.OPEN))]
-    told = {}
+    closed_then_open = [event_at(1.0, ("c1", Kind.CLOSE)), event_at(2.0, ("c1", Kind.OPEN))]
+    found = {}
     for hold in ("previous", "linear"):
         samples = Samples(np.array([0.0, 9.0]), np.zeros((2, 2)), hold)
         force = Forcing(np.zeros(2), np.empty(0), np.empty((0, 2)), np.empty((0, 2)), samples)
@@ -324,21 +324,21 @@ def test_contacts_that_open_together_or_by_a_jump_of_the_force_tell_nothing() ->
             contacts=[([1, 0], 0.0, 0.5)],
             force=force,
         )
-        told[hold] = observability(masses, closed_then_open).rank.tolist()
-    assert told == {"previous": [2], "linear": [2, 3]}
+        found[hold] = observability(masses, closed_then_open).rank.tolist()
+    assert found == {"previous": [2], "linear": [2, 3]}
 
 
 @pytest.mark.parametrize(("eps", "rank"), [(0.5, 2), (0.0, 1)])
-def test_closing_without_restitution_tells_no_speed(eps: float, rank: int) -> None:
+def test_closing_without_restitution_adds_no_speed(eps: float, rank: int) -> None:
     """It is zero afterwards, whatever it was; so no error of it is left."""
     model = pulled_mass(eps).system
-    told = observability(model, [told_by(1.0, ("c1", Kind.CLOSE))])
-    assert told.rank[-1] == rank
-    np.testing.assert_allclose(model.W[:, 0] @ told.left[:, :2].T, 0.0, atol=1e-15)
-    np.testing.assert_allclose(model.W[:, 0] @ told.left[:, 2:].T, 0.0, atol=1e-15)
+    found = observability(model, [event_at(1.0, ("c1", Kind.CLOSE))])
+    assert found.rank[-1] == rank
+    np.testing.assert_allclose(model.W[:, 0] @ found.remaining[:, :2].T, 0.0, atol=1e-15)
+    np.testing.assert_allclose(model.W[:, 0] @ found.remaining[:, 2:].T, 0.0, atol=1e-15)
 
 
-def test_second_contact_goes_on_telling_while_the_first_is_closed() -> None:
+def test_second_contact_adds_rows_while_the_first_is_closed() -> None:
     """Both of a corner's directions: closed in x, impacts in y."""
     model = system(
         np.eye(2),
@@ -346,19 +346,19 @@ def test_second_contact_goes_on_telling_while_the_first_is_closed() -> None:
         np.diag([1.0, 2.0]),
         contacts=[([1, 0], 0.0, 0.5), ([0, 1], 0.0, 0.5)],
     )
-    told = observability(
+    found = observability(
         model,
         [
-            told_by(0.5, ("c1", Kind.CLOSE)),
-            told_by(1.0, ("c2", Kind.IMPACT)),
-            told_by(1.6, ("c2", Kind.IMPACT)),
+            event_at(0.5, ("c1", Kind.CLOSE)),
+            event_at(1.0, ("c2", Kind.IMPACT)),
+            event_at(1.6, ("c2", Kind.IMPACT)),
         ],
     )
-    np.testing.assert_array_equal(told.rank, [2, 3, 4])
-    assert told.contacts == (("c1",), ("c2",), ("c2",))
+    np.testing.assert_array_equal(found.rank, [2, 3, 4])
+    assert found.contacts == (("c1",), ("c2",), ("c2",))
 
 
-def test_two_stops_at_one_instant_tell_two_numbers() -> None:
+def test_two_stops_at_one_instant_add_two_rows() -> None:
     """And the jump is that of both."""
     both = system(
         np.eye(2),
@@ -375,20 +375,20 @@ def test_two_stops_at_one_instant_tell_two_numbers() -> None:
 
 
 def test_deviations_are_the_units_of_the_initial_state() -> None:
-    """Columns of the matrix are scaled by them; what is known is no unknown."""
+    """Columns of the matrix are scaled by them; certain states are no unknowns."""
     hits = [(0.4, 0), (0.5, 0), (0.9, 0)]
     deviation = np.array([0.1, 3.0, 2.0, 0.0])
-    told = observability(APART, impacts_of(APART, hits), deviation=deviation)
-    wanted = np.linalg.svd(stacked(APART, hits) * deviation, compute_uv=False)
-    assert told.size == 3
-    np.testing.assert_allclose(told.singular[-1], wanted[:3], rtol=1e-10, atol=1e-12)
-    np.testing.assert_array_equal(told.unknown, [[0, 3.0, 0, 0]])
-    assert told.told == ("x1", "dx1/dt")
+    found = observability(DECOUPLED, impacts_of(DECOUPLED, hits), deviation=deviation)
+    wanted = np.linalg.svd(stacked(DECOUPLED, hits) * deviation, compute_uv=False)
+    assert found.size == 3
+    np.testing.assert_allclose(found.singular[-1], wanted[:3], rtol=1e-10, atol=1e-12)
+    np.testing.assert_array_equal(found.undetermined, [[0, 3.0, 0, 0]])
+    assert found.determined == ("x1", "dx1/dt")
 
 
 def test_only_the_last_episode_of_the_last_epoch_counts() -> None:
     """As with an observer, which begins again."""
-    model = APART
+    model = DECOUPLED
     later = EPOCH + 100 * NS_PER_S
     events = [
         event(0.5, "c1", sequence=1),
@@ -396,38 +396,38 @@ def test_only_the_last_episode_of_the_last_epoch_counts() -> None:
         event(100.3, "c1", sequence=1, episode=0, epoch=later),
         event(100.5, "c1", sequence=2, episode=0, epoch=later),
     ]
-    told = observability(model, events)
-    assert told.episodes == 3
-    assert told.start == later
-    np.testing.assert_allclose(told.seconds, [0.3, 0.5])
+    found = observability(model, events)
+    assert found.episodes == 3
+    assert found.start == later
+    np.testing.assert_allclose(found.seconds, [0.3, 0.5])
 
 
 def test_recording_that_misses_its_beginning_starts_at_its_first_stamp() -> None:
-    """So does one that does not know the epoch; events before the epoch are left out."""
-    late = observability(APART, [event(3.0, "c1", sequence=7), event(3.5, "c1", sequence=8)])
-    unknown = observability(APART, [event(3.0, "c1", epoch=0), event(3.5, "c1", epoch=0)])
-    for told in (late, unknown):
-        assert seconds_between(EPOCH, told.start) == 3.0
-        np.testing.assert_array_equal(told.seconds, [0.0, 0.5])
-        np.testing.assert_allclose(told.singular[0], [1.0, 0.0, 0.0, 0.0], atol=1e-15)
-    early = observability(APART, [event(-1.0, "c1"), event(1.0, "c1")])
+    """So does one without an epoch; events before the epoch are left out."""
+    late = observability(DECOUPLED, [event(3.0, "c1", sequence=7), event(3.5, "c1", sequence=8)])
+    unknown = observability(DECOUPLED, [event(3.0, "c1", epoch=0), event(3.5, "c1", epoch=0)])
+    for found in (late, unknown):
+        assert seconds_between(EPOCH, found.start) == 3.0
+        np.testing.assert_array_equal(found.seconds, [0.0, 0.5])
+        np.testing.assert_allclose(found.singular[0], [1.0, 0.0, 0.0, 0.0], atol=1e-15)
+    early = observability(DECOUPLED, [event(-1.0, "c1"), event(1.0, "c1")])
     assert early.left_out == 1
     np.testing.assert_array_equal(early.seconds, [1.0])
 
 
-def test_other_contacts_are_counted_and_without_own_ones_there_is_nothing_to_tell() -> None:
+def test_other_contacts_are_counted_and_own_ones_are_needed() -> None:
     """The error names both."""
-    told = observability(APART, [event(1.0, "c1", "bell"), event(2.0, "bell")])
-    assert told.foreign == {"bell": 2}
-    assert told.stamps.size == 1
+    found = observability(DECOUPLED, [event(1.0, "c1", "bell"), event(2.0, "bell")])
+    assert found.foreign == {"bell": 2}
+    assert found.stamps.size == 1
     with pytest.raises(
         BagError, match=r"contains no impact of the model's contacts \(c1\).*: bell"
     ):
-        observability(APART, [event(2.0, "bell")])
+        observability(DECOUPLED, [event(2.0, "bell")])
     with pytest.raises(BagError, match="none"):
-        observability(APART, [])
+        observability(DECOUPLED, [])
     with pytest.raises(BagError, match="c1"):
-        observability(APART, [told_by(1.0, ("c1", Kind.OPEN))])
+        observability(DECOUPLED, [event_at(1.0, ("c1", Kind.OPEN))])
 
 
 @pytest.mark.parametrize(
@@ -443,14 +443,14 @@ def test_other_contacts_are_counted_and_without_own_ones_there_is_nothing_to_tel
 def test_options_that_cannot_be_used_are_refused(options: dict[str, float], words: str) -> None:
     """By name, with what was found."""
     with pytest.raises(UsageError, match=words):
-        observability(APART, [event(1.0, "c1")], **options)
+        observability(DECOUPLED, [event(1.0, "c1")], **options)
 
 
-def test_picture_shows_what_counts() -> None:
+def test_picture_shows_values_above_the_tolerance() -> None:
     """Lines begin where the rank has risen; there is one for the tolerance, and marks."""
     hits = [(0.4, 0), (0.5, 0), (0.9, 0)]
-    told = observability(APART, impacts_of(APART, hits))
-    upper, lower = observability_figure(told, title="title").axes
+    found = observability(DECOUPLED, impacts_of(DECOUPLED, hits))
+    upper, lower = rank_picture(found, title="title").axes
     labels = [text.get_text() for text in upper.get_legend().get_texts()]  # type: ignore[union-attr]
     assert labels == ["largest", "number 2", "tolerance", "impacts at c1"]
     _, second, third, *_ = (np.asarray(line.get_ydata(), dtype=float) for line in upper.lines)
@@ -461,12 +461,12 @@ def test_picture_shows_what_counts() -> None:
     assert lower.get_xlabel() == "time since the start [s]"
 
 
-def test_state_that_moves_no_gap_at_all_is_told_nothing() -> None:
+def test_states_that_move_no_gap_have_rank_zero() -> None:
     """Rank 0 and finite figures, in the picture too."""
-    told = observability(APART, [event(1.0, "c1")], deviation=np.array([0.0, 1.0, 0.0, 1.0]))
-    assert told.rank[-1] == 0
-    np.testing.assert_allclose(told.singular, 0.0, atol=1e-300)
-    np.testing.assert_array_equal(told.unknown, [[0, 1, 0, 0], [0, 0, 0, 1]])
-    assert told.told == ()
-    low, high = observability_figure(told, title="title").axes[0].get_ylim()
+    found = observability(DECOUPLED, [event(1.0, "c1")], deviation=np.array([0.0, 1.0, 0.0, 1.0]))
+    assert found.rank[-1] == 0
+    np.testing.assert_allclose(found.singular, 0.0, atol=1e-300)
+    np.testing.assert_array_equal(found.undetermined, [[0, 1, 0, 0], [0, 0, 0, 1]])
+    assert found.determined == ()
+    low, high = rank_picture(found, title="title").axes[0].get_ylim()
     assert 0 < low < high < np.inf
