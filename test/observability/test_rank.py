@@ -191,10 +191,10 @@ def test_rows_solve_for_the_initial_state_of_a_plant(name: str) -> None:
     model = sample(name)
     plant, n = model.system, model.system.n
     truth = np.concatenate(model.initial_state())
-    found = last_episode(plant, run(plant, truth[:n], truth[n:], seconds=30.0).events)
+    episode = last_episode(plant, run(plant, truth[:n], truth[n:], seconds=30.0).events)
     errors, phase = _Errors(plant, np.ones(2 * n)), Phases(plant).phase()
     rows, gaps, x, t = [], [], np.zeros(2 * n), 0.0
-    for change in found.changes:
+    for change in episode.changes:
         x = phase.start(t, x).state(change.t - t)
         gaps.append(plant.gap(x[:n])[list(change.hit)])
         x, t = reset(plant, *change.hit) @ x, change.t
