@@ -1,17 +1,20 @@
 """Nodes for tests: as processes that never outlive the test, or in this process."""
 
 import contextlib
+import gc
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 
+import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-ENTRY = "impact_observer.ros.entry"
+from impact_observer.ros import entry
+
 PATIENCE = 90.0
 """How long a process may take to do what a test waits for, s."""
 SHORT_WAIT = 0.005
@@ -56,22 +59,17 @@ def running_node(
     name: str, arguments: list[str], environment: Mapping[str, str]
 ) -> contextlib.AbstractContextManager["subprocess.Popen[str]"]:
     """The node called ``name`` in ``ros/entry.py`` as a process, killed at the end."""
-    return running(ENTRY, [name, *arguments], environment)
+    return running(entry.__name__, [name, *arguments], environment)
 
 
-def refusal(name: str, arguments: list[str], environment: Mapping[str, str]) -> str:
-    """The line that a node prints which refuses its arguments with exit code 2."""
-    done = subprocess.run(
-        [sys.executable, "-m", ENTRY, name, *arguments],
-        env=dict(environment),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
-    assert done.returncode == 2
-    lines = done.stderr.strip().splitlines()
-    assert len(lines) == 1, done.stderr
+def refusal(name: str, arguments: list[str], capfd: pytest.CaptureFixture[str]) -> str:
+    """The line that a node prints, run in this process, when it refuses its arguments."""
+    capfd.readouterr()
+    code = entry.main([name, *arguments])
+    gc.collect()  # the error holds a node that was partly made
+    assert code == 2
+    lines = capfd.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
     return lines[0]
 
 

@@ -342,11 +342,15 @@ def test_a_fast_sensor_does_not_outrun_the_node(rig: Rig) -> None:
     ],
 )
 def test_a_wrong_parameter_is_one_line_and_exit_code_2(
-    ros_environment: dict[str, str], given: dict[str, object], expected: str
+    ros_environment: dict[str, str],
+    capfd: pytest.CaptureFixture[str],
+    given: dict[str, object],
+    expected: str,
 ) -> None:
     """It names the parameter, what was found and what is expected."""
+    assert ros_environment
     arguments = ros_arguments(given)
-    assert expected in refusal("detector", arguments, ros_environment)
+    assert expected in refusal("detector", arguments, capfd)
 
 
 def test_a_topic_that_is_not_what_was_declared_ends_the_node(

@@ -11,7 +11,7 @@ pytest.importorskip("impact_observer_msgs")
 
 from benchmarks.memory import rig
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 SOME = 250
 """Events, of which the node's history holds as many."""

@@ -1,5 +1,6 @@
 """The nodes as processes: parameters, signals, exit codes, and the estimate on the topic."""
 
+import re
 import signal
 from pathlib import Path
 
@@ -137,8 +138,15 @@ def test_a_reset_of_the_plant_is_a_new_episode(ros_environment: dict[str, str]) 
         assert future.result().message.startswith("episode 1, epoch ")
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("name", ["plant", "observer", "monitor"])
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [
+        ("plant", signal.SIGINT),
+        ("observer", signal.SIGINT),
+        ("observer", signal.SIGTERM),
+        ("monitor", signal.SIGINT),
+    ],
+)
 def test_a_signal_ends_a_node_with_exit_code_0(
     ros_environment: dict[str, str], name: str, how: signal.Signals
 ) -> None:
@@ -194,23 +202,36 @@ def test_a_signal_ends_a_node_that_compiles(
     ],
 )
 def test_a_wrong_parameter_is_one_line_and_exit_code_2(
-    ros_environment: dict[str, str], module: str, parameters: dict[str, object], expected: str
+    ros_environment: dict[str, str],
+    capfd: pytest.CaptureFixture[str],
+    module: str,
+    parameters: dict[str, object],
+    expected: str,
 ) -> None:
     """It names the parameter, what was found and what is expected."""
+    assert ros_environment
     arguments = ros_arguments(parameters)
-    line = refusal(module, arguments, ros_environment)
+    line = refusal(module, arguments, capfd)
     assert line.startswith(f"{module}: ")
     assert expected in line
 
 
-def test_a_misspelt_parameter_is_warned_of(ros_environment: dict[str, str]) -> None:
-    """ROS itself would pass over it in silence."""
-    arguments = ros_arguments({"model": "two_mass", "lwa": "kinematic"})
+def test_misspelt_parameters_are_warned_of(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """ROS itself ignores them, on the command line and in files, also beside an empty list."""
+    file = tmp_path / "parameters.yaml"
+    text = "/**: {ros__parameters: {estimate_parameters: [], sensor: {jitter: 1.0}}}\n"
+    file.write_text(f"{text}plant: {{ros__parameters: {{step: 1.0}}}}\n", encoding="utf-8")
+    arguments = ros_arguments({"model": "two_mass", "lwa": "kinematic", "observer:rat": 1.0})
+    arguments += ["-p", "monitor:laws:=x", "--params-file", str(file)]
     with (
         running_node("observer", arguments, ros_environment) as process,
         spinning() as spinner,
     ):
         spinner.until(lambda: "observer" in spinner.probe.get_node_names())
         spinner.settle()
-        _, errors = interrupt(process)
-    assert "parameter lwa is not known" in errors
+        code, errors = interrupt(process)
+    assert code == 0
+    unknown = re.findall(r"parameter (\S+) is not known", errors)
+    assert unknown == ["lwa", "rat", "sensor.jitter"]

@@ -227,10 +227,13 @@ def test_viewer_runs_as_a_process_and_ends_in_good_order(
     assert code == 0, errors
 
 
-def test_wrong_parameters_are_one_line(ros_environment: dict[str, str]) -> None:
+def test_wrong_parameters_are_one_line(
+    ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
+) -> None:
     """With the name of the parameter."""
+    assert ros_environment
     arguments = ros_arguments({"model": "two_mass", "observers": "'a,,b'"})
-    line = refusal("viewer", arguments, ros_environment)
+    line = refusal("viewer", arguments, capfd)
     assert "parameter observers: 'a,,b' has an empty name" in line
     for names, said in (("a-b", "no name of a node"), ("plant", "leave it out")):
         wrong = ros_arguments({"model": "two_mass", "observers": names})
