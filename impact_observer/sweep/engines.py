@@ -3,6 +3,7 @@
 import logging
 import os
 from collections.abc import Generator, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
 from itertools import islice
@@ -56,7 +57,6 @@ def _on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome
     """Run cases in processes of this machine."""
     try:
         import joblib
-        from joblib.externals.loky.process_executor import BrokenProcessPool
     except ImportError as error:
         raise UsageError(f"sweep needs joblib ({error}); {_INSTALL}") from None
     from impact_observer.sweep.case_runs import run_case
@@ -69,7 +69,7 @@ def _on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome
         try:
             with closing(parallel(joblib.delayed(run_case)(case) for case in cases)) as outcomes:
                 yield from outcomes
-        except BrokenProcessPool as error:
+        except BrokenExecutor as error:
             line = str(error).splitlines()[0]
             raise SweepError(f"a process of the sweep has died: {line}") from None
 
