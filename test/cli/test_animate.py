@@ -94,9 +94,9 @@ def test_mp4_is_a_film(sample_bag: Path, tmp_path: Path) -> None:
         check=True,
         timeout=60,
     )
-    said = done.stderr.decode()
-    assert "h264" in said
-    found = re.search(r"(\d{3,4})x(\d{3,4})", said)
+    log = done.stderr.decode()
+    assert "h264" in log
+    found = re.search(r"(\d{3,4})x(\d{3,4})", log)
     assert found
     pixels = int(found[1]) * int(found[2])
     assert len(done.stdout) == 9 * pixels
@@ -137,7 +137,7 @@ def test_encoder_that_fails_is_one_line(
 
 
 @pytest.mark.slow
-def test_longer_bags_are_cut_and_that_is_said(
+def test_longer_bags_are_cut_with_a_hint(
     sample_bag: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -173,11 +173,11 @@ def test_what_cannot_be_filmed_is_one_line(
     case: tuple[list[str], str],
 ) -> None:
     """And leaves no file."""
-    (*rest, name), said = case
+    (*rest, name), problem = case
     arguments = [*rest, str(tmp_path / name)]
     code, line = refusal([str(sample_bag), "--duration", "0.45", *arguments], capsys)
-    assert code == (1 if "no states" in said else 2)
-    assert said in line
+    assert code == (1 if "no states" in problem else 2)
+    assert problem in line
     assert [path for path in tmp_path.iterdir() if path != sample_bag] == []
 
 

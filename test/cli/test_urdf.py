@@ -35,7 +35,7 @@ def test_file_is_written_and_what_is_left_out_is_said(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "problem"),
     [
         (["two_mass", "--frame", "x1"], "frame 'x1': a coordinate has this name"),
         (["two_mass", "-o", "no/such/folder/x.urdf"], "cannot be written"),
@@ -45,9 +45,9 @@ def test_file_is_written_and_what_is_left_out_is_said(
     ],
 )
 def test_what_cannot_be_described_is_one_line(
-    arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], problem: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Exit code 2."""
     assert main(["urdf", *arguments]) == 2
     (line,) = capsys.readouterr().err.strip().splitlines()
-    assert said in line
+    assert problem in line

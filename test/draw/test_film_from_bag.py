@@ -96,8 +96,8 @@ def test_bag_without_states_is_one_line(tmp_path: Path) -> None:
         event = ImpactEvent(stamp, (Switch("stop"),), 1, 0, EPOCH)
         writer.write("/impacts", stamp, make.event(event))
 
-    said = "nothing that moves; expected true states on /plant"
-    with BagReader(bag_of(tmp_path, write)) as reader, pytest.raises(BagError, match=said):
+    problem = "nothing that moves; expected true states on /plant"
+    with BagReader(bag_of(tmp_path, write)) as reader, pytest.raises(BagError, match=problem):
         film_of(reader)
 
 

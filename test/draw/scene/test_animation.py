@@ -230,7 +230,7 @@ def odd() -> System:
 
 @pytest.mark.parametrize("model", [odd(), chain(20), chain(200)], ids=["odd", "20", "200"])
 def test_other_models_fit_into_the_picture(model: System) -> None:
-    """Names stay within their bodies, and what is left out is said."""
+    """Names stay within their bodies, and what is left out is written."""
     shown = still(model, 0.1 * np.cos(np.arange(model.n)))
     moving = FilmPictures(shown, title=model.name)
     picture = moving.picture(EPOCH)
