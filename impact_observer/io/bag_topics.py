@@ -1,4 +1,4 @@
-"""The topics of a bag, and the storage it has."""
+"""The topics and the storage files of a bag."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from pathlib import Path
 from shlex import quote
 
 from rosbags.interfaces import Connection, ConnectionExtRosbag2
+from ruamel.yaml import YAML
 
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io import interfaces
@@ -54,6 +55,17 @@ def storage_of(path: Path) -> str:
     if path.suffix not in _STORAGES:
         raise BagError(f"{path}: not a bag; expected {_FORMS}")
     return _STORAGES[path.suffix]
+
+
+def mcap_files(path: Path) -> list[Path]:
+    """The files of an MCAP bag, in their order."""
+    if path.is_file():
+        return [path]
+    if len(found := [*path.glob("*.mcap")]) == 1:
+        return found
+    about = YAML(typ="safe").load(path / "metadata.yaml")
+    names = about["rosbag2_bagfile_information"]["relative_file_paths"]
+    return [path / Path(name).name for name in names]
 
 
 def topic_info(topic: str, connections: Sequence[Connection]) -> TopicInfo:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, TypeVar, cast, final
@@ -19,16 +20,21 @@ from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
 from rosbags.typesys import TypesysError
 from rosbags.typesys.store import Typestore
-from ruamel.yaml import YAML
 
 from impact_observer.errors import BagError, ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Verdict
 from impact_observer.io import interfaces
-from impact_observer.io.bag_topics import TopicInfo, recover_command, storage_of, topic_info
+from impact_observer.io.bag_topics import (
+    TopicInfo,
+    mcap_files,
+    recover_command,
+    storage_of,
+    topic_info,
+)
 from impact_observer.io.chunks import Message, index_of, messages
 from impact_observer.io.columns import Columns, JointStates, ObserverStates, joined
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.message_types import StringMessage, VerdictMessage
+from impact_observer.io.message_types import VerdictMessage
 from impact_observer.io.messages import MessageError, read_event, read_verdict
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
 
@@ -274,7 +280,9 @@ class BagReader:
         """
         if (topic := self.find(interfaces.PLANT_MODEL)) is None:
             return None
-        return next(iter(deque(self._values(topic, interfaces.STRING, _text), maxlen=1)), None)
+        return next(
+            iter(deque(self._values(topic, interfaces.STRING, attrgetter("data")), maxlen=1)), None
+        )
 
     def _topic(self, topic: str) -> TopicInfo:
         """A topic, checked to be in the bag."""
@@ -375,22 +383,12 @@ class BagReader:
 
     @cached_property
     def _indexes(self) -> list[tuple[Path, Summary]]:
-        """The bag's files and their indexes; empty unless all have one."""
-        files = self._files()
-        found = [(file, index) for file in files if (index := index_of(file)) is not None]
-        return found if len(found) == len(files) else []
-
-    def _files(self) -> list[Path]:
-        """The MCAP files in their order; empty for another storage or compressed files."""
+        """The bag's MCAP files and their indexes; empty unless all have one."""
         if self.storage != "mcap" or self._reader.compression_mode:
             return []
-        if self.path.is_file():
-            return [self.path]
-        if len(found := [*self.path.glob("*.mcap")]) == 1:
-            return found
-        about = YAML(typ="safe").load(self.path / "metadata.yaml")
-        names = about["rosbag2_bagfile_information"]["relative_file_paths"]
-        return [self.path / Path(name).name for name in names]
+        files = mcap_files(self.path)
+        found = [(file, index) for file in files if (index := index_of(file)) is not None]
+        return found if len(found) == len(files) else []
 
     @contextmanager
     def _translated(self) -> Iterator[None]:
@@ -406,11 +404,6 @@ class BagReader:
                 command = recover_command(self.path)
                 remedy = f"`{command}` writes what is left to a new file"
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
-
-
-def _text(message: StringMessage) -> str:
-    """The text in a message."""
-    return message.data
 
 
 def _verdict(message: VerdictMessage) -> Verdict:

@@ -133,7 +133,7 @@ def test_every_kind_of_sensor_gives_the_impacts_of_the_plant(
 
 
 @pytest.mark.slow
-def test_what_is_found_can_be_observed_without_naming_a_model(
+def test_a_detected_bag_can_be_observed_without_naming_a_model(
     rig_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Truth and sensors are copied, the model is added; the estimate converges."""
@@ -155,7 +155,7 @@ def test_what_is_found_can_be_observed_without_naming_a_model(
     assert differences[-1] < 0.2 * differences[0]
 
 
-def test_a_file_declares_several_sensors_and_what_lacks_is_one_line(
+def test_a_file_declares_several_sensors_and_missing_ones_are_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A contact that is closed at the end, one without messages, one without a topic."""
@@ -229,7 +229,7 @@ def test_impacts_of_the_bag_make_way_for_those_that_are_found(
         ),
     ],
 )
-def test_what_cannot_be_detected_is_one_line_and_leaves_no_bag(
+def test_a_failed_detection_is_one_line_and_leaves_no_bag(
     rig_bag: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

@@ -49,7 +49,7 @@ def refused(
     return error[len(start) :].strip()
 
 
-def test_observe_runs_on_what_was_imported(
+def test_observe_runs_on_an_imported_bag(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """With the model in the bag; without truth ``observe`` asks for a rate."""
@@ -112,7 +112,7 @@ def test_rows_of_equal_time_are_one_event(tmp_path: Path) -> None:
     assert second.stamp - first.stamp == 1
 
 
-def test_time_zero_is_where_it_is_said_to_be(tmp_path: Path) -> None:
+def test_time_zero_has_the_chosen_stamp(tmp_path: Path) -> None:
     """Times since 1970 are stamps; others begin at 1 s; the epoch may be another instant."""
     cases: list[tuple[str, tuple[str, ...], int, int]] = [
         ("0,stop", (), EPOCH, EPOCH),

@@ -37,7 +37,7 @@ def rigs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("namespace", ["three_mass", "/three_mass", "/three_mass/"])
-def test_a_namespace_says_which_rig_is_meant(
+def test_a_namespace_selects_a_rig(
     rigs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], namespace: str
 ) -> None:
     """The figures are those of a bag of that rig alone; a new observer can be run on it."""
@@ -68,7 +68,7 @@ def test_identify_takes_model_and_impacts_of_the_rig_that_is_meant(
     assert "name the one meant with --namespace" in capsys.readouterr().err
 
 
-def test_without_one_the_line_says_how_to_name_it(
+def test_without_a_namespace_the_error_names_the_option(
     rigs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """And a namespace that the bag does not have is an error."""

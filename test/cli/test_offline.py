@@ -80,7 +80,7 @@ def test_observe_writes_the_parameters_that_it_learns(
 
 
 @pytest.mark.slow
-def test_laws_that_learn_nothing_are_compared_with_one_that_does(
+def test_laws_without_parameters_are_compared_with_one_that_estimates_them(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Parameters can be estimated by minimum-variance only."""
@@ -104,7 +104,7 @@ def test_truth_in_a_bag_starts_at_the_epoch_and_follows_the_events(run_bag: Path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", BUILT_IN)
-def test_observe_writes_what_the_observer_says(run_bag: Path, law: str) -> None:
+def test_observe_writes_the_estimates_of_the_observer(run_bag: Path, law: str) -> None:
     """Offline estimates are those of the same object fed by hand, bit for bit."""
     output = observed(run_bag, f"out_{law}", "--law", law, "--initial", "random:3")
     system = read_model("two_mass").system
@@ -225,7 +225,7 @@ def test_an_epoch_that_contradicts_the_events_is_refused(
     assert not output.exists()
 
 
-def test_compare_without_estimates_says_what_to_do(
+def test_compare_without_estimates_names_the_remedy(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A recording without estimates: exit code 1, one line."""

@@ -40,7 +40,7 @@ def options(troubles: dict[str, Any]) -> list[str]:
     return given
 
 
-def test_bag_holds_what_the_sensor_tells_when_it_arrives(
+def test_events_of_the_bag_are_those_of_the_sensor_at_their_reception(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Events are those of ``simulate_sensor`` for the seed; log times are those of reception."""
@@ -80,7 +80,7 @@ def test_ideal_sensor_is_not_spoken_of(tmp_path: Path) -> None:
     assert stamps
 
 
-def test_help_lists_every_trouble_in_a_group(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_fault_in_a_group(capsys: pytest.CaptureFixture[str]) -> None:
     """Under "sensor", with the meaning of each."""
     with pytest.raises(SystemExit):
         main(["simulate", "--help"])

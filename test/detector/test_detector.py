@@ -50,7 +50,7 @@ def test_events_of_all_sensors_are_numbered_in_one_row() -> None:
     assert [d.decided for d in detected] == sorted(d.decided for d in detected)
 
 
-def test_a_restart_is_a_new_episode_that_remembers_nothing() -> None:
+def test_a_restart_is_a_new_episode_without_state() -> None:
     """The contact that was closed is open; the numbers begin again."""
     detector = two_switches()
     detector.feed(0, Scalar(1.0), START)
@@ -70,7 +70,7 @@ def test_the_latency_is_subtracted_from_stamps_and_not_from_durations() -> None:
     assert events(early) == moved
 
 
-def test_stamps_are_those_of_headers_unless_told_otherwise() -> None:
+def test_stamps_are_those_of_headers_by_default() -> None:
     """A header with stamp 0 is not used."""
     for given, sent, wanted in (
         (None, START, START),
@@ -100,7 +100,7 @@ def test_late_messages_of_a_switch_are_judged_by_their_own_stamps() -> None:
     assert kinds(60, 1) == [Kind.IMPACT, Kind.CLOSE, Kind.OPEN]
 
 
-def test_what_cannot_be_used_is_counted_and_said() -> None:
+def test_invalid_messages_are_counted_and_reported() -> None:
     """Numbers that are not finite, stamps that go back, and events with a stamp before 0."""
     detector = Detector([peak(10.0, latency=5.0)])
     values = [(2, 0.0), (3, float("nan")), (4, 50.0), (5, 0.0), (1, 0.0)]
@@ -138,7 +138,7 @@ def test_the_memory_of_a_detector_does_not_grow() -> None:
     assert sizes[1] <= sizes[0] + 16
 
 
-def test_a_sensor_without_impacts_says_how_far_it_was_from_one() -> None:
+def test_a_sensor_without_impacts_reports_its_largest_signal() -> None:
     """So that a threshold can be chosen."""
     detector = Detector([peak(10.0)])
     assert detector.problem(0) == "stop: no message on /force"

@@ -96,7 +96,7 @@ def test_a_structure_that_rings_after_a_hit_is_one_impact() -> None:
     assert detected[0][0] == pytest.approx(START + first * 1e9, abs=0.02 * S / rate)
 
 
-def test_a_sensor_at_its_limit_gives_the_middle_of_what_is_cut_off() -> None:
+def test_a_saturated_peak_has_the_stamp_of_its_middle() -> None:
     """A plateau of equal samples, to half a sample."""
     stamps = every(MS, 200)
     signal = half_sines(stamps, np.array([0.1003]), 0.03).clip(0, 60)
@@ -115,7 +115,7 @@ def test_a_signal_that_trembles_about_the_threshold_is_one_peak() -> None:
     assert [round((stamp - START) / MS) for stamp, _ in detected] == [4, 10]
 
 
-def test_a_signal_that_stays_high_is_one_peak_told_after_the_dead_time() -> None:
+def test_a_signal_that_stays_high_is_one_peak_after_the_dead_time() -> None:
     """By the next sample, or by time without samples; it must fall before there is another."""
     stamps = every(MS, 100)
     signal = np.where(np.arange(100) < 10, 0.0, 20.0)
@@ -148,7 +148,7 @@ def test_peaks_have_a_direction(direction: str, times: list[int]) -> None:
     assert [(stamp - START) // MS for stamp, _ in detected] == times
 
 
-def test_gravity_is_taken_from_an_accelerometer_however_it_lies() -> None:
+def test_gravity_is_removed_in_any_orientation() -> None:
     """30 m/s^2 across gravity is found; gravity that slowly turns is not."""
     source = Source("stop", "/imu", threshold=15.0, field="force").complete(IMU)
     detector = Detector([source])
@@ -182,7 +182,7 @@ def test_an_arrival_is_an_impact_but_for_those_in_the_dead_time() -> None:
     assert events(detected) == [(START + k * MS, Kind.IMPACT) for k in (0, 10, 30)]
 
 
-def test_noise_moves_a_top_by_what_the_documentation_says() -> None:
+def test_noise_of_a_peak_is_as_documented() -> None:
     """On average its deviation over the sum of the two differences beside the top, in samples."""
     w, deviation = math.pi / 10, 0.3
     tops = 0.1 + np.arange(400.0) * 0.0500137

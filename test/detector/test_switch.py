@@ -1,4 +1,4 @@
-"""Contact switches: edges, chatter, hits and contacts that last."""
+"""Contact switches: edges, chatter, impacts and persistent contact."""
 
 from itertools import pairwise
 
@@ -31,7 +31,7 @@ def at(milliseconds: float) -> int:
     return START + round(milliseconds * MS)
 
 
-def test_a_short_closure_is_an_impact_at_its_edge_and_nothing_else() -> None:
+def test_a_short_closure_is_a_single_impact_at_its_edge() -> None:
     """It is detected at once, with the edge's own stamp."""
     detected = detections(switch(), changes(10, 15, 400, 405), at(1000))
     assert events(detected) == [(at(10), Kind.IMPACT), (at(400), Kind.IMPACT)]
@@ -93,7 +93,7 @@ def test_chatter_of_closing_and_of_opening_is_one_edge_each(seed: int) -> None:
     assert [stamp for stamp, _ in events(detected)] == [at(10), at(10), signal[13][0]]
 
 
-def test_what_holds_at_the_end_of_the_dead_time_counts_from_when_it_began() -> None:
+def test_the_level_at_the_end_of_the_dead_time_has_the_stamp_of_its_edge() -> None:
     """An impact just after an opening is detected late, with its own stamp."""
     detected = detections(switch(min_contact_duration=0.02), changes(0, 50, 53), at(200))
     assert events(detected) == [
@@ -119,7 +119,9 @@ def test_a_force_may_be_a_switch_with_hysteresis() -> None:
 
 
 @pytest.mark.parametrize("rate", [0, 100, 1000])
-def test_a_switch_that_closes_for_milliseconds_at_each_hit_gives_impacts_only(rate: int) -> None:
+def test_a_switch_that_closes_for_milliseconds_at_each_impact_gives_impacts_only(
+    rate: int,
+) -> None:
     """Two masses on a stop, 5 ms per impact: exact on change, polled within a period."""
     model = sample("two_mass")
     plant = Plant(model.system, *model.initial_state(), epoch=START)
@@ -153,7 +155,7 @@ CHANGES = st.lists(st.integers(1, 80 * MS), min_size=1, max_size=30).map(
 
 @examples(60)
 @given(CHANGES)
-def test_without_dead_time_each_closure_is_told_once_and_by_its_length(signal: Changes) -> None:
+def test_without_dead_time_each_closure_is_detected_once_by_its_length(signal: Changes) -> None:
     """No event is lost and none spurious, whatever the lengths."""
     end = signal[-1][0] + 1000 * MS
     wanted: list[tuple[int, Kind]] = []
@@ -168,7 +170,7 @@ def test_without_dead_time_each_closure_is_told_once_and_by_its_length(signal: C
 
 @examples(60)
 @given(CHANGES, st.lists(st.integers(0, 3000 * MS), max_size=30))
-def test_the_time_at_which_silence_is_listened_to_changes_nothing(
+def test_detections_do_not_depend_on_when_time_is_advanced(
     signal: Changes, looks: list[int]
 ) -> None:
     """A timer, other topics or nothing between the messages: the same detections."""
@@ -186,7 +188,7 @@ def test_the_time_at_which_silence_is_listened_to_changes_nothing(
 
 @examples(50)
 @given(CHANGES, st.integers(0, 20))
-def test_edges_keep_the_dead_time_apart(signal: Changes, dead_time: int) -> None:
+def test_edges_are_at_least_the_dead_time_apart(signal: Changes, dead_time: int) -> None:
     """And every detected edge is one of the signal."""
     source = switch(dead_time=dead_time / 1000, min_contact_duration=0.0)
     detected = events(detections(source, signal, signal[-1][0] + 1000 * MS))

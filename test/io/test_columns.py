@@ -82,7 +82,7 @@ def joint_block() -> Iterator[bytes]:
             yield joint(stamp, "x1", "x2") + bytes(4 * (stamp % 3 == 0))
 
 
-def test_a_block_of_joint_states_says_what_each_message_says() -> None:
+def test_a_block_of_joint_states_equals_its_messages() -> None:
     """Bit for bit, whatever the order of names and bytes."""
     block = [*joint_block()]
     states = taken(JOINT, block)
@@ -95,7 +95,7 @@ def test_a_block_of_joint_states_says_what_each_message_says() -> None:
         assert states.u[i].tobytes() == one.u[order].tobytes()
 
 
-def test_a_block_of_estimates_says_what_each_message_says() -> None:
+def test_a_block_of_estimates_equals_its_messages() -> None:
     """Closed contacts, covariances and parameters make other shapes, in any mixture."""
     kinds = [((), False), (("stop",), False), (("stop", "left"), True), ((), True)]
     block = [
@@ -117,7 +117,7 @@ def test_a_block_of_estimates_says_what_each_message_says() -> None:
     assert not alone
 
 
-def test_messages_of_ever_new_shapes_are_all_read() -> None:
+def test_messages_of_many_shapes_are_all_read() -> None:
     """More shapes than are tried together: the rest is read one by one."""
     block = [estimate(stamp, ("c" * stamp,)) for stamp in range(1, 80)]
     together, alone = decode(OBSERVER, block)

@@ -74,7 +74,7 @@ def test_stamp_that_no_message_carries_is_refused() -> None:
         list(messages_of(replace(block, stamps=stamps), ("x1", "x2"), serialize))
 
 
-def test_what_has_no_layout_is_not_made() -> None:
+def test_a_message_without_layout_is_not_copied() -> None:
     """Nor what has another number of coordinates."""
     state = serialize(STATES.topic, MAKE.estimate(estimates(1, 2).first, ("x1", "x2")))
     x, stamps = np.zeros((3, 2)), np.arange(1, 4)

@@ -36,7 +36,7 @@ def test_topic_is_recognised_in_any_namespace_and_of_any_law(
     assert interfaces.interface(topic) is expected
 
 
-def test_table_offers_what_the_contract_says() -> None:
+def test_table_offers_the_quality_of_the_contract() -> None:
     """Late subscribers receive events and the model, but no states."""
     assert interfaces.IMPACTS.quality == EVENTS == Quality(True, True, 2000)
     assert interfaces.OBSERVER_STATES.quality == STATES == Quality(True, False, 10)

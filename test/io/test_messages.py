@@ -175,7 +175,7 @@ ESTIMATE = Estimate(1, "geometric", STATE.q, STATE.u)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_number_that_is_not_finite_never_leaves(bad: float) -> None:
+def test_number_that_is_not_finite_is_refused(bad: float) -> None:
     """The error names message, field and entry."""
     make = bag_messages()
     for field, refused in (

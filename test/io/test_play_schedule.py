@@ -41,7 +41,7 @@ def test_due_times_do_not_drift() -> None:
 @given(
     begin=TIMES, pause=TIMES, length=TIMES, log_time=TIMES, rate=st.sampled_from([0.5, 1.0, 4.0])
 )
-def test_pause_moves_what_is_due_by_its_length(
+def test_pause_delays_messages_by_its_length(
     begin: int, pause: int, length: int, log_time: int, rate: float
 ) -> None:
     """And the bag's time stands still during the pause."""
@@ -108,7 +108,7 @@ def test_reading_ahead_ends_when_nobody_wants_more() -> None:
     assert threading.active_count() == before
 
 
-def test_damage_is_told_where_it_was_met() -> None:
+def test_damage_is_raised_at_its_message() -> None:
     """After the messages before it."""
 
     def damaged() -> Iterator[RawMessage]:

@@ -75,7 +75,7 @@ def test_every_policy_is_read(tmp_path: Path) -> None:
     assert profiles["/other"].quality == Quality(depth=3)
 
 
-def test_profile_is_what_rclpy_makes_of_the_same_file(tmp_path: Path) -> None:
+def test_profile_equals_that_of_rclpy_for_the_same_file(tmp_path: Path) -> None:
     """Policy by policy."""
     qos = pytest.importorskip("rclpy.qos")
     from rclpy.duration import Duration

@@ -83,7 +83,7 @@ def rewritten(source: Path, target: Path, **choices: object) -> Path:
     return target
 
 
-def test_every_storage_reads_the_same(bag: Path, tmp_path: Path) -> None:
+def test_every_storage_gives_the_same_messages(bag: Path, tmp_path: Path) -> None:
     """Directories and bare files, MCAP and sqlite3, plain and compressed."""
     plain = rewritten(bag, tmp_path / "plain")
     forms = {
@@ -139,7 +139,7 @@ def test_observers_and_truth_are_found(bag: Path) -> None:
         assert reader.find(interfaces.MONITOR_ERROR) is None
 
 
-def test_several_plants_must_be_told_apart(tmp_path: Path) -> None:
+def test_several_plants_are_ambiguous(tmp_path: Path) -> None:
     """One at the top wins; two in namespaces are named."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/a/plant/joint_states")
@@ -159,7 +159,7 @@ def test_raw_messages_can_be_chosen(bag: Path) -> None:
         assert list(reader.raw([])) == []
 
 
-def test_nothing_there_is_wrong_use(tmp_path: Path) -> None:
+def test_a_missing_path_is_a_usage_error(tmp_path: Path) -> None:
     """As opposed to a damaged bag."""
     with pytest.raises(UsageError, match=r"absent: does not exist; expected a bag: a folder"):
         BagReader(tmp_path / "absent")
@@ -411,7 +411,7 @@ def test_topic_of_two_types_is_none_of_them(tmp_path: Path) -> None:
             reader.events()
 
 
-def test_publishers_of_different_quality_are_read_as_what_all_offer(tmp_path: Path) -> None:
+def test_publishers_of_different_quality_have_their_common_quality(tmp_path: Path) -> None:
     """As a recorder stores them, one profile each."""
     offers = [interfaces.EVENTS.offered(), Quality(reliable=False, depth=7).offered()]
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:

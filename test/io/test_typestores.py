@@ -24,7 +24,7 @@ def test_new_typestore_is_its_callers_own() -> None:
     assert "rig/msg/A" not in typestores.new_typestore().fielddefs
 
 
-def test_definition_that_disagrees_is_told_and_not_taken() -> None:
+def test_another_definition_of_a_type_is_reported_and_not_used() -> None:
     """Only fields count, not constants or remarks."""
     mine = typestores.new_typestore()
     same = "uint8 IMPACT=9  # another remark\nstring contact\nuint8 kind\n"

@@ -24,7 +24,7 @@ def event(stamp: int) -> object:
     return MAKE.event(ImpactEvent(stamp, (Switch("stop"),), sequence=stamp))
 
 
-def test_folder_is_what_jazzy_writes(tmp_path: Path) -> None:
+def test_folder_has_the_form_of_jazzy(tmp_path: Path) -> None:
     """Version 9, one MCAP file of that folder's name, hashes of the types."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/impacts", 7, event(5))
