@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics import ImpactLaw, Phases, lyapunov
+from benchmarks.impacts import energy
+from impact_observer.dynamics import ImpactLaw, Phases
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.saltation import Measured, Mirror, StateRates
 from impact_observer.estimation.square_root import correction, triangular
@@ -124,11 +125,6 @@ def jittered(run: Run, rng: np.random.Generator) -> list[tuple[int, tuple[int, .
     return [(max(s + by, EPOCH), hit) for (s, hit), by in zip(exact, wrong, strict=True)]
 
 
-def distance(system: System, differences: Array) -> float:
-    """``V`` of a difference of two states."""
-    return float(lyapunov.distance(system, *np.split(differences, 2)))
-
-
 def ideal(name: str, seeds: int = 20) -> Array:
     """V over the initial V just after each of 2n + 2 impacts, shape (seeds, 2n + 2)."""
     model = read_model(name)
@@ -140,7 +136,7 @@ def ideal(name: str, seeds: int = 20) -> Array:
         wrong = np.random.default_rng(seed).normal(size=x.size)
         for k, each in enumerate(list(followed(law, x + wrong, impacts))[1:]):
             differences = each.at(law, each.stamp + 1)[0] - truth[k]
-            ratios[seed, k] = distance(system, differences) / distance(system, wrong)
+            ratios[seed, k] = energy(system, differences) / energy(system, wrong)
     return ratios
 
 
@@ -188,7 +184,7 @@ def jitter(name: str, law: type[Law], clock: float, seeds: int, seconds: int = 6
         wrong = rng.normal(size=x.size)
         last = list(followed(used, x + wrong, jittered(run, rng)))[-1]
         differences = last.at(used, end)[0] - run.states[0]
-        ratios[seed] = distance(system, differences) / distance(system, wrong)
+        ratios[seed] = energy(system, differences) / energy(system, wrong)
     return ratios
 
 
@@ -212,8 +208,7 @@ def least(name: str, seconds: int = 60) -> float:
         root = triangular(mirror.between(rates, rates).expanded(each.before, forces).H @ corrected)
         last = t
     root = phase.transition(seconds - last) @ root
-    expected = [sum(distance(system, column) for column in S.T) for S in (root, start)]
-    return expected[0] / expected[1]
+    return float(np.sum(energy(system, root.T)) / np.sum(energy(system, start)))
 
 
 def print_consistency(name: str, runs: int, seconds: int) -> None:

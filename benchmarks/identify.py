@@ -32,7 +32,7 @@ from rich.table import Table
 from scipy import stats
 
 from benchmarks.harness import new_file
-from impact_observer.dynamics.lyapunov import distance
+from benchmarks.impacts import energy
 from impact_observer.errors import IdentificationError
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
@@ -194,13 +194,10 @@ def _distances(
 ) -> tuple[np.ndarray, Estimate]:
     """V at the wanted samples of a run, J, and the last estimate."""
     run, true = recorded(name), read_model(name).system
-    estimates = [
-        x for x in replay(observer, events, run.stamps[wanted]) if isinstance(x, Estimate)
-    ]
-    differences = np.array([np.concatenate([x.q, x.u]) for x in estimates]) - run.states[wanted]
-    return np.asarray(
-        distance(true, differences[:, : true.n], differences[:, true.n :])
-    ), estimates[-1]
+    stamps = run.stamps[wanted]
+    estimates = [x for x in replay(observer, events, stamps) if isinstance(x, Estimate)]
+    states = np.array([np.concatenate([x.q, x.u]) for x in estimates])
+    return energy(true, states - run.states[wanted]), estimates[-1]
 
 
 def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, object]:

@@ -1,13 +1,17 @@
-"""Impacts of the sample models, for observers without bags or ROS."""
+"""Impacts of the sample models and energies of states, for runs without bags or ROS."""
 
 import time
 from collections.abc import Iterable
 
+import numpy as np
+
+from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import ImpactEvent
-from impact_observer.model import read_model
+from impact_observer.model import System, read_model
 from impact_observer.observer import Observer
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid
+from impact_observer.states import Vector
 
 EPOCH = 1_000_000_000
 
@@ -27,3 +31,8 @@ def each_received(observer: Observer, events: Iterable[ImpactEvent]) -> list[flo
         observer.receive(event)
         taken.append(time.perf_counter() - begin)
     return taken
+
+
+def energy(system: System, x: Vector) -> Vector:
+    """Kinetic and elastic energy, J, of states (q, u) in the last axis; of errors it is ``V``."""
+    return distance(system, *np.split(x, 2, axis=-1))

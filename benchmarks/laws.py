@@ -24,7 +24,7 @@ from rich.progress import track
 from rich.table import Table
 
 from benchmarks.harness import new_file
-from impact_observer.dynamics.lyapunov import distance
+from benchmarks.impacts import energy
 from impact_observer.errors import ImpactObserverError
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind
@@ -149,15 +149,15 @@ def outcome(name: str, case: Case, law: str, seed: int) -> Outcome:
     replayed = replay(observer, case.events, case.truth.stamps)
     estimates = [each for each in replayed if isinstance(each, Estimate)]
     states = np.array([np.concatenate([each.q, each.u]) for each in estimates])
-    V = _energy(system, states - case.truth.x)
+    V = energy(system, states - case.truth.x)
     where = np.searchsorted(case.truth.stamps, [each.last_event for each in estimates])
     threshold = (
-        Options.agreed * _energy(system, states)[where]
+        Options.agreed * energy(system, states)[where]
     )  # of the motion just after the last event
     flagged = np.array([each.synchronized for each in estimates]) & case.regular
     above = threshold < V
     excess = V[flagged] / np.maximum(threshold[flagged], np.finfo(float).tiny)
-    V0 = float(_energy(system, x - case.start))
+    V0 = float(energy(system, x - case.start))
     last = int(np.flatnonzero(above)[-1]) if above.any() else -1
     return Outcome(
         model=name,
@@ -174,11 +174,6 @@ def outcome(name: str, case: Case, law: str, seed: int) -> Outcome:
 def _first(stamps: Stamps) -> float | None:
     """Seconds from the epoch to the first of ``stamps``; None where there is none."""
     return seconds_between(EPOCH, int(stamps[0])) if stamps.size else None
-
-
-def _energy(system: System, x: Vector) -> Vector:
-    """Kinetic and elastic energy, J, of states (q, u) in the last axis; of errors it is ``V``."""
-    return distance(system, x[..., : system.n], x[..., system.n :])
 
 
 def reductions(outcomes: Iterable[Outcome]) -> list[dict[str, object]]:

@@ -43,8 +43,8 @@ from rich.table import Table
 
 from benchmarks.covariance import drawn, least
 from benchmarks.harness import new_file
+from benchmarks.impacts import energy
 from benchmarks.laws import FAR_END
-from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import ImpactObserverError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
@@ -243,13 +243,13 @@ def outcome(job: Job) -> Outcome:
         "oracle": oracle(case, scenario, seed, x, end),
         "geometric": np.concatenate([final.q, final.u]),
     }
-    V0 = _energy(system, x - case.start)
+    V0 = float(energy(system, x - case.start))
     return Outcome(
         model=name,
         scenario=scenario.name,
         seed=seed,
         start=V0,
-        ratios={law: _energy(system, state - truth) / V0 for law, state in states.items()},
+        ratios={law: float(energy(system, state - truth)) / V0 for law, state in states.items()},
         nees=nees(last.covariance, states["minimum-variance"] - truth),
         flagged=flagged,
         wrong=wrong,
@@ -258,11 +258,6 @@ def outcome(job: Job) -> Outcome:
 
 def _observer(law: Law, x: Vector) -> Observer:
     return Observer(law.system, law, *np.split(x, 2), epoch=EPOCH)
-
-
-def _energy(system: System, x: Vector) -> float:
-    """Kinetic and elastic energy, J, of a state (q, u); of an error it is ``V``."""
-    return float(distance(system, *np.split(x, 2)))
 
 
 def flags(
@@ -286,9 +281,9 @@ def flags(
         if now.synchronized:
             differences = np.concatenate([now.q, now.u]) - case.run.states[k]
             then = observer.estimate(now.last_event)
-            moving = _energy(case.system, np.concatenate([then.q, then.u]))
+            moving = energy(case.system, np.concatenate([then.q, then.u]))
             flagged += 1
-            wrong += _energy(case.system, differences) > Options.agreed * moving
+            wrong += int(energy(case.system, differences) > Options.agreed * moving)
     return flagged, wrong
 
 

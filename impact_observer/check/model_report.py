@@ -45,13 +45,8 @@ def figures(checked: ModelCheck) -> dict[str, object]:
             for u in checked.unseen
         ],
         "contacts": [
-            {
-                "name": c.name,
-                "gap": c.gap,
-                "restitution": c.restitution,
-                "effective_mass": float(mass),
-            }
-            for c, mass in zip(system.contacts, checked.effective_mass, strict=True)
+            {"name": c.name, "gap": c.gap, "restitution": c.restitution, "effective_mass": mass}
+            for c, mass in zip(system.contacts, checked.effective_mass.tolist(), strict=True)
         ],
         "redundant": [contact_names(system, contacts) for contacts in checked.redundant.sets],
         "redundant_decided": checked.redundant.decided,
