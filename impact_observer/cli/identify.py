@@ -117,12 +117,11 @@ def identify(
     from impact_observer.io.recordings import events_in, text_of_model
     from impact_observer.model import parse_model
     from impact_observer.model.free_parameters import parametric_family
-    from impact_observer.model.model_file import load_yaml
 
     _check_usage(free, output, plot, check=check, clock=clock_error)
     with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
-        parsed, document = parse_model(*given), load_yaml(given.text)
+        parsed = parse_model(*given)
         events = events_in(reader)
     family = parametric_family(parsed.system, free, parsed.elements)
     with Progress(sys.stderr if json else None) as progress:
@@ -147,10 +146,7 @@ def identify(
         fit_report.print_parameters(found)
     lines = sys.stderr if json else sys.stdout
     if output is not None and good:
-        assert isinstance(document, dict), "a model is a mapping"
-        written = fit_report.text_of(given.text, document, found, str(bag))
-        parse_model(*given._replace(text=written, source=str(output)))
-        output.write_text(written, encoding="utf-8")
+        output.write_text(fit_report.model_text(found, given, bag, output), encoding="utf-8")
         print(f"model: {output}", file=lines)
     if plot is not None:
         name = found.family.system.name

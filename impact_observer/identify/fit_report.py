@@ -1,6 +1,7 @@
 """A fitted model in words, in tables, as JSON and as a model file."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 from rich.table import Table
 
@@ -10,7 +11,8 @@ from impact_observer.identify.fit_check import FitCheck
 from impact_observer.identify.identification import Identification, combination
 from impact_observer.identify.model_edit import changes
 from impact_observer.identify.recorded_impacts import Hit
-from impact_observer.model.model_file import edited
+from impact_observer.model import parse_model
+from impact_observer.model.model_file import ModelText, edited, load_yaml
 from impact_observer.stamps import seconds_between
 
 _CORRELATED = 0.9
@@ -152,24 +154,31 @@ def _about_check(found: Identification, check: FitCheck) -> Iterator[str]:
     yield "The model fits." if good else f"The model does not fit; worst: {check.worst}."
 
 
-def text_of(text: str, document: dict[str, object], found: Identification, bag: str) -> str:
-    """The model file with the fitted values, in its own form, with provenance.
+def model_text(found: Identification, given: ModelText, bag: Path, output: Path) -> str:
+    """The given model file with the fitted values, in its own form, with provenance.
 
     Args:
-        text: of the given file.
-        document: its contents.
         found: the fitted model.
+        given: the file it was fitted from.
         bag: the recording.
+        output: where the text will be; for errors.
+
+    Raises:
+        ModelError: the fitted values make no valid model.
     """
+    document = load_yaml(given.text)
+    assert isinstance(document, dict), "a model is a mapping"
     rows = zip(found.family.names, found.values.tolist(), found.errors.tolist(), strict=True)
     provenance: dict[str, object] = {
         "package": "impact_observer",
         "version": __version__,
-        "identified_from": bag,
+        "identified_from": str(bag),
         "clock_error": found.clock,
         "parameters": {name: {"value": v, "standard_error": error} for name, v, error in rows},
     }
     if "provenance" in document:
         provenance["before"] = document["provenance"]
     entries = changes(document, found.family, found.values)
-    return edited(text, {**entries, ("provenance",): provenance})
+    text = edited(given.text, {**entries, ("provenance",): provenance})
+    parse_model(*given._replace(text=text, source=str(output)))
+    return text

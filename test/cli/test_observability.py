@@ -131,7 +131,7 @@ def test_picture_is_written(
     tmp_path: Path, ending: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """And its name is printed."""
-    picture = tmp_path / f"told.{ending}"
+    picture = tmp_path / f"rank.{ending}"
     assert printed(capsys, TWO_MASS, "--plot", str(picture)).endswith(f"picture: {picture}")
     assert picture.stat().st_size > 5000
 
@@ -150,8 +150,8 @@ def test_bag_without_impacts_of_the_model_is_an_error_of_one_line(
         command.observe(bag)
     with pytest.raises(UsageError, match="expected one number"):
         command.observe(TWO_MASS, deviation="1,2")
-    with pytest.raises(UsageError, match=r"told\.txt"):
-        command.observe(TWO_MASS, plot=tmp_path / "told.txt")
+    with pytest.raises(UsageError, match=r"rank\.txt"):
+        command.observe(TWO_MASS, plot=tmp_path / "rank.txt")
 
 
 def test_combination_shows_its_largest_terms() -> None:

@@ -23,7 +23,7 @@ OF_FORCING = ("forcing-amplitude", "forcing-phase", "clock-offset")
 
 
 def moments_of(model: System, x: Array, seconds: float) -> list[FlightEnd]:
-    """What an ideal sensor tells of a plant that starts at ``x``."""
+    """The switchings of a plant that starts at ``x``."""
     n, phases = model.n, Phases(model)
     made = run(model, x[:n], x[n:], seconds=seconds, rate=10.0)
     return [
