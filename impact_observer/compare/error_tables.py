@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.table import Table
 
 from impact_observer.compare.comparison import Comparison
-from impact_observer.compare.figures import DISTANCE, ERRORS, FIGURES, IMPACTS, figures_of
+from impact_observer.compare.figures import DISTANCE, ERRORS, IMPACTS, columns_of, figures_of
 from impact_observer.draw.text_tables import console, ruled_table, upright
 from impact_observer.dynamics.lyapunov import is_seminorm
 from impact_observer.errors import UsageError
@@ -70,23 +70,23 @@ def impacts_table(labelled: Mapping[str, Comparison]) -> Table:
 def _table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> Table:
     """A row a law with the figures that belong into the table of that title."""
     names, threshold = system_names(labelled), next(iter(labelled.values())).threshold
-    shown = [figure for figure in FIGURES if figure.table == title]
-    headings = [figure.heading.format(threshold=threshold) for figure in shown]
+    shown = columns_of(title)
+    headings = [column.heading.format(threshold=threshold) for _, column in shown]
     table = ruled_table(title.format(names=names), "law", *headings)
     for label, each in labelled.items():
-        table.add_row(label, *(figure.cell(figure.value(each)) for figure in shown))
+        table.add_row(label, *(column.cell(figure.value(each)) for figure, column in shown))
     return table
 
 
 def errors_table(labelled: Mapping[str, Comparison]) -> Table:
     """A row a state with the figures that every state has."""
-    shown = [figure for figure in FIGURES if figure.table == ERRORS]
-    table = ruled_table(ERRORS, "law", "state", *(figure.heading for figure in shown))
+    shown = columns_of(ERRORS)
+    table = ruled_table(ERRORS, "law", "state", *(column.heading for _, column in shown))
     table.columns[1].justify = "left"
     for label, each in labelled.items():
-        columns = [[figure.cell(value) for value in figure.value(each)] for figure in shown]
-        for i, (state, *cells) in enumerate(zip(each.states, *columns, strict=True)):
-            table.add_row("" if i else label, state, *cells)
+        cells = [[column.cell(v) for v in figure.value(each)] for figure, column in shown]
+        for i, (state, *of_state) in enumerate(zip(each.states, *cells, strict=True)):
+            table.add_row("" if i else label, state, *of_state)
         table.add_section()
     return table
 

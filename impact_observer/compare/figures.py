@@ -1,7 +1,7 @@
 """The figures of a comparison: one table for JSON, CSV, the printed tables and the report.
 
 To add a figure, add a row to ``FIGURES``. It appears in ``--json`` and ``--csv`` under its key;
-with a table and a heading also in that printed table and in the report. ``docs/comparing.md``
+with a column also in that printed table and in the report. ``docs/comparing.md``
 lists all figures with unit and meaning; a test holds it against ``FIGURES``.
 """
 
@@ -17,6 +17,20 @@ ERRORS = "Errors, estimate minus truth, SI units"
 """Titles of the printed tables. A table of errors has a row a state, the others a row a law."""
 
 
+class Column(NamedTuple):
+    """The column of a printed table that shows a figure.
+
+    Attributes:
+        table: title of the table.
+        heading: of the column; ``{threshold}`` is filled in.
+        cell: makes the text of one number.
+    """
+
+    table: str
+    heading: str
+    cell: Callable[[Any], str] = "{}".format
+
+
 class FigureOfMerit(NamedTuple):
     """A figure that says how good an estimate is.
 
@@ -24,20 +38,16 @@ class FigureOfMerit(NamedTuple):
         key: its name in JSON and CSV.
         value: computes it: a word, a number, a list with a number a state, or None where the
             figure has no meaning.
-        meaning: in words.
+        meaning: in words, for the docs.
         unit: SI unit; empty for words, counts and ratios.
-        table: title of the printed table that shows it; None for none.
-        heading: of its column there; ``{threshold}`` is filled in.
-        cell: makes the text of one number.
+        column: where it is printed; None for nowhere.
     """
 
     key: str
     value: Callable[[Comparison], Any]
     meaning: str
     unit: str = ""
-    table: str | None = None
-    heading: str = ""
-    cell: Callable[[Any], str] = "{}".format
+    column: Column | None = None
 
 
 def _rate(value: float | None, without: str = "") -> str:
@@ -64,35 +74,25 @@ FIGURES = (
         "impacts_used",
         lambda c: c.impacts,
         "impacts that the observer applied or inserted, by its last verdict on each",
-        "",
-        IMPACTS,
-        "used",
+        column=Column(IMPACTS, "used"),
     ),
     FigureOfMerit(
         "switches_rejected",
         _switches(Ruling.REJECTED),
         "by its last verdict on each; empty where it published none",
-        "",
-        IMPACTS,
-        "rejected",
-        _count,
+        column=Column(IMPACTS, "rejected", _count),
     ),
     FigureOfMerit(
         "impacts_inserted",
         _switches(Ruling.INSERTED),
         "missed impacts that it inserted and did not take back",
-        "",
-        IMPACTS,
-        "inserted",
-        _count,
+        column=Column(IMPACTS, "inserted", _count),
     ),
     FigureOfMerit(
         "late_samples",
         lambda c: c.late,
         "left out: estimates that were published before their event had arrived",
-        "",
-        IMPACTS,
-        "late",
+        column=Column(IMPACTS, "late"),
     ),
     FigureOfMerit(
         "stale_samples",
@@ -107,27 +107,22 @@ FIGURES = (
         lambda c: float(c.V[0]),
         "Lyapunov distance of the first sample",
         "J",
-        DISTANCE,
-        "V0 [J]",
-        "{:.4g}".format,
+        column=Column(DISTANCE, "V0 [J]", "{:.4g}".format),
     ),
     FigureOfMerit(
         "V_end",
         lambda c: float(c.V[-1]),
         "that of the last sample",
         "J",
-        DISTANCE,
-        "V end [J]",
-        "{:.3g}".format,
+        column=Column(DISTANCE, "V end [J]", "{:.3g}".format),
     ),
     FigureOfMerit(
         "V_ratio",
         lambda c: c.ratio,
         "V at the end over V at the start; undefined where plant and estimate start equal",
-        "",
-        DISTANCE,
-        "V/V0",
-        lambda ratio: "undefined" if ratio is None else f"{ratio:.2e}",
+        column=Column(
+            DISTANCE, "V/V0", lambda ratio: "undefined" if ratio is None else f"{ratio:.2e}"
+        ),
     ),
     FigureOfMerit(
         "V_largest_rise",
@@ -139,9 +134,7 @@ FIGURES = (
         lambda c: c.settling_time,
         "from the first sample until V stays below `--threshold` times V at the start",
         "s",
-        DISTANCE,
-        "s to {threshold:g} V0",
-        lambda seconds: _rate(seconds, "never"),
+        column=Column(DISTANCE, "s to {threshold:g} V0", lambda seconds: _rate(seconds, "never")),
     ),
     FigureOfMerit(
         "rate_per_second",
@@ -149,18 +142,13 @@ FIGURES = (
         "fall of ln V until V is first within a factor of ten of its end: the floor that follows"
         " does not count",
         "1/s",
-        DISTANCE,
-        "1/s",
-        _rate,
+        column=Column(DISTANCE, "1/s", _rate),
     ),
     FigureOfMerit(
         "rate_per_impact",
         lambda c: c.rate_per_impact,
         "that fall per used impact",
-        "",
-        DISTANCE,
-        "1/impact",
-        _rate,
+        column=Column(DISTANCE, "1/impact", _rate),
     ),
     FigureOfMerit(
         "mismatch_windows",
@@ -171,56 +159,51 @@ FIGURES = (
         "mismatch_samples",
         lambda c: c.mismatch.samples,
         "left out: samples between the jumps",
-        "",
-        IMPACTS,
-        "between",
+        column=Column(IMPACTS, "between"),
     ),
     FigureOfMerit(
         "mismatch_longest",
         lambda c: c.mismatch.longest,
         "longest time between two jumps",
         "s",
-        IMPACTS,
-        "longest",
-        lambda seconds: f"{1e3 * seconds:.4g} ms" if seconds else "",
+        column=Column(
+            IMPACTS, "longest", lambda seconds: f"{1e3 * seconds:.4g} ms" if seconds else ""
+        ),
     ),
     FigureOfMerit(
         "mismatch_V_largest",
         lambda c: c.mismatch.V,
         "largest V between two jumps",
         "J",
-        IMPACTS,
-        "V",
-        lambda V: f"{V:.2e} J" if V else "",
+        column=Column(IMPACTS, "V", lambda V: f"{V:.2e} J" if V else ""),
     ),
     FigureOfMerit(
         "rms",
         lambda c: c.rms.tolist(),
         "root mean square error of each coordinate, then of each velocity",
         "SI",
-        ERRORS,
-        "rms",
-        "{:.3e}".format,
+        column=Column(ERRORS, "rms", "{:.3e}".format),
     ),
     FigureOfMerit(
         "max",
         lambda c: c.largest.tolist(),
         "largest absolute error of each",
         "SI",
-        ERRORS,
-        "largest",
-        "{:.3e}".format,
+        column=Column(ERRORS, "largest", "{:.3e}".format),
     ),
     FigureOfMerit(
         "final",
         lambda c: c.final.tolist(),
         "error of each at the end",
         "SI",
-        ERRORS,
-        "final",
-        "{:+.3e}".format,
+        column=Column(ERRORS, "final", "{:+.3e}".format),
     ),
 )
+
+
+def columns_of(table: str) -> list[tuple[FigureOfMerit, Column]]:
+    """The figures in the printed table with a title."""
+    return [(each, each.column) for each in FIGURES if each.column and each.column.table == table]
 
 
 def figures_of(comparison: Comparison) -> dict[str, Any]:
