@@ -4,12 +4,12 @@ A new figure is a field of ``Outcome`` and its value in ``_outcome``; the column
 follows. A row of ``SUMMARY`` in ``summary`` adds it to table and JSON.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 from impact_observer.compare.comparison import Comparison, compare_observer
+from impact_observer.compare.figures import figures_of
 from impact_observer.errors import ImpactObserverError
-from impact_observer.events import Ruling
 from impact_observer.io.pairing import Series
 from impact_observer.model import Model, parse_model
 from impact_observer.observer import make_observer
@@ -112,18 +112,6 @@ def _compared(case: Case) -> tuple[Comparison, int]:
 
 def _outcome(case: Case) -> Outcome:
     comparison, events = _compared(case)
-    rulings = comparison.outcomes.rulings
-    return Outcome(
-        case=case.number,
-        settling_time=comparison.settling_time,
-        V_start=float(comparison.V[0]),
-        V_end=float(comparison.V[-1]),
-        V_ratio=comparison.ratio,
-        V_largest_rise=comparison.largest_rise,
-        rate_per_second=comparison.rate_per_second,
-        rate_per_impact=comparison.rate_per_impact,
-        events=events,
-        impacts_used=comparison.impacts,
-        switches_rejected=None if rulings is None else rulings[Ruling.REJECTED],
-        impacts_inserted=None if rulings is None else rulings[Ruling.INSERTED],
-    )
+    figures = figures_of(comparison)
+    shown = {each.name: figures[each.name] for each in fields(Outcome) if each.name in figures}
+    return Outcome(case=case.number, events=events, **shown)
