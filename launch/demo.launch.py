@@ -2,7 +2,7 @@
 
     ros2 launch impact_observer demo.launch.py model:=three_mass duration:=0
 
-The observers hear of the plant's impacts and of nothing else, and start from a wrong state. Watch
+The observers receive the plant's impacts only, and start from a wrong state. Watch
 `/monitor_geometric/error` go to zero, or record with `ros2 bag record -a`.
 """
 

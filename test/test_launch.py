@@ -177,7 +177,7 @@ def test_node_accepts_its_parameter_file(path: Path, ros_environment: dict[str, 
         spinner.until(lambda: process.poll() is not None or seen(spinner.probe, "mine"))
         code, errors = interrupt(process)
     assert code == 0, errors
-    assert "not known" not in errors
+    assert "does not exist" not in errors
 
 
 def seen(probe: Any, name: str) -> bool:  # noqa: ANN401 (rclpy has no types)

@@ -1,4 +1,4 @@
-"""The bar at the bottom of the terminal: the only part of progress that needs ``rich``."""
+"""The bar at the bottom of the terminal; imported only where there is one, as ``rich`` is slow."""
 
 import time
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ from rich.table import Column
 from rich.text import Text
 
 _HIDDEN = 0.5
-"""How long work goes on before anything is shown, s."""
+"""Duration of work before anything is shown, s."""
 _FIGURES = 42
 """Columns of the terminal that are kept for a bar and its figures."""
 _NARROW, _WIDE = 10, 40
@@ -19,16 +19,16 @@ _NARROW, _WIDE = 10, 40
 
 
 class _Console(Console):
-    """A console that leaves the cursor alone: a process that is killed cannot bring it back."""
+    """A console that never hides the cursor: a killed process could not restore it."""
 
     def show_cursor(self, show: bool = True) -> bool:
-        """Do nothing, and say so."""
+        """Change nothing."""
         del show
         return False
 
 
-class _Words(ProgressColumn):
-    """What is going on, as far as there is room for it beside the figures."""
+class _Description(ProgressColumn):
+    """The description, cut to the room beside the figures."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(Column(no_wrap=True))
@@ -42,14 +42,14 @@ class _Words(ProgressColumn):
 
 
 class _Bar(BarColumn):
-    """A bar, where there is something to measure."""
+    """A bar, where there is a total."""
 
     def render(self, task: Task) -> RenderableType:  # type: ignore[override]
         return Text() if task.total is None else super().render(task)
 
 
 class _Figures(ProgressColumn):
-    """How much is done, its share, the rate, and the time that is left."""
+    """Amount, share, rate and remaining time."""
 
     max_refresh = _HIDDEN
 
@@ -74,7 +74,7 @@ def _done(task: Task, unit: str) -> str:
 
 
 def _pace(task: Task, unit: str) -> list[str]:
-    """``53.1/s``, of time ``12.4x``, and ``0:01:13``; nothing while it is not known."""
+    """``53.1/s``, of time ``12.4x``, and ``0:01:13``; nothing before there is a rate."""
     if not task.speed:
         return []
     rate = f"{task.speed:.3g}x" if unit == "s" else f"{_short(task.speed)}/s"
@@ -104,7 +104,7 @@ class Bars(RichProgress):
         self._now: TaskID | None = None
         self._what: str | None = None
         super().__init__(
-            _Words(console),
+            _Description(console),
             _Bar(bar_width=width),
             _Figures(),
             console=console,
@@ -114,12 +114,12 @@ class Bars(RichProgress):
         )
 
     def get_renderables(self) -> Iterable[RenderableType]:
-        """The line at the bottom, when it has gone on long enough."""
+        """The line at the bottom, once the work has taken long enough."""
         if time.monotonic() >= self._visible:
             yield self.make_tasks_table(self.tasks)
 
     def step(self, what: str, done: float, total: float, unit: str) -> None:
-        """Show a bar; ``what`` is another than before begins another one."""
+        """Show a bar; a new text ``what`` starts a new one."""
         if self._now is None or self._what != what:
             self._begin(what, total, unit)
         if self._now is not None:
@@ -137,7 +137,7 @@ class Bars(RichProgress):
         self.console.print(text, soft_wrap=True)
 
     def _begin(self, what: str | None, total: float | None, unit: str) -> None:
-        """Take away what was shown for something new."""
+        """Replace what is shown."""
         if self._now is not None:
             self.remove_task(self._now)
         self._what = what

@@ -1,4 +1,4 @@
-"""How far a command is: a bar at the bottom of the terminal, and lines that stay."""
+"""Progress of a command: a bar at the bottom of the terminal, and permanent lines."""
 
 import os
 import sys
@@ -10,15 +10,15 @@ if TYPE_CHECKING:
     from impact_observer.cli.bars import Bars
 
 _PERIOD = 0.1
-"""Least time between two looks at how far it is, s: a tight loop may call as often as it likes."""
+"""Least time between two updates of the bar, s: a tight loop may call more often."""
 
 
 @final
 class Progress:
     """Shows how far a command is; a context manager.
 
-    What takes less than half a second shows nothing. On anything but a terminal only the lines
-    that stay are written.
+    Work of less than half a second shows nothing. Without a terminal only permanent lines are
+    written.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -42,34 +42,32 @@ class Progress:
             self._bars = None
 
     def step(self, what: str, done: float, total: float, unit: str = "") -> None:
-        """Show a bar: how much is done, its share, the rate and the time that is left.
-
-        It may be called as often as there is something done: it looks at the clock and returns.
+        """Show a bar: the amount done, its share, the rate and the remaining time.
 
         Args:
-            what: is going on; another text begins another bar.
+            what: description; a new text starts a new bar.
             done: of ``total``, in the same unit.
             total: how much there is to do.
-            unit: of both, ``s`` for simulated or recorded time; empty for a number of things.
+            unit: of both, ``s`` for simulated or recorded time; empty for a count.
         """
         if self._lively and (now := time.monotonic()) >= self._next:
             self._next = now + _PERIOD
             self._shown().step(what, done, total, unit)
 
     def show(self, text: str) -> None:
-        """Show ``text`` at the bottom, for work without a known end; nothing for an empty one."""
+        """Show ``text`` at the bottom, for work without a total."""
         if self._lively:
             self._shown().show(text)
 
     def line(self, text: str) -> None:
-        """Write a line that stays."""
+        """Write a permanent line."""
         if self._bars is None:
             print(text, file=self._stream, flush=True)
         else:
             self._bars.line(text)
 
     def _shown(self) -> "Bars":
-        """The bars, made when they are wanted first."""
+        """The bars, made at first use."""
         if self._bars is None:
             from impact_observer.cli.bars import Bars
 

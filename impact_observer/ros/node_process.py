@@ -123,8 +123,8 @@ def _warn_of_unknown_parameters(node: "Node", args: Sequence[str]) -> None:
     """Warn of misspelt parameters, which ROS ignores."""
     for name in dict.fromkeys(_given_parameters(node, args)):
         if not node.has_parameter(name) and not name.startswith("qos_overrides."):
-            known = ", ".join(sorted(node.get_parameters_by_prefix("")))
-            node.get_logger().warning(f"parameter {name} is not known; known are {known}")
+            declared = ", ".join(sorted(node.get_parameters_by_prefix("")))
+            node.get_logger().warning(f"parameter {name} does not exist; expected {declared}")
 
 
 def _given_parameters(node: "Node", args: Sequence[str]) -> Iterator[str]:

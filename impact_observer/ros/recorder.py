@@ -144,8 +144,8 @@ class Recorder:
 
     def _subscribe(self, topic: str, type_name: str, offer: Quality) -> None:
         """Record a topic from now on, or warn once why it cannot be recorded."""
-        known = type_name in typestore().fielddefs
-        definition = "" if known else installed_definition(type_name)
+        is_standard = type_name in typestore().fielddefs
+        definition = "" if is_standard else installed_definition(type_name)
         try:
             if definition is None:
                 raise UsageError(f"the definition of {type_name} is not installed")

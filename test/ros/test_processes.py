@@ -233,5 +233,5 @@ def test_misspelt_parameters_are_warned_of(
         spinner.settle()
         code, errors = interrupt(process)
     assert code == 0
-    unknown = re.findall(r"parameter (\S+) is not known", errors)
+    unknown = re.findall(r"parameter (\S+) does not exist", errors)
     assert unknown == ["lwa", "rat", "sensor.jitter"]

@@ -69,7 +69,7 @@ class ObserverSnapshot:
         stamp: of the lines, ns; 0 before the first state.
         lines: coordinates, then velocities; without truth where none has their stamp.
         distance: V, J.
-        source: who computes V: ``monitor``, or ``here``; empty for nobody.
+        source: who computes V: ``monitor``, or ``here``; empty where V is not available.
         convergence: largest V distance between replicas, J; -1 for a single replica.
         synchronized: whether the replicas have converged; None before the first state.
         bound: certified bound of V, J; -1 where none is certified, None before a message.
