@@ -1,5 +1,6 @@
 """What the README and the docs say is so."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -70,6 +71,21 @@ def test_the_model_of_the_readme_is_a_model() -> None:
     model = parse_model(text, "README.md")
     assert model.system.name == "hammer"
     assert model.system.contact_names == ("anvil",)
+
+
+def test_every_place_that_the_house_names_is_there() -> None:
+    """Files, and the functions and classes of the two walks."""
+    package = ROOT / "impact_observer"
+    files = re.findall(r"`([\w/]+\.py)(?:: ([\w.]+))?`", HOUSE)
+    assert len(files) > 40
+    for file, name in files:
+        path = next((p for p in (package / file, ROOT / file) if p.exists()), None)
+        assert path is not None, f"{file} is not there"
+        scope: ast.AST | None = ast.parse(path.read_text())
+        for part in filter(None, name.split(".")):
+            body = getattr(scope, "body", [])
+            scope = next((each for each in body if getattr(each, "name", "") == part), None)
+        assert scope is not None, f"{file}: {name} is not there"
 
 
 def test_the_law_of_the_docs_is_a_law() -> None:
