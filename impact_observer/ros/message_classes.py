@@ -5,17 +5,12 @@ from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, cast
 
-from rclpy.serialization import deserialize_message
-
 from impact_observer.errors import UsageError
-from impact_observer.events import ImpactEvent
-from impact_observer.io.interfaces import IMPACT_EVENT
-from impact_observer.io.message_types import EventMessage, JointStateMessage, MessageClass
+from impact_observer.io.message_types import JointStateMessage, MessageClass
 from impact_observer.io.messages import (
     JointState,
     MessageError,
     Messages,
-    read_event,
     read_joint_state,
 )
 from impact_observer.states import Vector
@@ -45,19 +40,6 @@ def message_class(type_name: str) -> MessageClass:
 def ros_messages() -> Messages:
     """Makes messages of the classes of ROS."""
     return Messages(message_class, _floats)
-
-
-def read_impact(data: bytes) -> ImpactEvent:
-    """The event in a serialized ``impact_observer_msgs/ImpactEvent``.
-
-    Raises:
-        MessageError: the bytes are no such message, or have invalid values.
-    """
-    try:
-        message = deserialize_message(data, message_class(IMPACT_EVENT))
-    except RuntimeError:  # rclpy's own class has no public name
-        raise MessageError(f"{len(data)} bytes that are no {IMPACT_EVENT}; left out") from None
-    return read_event(cast("EventMessage", message))
 
 
 def read_state(

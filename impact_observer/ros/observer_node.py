@@ -22,7 +22,7 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.messages import JointState, MessageError
+from impact_observer.io.messages import MessageError
 from impact_observer.model import Model, read_model
 from impact_observer.observer import (
     COMPILING,
@@ -34,9 +34,10 @@ from impact_observer.observer import (
     needs_compiling,
 )
 from impact_observer.ros import parameters
-from impact_observer.ros.message_classes import message_class, read_impact, ros_messages
+from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
 from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.serialized import EstimateSerializer, read_impact
 from impact_observer.ros.session import interruptible
 from impact_observer.ros.subscribing import waiting_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
@@ -75,7 +76,7 @@ class ObserverNode(Node):
         system = model.system
         self._initial = initial_state(options.initial_state, system)
         self._observer = self._build_observer(options, model)
-        self._names = system.coordinates
+        self._serializer = EstimateSerializer(system.coordinates)
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
         self._future = from_seconds(values.number("future"))
@@ -255,9 +256,9 @@ class ObserverNode(Node):
     def _publish(self, stamp: int) -> None:
         """Publish the estimate at ``stamp`` (ns)."""
         estimate = self._observer.estimate(stamp)
-        self._states.publish(self._make.estimate(estimate, self._names))
-        joints = JointState(estimate.stamp, self._names, estimate.q, estimate.u)
-        self._joint_states.publish(self._make.joint_state(joints))
+        messages = self._serializer.messages(estimate)
+        self._states.publish(next(messages))
+        self._joint_states.publish(next(messages))
         if estimate.bound != (-1.0 if self._last is None else self._last.bound):
             self._bounds.publish(self._make.bound(estimate))
         self._last = estimate
