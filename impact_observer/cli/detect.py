@@ -7,7 +7,6 @@ The sensors are declared in a file, --sources; a single one by --contact and --t
 """
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,8 +60,27 @@ def _option(name: str) -> str:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return detect(args.bag, args.output, _sources(args), model=args.model, epoch=args.epoch or 0)
+    """Write a bag with the impacts detected in another one."""
+    from impact_observer.cli.progress import Progress
+    from impact_observer.detector.bag_detection import detect_bag
+    from impact_observer.io.reader import BagReader
+    from impact_observer.model import read_model
+
+    sources, epoch = _sources(args), args.epoch or 0
+    model = None if args.model is None else read_model(args.model)
+    with BagReader(args.bag) as reader, Progress() as progress:
+
+        def show(done: int, total: int) -> None:
+            progress.step("detecting", done, total)
+
+        result = detect_bag(reader, sources, args.output, model=model, epoch=epoch, progress=show)
+        for source, counts in zip(result.sources, result.counts, strict=True):
+            found = _found(counts)
+            progress.line(f"{source.contact}: {found} ({source.topic}, {source.kind})")
+        progress.line(f"{args.output}: {result.events} events")
+        if result.problems:
+            progress.line(f"note: {'; '.join(result.problems)}")
+    return 0
 
 
 def _sources(args: argparse.Namespace) -> "tuple[Source, ...]":
@@ -84,51 +102,6 @@ def _sources(args: argparse.Namespace) -> "tuple[Source, ...]":
     if args.contact is None or args.topic is None:
         raise UsageError("no sensor named; give --sources, or --contact and --topic")
     return (Source(**given),)
-
-
-def detect(
-    bag: Path,
-    output: Path,
-    sources: "Sequence[Source]",
-    *,
-    model: str | None = None,
-    epoch: int = 0,
-) -> int:
-    """Detect the impacts in a bag, and write a bag with them.
-
-    Args:
-        bag: has the sensors' topics; everything in it is copied.
-        output: the bag to make.
-        sources: the sensors.
-        model: a model file or a sample's name, to be put into the bag; None for none.
-        epoch: stamp of ``t = 0`` of the forcing, ns; 0 for unknown.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError, ModelError: the arguments cannot be used.
-        BagError: a bag cannot be read or written, or there is no impact in it.
-    """
-    from impact_observer.cli.progress import Progress
-    from impact_observer.detector.bag_detection import detect_bag
-    from impact_observer.io.reader import BagReader
-    from impact_observer.model import read_model
-
-    read = None if model is None else read_model(model)
-    with BagReader(bag) as reader, Progress() as progress:
-
-        def show(done: int, total: int) -> None:
-            progress.step("detecting", done, total)
-
-        result = detect_bag(reader, sources, output, model=read, epoch=epoch, progress=show)
-        for source, counts in zip(result.sources, result.counts, strict=True):
-            found = _found(counts)
-            progress.line(f"{source.contact}: {found} ({source.topic}, {source.kind})")
-        progress.line(f"{output}: {result.events} events")
-        if result.problems:
-            progress.line(f"note: {'; '.join(result.problems)}")
-    return 0
 
 
 def _found(counts: "SensorCounts") -> str:

@@ -47,68 +47,29 @@ def _start(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return import_csv(
-        args.csv,
-        args.output,
-        model=args.model,
-        unit=args.time_unit,
-        start=args.start,
-        epoch=args.epoch,
-        sort=args.sort,
-    )
-
-
-def import_csv(
-    csv: Path,
-    output: Path,
-    *,
-    model: str | None = None,
-    unit: str | None = None,
-    start: int | None = None,
-    epoch: int | None = None,
-    sort: bool = False,
-) -> int:
-    """Import a file and print what was imported.
-
-    Args:
-        csv: the file.
-        output: the bag to make.
-        model: a model file or a sample's name; None for none.
-        unit: of the times; None for that in the header, else s.
-        start: stamp of the file's time 0, ns; None to choose it by the first time.
-        epoch: stamp of ``t = 0``, ns; None for the file's time 0.
-        sort: whether the rows may be in any order.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError, ModelError: the file or the arguments cannot be used.
-        BagError: the bag cannot be written.
-    """
+    """Import a file and print what was imported."""
     from impact_observer.cli.progress import Progress
-    from impact_observer.io import csv_import
+    from impact_observer.io.csv_import import import_csv
     from impact_observer.model import read_model
 
-    read = None if model is None else read_model(model)
+    model = None if args.model is None else read_model(args.model)
     with Progress() as progress:
 
         def show(rows: int) -> None:
             if rows % 1000 == 0:
-                progress.show(f"{csv}: {rows} rows")
+                progress.show(f"{args.csv}: {rows} rows")
 
-        imported = csv_import.import_csv(
-            csv,
-            output,
-            model=read,
-            unit=unit,
-            start=start,
-            epoch=epoch,
-            sort=sort,
+        imported = import_csv(
+            args.csv,
+            args.output,
+            model=model,
+            unit=args.time_unit,
+            start=args.start,
+            epoch=args.epoch,
+            sort=args.sort,
             progress=show,
         )
-        progress.line(f"{output}: {_summary(imported)}")
+        progress.line(f"{args.output}: {_summary(imported)}")
         if imported.ignored:
             progress.line(f"note: columns left out: {', '.join(imported.ignored)}")
     return 0

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from impact_observer.observer import Observer
-    from impact_observer.options import Options
 
 _HARDLY = 0.9
 """A parameter is not estimated if its posterior deviation exceeds this part of the prior one."""
@@ -40,76 +39,40 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return observe(
-        args.bag,
-        args.output,
-        model=args.model,
-        options=observer_options(args, args.law),
-        rate=args.rate,
-        namespace=args.namespace,
-    )
-
-
-def observe(
-    bag: Path,
-    output: Path,
-    *,
-    model: str | None = None,
-    options: "Options | None" = None,
-    rate: float | None = None,
-    namespace: str = "",
-) -> int:
-    """Run an observer on a bag, and write a bag with its estimates.
-
-    Args:
-        bag: has impacts; true states and model are copied.
-        output: the bag to make.
-        model: a model file or a sample's name; None for the model in the bag.
-        options: of the observer; None for the defaults.
-        rate: of the estimates, Hz; None for the stamps of the true states.
-        namespace: selects one of several rigs in the bag; empty for the only one.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError, ModelError: the arguments cannot be used.
-        BagError: a bag cannot be read or written, or no event in it could be applied.
-        ImpactLawError: the replica cannot follow an event.
-    """
+    """Run an observer on a bag, and write a bag with its estimates."""
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
     from impact_observer.events import Ruling
     from impact_observer.io.observed_bag import observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
-    from impact_observer.observer import COMPILING, Options, make_observer, needs_compiling
+    from impact_observer.observer import COMPILING, make_observer, needs_compiling
 
-    chosen = options or Options()
-    with BagReader(bag, namespace) as reader, Progress() as progress:
-        read = model_of(reader, model)
+    chosen = observer_options(args, args.law)
+    with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+        read = model_of(reader, args.model)
         if needs_compiling(chosen):
             progress.show(COMPILING)
-        system, observer = read.system, make_observer(read.system, chosen, read.elements)
+        observer = make_observer(read.system, chosen, read.elements)
 
         def show(done: int, total: int) -> None:
             progress.step(chosen.law, done, total)
 
         count, rulings = observe_bag(
-            reader, observer, output, rate=rate, epoch=chosen.epoch, progress=show
+            reader, observer, args.output, rate=args.rate, epoch=chosen.epoch, progress=show
         )
         verdicts = [
             f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items()
         ]
         switches = f"switches: {', '.join(verdicts) or 'none'}"
-        progress.line(f"{output}: {chosen.law}, {count} estimates, {switches}")
+        progress.line(f"{args.output}: {chosen.law}, {count} estimates, {switches}")
         for line in parameter_lines(observer):
             progress.line(line)
     if rulings and not rulings[Ruling.APPLIED]:
         raise BagError(
-            f"{bag}: none of its {sum(rulings.values())} switches was applied; is it a bag of the"
-            f" model {system.name}, with contacts {', '.join(system.contact_names) or 'none'}?"
+            f"{args.bag}: none of its {sum(rulings.values())} switches was applied; is it a bag of"
+            f" the model {read.system.name}, with contacts"
+            f" {', '.join(read.system.contact_names) or 'none'}?"
         )
     return 0
 

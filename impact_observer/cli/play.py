@@ -14,7 +14,7 @@ from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
     from impact_observer.cli.keyboard import Keyboard
-    from impact_observer.io.play_schedule import Control, Playing
+    from impact_observer.io.play_schedule import Control
     from impact_observer.ros.player import Player
 
 _DELAY = 5.0
@@ -115,9 +115,12 @@ def remapping(text: str) -> tuple[str, str]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
+    """Play a bag and show how far it is."""
+    from impact_observer.cli.keyboard import Keyboard
+    from impact_observer.cli.progress import Progress
     from impact_observer.io.play_schedule import Playing
     from impact_observer.io.qos_overrides import read_overrides
+    from impact_observer.ros.session import require_ros
 
     how = Playing(
         topics=args.topics,
@@ -130,33 +133,10 @@ def run(args: argparse.Namespace) -> int:
         names=dict(args.remap),
         profiles={} if args.qos is None else read_overrides(args.qos),
     )
-    return play(args.bag, how, delay=args.delay)
-
-
-def play(bag: Path, how: "Playing", *, delay: float = _DELAY) -> int:
-    """Play a bag and show how far it is.
-
-    Args:
-        bag: the bag.
-        how: topics, part and rate.
-        delay: longest wait for subscribers before the first message, s.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError: ROS is not installed, there is no bag, an argument does not fit the bag, or it
-            should start paused where no keys can be read.
-        BagError: the bag is damaged.
-    """
-    from impact_observer.cli.keyboard import Keyboard
-    from impact_observer.cli.progress import Progress
-    from impact_observer.ros.session import require_ros
-
     require_ros()
     from impact_observer.ros import player
 
-    name = bag.resolve().name
+    name = args.bag.resolve().name
     with Progress() as progress, Keyboard() as keyboard:
         if keyboard.available:
             progress.line("space pauses, n: next message, up, down: rate, q ends")
@@ -172,9 +152,13 @@ def play(bag: Path, how: "Playing", *, delay: float = _DELAY) -> int:
                 progress.step(f"{name} at {now.pace.rate:.3g}x", now.elapsed, now.length, "s")
 
         count = player.play(
-            bag, how, delay=delay, on_progress=show, controls=lambda: controls_of(keyboard)
+            args.bag,
+            how,
+            delay=args.delay,
+            on_progress=show,
+            controls=lambda: controls_of(keyboard),
         )
-        progress.line(f"{count} {'message' if count == 1 else 'messages'} played from {bag}")
+        progress.line(f"{count} {'message' if count == 1 else 'messages'} played from {args.bag}")
     return 0
 
 

@@ -1,7 +1,7 @@
 """Record topics of running nodes into a bag, until Ctrl-C."""
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,44 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    return record(
-        args.output,
-        args.topics,
-        exclude=args.exclude,
-        use_sim_time=args.use_sim_time,
-        duration=args.duration,
-        compressed=args.compression != "none",
-    )
-
-
-def record(
-    output: Path,
-    topics: Sequence[str] | None = None,
-    *,
-    exclude: Sequence[str] = (),
-    use_sim_time: bool = False,
-    duration: float | None = None,
-    compressed: bool = False,
-) -> int:
-    """Record a bag and print what is found.
-
-    Args:
-        output: the folder to create.
-        topics: only these topics; None for every topic that appears.
-        exclude: none of these; ``*`` in a name stands for anything.
-        use_sim_time: whether log times follow ``/clock``.
-        duration: how long, s of wall time; None for until Ctrl-C.
-        compressed: whether what is written is compressed.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError: ROS is not installed, ``output`` exists already, or the duration is not
-            positive.
-        BagError: the bag cannot be written.
-    """
+    """Record a bag and print what is in it."""
     from impact_observer.cli.progress import Progress
     from impact_observer.ros.session import require_ros
 
@@ -91,25 +54,25 @@ def record(
     with Progress() as progress:
 
         def show(count: int, passed: float) -> None:
-            if duration is None:
+            if args.duration is None:
                 progress.show(f"{count} messages in {passed:.0f} s; Ctrl-C ends")
             else:
-                progress.step("recording", passed, duration, "s")
+                progress.step("recording", passed, args.duration, "s")
 
         recorded = recorder.record(
-            output,
-            topics,
-            exclude=exclude,
-            use_sim_time=use_sim_time,
-            duration=duration,
-            compressed=compressed,
+            args.output,
+            args.topics,
+            exclude=args.exclude,
+            use_sim_time=args.use_sim_time,
+            duration=args.duration,
+            compressed=args.compression != "none",
             on_topic=lambda topic, type_name: progress.line(f"recording {topic} [{type_name}]"),
             on_progress=show,
         )
         for line in _counts(recorded):
             progress.line(line)
         count = sum(recorded.counts.values())
-        progress.line(f"{count:>9} {'message' if count == 1 else 'messages'} in {output}")
+        progress.line(f"{count:>9} {'message' if count == 1 else 'messages'} in {args.output}")
     return 0
 
 

@@ -2,15 +2,11 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import add_option, positive, seed, stamp
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU, described
 from impact_observer.sensor_faults import SENSOR_FAULTS
-
-if TYPE_CHECKING:
-    from impact_observer.plant import SensorModel
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -47,68 +43,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
     )
-    _add_sensor_arguments(parser)
-
-
-def _add_sensor_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add an option for every fault of the sensor; all are off by default."""
     group = parser.add_argument_group("sensor", "its faults; none by default")
     for each in SENSOR_FAULTS:
         add_option(group, each)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the subcommand."""
-    from impact_observer.plant import SensorModel
-
-    given = {each.name: getattr(args, each.name) for each in SENSOR_FAULTS}
-    return simulate(
-        args.model,
-        args.output,
-        args.duration,
-        args.rate,
-        seed=args.seed,
-        epoch=args.epoch,
-        integrator=args.integrator,
-        step=args.step,
-        sensor=SensorModel(**{name: value for name, value in given.items() if value is not None}),
-    )
-
-
-def simulate(
-    model: str | Path,
-    output: Path,
-    duration: float,
-    rate: float,
-    *,
-    seed: int = 0,
-    epoch: int = 1_000_000_000,
-    integrator: str = EVENT_DRIVEN,
-    step: float | None = None,
-    sensor: "SensorModel | None" = None,
-) -> int:
-    """Simulate a plant and write its bag.
-
-    Args:
-        model: a model file or a sample's name.
-        output: the bag to make.
-        duration: s.
-        rate: of the true states, Hz.
-        seed: of the sensor, recorded in the bag; the plant itself draws nothing at random.
-        epoch: stamp of ``t = 0``, ns.
-        integrator: ``event-driven`` or ``moreau``.
-        step: length of the steps of ``moreau``, s; None for the default.
-        sensor: faults of the sensor; None for none.
-
-    Returns:
-        0.
-
-    Raises:
-        UsageError, ModelError: the arguments cannot be used.
-        ImpactLawError: the impact law has no solution.
-        DynamicsError: the forcing ends before the duration.
-        BagError: the bag cannot be written.
-    """
+    """Simulate a plant and write its bag."""
     from impact_observer import plant
     from impact_observer.cli.progress import Progress
     from impact_observer.io.recordings import write_run
@@ -116,29 +57,34 @@ def simulate(
     from impact_observer.model import read_model
     from impact_observer.stamps import from_seconds, grid, seconds_between
 
-    check_free(output)
-    if step is not None and integrator != MOREAU:
-        raise UsageError(f"step: {step:g} s given; only the integrator {MOREAU} takes steps")
-    step = DEFAULT_STEP if step is None else step
-    sensor = sensor or plant.IDEAL
-    read = read_model(model)
-    sensor.check(read.system)
-    stamps = grid(epoch, epoch + from_seconds(duration), rate)
+    check_free(args.output)
+    if args.step is not None and args.integrator != MOREAU:
+        raise UsageError(f"step: {args.step:g} s given; only the integrator {MOREAU} takes steps")
+    step = DEFAULT_STEP if args.step is None else args.step
+    given = {each.name: getattr(args, each.name) for each in SENSOR_FAULTS}
+    sensor = plant.SensorModel(**{k: value for k, value in given.items() if value is not None})
+    model, epoch, duration = read_model(args.model), args.epoch, args.duration
+    sensor.check(model.system)
+    stamps = grid(epoch, epoch + from_seconds(duration), args.rate)
     with Progress() as progress:
 
         def show(impact: int) -> None:
             progress.step("simulating", seconds_between(epoch, impact), duration, "s")
 
         master = plant.make_plant(
-            read.system, *read.initial_state(), epoch=epoch, integrator=integrator, step=step
+            model.system,
+            *model.initial_state(),
+            epoch=epoch,
+            integrator=args.integrator,
+            step=step,
         )
         done = plant.simulate(master, stamps, progress=show)
-        progress.show(f"writing {output}")
-        how = described(integrator, step)
-        events = write_run(output, read, done, seed=seed, integrator=how, sensor=sensor)
+        progress.show(f"writing {args.output}")
+        how = described(args.integrator, step)
+        events = write_run(args.output, model, done, seed=args.seed, integrator=how, sensor=sensor)
         of_sensor = f", {events} events of a sensor with {', '.join(sensor.faults)}"
         progress.line(
-            f"{output}: {read.system.name}, {duration:g} s, {len(done.impacts)} impacts,"
+            f"{args.output}: {model.system.name}, {duration:g} s, {len(done.impacts)} impacts,"
             f" {stamps.size} true states{of_sensor if sensor.faults else ''}"
         )
     return 0
