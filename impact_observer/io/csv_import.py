@@ -7,7 +7,7 @@ import csv
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from decimal import Context, Decimal
+from decimal import Decimal
 from itertools import chain, groupby
 from pathlib import Path
 from typing import NamedTuple, NoReturn
@@ -21,17 +21,15 @@ from impact_observer.io.recordings import all_or_nothing
 from impact_observer.model import Model
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 
-UNITS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1000, "ns": 1}
+_UNITS = {"s": NS_PER_S, "ms": 1_000_000, "us": 1000, "ns": 1}
 """Nanoseconds of each unit of time."""
 _SINCE_1970 = 100_000_000 * NS_PER_S
 """Times from here on are taken to count from 1970, smaller ones from the start of the
 experiment."""
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,2})?")
 _TIME = re.compile(r"time(?:[ _]?[\[(]?(s|ms|us|ns)[\])]?)?", re.IGNORECASE)
-_CONTACT, _KIND = "contact", "kind"
-_KINDS = {name: kind for kind in Kind for name in (kind.name.lower(), str(kind.value))}
-_EXACT = Context(prec=80)
+_COLUMNS = ("time", "contact", "kind")
 _FORM = "time[, contact[, kind]]"
+_KINDS = {name: kind for kind in Kind for name in (kind.name.lower(), str(kind.value))}
 
 
 class CsvRow(NamedTuple):
@@ -71,31 +69,12 @@ class Imported:
     ignored: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class _Layout:
-    """The columns of a file.
+class Table:
+    """A file of impact times, read row by row; columns are separated by comma, semicolon or tab.
 
     Attributes:
-        separator: between the columns.
-        unit: ns of a unit of time.
-        time: index of the column of the time.
-        contact: index of the column of the contact; None without one.
-        kind: index of the column of the kind; None without one.
-        width: number of columns; 0 without a header.
-        ignored: names of the columns that are not read.
+        ignored: names of the columns that are not read; complete after the first row.
     """
-
-    separator: str
-    unit: int
-    time: int = 0
-    contact: int | None = 1
-    kind: int | None = 2
-    width: int = 0
-    ignored: tuple[str, ...] = ()
-
-
-class Table:
-    """A file of impact times, read row by row."""
 
     def __init__(
         self, path: Path, *, unit: str | None = None, contacts: Sequence[str] | None = None
@@ -103,15 +82,18 @@ class Table:
         """Read ``path``.
 
         Args:
-            path: a CSV file; columns are separated by commas, semicolons or tabs.
-            unit: of time, one of ``UNITS``; None for that in the header, else seconds.
+            path: a CSV file.
+            unit: of time: s, ms, us or ns; None for that in the header, else seconds.
             contacts: those of the model; None without a model.
         """
+        self.ignored: tuple[str, ...] = ()
         self._path = path
         self._unit = unit
         self._contacts = contacts
         self._line = 0
-        self.ignored: tuple[str, ...] = ()
+        self._separator = ","
+        self._has_header = False
+        self._columns: list[str] = []
 
     def rows(self) -> Iterator[CsvRow]:
         """The rows, one by one.
@@ -127,83 +109,77 @@ class Table:
         except OSError as error:
             raise UsageError(f"{self._path}: cannot be read: {error.strerror}") from None
 
-    def _rows(self, lines: Iterable[str]) -> Iterator[CsvRow]:
-        """The rows below the header, if there is one."""
-        uncommented = ("\n" if line.lstrip().startswith("#") else line for line in lines)
-        first, skipped = "\n", -1
-        while not first.strip():
-            if not (first := next(uncommented, "")):
-                raise UsageError(f"{self._path}: holds no impact; expected rows {_FORM}")
-            skipped += 1
-        separator = next((each for each in ("\t", ";") if each in first), ",")
-        reader = csv.reader(chain([first], uncommented), delimiter=separator, strict=True)
-        layout = None
+    def _rows(self, file: Iterable[str]) -> Iterator[CsvRow]:
+        lines = ("\n" if line.lstrip().startswith("#") else line for line in file)
+        skipped, first = next(((k, line) for k, line in enumerate(lines) if line.strip()), (0, ""))
+        if not first:
+            raise UsageError(f"{self._path}: holds no impact; expected rows {_FORM}")
+        self._separator = next((each for each in "\t;" if each in first), ",")
+        reader = csv.reader(chain([first], lines), delimiter=self._separator, strict=True)
         try:
             for row in reader:
                 self._line = skipped + reader.line_num
                 cells = [cell.strip() for cell in row]
                 if not any(cells):
                     continue
-                if layout is None:
-                    layout = self._layout(cells, separator)
-                    self.ignored = layout.ignored
-                    if layout.width:
+                if not self._columns:
+                    self._read_columns(cells)
+                    if self._has_header:
                         continue
-                yield self._row(cells, layout)
+                yield self._row(cells)
         except csv.Error as error:
             self._line = skipped + reader.line_num
             self._wrong(f"cannot be read as CSV: {error}")
 
-    def _layout(self, cells: list[str], separator: str) -> _Layout:
-        """The columns, by the first row."""
-        times = [k for k, cell in enumerate(cells) if _TIME.fullmatch(cell)]
+    def _read_columns(self, cells: list[str]) -> None:
+        """Read the columns and the unit from the first row, if it is a header."""
+        times = [cell for cell in cells if _TIME.fullmatch(cell)]
         if not times:
-            if not _NUMBER.fullmatch(_decimal(cells[0], separator)):
+            if self._number(cells[0]) is None:
                 self._wrong(f"{cells[0]!r} found; expected a header with a column time, or a time")
-            return _Layout(separator, UNITS[self._unit or "s"])
-        names = [cell.lower() for cell in cells]
-        for name in (_CONTACT, _KIND):
+            self._columns = [*_COLUMNS]
+            return
+        if len(times) > 1:
+            self._wrong(f"two columns of time, {', '.join(times)}; expected one")
+        names = ["time" if cell in times else cell.lower() for cell in cells]
+        for name in _COLUMNS:
             if names.count(name) > 1:
                 self._wrong(f"two columns {name} found; expected one")
-        if len(times) > 1:
-            self._wrong(f"two columns of time, {', '.join(cells[k] for k in times)}; expected one")
-        unit = (_TIME.findall(cells[times[0]])[0] or self._unit or "s").lower()
-        if self._unit and unit != self._unit:
+        unit = _TIME.findall(times[0])[0].lower()
+        if self._unit and unit and unit != self._unit:
             self._wrong(f"the header says {unit}, --time-unit {self._unit}; leave one out")
-        read = {times[0], *(names.index(n) for n in (_CONTACT, _KIND) if n in names)}
-        return _Layout(
-            separator,
-            UNITS[unit],
-            times[0],
-            names.index(_CONTACT) if _CONTACT in names else None,
-            names.index(_KIND) if _KIND in names else None,
-            len(cells),
-            tuple(cell for k, cell in enumerate(cells) if k not in read and cell),
-        )
+        self._unit = self._unit or unit
+        self._columns, self._has_header = names, True
+        named = zip(cells, names, strict=True)
+        self.ignored = tuple(cell for cell, name in named if cell and name not in _COLUMNS)
 
-    def _row(self, cells: list[str], layout: _Layout) -> CsvRow:
-        """The row with these cells."""
-        most = layout.width or 3
+    def _row(self, cells: list[str]) -> CsvRow:
+        most = len(self._columns)
         if len(cells) > most:
-            what = "the header has" if layout.width else f"expected {_FORM}, at most"
+            what = "the header has" if self._has_header else f"expected {_FORM}, at most"
             self._wrong(f"{len(cells)} columns found; {what} {most}")
+        time, contact, kind = (
+            dict(zip(self._columns, cells, strict=False)).get(name, "") for name in _COLUMNS
+        )
+        switch = Switch(self._contact(contact), self._kind(kind))
+        return CsvRow(self._line, self._time(time), switch)
 
-        def cell(column: int | None) -> str:
-            return "" if column is None or column >= len(cells) else cells[column]
+    def _number(self, cell: str) -> Decimal | None:
+        """A time, ns; its decimal point may be a comma unless commas separate columns."""
+        number = cell if self._separator == "," else cell.replace(",", ".")
+        try:
+            time = Decimal(number) * _UNITS[self._unit or "s"]
+        except ArithmeticError:
+            return None
+        return time if time.is_finite() else None
 
-        time = self._time(cell(layout.time), layout)
-        switch = Switch(self._contact(cell(layout.contact)), self._kind(cell(layout.kind)))
-        return CsvRow(self._line, time, switch)
-
-    def _time(self, cell: str, layout: _Layout) -> int:
+    def _time(self, cell: str) -> int:
         """A time in ns after the file's zero, rounded to the nearest nanosecond."""
-        number = _decimal(cell, layout.separator)
-        if not _NUMBER.fullmatch(number) or len(number) > 60:
+        if (time := self._number(cell)) is None:
             self._wrong(f"{cell!r} found; expected a time as a decimal number")
-        exact = _EXACT.multiply(Decimal(number), Decimal(layout.unit))
-        if abs(exact) > MAX_STAMP:
+        if abs(time) > MAX_STAMP:
             self._wrong(f"time {cell} is too large; stamps end at {text(MAX_STAMP)} s")
-        return int(exact.to_integral_value())
+        return round(time)
 
     def _contact(self, cell: str) -> str:
         """The contact with a name; without a name the model's only one."""
@@ -221,20 +197,13 @@ class Table:
 
     def _kind(self, cell: str) -> Kind:
         """The kind of a switch; an impact if the cell is empty."""
-        if not cell:
-            return Kind.IMPACT
-        if cell.lower() not in _KINDS:
+        if cell and cell.lower() not in _KINDS:
             names = ", ".join(kind.name.lower() for kind in Kind)
             self._wrong(f"kind {cell!r} found; expected one of {names}")
-        return _KINDS[cell.lower()]
+        return _KINDS[cell.lower()] if cell else Kind.IMPACT
 
     def _wrong(self, problem: str) -> NoReturn:
         raise UsageError(f"{self._path}, line {self._line}: {problem}")
-
-
-def _decimal(cell: str, separator: str) -> str:
-    """A number with a decimal point, which may be a comma unless commas separate columns."""
-    return cell if separator == "," else cell.replace(",", ".")
 
 
 def import_csv(
@@ -256,7 +225,7 @@ def import_csv(
         path: the CSV file.
         output: the bag to make.
         model: to put into the bag; only its contacts are allowed. None for none.
-        unit: of time, one of ``UNITS``; None for that in the header, else seconds.
+        unit: of time: s, ms, us or ns; None for that in the header, else seconds.
         start: stamp of the file's time zero, ns. None for 0 where the first time lies after 1973,
             as times since 1970 do, and for 1 s elsewhere.
         epoch: stamp of ``t = 0`` of the forcing, ns; None for the file's time zero.
