@@ -72,7 +72,7 @@ def _observed(bag: Path, output: Path) -> Observed:
     with BagReader(bag) as given, BagReader(output) as reader:
         states, found = reader.observer_states(_STATES), dict[int, object]()
         for _, message in reader.messages(_STATES):
-            found.setdefault(message.last_sequence, message)  # type: ignore[attr-defined]
+            found.setdefault(message.last_sequence, message)
         others = reader.topics.keys() - given.topics.keys() - {_STATES, _JOINT_STATES}
         return Observed(states, found, [*reader.raw(others)])
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io import BagWriter, JointState
-from impact_observer.io.message_types import EventMessage, JointStateMessage
-from impact_observer.io.messages import bag_messages
+from impact_observer.io.messages import AnyMessage, bag_messages
 from impact_observer.resources import shared
 
 S = 1_000_000_000
@@ -23,12 +22,12 @@ def model(name: str = "two_mass") -> str:
     return shared(f"config/{name}.yaml").read_text("utf-8")
 
 
-def state(stamp: int, names: tuple[str, ...] = ("x1", "x2")) -> JointStateMessage:
+def state(stamp: int, names: tuple[str, ...] = ("x1", "x2")) -> AnyMessage:
     """A joint state message."""
     return MAKE.joint_state(JointState(stamp, names, np.zeros(2), np.ones(2)))
 
 
-def three(stamp: int) -> JointStateMessage:
+def three(stamp: int) -> AnyMessage:
     """A state of three_mass."""
     return MAKE.joint_state(JointState(stamp, ("x1", "x2", "x3"), np.zeros(3), np.ones(3)))
 
@@ -37,7 +36,7 @@ def write(
     events: Sequence[ImpactEvent] | None = GOOD,
     *,
     text: str | None = None,
-    truth: Sequence[JointStateMessage] | None = None,
+    truth: Sequence[AnyMessage] | None = None,
     more: Sequence[tuple[str, int, object]] = (),
     types: dict[str, str] | None = None,
     delay: int = 0,
@@ -61,7 +60,7 @@ def write(
     return Path("bag")
 
 
-def event_message(event: ImpactEvent, **changes: int) -> EventMessage:
+def event_message(event: ImpactEvent, **changes: int) -> AnyMessage:
     """An event's message with other numbers in its header."""
     message = MAKE.event(event)
     for name, value in changes.items():

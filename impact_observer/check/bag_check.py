@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import cast
 
 from impact_observer.check.event_checks import EventCheck
 from impact_observer.check.findings import (
@@ -23,8 +22,7 @@ from impact_observer.errors import BagError, ModelError
 from impact_observer.io import interfaces
 from impact_observer.io.bag_topics import TopicInfo
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.message_types import EventMessage, StringMessage
-from impact_observer.io.messages import MessageError, read_event
+from impact_observer.io.messages import AnyMessage, MessageError, read_event
 from impact_observer.io.reader import BagReader, RawMessage
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
 from impact_observer.model import System, parse_model
@@ -169,7 +167,7 @@ class BagCheck:
             "read it with the version that made it",
         )
 
-    def _deserialized(self, kind: str, data: bytes) -> object:
+    def _deserialized(self, kind: str, data: bytes) -> AnyMessage:
         try:
             return deserialize(self._store, data, kind)
         except Exception as error:
@@ -178,8 +176,7 @@ class BagCheck:
     def _add_event(self, raw: RawMessage) -> None:
         check = self._events[raw.topic]
         try:
-            message = self._deserialized(interfaces.IMPACT_EVENT, raw.data)
-            event = read_event(cast("EventMessage", message))
+            event = read_event(self._deserialized(interfaces.IMPACT_EVENT, raw.data))
         except (BagError, MessageError) as error:
             check.add_invalid(str(error))
         else:
@@ -188,8 +185,7 @@ class BagCheck:
     def _add_model(self, raw: RawMessage) -> None:
         """Keep the last model that was published; bytes that cannot be read are an invalid one."""
         try:
-            message = self._deserialized(interfaces.STRING, raw.data)
-            self._models[raw.topic] = cast("StringMessage", message).data
+            self._models[raw.topic] = self._deserialized(interfaces.STRING, raw.data).data
         except BagError as error:
             self._models[raw.topic] = f"({error})"
 

@@ -5,13 +5,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import cast
 
 from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io.interfaces import IMPACT_EVENT
 from impact_observer.io.mcap_layout import summary_of
-from impact_observer.io.message_types import EstimateMessage
 from impact_observer.io.reader import BagReader
 from impact_observer.model import parse_model
 from impact_observer.observer.event_order import impacts_of
@@ -222,4 +220,4 @@ def _law(reader: BagReader, prefix: str) -> str:
     if (topic := f"{prefix}/state") not in reader.topics:
         return ""
     _, message = next(reader.messages(topic), (0, None))
-    return "" if message is None else cast("EstimateMessage", message).law
+    return "" if message is None else message.law

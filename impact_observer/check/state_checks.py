@@ -1,7 +1,6 @@
 """Checks of the true states in a bag, in one pass and constant memory."""
 
 from collections.abc import Callable, Iterator
-from typing import cast
 
 import numpy as np
 
@@ -16,8 +15,7 @@ from impact_observer.check.findings import (
 )
 from impact_observer.errors import BagError
 from impact_observer.io.interfaces import JOINT_STATE
-from impact_observer.io.message_types import JointStateMessage
-from impact_observer.io.messages import MessageError, read_joint_state
+from impact_observer.io.messages import AnyMessage, MessageError, read_joint_state
 from impact_observer.io.state_blocks import decode
 from impact_observer.model import System
 from impact_observer.stamps import MAX_STAMP, text
@@ -37,7 +35,7 @@ class StateCheck:
         last: the latest stamp, ns; 0 before any.
     """
 
-    def __init__(self, topic: str, deserialize: Callable[[bytes], object]) -> None:
+    def __init__(self, topic: str, deserialize: Callable[[bytes], AnyMessage]) -> None:
         """Check ``topic``.
 
         Args:
@@ -116,7 +114,7 @@ class StateCheck:
             self._add_stamps(rows.stamps[rows.valid])
         for i in sorted(alone):
             try:
-                message = cast("JointStateMessage", self._deserialize(block[i]))
+                message = self._deserialize(block[i])
                 state = read_joint_state(message)
             except (BagError, MessageError) as error:
                 self._invalid.add(f"message {self.count + i}: {error}")
@@ -127,7 +125,7 @@ class StateCheck:
 
     def _check_names(self, block: list[bytes], i: int) -> None:
         """Compare the coordinates of message ``i`` with those of the first message."""
-        names = tuple(cast("JointStateMessage", self._deserialize(block[i])).name)
+        names = tuple(self._deserialize(block[i]).name)
         self._names = self._names or names
         if sorted(names) != sorted(self._names) or len(set(names)) < len(names):
             self._renamed.add(f"message {self.count + i}: {listed(names)}")

@@ -3,12 +3,10 @@
 from collections import deque
 from dataclasses import dataclass
 from itertools import islice
-from typing import cast
 
 from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.message_types import EstimateMessage
 from impact_observer.io.reader import BagReader
 from impact_observer.stamps import NS_PER_S
 
@@ -92,6 +90,6 @@ def _observer_in(reader: BagReader, prefix: str) -> ObserverTopics:
     found = tail or list(islice(reader.raw([state]), 1))
     if not found:
         return ObserverTopics(prefix, bounded)
-    message = cast("EstimateMessage", reader.decoder(state)(found[0].data))
+    message = reader.decoder(state)(found[0].data)
     filters = len(message.covariance) > 0
     return ObserverTopics(prefix, bounded, filters, tuple(message.parameter_name))

@@ -2,15 +2,14 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.errors import BagError
 from impact_observer.io.interfaces import OBSERVER_STATE
-from impact_observer.io.message_types import EstimateMessage, JointStateMessage
-from impact_observer.io.messages import MessageError, read_estimate, read_joint_state
+from impact_observer.io.messages import AnyMessage, MessageError, read_estimate, read_joint_state
 from impact_observer.io.state_blocks import StateRows, decode
 from impact_observer.states import Matrix, Stamps
 
@@ -59,7 +58,7 @@ class Columns:
         source: str,
         type_name: str,
         names: Sequence[str] | None,
-        deserialize: Callable[[bytes], object],
+        deserialize: Callable[[bytes], AnyMessage],
     ) -> None:
         """Collect messages of ``type_name``.
 
@@ -130,12 +129,12 @@ class Columns:
         at, sequence, event = np.array([i]), np.uint64(0), 0
         try:
             if self._type == OBSERVER_STATE:
-                names, state = read_estimate(cast("EstimateMessage", message))
+                names, state = read_estimate(message)
                 self._check_law(state.law)
                 stamp, q, u = state.stamp, state.q, state.u
                 sequence, event = np.uint64(state.last_sequence), state.last_event
             else:
-                joint = read_joint_state(cast("JointStateMessage", message))
+                joint = read_joint_state(message)
                 names, stamp, q, u = joint.names, joint.stamp, joint.q, joint.u
         except MessageError as error:
             place = f"{self._source}, message {self._taken + i}"

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import TypeVar, cast
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,24 +18,14 @@ from numpy.typing import ArrayLike
 from impact_observer.errors import ImpactObserverError
 from impact_observer.events import SECOND_THOUGHT, ImpactEvent, Kind, Ruling, Switch, Verdict
 from impact_observer.io import interfaces
-from impact_observer.io.message_types import (
-    ClockMessage,
-    ErrorMessage,
-    EstimateMessage,
-    EventMessage,
-    HeaderMessage,
-    JointStateMessage,
-    MessageClass,
-    StringMessage,
-    TimeMessage,
-    VerdictMessage,
-)
 from impact_observer.io.typestores import typestore
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 from impact_observer.states import Estimate, Vector, frozen
 
 _MAX_UINT32 = 2**32 - 1
 _MAX_UINT64 = 2**64 - 1
+AnyMessage: TypeAlias = Any
+"""A message, or a message class, of ``rosbags`` or of ``rclpy``: they have no common base."""
 _Kinds = TypeVar("_Kinds", bound=IntEnum)
 
 
@@ -102,7 +92,7 @@ class Messages:
 
     def __init__(
         self,
-        classes: Callable[[str], MessageClass],
+        classes: Callable[[str], AnyMessage],
         floats: Callable[[Vector], object],
     ) -> None:
         """Use these message classes.
@@ -114,38 +104,35 @@ class Messages:
         self._classes = classes
         self._floats = floats
 
-    def time(self, stamp: int) -> TimeMessage:
+    def time(self, stamp: int) -> AnyMessage:
         """``stamp`` (ns, or 0 for "unknown") as ``builtin_interfaces/Time``."""
         _check_stamp("Time", stamp, earliest=0)
         seconds, nanoseconds = divmod(int(stamp), NS_PER_S)
-        new = self._classes(interfaces.TIME)
-        return cast("TimeMessage", new(sec=seconds, nanosec=nanoseconds))
+        return self._classes(interfaces.TIME)(sec=seconds, nanosec=nanoseconds)
 
-    def clock(self, stamp: int) -> ClockMessage:
+    def clock(self, stamp: int) -> AnyMessage:
         """``stamp`` (ns) as ``rosgraph_msgs/Clock``."""
-        new = self._classes(interfaces.CLOCK)
-        return cast("ClockMessage", new(clock=self.time(stamp)))
+        return self._classes(interfaces.CLOCK)(clock=self.time(stamp))
 
-    def model(self, model: str) -> StringMessage:
+    def model(self, model: str) -> AnyMessage:
         """A model file's text as ``std_msgs/String``."""
-        return cast("StringMessage", self._classes(interfaces.STRING)(data=model))
+        return self._classes(interfaces.STRING)(data=model)
 
-    def event(self, event: ImpactEvent) -> EventMessage:
+    def event(self, event: ImpactEvent) -> AnyMessage:
         """``event`` as ``impact_observer_msgs/ImpactEvent``."""
         _check_counter("ImpactEvent.sequence", event.sequence, _MAX_UINT64)
         _check_counter("ImpactEvent.episode", event.episode, _MAX_UINT32)
         _check_stamp("ImpactEvent.epoch", event.epoch, earliest=0)
         new_switch = self._classes(interfaces.CONTACT_SWITCH)
-        message = self._classes(interfaces.IMPACT_EVENT)(
+        return self._classes(interfaces.IMPACT_EVENT)(
             header=self._header("ImpactEvent", event.stamp),
             sequence=event.sequence,
             episode=event.episode,
             epoch=self.time(event.epoch),
             switches=[new_switch(contact=s.contact, kind=int(s.kind)) for s in event.switches],
         )
-        return cast("EventMessage", message)
 
-    def verdict(self, verdict: Verdict, latency: float = 0.0) -> VerdictMessage:
+    def verdict(self, verdict: Verdict, latency: float = 0.0) -> AnyMessage:
         """``verdict`` as ``impact_observer_msgs/EventVerdict``.
 
         Args:
@@ -153,7 +140,7 @@ class Messages:
             latency: from the event's stamp to its application, s.
         """
         _check_counter("EventVerdict.sequence", verdict.sequence, _MAX_UINT64)
-        message = self._classes(interfaces.EVENT_VERDICT)(
+        return self._classes(interfaces.EVENT_VERDICT)(
             header=self._header("EventVerdict", verdict.stamp),
             verdict=int(verdict.ruling),
             sequence=verdict.sequence,
@@ -162,9 +149,8 @@ class Messages:
             innovation=_number("EventVerdict.innovation", verdict.innovation),
             latency=_number("EventVerdict.latency", latency),
         )
-        return cast("VerdictMessage", message)
 
-    def estimate(self, estimate: Estimate, names: Sequence[str]) -> EstimateMessage:
+    def estimate(self, estimate: Estimate, names: Sequence[str]) -> AnyMessage:
         """``estimate`` as ``impact_observer_msgs/ObserverState``.
 
         Args:
@@ -176,7 +162,7 @@ class Messages:
         _check_stamp("ObserverState.last_event", estimate.last_event, earliest=0)
         entries = 4 * n * n if estimate.covariance.size else 0
         parameters = np.array([each[1:] for each in estimate.parameters]).reshape(-1, 2).T
-        message = self._classes(interfaces.OBSERVER_STATE)(
+        return self._classes(interfaces.OBSERVER_STATE)(
             header=self._header("ObserverState", estimate.stamp),
             law=estimate.law,
             name=list(names),
@@ -195,24 +181,22 @@ class Messages:
                 "ObserverState.parameter_deviation", parameters[1], parameters.shape[1]
             ),
         )
-        return cast("EstimateMessage", message)
 
-    def joint_state(self, state: JointState) -> JointStateMessage:
+    def joint_state(self, state: JointState) -> AnyMessage:
         """``state`` as ``sensor_msgs/JointState``, without efforts."""
         n = len(state.names)
-        message = self._classes(interfaces.JOINT_STATE)(
+        return self._classes(interfaces.JOINT_STATE)(
             header=self._header("JointState", state.stamp),
             name=list(state.names),
             position=self._array("JointState.position", state.q, n),
             velocity=self._array("JointState.velocity", state.u, n),
             effort=self._floats(np.empty(0)),
         )
-        return cast("JointStateMessage", message)
 
-    def estimate_error(self, error: EstimateError) -> ErrorMessage:
+    def estimate_error(self, error: EstimateError) -> AnyMessage:
         """``error`` as ``impact_observer_msgs/EstimateError``."""
         n = len(error.names)
-        message = self._classes(interfaces.ESTIMATE_ERROR)(
+        return self._classes(interfaces.ESTIMATE_ERROR)(
             header=self._header("EstimateError", error.stamp),
             law=error.law,
             v=_number("EstimateError.v", error.v),
@@ -220,19 +204,17 @@ class Messages:
             position_error=self._array("EstimateError.position_error", error.q, n),
             velocity_error=self._array("EstimateError.velocity_error", error.u, n),
         )
-        return cast("ErrorMessage", message)
 
-    def bound(self, estimate: Estimate) -> ErrorMessage:
+    def bound(self, estimate: Estimate) -> AnyMessage:
         """The certified bound of ``estimate``'s V, as an error without coordinates."""
         empty = frozen(np.empty(0))
         error = EstimateError(estimate.stamp, estimate.law, estimate.bound, (), empty, empty)
         return self.estimate_error(error)
 
-    def _header(self, kind: str, stamp: int) -> HeaderMessage:
+    def _header(self, kind: str, stamp: int) -> AnyMessage:
         """A header with a stamp, which must not be 0."""
         _check_stamp(f"{kind}.header.stamp", stamp)
-        new = self._classes(interfaces.HEADER)
-        return cast("HeaderMessage", new(stamp=self.time(stamp), frame_id=""))
+        return self._classes(interfaces.HEADER)(stamp=self.time(stamp), frame_id="")
 
     def _array(self, field: str, values: Vector, count: int) -> object:
         """The value of a ``float64[]`` field of ``count`` finite numbers, row by row."""
@@ -242,11 +224,10 @@ class Messages:
 @cache
 def bag_messages() -> Messages:
     """Makes messages of the classes of ``rosbags``, to be written to a bag."""
-    types = cast("dict[str, MessageClass]", typestore().types)
-    return Messages(types.__getitem__, np.array)
+    return Messages(typestore().types.__getitem__, np.array)
 
 
-def read_stamp(field: str, time: TimeMessage, earliest: int = 1) -> int:
+def read_stamp(field: str, time: AnyMessage, earliest: int = 1) -> int:
     """The stamp of a message, ns.
 
     Args:
@@ -264,7 +245,7 @@ def read_stamp(field: str, time: TimeMessage, earliest: int = 1) -> int:
     return stamp
 
 
-def read_event(message: EventMessage) -> ImpactEvent:
+def read_event(message: AnyMessage) -> ImpactEvent:
     """The event in a message.
 
     Raises:
@@ -282,7 +263,7 @@ def read_event(message: EventMessage) -> ImpactEvent:
     )
 
 
-def read_verdict(message: VerdictMessage) -> tuple[Verdict, float]:
+def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
     """The verdict in a message, and the latency, s.
 
     Raises:
@@ -300,7 +281,7 @@ def read_verdict(message: VerdictMessage) -> tuple[Verdict, float]:
     return verdict, float(message.latency)
 
 
-def read_estimate(message: EstimateMessage) -> tuple[tuple[str, ...], Estimate]:
+def read_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:
     """The coordinates' names and the estimate in a message.
 
     Raises:
@@ -333,7 +314,7 @@ def read_estimate(message: EstimateMessage) -> tuple[tuple[str, ...], Estimate]:
     return tuple(message.name), estimate
 
 
-def read_joint_state(message: JointStateMessage) -> JointState:
+def read_joint_state(message: AnyMessage) -> JointState:
     """The state in a message.
 
     Raises:
@@ -349,7 +330,7 @@ def read_joint_state(message: JointStateMessage) -> JointState:
     )
 
 
-def read_estimate_error(message: ErrorMessage) -> EstimateError:
+def read_estimate_error(message: AnyMessage) -> EstimateError:
     """The error in a message.
 
     Raises:

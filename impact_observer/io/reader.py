@@ -34,11 +34,9 @@ from impact_observer.io.bag_topics import (
 from impact_observer.io.chunks import Message, index_of, messages
 from impact_observer.io.columns import Columns, JointStates, ObserverStates, joined
 from impact_observer.io.interfaces import Interface
-from impact_observer.io.message_types import VerdictMessage
-from impact_observer.io.messages import MessageError, read_event, read_verdict
+from impact_observer.io.messages import AnyMessage, MessageError, read_event, read_verdict
 from impact_observer.io.typestores import add_definition, deserialize, new_typestore
 
-_Message = TypeVar("_Message")
 _Value = TypeVar("_Value")
 
 BLOCK = 4096
@@ -186,7 +184,7 @@ class BagReader:
             for log_time, topic, data in self._stream(connections, start)
         )
 
-    def messages(self, topic: str) -> Iterator[tuple[int, object]]:
+    def messages(self, topic: str) -> Iterator[tuple[int, AnyMessage]]:
         """Log times (ns) and messages of a topic whose type is defined here or in the bag.
 
         Raises:
@@ -194,7 +192,7 @@ class BagReader:
         """
         return self._decoded(topic, self._topic(topic).type)
 
-    def decoder(self, topic: str) -> Callable[[bytes], object]:
+    def decoder(self, topic: str) -> Callable[[bytes], AnyMessage]:
         """A function that deserializes the messages of a topic.
 
         Raises:
@@ -219,7 +217,9 @@ class BagReader:
         Raises:
             BagError: the topic is missing or of another type, or a message has no valid verdict.
         """
-        return self._values(topic, interfaces.EVENT_VERDICT, _verdict)
+        return (
+            verdict for verdict, _ in self._values(topic, interfaces.EVENT_VERDICT, read_verdict)
+        )
 
     def blocks(
         self, topics: Collection[str], names: Sequence[str] | None = None
@@ -292,7 +292,7 @@ class BagReader:
         return self.topics[topic]
 
     def _values(
-        self, topic: str, type_name: str, read: Callable[[_Message], _Value]
+        self, topic: str, type_name: str, read: Callable[[AnyMessage], _Value]
     ) -> Iterator[_Value]:
         """The messages of a topic of the given type, each converted by ``read``."""
         messages = self._decoded(topic, type_name)
@@ -301,13 +301,13 @@ class BagReader:
             position = 0
             try:
                 for position, (_, message) in enumerate(messages):  # noqa: B007 (for the error)
-                    yield read(cast("_Message", message))
+                    yield read(message)
             except MessageError as error:
                 raise BagError(f"{self.path}: {topic}, message {position}: {error}") from error
 
         return values()
 
-    def _decoded(self, topic: str, type_name: str) -> Iterator[tuple[int, object]]:
+    def _decoded(self, topic: str, type_name: str) -> Iterator[tuple[int, AnyMessage]]:
         """Log times and messages of a topic, which must be of the given type."""
         store = self._store_for(topic, type_name)
         return (
@@ -338,7 +338,9 @@ class BagReader:
             )
         return store
 
-    def _deserialized(self, store: Typestore, topic: str, type_name: str, data: bytes) -> object:
+    def _deserialized(
+        self, store: Typestore, topic: str, type_name: str, data: bytes
+    ) -> AnyMessage:
         """The message in ``data``."""
         try:
             return deserialize(store, data, type_name)
@@ -404,11 +406,6 @@ class BagReader:
                 command = recover_command(self.path)
                 remedy = f"`{command}` writes what is left to a new file"
             raise BagError(f"{self.path}: cannot be read as a bag: {reason}; {remedy}") from error
-
-
-def _verdict(message: VerdictMessage) -> Verdict:
-    """The verdict in a message, without its latency."""
-    return read_verdict(message)[0]
 
 
 def _reason(error: BaseException) -> str:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from rosbags.interfaces.typing import FieldDesc, Typesdict
 from rosbags.serde import SerdeError
@@ -96,7 +97,7 @@ def _fields(types: Typesdict, name: str) -> list[tuple[str, FieldDesc]]:
     return [(field.lower(), kind) for field, kind in types[name][1]]
 
 
-def deserialize(store: Typestore, data: bytes, type_name: str) -> object:
+def deserialize(store: Typestore, data: bytes, type_name: str) -> Any:  # noqa: ANN401 (a class of rosbags)
     """The message in serialized ``data`` (CDR of either byte order).
 
     A few bytes too many are accepted: ``rclpy.serialization.serialize_message``, with which

@@ -17,7 +17,7 @@ from rclpy.node import Node
 
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.io import interfaces
-from impact_observer.io.message_types import ErrorMessage
+from impact_observer.io.messages import AnyMessage
 from impact_observer.io.writer import BagWriter
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.node_process import FOLLOW
@@ -136,7 +136,7 @@ def _subscribe(node: Node, setup: DemoSetup, progress: DemoProgress) -> None:
     def on_impact(_: object) -> None:
         progress.impacts += 1
 
-    def on_error(message: ErrorMessage) -> None:
+    def on_error(message: AnyMessage) -> None:
         progress.v[message.law] = message.v
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         at = progress.reached[message.law] = (stamp - setup.epoch) * 1e-9

@@ -3,11 +3,11 @@
 from array import array
 from functools import cache
 from importlib import import_module
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from impact_observer.errors import UsageError
-from impact_observer.io.message_types import JointStateMessage, MessageClass
 from impact_observer.io.messages import (
+    AnyMessage,
     JointState,
     MessageError,
     Messages,
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @cache
-def message_class(type_name: str) -> MessageClass:
+def message_class(type_name: str) -> AnyMessage:
     """The ROS class of a message type, such as ``sensor_msgs/msg/JointState``.
 
     Raises:
@@ -29,7 +29,7 @@ def message_class(type_name: str) -> MessageClass:
     package, _, name = type_name.partition("/")
     module, _, name = name.partition("/")
     try:
-        return cast("MessageClass", getattr(import_module(f"{package}.{module}"), name))
+        return getattr(import_module(f"{package}.{module}"), name)
     except (ImportError, AttributeError) as error:
         raise UsageError(
             f"{type_name}: no such ROS message here ({error}); build or source {package}"
@@ -43,7 +43,7 @@ def ros_messages() -> Messages:
 
 
 def read_state(
-    node: "Node", topic: str, message: JointStateMessage, names: tuple[str, ...]
+    node: "Node", topic: str, message: AnyMessage, names: tuple[str, ...]
 ) -> JointState | None:
     """The state in a message, with its columns in the order of ``names``.
 

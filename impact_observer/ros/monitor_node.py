@@ -8,8 +8,7 @@ from rclpy.node import Node
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.message_types import JointStateMessage
-from impact_observer.io.messages import EstimateError, JointState
+from impact_observer.io.messages import AnyMessage, EstimateError, JointState
 from impact_observer.model import read_model
 from impact_observer.ros import parameters
 from impact_observer.ros.message_classes import message_class, read_state, ros_messages
@@ -41,7 +40,7 @@ class MonitorNode(Node):
         )
         self._law = values.text("law") or estimates.topic_name.rpartition("/")[0].lstrip("/")
 
-    def _on_truth(self, message: JointStateMessage) -> None:
+    def _on_truth(self, message: AnyMessage) -> None:
         state = read_state(self, "plant/joint_states", message, self._system.coordinates)
         if state is None:
             return
@@ -50,7 +49,7 @@ class MonitorNode(Node):
         if estimate is not None:
             self._compare(state, estimate)
 
-    def _on_estimate(self, message: JointStateMessage) -> None:
+    def _on_estimate(self, message: AnyMessage) -> None:
         """An estimate may arrive twice: the second is corrected by a late event."""
         state = read_state(self, "observer/joint_states", message, self._system.coordinates)
         if state is None:

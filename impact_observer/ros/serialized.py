@@ -10,14 +10,13 @@ from functools import lru_cache
 from math import isfinite, isqrt
 from struct import Struct
 from struct import error as StructError  # noqa: N812 (its own name is too general)
-from typing import TypeAlias, cast
+from typing import TypeAlias
 
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io.interfaces import IMPACT_EVENT
-from impact_observer.io.message_types import EventMessage
 from impact_observer.io.messages import JointState, MessageError, read_event
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.stamps import MAX_STAMP, NS_PER_S
@@ -59,7 +58,7 @@ def read_impact(data: bytes) -> ImpactEvent:
         message = deserialize_message(data, message_class(IMPACT_EVENT))
     except RuntimeError:  # rclpy's own class has no public name
         raise MessageError(f"{len(data)} bytes that are no {IMPACT_EVENT}; left out") from None
-    return read_event(cast("EventMessage", message))
+    return read_event(message)
 
 
 def _read_usual_impact(data: bytes) -> ImpactEvent | None:

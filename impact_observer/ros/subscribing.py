@@ -10,7 +10,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from impact_observer.io.interfaces import Quality, usual_quality
-from impact_observer.io.message_types import MessageClass
+from impact_observer.io.messages import AnyMessage
 from impact_observer.ros.qos import offered_quality, qos_profile
 
 MessageInfo: TypeAlias = Mapping[str, int]
@@ -37,7 +37,7 @@ def waiting_messages(subscription: Subscription, most: int) -> Iterator[tuple[An
 def subscribe_raw(
     node: Node,
     topic: str,
-    message_type: MessageClass,
+    message_type: AnyMessage,
     quality: Quality,
     on_message: Callable[[str, bytes], None],
 ) -> Subscription:

@@ -9,8 +9,7 @@ from impact_observer.draw.scene.scene import Scene
 from impact_observer.errors import UsageError
 from impact_observer.events import Kind
 from impact_observer.io import interfaces
-from impact_observer.io.message_types import EventMessage, JointStateMessage
-from impact_observer.io.messages import JointState, MessageError, read_event
+from impact_observer.io.messages import AnyMessage, JointState, MessageError, read_event
 from impact_observer.model import read_model
 from impact_observer.ros import parameters
 from impact_observer.ros.markers import ESTIMATE, PLANT, MarkerRow, Painter
@@ -67,7 +66,7 @@ class ViewerNode(Node):
             message_class(interfaces.IMPACT_EVENT), "impacts", self._on_event, qos_profile(events)
         )
 
-    def _on_state(self, name: str, message: JointStateMessage) -> None:
+    def _on_state(self, name: str, message: AnyMessage) -> None:
         """Keep the last state."""
         state = read_state(self, f"{name}/joint_states", message, self._system.coordinates)
         if state is None:
@@ -76,7 +75,7 @@ class ViewerNode(Node):
             self._closed.clear()  # a bag is played again
         self._states[name] = state
 
-    def _on_event(self, message: EventMessage) -> None:
+    def _on_event(self, message: AnyMessage) -> None:
         """Keep the time of impacts, and the closed contacts."""
         try:
             event = read_event(message)

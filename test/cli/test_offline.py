@@ -2,14 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
 from systems import jammed
 
 from impact_observer.cli.main import main
-from impact_observer.io.message_types import ErrorMessage, EstimateMessage
 from impact_observer.io.messages import read_estimate
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
@@ -65,7 +63,7 @@ def test_observe_writes_the_parameters_that_it_learns(
         run_bag, "learnt", "--law", "minimum-variance", *FREE, "--rate", "1", "--ensemble", "1"
     )
     with BagReader(bag) as reader:
-        read = (cast(EstimateMessage, each) for _, each in reader.messages("/observer/state"))
+        read = (each for _, each in reader.messages("/observer/state"))
         states = [read_estimate(each)[1] for each in read]
     names = [name for name, _, _ in states[0].parameters]
     assert names == ["stiffness-scale", "restitution.stop"]
@@ -142,7 +140,7 @@ def test_certified_bound_is_written_when_it_changes(run_bag: Path) -> None:
     output = observed(run_bag, "bounded", "--initial", "random:3", "--deviation", "2")
     with BagReader(output) as reader:
         impacts = len(events_in(reader))
-        bounds = [cast("ErrorMessage", each) for _, each in reader.messages("/observer/bound")]
+        bounds = [each for _, each in reader.messages("/observer/bound")]
     values = [message.v for message in bounds]
     assert len(values) == impacts + 1
     assert np.all(np.diff(values) < 0)

@@ -88,7 +88,7 @@ def test_a_block_of_joint_states_equals_its_messages() -> None:
     states = taken(JOINT, block)
     assert states.names == ("x1", "x2")
     for i, data in enumerate(block):
-        one = read_joint_state(deserialize(typestore(), data, JOINT))  # type: ignore[arg-type]
+        one = read_joint_state(deserialize(typestore(), data, JOINT))
         order = [one.names.index(name) for name in states.names]
         assert states.stamps[i] == one.stamp
         assert states.q[i].tobytes() == one.q[order].tobytes()
@@ -106,7 +106,7 @@ def test_a_block_of_estimates_equals_its_messages() -> None:
     assert isinstance(states, ObserverStates)
     assert states.law == "geometric"
     for i, data in enumerate(block):
-        one = read_estimate(deserialize(typestore(), data, OBSERVER))[1]  # type: ignore[arg-type]
+        one = read_estimate(deserialize(typestore(), data, OBSERVER))[1]
         assert states.stamps[i] == one.stamp
         assert states.q[i].tobytes() == one.q.tobytes()
         assert states.u[i].tobytes() == one.u.tobytes()
@@ -167,7 +167,7 @@ def test_places_are_counted_through_all_blocks() -> None:
         own.add([joint(stamp, "x1")])
     own.take()
     bad = deserialize(typestore(), joint(4, "x1"), JOINT)
-    bad.position = np.array([np.nan])  # type: ignore[attr-defined]
+    bad.position = np.array([np.nan])
     own.add([joint(4, "x1")])
     own.add([serialized(bad, JOINT)])
     with pytest.raises(BagError, match=r"/topic, message 4: JointState.position\[0\] is nan"):

@@ -106,28 +106,28 @@ def same(left: object, right: object) -> bool:
 def test_event_survives_its_message(event: ImpactEvent) -> None:
     """Stamps to the nanosecond, counters to the last bit."""
     back = through_bytes(bag_messages().event(event), interfaces.IMPACT_EVENT)
-    assert m.read_event(back) == event  # type: ignore[arg-type]
+    assert m.read_event(back) == event
 
 
 @given(verdict=VERDICTS, latency=FLOATS)
 def test_verdict_survives_its_message(verdict: Verdict, latency: float) -> None:
     """With its latency."""
     back = through_bytes(bag_messages().verdict(verdict, latency), interfaces.EVENT_VERDICT)
-    assert m.read_verdict(back) == (verdict, latency)  # type: ignore[arg-type]
+    assert m.read_verdict(back) == (verdict, latency)
 
 
 @given(state=joint_states())
 def test_joint_state_survives_its_message(state: JointState) -> None:
     """Numbers bit for bit."""
     back = through_bytes(bag_messages().joint_state(state), interfaces.JOINT_STATE)
-    assert same(m.read_joint_state(back), state)  # type: ignore[arg-type]
+    assert same(m.read_joint_state(back), state)
 
 
 @given(both=estimates())
 def test_estimate_survives_its_message(both: tuple[Estimate, tuple[str, ...]]) -> None:
     """With its covariance's shape and its names."""
     back = through_bytes(bag_messages().estimate(*both), interfaces.OBSERVER_STATE)
-    names, estimate = m.read_estimate(back)  # type: ignore[arg-type]
+    names, estimate = m.read_estimate(back)
     assert names == both[1]
     assert same(estimate, both[0])
 
@@ -136,7 +136,7 @@ def test_estimate_survives_its_message(both: tuple[Estimate, tuple[str, ...]]) -
 def test_estimate_error_survives_its_message(error: EstimateError) -> None:
     """Numbers bit for bit."""
     back = through_bytes(bag_messages().estimate_error(error), interfaces.ESTIMATE_ERROR)
-    assert same(m.read_estimate_error(back), error)  # type: ignore[arg-type]
+    assert same(m.read_estimate_error(back), error)
 
 
 MAKERS: SearchStrategy[tuple[str, Callable[[Messages], object]]] = st.one_of(
@@ -212,7 +212,7 @@ def test_number_that_is_not_finite_is_refused(bad: float) -> None:
         ),
     ):
         with pytest.raises(MessageError, match=field):
-            refused()
+            refused()  # type: ignore[no-untyped-call]
 
 
 @pytest.mark.parametrize("stamp", [0, -1, MAX_STAMP + 1])

@@ -32,7 +32,7 @@ from impact_observer.ros.qos import offered_quality, qos_profile
 from impact_observer.ros.session import ros_node
 
 if TYPE_CHECKING:
-    from impact_observer.io.message_types import ClockMessage, EventMessage
+    from impact_observer.io.messages import AnyMessage
 
 pytestmark = pytest.mark.ros
 PATIENCE = 20.0
@@ -93,13 +93,13 @@ def wait_for(heard: list[Heard], count: int) -> None:
 
 def stamps(heard: list[Heard]) -> list[int]:
     """Stamps of the events heard, ns."""
-    messages: list[EventMessage] = [h.message for h in heard if h.topic == "/impacts"]  # type: ignore[misc]
+    messages: list[AnyMessage] = [h.message for h in heard if h.topic == "/impacts"]
     return [read_event(message).stamp for message in messages]
 
 
 def clock(heard: list[Heard]) -> list[int]:
     """What the clock showed, ns."""
-    messages: list[ClockMessage] = [h.message for h in heard if h.topic == "/clock"]  # type: ignore[misc]
+    messages: list[AnyMessage] = [h.message for h in heard if h.topic == "/clock"]
     return [read_stamp("clock", message.clock) for message in messages]
 
 

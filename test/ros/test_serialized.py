@@ -17,8 +17,7 @@ from sensor_msgs.msg import JointState as JointStateMessage
 from systems import examples
 
 from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.io.message_types import EventMessage
-from impact_observer.io.messages import JointState, MessageError
+from impact_observer.io.messages import AnyMessage, JointState, MessageError
 from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.serialized import EstimateSerializer, read_impact
 from impact_observer.states import Estimate
@@ -121,9 +120,7 @@ def test_event_is_read_as_it_was_sent(event: ImpactEvent, frame: str) -> None:
         (lambda message: setattr(message.switches[0], "kind", 7), "kind is 7"),
     ],
 )
-def test_event_that_cannot_be_is_refused(
-    change: Callable[[EventMessage], None], what: str
-) -> None:
+def test_event_that_cannot_be_is_refused(change: Callable[[AnyMessage], None], what: str) -> None:
     """With the words of the messages themselves."""
     message = ros_messages().event(ImpactEvent(5, (Switch("stop"),), 1))
     change(message)

@@ -9,7 +9,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -18,16 +18,8 @@ from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface, interface
-from impact_observer.io.message_types import (
-    ClockMessage,
-    ErrorMessage,
-    EstimateMessage,
-    EventMessage,
-    JointStateMessage,
-    StringMessage,
-    VerdictMessage,
-)
 from impact_observer.io.messages import (
+    AnyMessage,
     JointState,
     MessageError,
     read_estimate,
@@ -225,7 +217,7 @@ class TopicListener:
                 if each.observed.topic(interfaces.MONITOR_ERROR) == topic:
                     each.errors.add(stamp, data)
 
-    def _on_event(self, topic: str, message: EventMessage) -> None:
+    def _on_event(self, topic: str, message: AnyMessage) -> None:
         event = read_event(message)
         self._impacts += 1
         if event.epoch:
@@ -233,19 +225,19 @@ class TopicListener:
         contacts = ", ".join(switch.contact for switch in event.switches)
         self._last_impact = (event.stamp, contacts)
 
-    def _on_model(self, topic: str, message: StringMessage) -> None:
+    def _on_model(self, topic: str, message: AnyMessage) -> None:
         self._systems[topic] = parse_model(message.data, topic).system
 
-    def _on_verdict(self, topic: str, message: VerdictMessage) -> None:
+    def _on_verdict(self, topic: str, message: AnyMessage) -> None:
         verdict, latency = read_verdict(message)
         record = self._observer(_owner(topic))
         record.verdicts.appendleft((verdict, latency))
         record.counts[verdict.ruling.name.lower().replace("_", " ")] += not verdict.revises
 
-    def _on_bound(self, topic: str, message: ErrorMessage) -> None:
+    def _on_bound(self, topic: str, message: AnyMessage) -> None:
         self._observer(_owner(topic)).bound = float(message.v)
 
-    def _on_clock(self, _: str, message: ClockMessage) -> None:
+    def _on_clock(self, _: str, message: AnyMessage) -> None:
         stamp = read_stamp("Clock.clock", message.clock, earliest=0)
         if self._simulated is not None and stamp < self._simulated:
             self._truth.clear()
@@ -293,7 +285,7 @@ class TopicListener:
             names, estimate = _as_estimate(_joints(kept.data(stamp)))
         else:
             message = _message(interfaces.OBSERVER_STATES, kept.data(stamp))
-            names, estimate = read_estimate(cast("EstimateMessage", message))
+            names, estimate = read_estimate(message)
         true = _ordered(truth, names)
         source = self._measure(record, names, estimate, true)
         if estimate.convergence >= 0:
@@ -325,7 +317,7 @@ class TopicListener:
         stamp = record.errors.last()
         if stamp is not None:
             message = _message(interfaces.MONITOR_ERROR, record.errors.data(stamp))
-            record.distances.add(stamp, read_estimate_error(cast("ErrorMessage", message)).v)
+            record.distances.add(stamp, read_estimate_error(message).v)
             return "monitor"
         model = record.observed.topic(interfaces.PLANT_MODEL)
         system = self._system or self._systems.get(model)
@@ -356,7 +348,7 @@ def _message(kind: Interface, data: bytes) -> object:
 def _joints(data: bytes) -> JointState:
     """The state in a serialized ``JointState``."""
     message = _message(interfaces.OBSERVER_JOINT_STATES, data)
-    return read_joint_state(cast("JointStateMessage", message))
+    return read_joint_state(message)
 
 
 def _as_estimate(state: JointState) -> tuple[tuple[str, ...], Estimate]:
