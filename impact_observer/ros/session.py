@@ -68,11 +68,15 @@ class Stop:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Within this block the first signal raises ``KeyboardInterrupt``: for long computations."""
+    """For long computations: signals, also one before this block, raise ``KeyboardInterrupt``."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     previous = {each: signal.getsignal(each) for each in _SIGNALS}
+    for handler in previous.values():  # a signal may have come just before
+        stop = getattr(handler, "__self__", None)
+        if isinstance(stop, Stop) and stop.requested:
+            raise KeyboardInterrupt
 
     def raised(number: int, frame: FrameType | None) -> None:
         handler = previous[signal.Signals(number)]

@@ -1,0 +1,32 @@
+"""Signals: noted until work is finished, or raised amid a long computation."""
+
+import signal
+
+import pytest
+
+from impact_observer.ros.session import Stop, interruptible
+
+
+def test_the_first_signal_is_noted_and_the_second_raises() -> None:
+    """So that a user who is in a hurry presses Ctrl-C twice."""
+    with Stop() as stop:
+        signal.raise_signal(signal.SIGINT)
+        assert stop.requested
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_a_signal_within_a_long_computation_raises() -> None:
+    """And is noted too; afterwards signals are only noted again."""
+    with Stop() as stop:
+        with pytest.raises(KeyboardInterrupt), interruptible():
+            signal.raise_signal(signal.SIGTERM)
+        assert stop.requested
+
+
+def test_a_signal_just_before_a_long_computation_raises_too() -> None:
+    """Otherwise nobody would notice it before the end."""
+    with Stop():
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt), interruptible():
+            pytest.fail("it began")
