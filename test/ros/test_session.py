@@ -1,6 +1,8 @@
 """Signals: noted until work is finished, or raised amid a long computation."""
 
 import signal
+import time
+from contextlib import suppress
 
 import pytest
 
@@ -30,3 +32,16 @@ def test_a_signal_just_before_a_long_computation_raises_too() -> None:
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt), interruptible():
             pytest.fail("it began")
+
+
+def test_an_interrupt_that_is_swallowed_is_raised_again() -> None:
+    """As one within a callback from C, where exceptions are ignored."""
+
+    def swallow() -> None:
+        with interruptible():
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            time.sleep(30.0)
+
+    with Stop(), pytest.raises(KeyboardInterrupt):
+        swallow()
