@@ -2,18 +2,19 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from shlex import quote
 
+from impact_observer.check.bag_report import Report
 from impact_observer.check.event_checks import EventCheck
 from impact_observer.check.findings import (
     ERROR,
     NOTE,
+    SEVERITIES,
     WARNING,
     Finding,
     listed,
-    most_severe_first,
     times,
 )
 from impact_observer.check.salvage import Salvage, summary
@@ -48,28 +49,6 @@ _SENSORS = {
 """Message types that ``detect`` reads: what such a topic may be, and the options it needs."""
 
 
-@dataclass(frozen=True, slots=True)
-class Report:
-    """The result of a check.
-
-    Attributes:
-        path: the bag.
-        readable: whether the bag can be read as a whole, without salvage.
-        counts: messages of each topic that can be read.
-        findings: the most severe first.
-    """
-
-    path: Path
-    readable: bool
-    counts: Mapping[str, int]
-    findings: list[Finding]
-
-    @property
-    def usable(self) -> bool:
-        """Whether an observer can use the bag."""
-        return all(each.severity != ERROR for each in self.findings)
-
-
 def check_bag(
     path: Path,
     system: System | None = None,
@@ -92,8 +71,7 @@ def check_bag(
             for done, raw in enumerate(reader.raw()):
                 check.add(reader.topics[raw.topic], raw)
                 progress(done, reader.message_count)
-            found = [*_journals(path), *check.findings(reader.topics)]
-            return Report(path, True, check.counts, most_severe_first(found))
+            return _report(path, check, [*_journals(path), *check.findings(reader.topics)])
     except BagError as error:
         reason = str(error).removeprefix(f"{path}: ").partition("; ")[0]
     source, check = Salvage(path), BagCheck(path, system)
@@ -102,7 +80,14 @@ def check_bag(
     found = [*_damage(source, reason), *_journals(path)]
     if source.counts:
         found += check.findings(source.topics)
-    return Report(path, False, check.counts, most_severe_first(found))
+    return _report(path, check, found, readable=False)
+
+
+def _report(
+    path: Path, check: "BagCheck", found: list[Finding], *, readable: bool = True
+) -> Report:
+    found.sort(key=lambda each: SEVERITIES.index(each.severity))
+    return Report(path, readable, check.counts, found)
 
 
 class BagCheck:
@@ -142,10 +127,9 @@ class BagCheck:
             self._wrong_definitions[topic] = finding
             return None
         if own is interfaces.PLANT_JOINT_STATES:
-            states = self._states[topic] = StateCheck(
-                topic, lambda data: self._deserialized(info.type, data)
-            )
-            return lambda raw: states.add(raw.data)
+            states = StateCheck(topic, partial(self._deserialized, info.type))
+            self._states[topic] = states
+            return states.add
         if own is interfaces.PLANT_MODEL:
             return self._add_model
         self._events[topic] = EventCheck(topic)
@@ -159,13 +143,9 @@ class BagCheck:
             return Finding(ERROR, info.name, str(error), remedy="record again")
         if not differs:
             return None
-        return Finding(
-            ERROR,
-            info.name,
-            f"the bag defines {info.type} otherwise than this package",
-            "the same fields",
-            "read it with the version that made it",
-        )
+        found = f"the bag defines {info.type} otherwise than this package"
+        remedy = "read it with the version that made it"
+        return Finding(ERROR, info.name, found, "the same fields", remedy)
 
     def _deserialized(self, kind: str, data: bytes) -> AnyMessage:
         try:
@@ -177,10 +157,9 @@ class BagCheck:
         check = self._events[raw.topic]
         try:
             event = read_event(self._deserialized(interfaces.IMPACT_EVENT, raw.data))
+            check.add(event, raw.log_time)
         except (BagError, MessageError) as error:
             check.add_invalid(str(error))
-        else:
-            check.add(event, raw.log_time)
 
     def _add_model(self, raw: RawMessage) -> None:
         """Keep the last model that was published; bytes that cannot be read are an invalid one."""
@@ -210,12 +189,9 @@ class BagCheck:
             span = (events.first, events.last) if events.valid else None
         truth = used[interfaces.PLANT_JOINT_STATES]
         if truth is None:
-            yield Finding(
-                NOTE,
-                self._name,
-                f"carries no truth ({interfaces.PLANT_JOINT_STATES.topic})",
-                remedy="observe needs --rate, and there is nothing to compare with",
-            )
+            found_none = f"carries no truth ({interfaces.PLANT_JOINT_STATES.topic})"
+            remedy = "observe needs --rate, and there is nothing to compare with"
+            yield Finding(NOTE, self._name, found_none, remedy=remedy)
         elif truth in self._states:
             yield from self._states[truth].findings(system, span)
         yield from self._undefined_types(topics)
@@ -244,22 +220,14 @@ class BagCheck:
             remedy = f"play the bag with {others[0]} as /impacts, and record that"
         elif sensors:
             remedy = "detect can make them of its sensors"
-        yield Finding(
-            ERROR,
-            self._name,
-            f"no impacts; topics in the bag: {listed(topics)}",
-            f"{interfaces.IMPACT_EVENT} on {interfaces.IMPACTS.topic}",
-            remedy,
-        )
+        found = f"no impacts; topics in the bag: {listed(topics)}"
+        wanted = f"{interfaces.IMPACT_EVENT} on {interfaces.IMPACTS.topic}"
+        yield Finding(ERROR, self._name, found, wanted, remedy)
+        detect = f"impact-observer detect {quote(str(self._path))} --contact NAME --topic"
         for info in [] if others else sensors[:_MOST]:
             what, options = _SENSORS[info.type]
-            yield Finding(
-                NOTE,
-                info.name,
-                f"{info.type} looks like {what}",
-                remedy=f"impact-observer detect {quote(str(self._path))} --contact NAME"
-                f" --topic {info.name}{options} -o NEW",
-            )
+            remedy = f"{detect} {info.name}{options} -o NEW"
+            yield Finding(NOTE, info.name, f"{info.type} looks like {what}", remedy=remedy)
 
     def _undefined_types(self, topics: Mapping[str, TopicInfo]) -> Iterator[Finding]:
         undefined = [
@@ -268,13 +236,11 @@ class BagCheck:
             if not info.definition and info.type not in self._store.fielddefs
         ]
         if undefined:
-            yield Finding(
-                NOTE,
-                self._name,
-                f"no definition of the messages on {listed(undefined)}",
-                remedy="they can be copied and played, not read; MCAP and Jazzy bags have"
-                " definitions",
+            found = f"no definition of the messages on {listed(undefined)}"
+            remedy = (
+                "they can be copied and played, not read; MCAP and Jazzy bags have definitions"
             )
+            yield Finding(NOTE, self._name, found, remedy=remedy)
 
 
 def _topic_of(own: Interface, topics: Mapping[str, TopicInfo]) -> tuple[str | None, list[Finding]]:
@@ -283,21 +249,16 @@ def _topic_of(own: Interface, topics: Mapping[str, TopicInfo]) -> tuple[str | No
     if not fitting:
         return None, []
     if len(fitting) > 1 and own.topic not in fitting:
-        fault = Finding(
-            ERROR,
-            " and ".join(fitting),
-            f"several topics fit {own.topic}",
-            "one of them",
-            f"record one only, or play the bag with one as {own.topic}",
-        )
-        return None, [fault]
+        found = f"several topics fit {own.topic}"
+        remedy = f"record one only, or play the bag with one as {own.topic}"
+        return None, [Finding(ERROR, " and ".join(fitting), found, "one of them", remedy)]
     topic = own.topic if own.topic in fitting else fitting[0]
     others = [each for each in fitting if each != topic]
-    found = [Finding(NOTE, listed(others), f"not used; {topic} is")] if others else []
+    notes = [Finding(NOTE, listed(others), f"not used; {topic} is")] if others else []
     if (kind := topics[topic].type) != own.type:
         remedy = "detect makes impacts of such a topic" if kind in _SENSORS else ""
-        return None, [*found, Finding(ERROR, topic, f"is {kind}", own.type, remedy)]
-    return topic, found
+        return None, [*notes, Finding(ERROR, topic, f"is {kind}", own.type, remedy)]
+    return topic, notes
 
 
 def _damage(source: Salvage, reason: str) -> Iterator[Finding]:
@@ -325,13 +286,10 @@ def _journals(path: Path) -> Iterator[Finding]:
     folder, files = (path, "*.db3") if path.is_dir() else (path.parent, path.name)
     for journal in sorted(folder.glob(f"{files}-wal")):
         if size := journal.stat().st_size:
+            found = f"{size} bytes that are not in the database yet"
             database = quote(str(journal.with_name(journal.name.removesuffix("-wal"))))
-            yield Finding(
-                WARNING,
-                journal.name,
-                f"{size} bytes that are not in the database yet",
-                remedy=f"put them in: sqlite3 {database} 'PRAGMA wal_checkpoint(TRUNCATE)'",
-            )
+            remedy = f"put them in: sqlite3 {database} 'PRAGMA wal_checkpoint(TRUNCATE)'"
+            yield Finding(WARNING, journal.name, found, remedy=remedy)
 
 
 def _bag_name(path: Path) -> str:

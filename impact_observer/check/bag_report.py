@@ -1,45 +1,61 @@
-"""A bag check as lines of text, and as figures for ``--json``."""
+"""The result of a bag check: its figures for ``--json``, and its lines of text."""
 
 import sys
-from dataclasses import asdict
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
-from impact_observer.check.bag_check import Report
-from impact_observer.check.findings import SEVERITIES, times
+from impact_observer.check.findings import ERROR, SEVERITIES, Finding, times
+from impact_observer.draw.text_tables import console, facts_table
 
 _STYLES = {"error": "bold red", "warning": "yellow", "note": "dim"}
-_WIDTH = max(map(len, SEVERITIES))
 
 
-def figures(report: Report) -> dict[str, object]:
-    """What ``--json`` prints."""
-    return {
-        "path": str(report.path),
-        "usable": report.usable,
-        "readable": report.readable,
-        "topics": dict(sorted(report.counts.items())),
-        "findings": [asdict(each) | {"line": each.line} for each in report.findings],
-    }
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The result of a check.
 
+    Attributes:
+        path: the bag.
+        readable: whether the bag can be read as a whole, without salvage.
+        counts: messages of each topic that can be read.
+        findings: the most severe first.
+    """
 
-def print_report(report: Report) -> None:
-    """Print each finding as one line; on a terminal folded beside its severity."""
-    console = Console(highlight=False, markup=False, emoji=False)
-    if sys.stdout.isatty():
-        table = Table.grid(padding=(0, 2))
-        table.add_column(no_wrap=True)
-        table.add_column(overflow="fold")
-        for each in report.findings:
-            table.add_row(Text(each.severity, style=_STYLES[each.severity]), each.line)
-        console.print(table)
-    else:
-        for each in report.findings:
-            console.print(f"{each.severity:{_WIDTH}}  {each.line}", soft_wrap=True)
-    counts = {s: sum(f.severity == s for f in report.findings) for s in SEVERITIES}
-    found = ", ".join(times(count, s) for s, count in counts.items() if count)
-    usable = "an observer can use it" if report.usable else "no observer can use it"
-    verdict = f"{usable} ({found or 'nothing to remark'})"
-    console.print(f"{report.path}: {verdict}", soft_wrap=True)
+    path: Path
+    readable: bool
+    counts: Mapping[str, int]
+    findings: list[Finding]
+
+    @property
+    def usable(self) -> bool:
+        """Whether an observer can use the bag."""
+        return all(each.severity != ERROR for each in self.findings)
+
+    def figures(self) -> dict[str, object]:
+        """What ``--json`` prints."""
+        return {
+            "path": str(self.path),
+            "usable": self.usable,
+            "readable": self.readable,
+            "topics": dict(sorted(self.counts.items())),
+            "findings": [asdict(each) | {"line": each.line} for each in self.findings],
+        }
+
+    def print(self) -> None:
+        """Print each finding as one line; on a terminal folded beside its severity."""
+        output = console()
+        if sys.stdout.isatty():
+            rows = [(Text(f.severity, _STYLES[f.severity]), f.line) for f in self.findings]
+            output.print(facts_table(rows))
+        else:
+            for each in self.findings:
+                output.print(f"{each.severity:7}  {each.line}", soft_wrap=True)
+        counts = Counter(each.severity for each in self.findings)
+        found = ", ".join(times(counts[s], s) for s in SEVERITIES if counts[s])
+        usable = "an observer can use it" if self.usable else "no observer can use it"
+        verdict = f"{usable} ({found or 'nothing to remark'})"
+        output.print(f"{self.path}: {verdict}", soft_wrap=True)

@@ -1,22 +1,24 @@
 """What a bag holds: topics, impacts, model, observers."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
+from typing import Any
 
+from rich.filesize import decimal
+
+from impact_observer.check.findings import times
+from impact_observer.draw.text_tables import console, facts_table, plain_table
 from impact_observer.errors import BagError, ModelError
-from impact_observer.events import ImpactEvent, Kind
+from impact_observer.events import Kind
 from impact_observer.io.interfaces import IMPACT_EVENT
 from impact_observer.io.mcap_layout import summary_of
 from impact_observer.io.reader import BagReader
 from impact_observer.model import parse_model
 from impact_observer.observer.event_order import impacts_of
-from impact_observer.stamps import seconds_between
-
-_WINDOW = 20_000
-"""Events that are sorted together: all of any bag but a very long one."""
+from impact_observer.stamps import seconds_between, text
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,7 @@ class BagSummary:
     path: str
     storage: str
     size: int
-    chunks: dict[str, object] | None
+    chunks: dict[str, Any] | None
     start: int
     end: int
     duration: float
@@ -99,7 +101,16 @@ def summarize(bag: Path) -> BagSummary:
 
 
 def _summary(reader: BagReader) -> BagSummary:
-    impacts, closings, episodes = _impacts(reader)
+    impacts: Counter[str] = Counter()
+    closings: Counter[str] = Counter()
+    episodes = 0
+    for topic in reader.topics.values():
+        if topic.type == IMPACT_EVENT:
+            events = list(reader.events(topic.name))
+            episodes += len({event.episode for event in events})
+            for _, contact, kind in impacts_of(events):
+                impacts[contact] += 1
+                closings[contact] += kind is Kind.CLOSE
     return BagSummary(
         path=str(reader.path),
         storage=reader.storage,
@@ -110,8 +121,8 @@ def _summary(reader: BagReader) -> BagSummary:
         duration=seconds_between(reader.start, reader.end),
         messages=reader.message_count,
         topics=_topics(reader),
-        impacts=impacts,
-        closings=closings,
+        impacts=dict(sorted(impacts.items())),
+        closings=dict(sorted((+closings).items())),
         episodes=episodes,
         model=_model(reader),
         observers={prefix: _law(reader, prefix) for prefix in reader.observers()},
@@ -135,7 +146,7 @@ def _topics(reader: BagReader) -> list[TopicSummary]:
     ]
 
 
-def _chunks(bag: Path) -> dict[str, object] | None:
+def _chunks(bag: Path) -> dict[str, Any] | None:
     """The chunks of all MCAP files, by their indexes; None without any."""
     chunks = []
     for file in sorted(bag.glob("*.mcap")) if bag.is_dir() else [bag]:
@@ -153,66 +164,16 @@ def _chunks(bag: Path) -> dict[str, object] | None:
     }
 
 
-def _impacts(reader: BagReader) -> tuple[dict[str, int], dict[str, int], int]:
-    """Impacts and closings of each contact, and the number of episodes, over all topics."""
-    counts: Counter[str] = Counter()
-    closings: Counter[str] = Counter()
-    episodes: set[tuple[str, int]] = set()
-
-    def events(topic: str) -> Iterator[ImpactEvent]:
-        for event in reader.events(topic):
-            episodes.add((topic, event.episode))
-            yield event
-
-    for topic in reader.topics.values():
-        if topic.type == IMPACT_EVENT:
-            for contact, kind in _impacts_in_order(events(topic.name)):
-                counts[contact] += 1
-                closings[contact] += kind is Kind.CLOSE
-    return dict(sorted(counts.items())), dict(sorted((+closings).items())), len(episodes)
-
-
-def _impacts_in_order(events: Iterable[ImpactEvent]) -> Iterator[tuple[str, Kind]]:
-    """Contacts and kinds of the impacts and closings that count, in constant memory.
-
-    ``_WINDOW`` events are sorted at a time; those of one stamp stay together.
-    """
-
-    def key(event: ImpactEvent) -> tuple[int, int, int]:
-        return event.epoch, event.episode, event.stamp
-
-    waiting: list[ImpactEvent] = []
-    for event in events:
-        waiting.append(event)
-        if len(waiting) >= 2 * _WINDOW:
-            waiting.sort(key=key)
-            cut = _WINDOW
-            while cut < len(waiting) and key(waiting[cut]) == key(waiting[cut - 1]):
-                cut += 1
-            yield from (impact[1:] for impact in impacts_of(waiting[:cut]))
-            del waiting[:cut]
-    yield from (impact[1:] for impact in impacts_of(waiting))
-
-
 def _model(reader: BagReader) -> dict[str, object] | None:
     """Name and origin of the model in the bag; or why it cannot be read."""
     try:
-        if (text := reader.model_text()) is None:
+        if (source := reader.model_text()) is None:
             return None
-        model = parse_model(text, "model")
+        model = parse_model(source, "model")
     except (BagError, ModelError) as error:
         return {"error": str(error)}
     keys = ("version", "seed", "integrator", "sensor")
-    version, seed, integrator, sensor = (model.provenance.get(key) for key in keys)
-    return {
-        "name": model.system.name,
-        "version": None if version is None else str(version),
-        "seed": seed if isinstance(seed, int) else None,
-        "integrator": None if integrator is None else str(integrator),
-        "sensor": {str(k): v if isinstance(v, int | float) else str(v) for k, v in sensor.items()}
-        if isinstance(sensor, Mapping)
-        else None,
-    }
+    return {"name": model.system.name} | {key: model.provenance.get(key) for key in keys}
 
 
 def _law(reader: BagReader, prefix: str) -> str:
@@ -221,3 +182,61 @@ def _law(reader: BagReader, prefix: str) -> str:
         return ""
     _, message = next(reader.messages(topic), (0, None))
     return "" if message is None else message.law
+
+
+def print_summary(summary: BagSummary) -> None:
+    """Print one line for each fact, and a table of topics."""
+    output = console()
+    output.print(facts_table(_facts(summary)))
+    topics = plain_table(
+        "topic", "type", "count", "Hz", "quality", words=("topic", "type", "quality")
+    )
+    for topic in summary.topics:
+        rate = "" if topic.rate is None else f"{topic.rate:.4g}"
+        short = topic.type.replace("/msg/", "/")
+        topics.add_row(topic.name, short, str(topic.count), rate, _quality(topic))
+    output.print()
+    output.print(topics)
+
+
+def _facts(summary: BagSummary) -> Iterator[tuple[str, str]]:
+    """Name and value of each fact on the bag as a whole."""
+    yield "bag", f"{summary.path} ({summary.storage}, {decimal(summary.size)})"
+    if chunks := summary.chunks:
+        size, plain = (decimal(chunks[k]) for k in ("compressed", "uncompressed"))
+        packed = chunks["compression"] != "none"
+        stored = (
+            f"{chunks['compression']}, {plain} in {size}" if packed else f"not compressed, {plain}"
+        )
+        yield "chunks", f"{chunks['count']}, {stored}"
+    if summary.messages:
+        yield "time", f"{text(summary.start)} to {text(summary.end)} s"
+    yield "duration", f"{summary.duration:.6g} s, {times(summary.messages, 'message')}"
+    if summary.model:
+        yield "model", _origin(summary.model)
+        if isinstance(faults := summary.model.get("sensor"), Mapping):
+            yield "sensor", ", ".join(f"{name} {value}" for name, value in faults.items())
+    if summary.episodes:
+        lasting = {name: f" ({n} of them lasting)" for name, n in summary.closings.items()}
+        each = ", ".join(f"{n} at {c}{lasting.get(c, '')}" for c, n in summary.impacts.items())
+        yield "impacts", f"{each or 'none'}; episodes: {summary.episodes}"
+    for prefix, law in summary.observers.items():
+        yield "observer", f"{prefix}: {law or 'law not recorded'}"
+
+
+def _origin(model: Mapping[str, object]) -> str:
+    """A model's name, and what made the bag."""
+    if "error" in model:
+        return f"cannot be read: {model['error']}"
+    origin = [f"{key} {model[key]}" for key in ("version", "seed") if model[key] is not None]
+    how = [str(model["integrator"])] if model["integrator"] is not None else []
+    return ", ".join([str(model["name"]), *origin, *how])
+
+
+def _quality(topic: TopicSummary) -> str:
+    """A topic's quality of service in words."""
+    if topic.depth is None:
+        return "not recorded"
+    reliable = "reliable" if topic.reliable else "best effort"
+    durable = "transient local" if topic.transient_local else "volatile"
+    return f"{reliable}, {durable}, {f'last {topic.depth}' if topic.depth else 'all'}"

@@ -3,9 +3,10 @@
 from collections import Counter, OrderedDict, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TypeVar
+from functools import partial
+from typing import Any
 
-from impact_observer.check.contact_checks import ContactCheck
+from impact_observer.check.contact_checks import CONTACT_FAULTS, ContactCheck
 from impact_observer.check.findings import ERROR, NOTE, WARNING, Finding, Occurrences, times
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.model import System
@@ -14,7 +15,7 @@ from impact_observer.stamps import NS_PER_S, text
 _RECENT = 50_000
 """Events that are remembered to recognise duplicates."""
 _MOST = 1000
-"""Most runs, epochs and kinds of faults that are kept; a damaged bag may have any number."""
+"""Most missing sequence numbers that are remembered for each run."""
 _FAR = 3600 * NS_PER_S
 """Difference of stamps and log times beyond which they come from different clocks, ns."""
 
@@ -65,11 +66,9 @@ _FAULTS = {
         "stamps after the epoch, {epoch} s",
         "such events are not applied; is the epoch of another clock?",
     ),
+    **CONTACT_FAULTS,
 }
-"""Faults of single events: severity, what was found, what was expected, the remedy."""
-
-_Key = TypeVar("_Key")
-_Value = TypeVar("_Value")
+"""Faults of events: severity, what was found, what was expected, the remedy."""
 
 
 @dataclass(slots=True)
@@ -85,7 +84,7 @@ class _Run:
 
     lowest: int
     highest: int
-    count: int = 1
+    count: int = 0
     missing: dict[int, int] = field(default_factory=dict)
 
     def add(self, number: int, stamp: int) -> None:
@@ -116,19 +115,17 @@ class EventCheck:
         self._run: tuple[int, int] | None = None
         self._newest = self._largest_step_back = 0
         self._least_delay: int | None = None
-        self._invalid: dict[str, Occurrences] = {}
+        self._invalid: defaultdict[str, Occurrences] = defaultdict(Occurrences)
         self._recent_numbers: OrderedDict[tuple[int, int, int], int] = OrderedDict()
         self._recent_stamps: OrderedDict[int, frozenset[Switch]] = OrderedDict()
         self._found: defaultdict[str, Occurrences] = defaultdict(Occurrences)
         self._runs: dict[tuple[int, int], _Run] = {}
         self._epochs: Counter[int] = Counter()
-        self._contacts = ContactCheck(topic)
+        self._contacts = ContactCheck(topic, self._found)
 
     def add_invalid(self, reason: str) -> None:
         """Add a message without a valid event."""
-        kind = reason.partition(" is ")[0]
-        if len(self._invalid) < _MOST or kind in self._invalid:
-            self._invalid.setdefault(kind, Occurrences()).add(f"message {self.count}: {reason}")
+        self._invalid[reason.partition(" is ")[0]].add(f"message {self.count}: {reason}")
         self.count += 1
 
     def add(self, event: ImpactEvent, log_time: int) -> None:
@@ -139,8 +136,7 @@ class EventCheck:
         delay = log_time - event.stamp
         if self._least_delay is None or abs(delay) < abs(self._least_delay):
             self._least_delay = delay
-        if len(self._epochs) < _MOST or event.epoch in self._epochs:
-            self._epochs[event.epoch] += 1
+        self._epochs[event.epoch] += 1
         if event.stamp < event.epoch:
             self._found["before epoch"].add(where)
         if not event.switches:
@@ -159,10 +155,7 @@ class EventCheck:
             self._found["duplicate" if earlier == event.stamp else "number reused"].add(where)
             return True
         _remember(self._recent_numbers, (*run_of, number), event.stamp)
-        if run_of in self._runs:
-            self._runs[run_of].add(number, event.stamp)
-        elif len(self._runs) < _MOST:
-            self._runs[run_of] = _Run(number, number)
+        self._runs.setdefault(run_of, _Run(number, number)).add(number, event.stamp)
         return False
 
     def _add_new(self, event: ImpactEvent, where: str) -> None:
@@ -174,14 +167,6 @@ class EventCheck:
         if event.stamp < self._newest:
             self._found["out of order"].add(where)
             self._largest_step_back = max(self._largest_step_back, self._newest - event.stamp)
-        self._check_stamp(event, where)
-        self._contacts.add(event, where)
-        self._newest = max(self._newest, event.stamp)
-        self.first = min(self.first or event.stamp, event.stamp)
-        self.last = max(self.last, event.stamp)
-
-    def _check_stamp(self, event: ImpactEvent, where: str) -> None:
-        """Compare with earlier events of the same stamp."""
         switches, earlier = frozenset(event.switches), self._recent_stamps.get(event.stamp)
         if earlier is not None:
             if earlier & switches or not event.sequence:
@@ -189,6 +174,10 @@ class EventCheck:
             elif not {each.contact for each in earlier} & {each.contact for each in switches}:
                 self._found["same stamp"].add(where)
         _remember(self._recent_stamps, event.stamp, switches | (earlier or frozenset()))
+        self._contacts.add(event, where)
+        self._newest = max(self._newest, event.stamp)
+        self.first = min(self.first or event.stamp, event.stamp)
+        self.last = max(self.last, event.stamp)
 
     def findings(self, system: System | None) -> Iterator[Finding]:
         """The findings; contacts and epoch are checked where a ``system`` is given."""
@@ -212,20 +201,20 @@ class EventCheck:
 
     def _fault_findings(self) -> Iterator[Finding]:
         epoch = text(min(self._epochs.keys() - {0}, default=0))
-        back = self._largest_step_back / NS_PER_S
         for name, (severity, what, wanted, remedy) in _FAULTS.items():
             if count := self._found[name].count:
                 found = what.format(
+                    count=count,
                     events=times(count, "event"),
                     messages=times(count, "message"),
                     first=self._found[name].first,
-                    back=back,
+                    back=self._largest_step_back / NS_PER_S,
                 )
                 yield Finding(severity, self.topic, found, wanted.format(epoch=epoch), remedy)
 
     def _run_findings(self) -> Iterator[Finding]:
         """Missing numbers and episodes."""
-        runs = self._runs.values()
+        note, runs = partial(Finding, NOTE, self.topic), self._runs.values()
         if missing := [each for run in runs for each in run.missing.items()]:
             count = sum(run.highest - run.lowest + 1 - run.count for run in runs)
             number, stamp = min(missing, key=lambda each: each[1])
@@ -237,20 +226,17 @@ class EventCheck:
                 remedy="record with reliable quality of service and a depth of 2000",
             )
         if (lowest := min((run.lowest for run in runs), default=1)) > 1:
-            found = f"the first sequence number is {lowest}: what was before is not here"
-            yield Finding(NOTE, self.topic, found)
+            yield note(f"the first sequence number is {lowest}: what was before is not here")
         if len(episodes := {episode for _, episode in self._runs}) > 1:
-            found = f"{len(episodes)} episodes: at each, an observer starts again"
-            yield Finding(NOTE, self.topic, found)
+            yield note(f"{len(episodes)} episodes: at each, an observer starts again")
 
     def _clock_findings(self, system: System | None) -> Iterator[Finding]:
         """Stamps of another clock, and epochs."""
+        warning = partial(Finding, WARNING, self.topic)
         if self._least_delay is not None and abs(self._least_delay) > _FAR:
             hours = self._least_delay / NS_PER_S / 3600
             side = "before" if hours > 0 else "after"
-            yield Finding(
-                WARNING,
-                self.topic,
+            yield warning(
                 f"stamps are {abs(hours):.4g} h {side} the log times",
                 "both of one clock",
                 "estimates follow the stamps; to play it, record again with use_sim_time where"
@@ -259,9 +245,7 @@ class EventCheck:
         epochs, without = sorted(self._epochs.keys() - {0}), self._epochs[0]
         if without and system is not None and system.forcing.depends_on_time:
             some = f"{without} of {self.valid} events do not say" if epochs else "no event says"
-            yield Finding(
-                WARNING,
-                self.topic,
+            yield warning(
                 f"{some} the epoch, and the forcing of {system.name} depends on time",
                 "the stamp of t = 0 in every event",
                 "give it with --epoch S",
@@ -272,7 +256,7 @@ class EventCheck:
             yield Finding(NOTE, self.topic, found)
 
 
-def _remember(recent: "OrderedDict[_Key, _Value]", key: _Key, value: _Value) -> None:
+def _remember(recent: OrderedDict[Any, Any], key: object, value: object) -> None:
     """Set an entry; of more than ``_RECENT``, the oldest one goes."""
     recent[key] = value
     if len(recent) > _RECENT:

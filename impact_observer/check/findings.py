@@ -3,8 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-ERROR, WARNING, NOTE = "error", "warning", "note"
-SEVERITIES = (ERROR, WARNING, NOTE)
+ERROR, WARNING, NOTE = SEVERITIES = ("error", "warning", "note")
 """Most severe first. With an error no observer can use the bag; with a warning one can, but part
 of it is lost or an option is needed; a note is information only."""
 
@@ -54,11 +53,6 @@ class Occurrences:
         """Count one more, at the place ``where``."""
         self.count += 1
         self.first = self.first or where
-
-
-def most_severe_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Findings sorted by severity; equal ones keep their order."""
-    return sorted(findings, key=lambda each: SEVERITIES.index(each.severity))
 
 
 def times(count: int, word: str, plural: str = "s") -> str:

@@ -6,32 +6,20 @@ The package ``mcap`` parses the records; this module goes on after broken ones.
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, TypeAlias
 
-from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
+from mcap.records import Channel, Message, Schema
 
-from impact_observer.io.mcap_layout import CHUNK, FRAME, MAGIC, MESSAGE, summary_of, uncompressed
+from impact_observer.io.mcap_layout import CHUNK, FRAME, MAGIC, summary_of, uncompressed
 
 _OPCODES = range(1, 0x10)
 """Record types of this version of the format."""
+_READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
 
-
-class Message(NamedTuple):
-    """A message.
-
-    Attributes:
-        schema: of its type.
-        channel: of its topic.
-        log_time: when it was recorded, ns.
-        data: the serialized message.
-    """
-
-    schema: records.Schema
-    channel: records.Channel
-    log_time: int
-    data: bytes
+McapMessage: TypeAlias = tuple[Schema, Channel, Message]
+"""A message with its type and its topic."""
 
 
 class McapFile:
@@ -46,19 +34,22 @@ class McapFile:
         """Read ``file``, from its beginning."""
         self._file = file
         self._size = file.seek(0, 2)
-        self._schemas: dict[int, records.Schema] = {}
-        self._channels: dict[int, records.Channel] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
         self._chunks: list[int] = []
         self.at = 0
         self.losses: list[str] = []
 
-    def messages(self) -> Iterator[Message]:
+    def messages(self) -> Iterator[McapMessage]:
         """The messages, chunk after chunk, those of a chunk in the order of their log times."""
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
             self.losses.append("does not begin as an MCAP file")
             return
-        self._read_index()
+        if (summary := summary_of(self._file)) is not None:
+            self._chunks = [each.chunk_start_offset for each in summary.chunk_indexes]
+            self._schemas.update(summary.schemas)
+            self._channels.update(summary.channels)
         self.at = len(MAGIC)
         self._file.seek(self.at)
         while (frame := self._frame()) is not None:
@@ -66,12 +57,11 @@ class McapFile:
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
             begin = self.at + FRAME.size
-            wanted = opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK)
-            body = self._file.read(min(length, self._size)) if wanted else b""
+            body = self._file.read(min(length, self._size)) if opcode in _READ else b""
             if opcode == Opcode.CHUNK:
                 yield from self._chunk(body, length)
-            elif wanted and len(body) == length:
-                yield from self._records(FRAME.pack(opcode, length) + body)
+            else:
+                yield from self._records(FRAME.pack(opcode, len(body)) + body)
             self.at = begin + length
             self._file.seek(self.at)
             if self.at > self._size:
@@ -98,17 +88,8 @@ class McapFile:
             self.at = later
             self._file.seek(later)
 
-    def _read_index(self) -> None:
-        """Read the index at the end of the file, if it is there."""
-        if (summary := summary_of(self._file)) is None:
-            return
-        self._chunks = [each.chunk_start_offset for each in summary.chunk_indexes]
-        self._schemas.update(summary.schemas)
-        self._channels.update(summary.channels)
-
-    def _chunk(self, body: bytes, length: int) -> Iterator[Message]:
+    def _chunk(self, body: bytes, length: int) -> Iterator[McapMessage]:
         """The messages of a chunk, of one that was cut short as many as are whole."""
-        whole, data = len(body) == length, b""
         try:
             *_, size, checksum = CHUNK.unpack_from(body)
             stream = ReadDataStream(BytesIO(body[CHUNK.size :]))
@@ -117,39 +98,35 @@ class McapFile:
         except Exception as error:  # noqa: BLE001 (decompressors raise anything)
             self.losses.append(f"the chunk at byte {self.at} cannot be decompressed ({error})")
             return
-        if whole and (len(data) != size or (checksum and zlib.crc32(data) != checksum)):
+        is_whole = len(body) == length
+        if is_whole and (len(data) != size or (checksum and zlib.crc32(data) != checksum)):
             self.losses.append(f"the chunk at byte {self.at} does not match its checksum")
             return
-        yield from sorted(self._records(data), key=lambda each: each.log_time)
+        yield from sorted(self._records(data), key=lambda each: each[2].log_time)
 
-    def _records(self, data: bytes) -> Iterator[Message]:
+    def _records(self, data: bytes) -> Iterator[McapMessage]:
         """The messages among records, which may end early."""
         place = 0
         while place + FRAME.size <= len(data):
             opcode, length = FRAME.unpack_from(data, place)
             body = data[place + FRAME.size : place + FRAME.size + length]
+            stream = ReadDataStream(BytesIO(body))
             try:
                 if opcode not in _OPCODES:
                     raise ValueError
                 if len(body) < length:
                     return
                 if opcode == Opcode.MESSAGE:
-                    yield self._message(body)
+                    message = Message.read(stream, length)
+                    channel = self._channels[message.channel_id]
+                    yield self._schemas[channel.schema_id], channel, message
                 elif opcode == Opcode.SCHEMA:
-                    schema = records.Schema.read(ReadDataStream(BytesIO(body)))
+                    schema = Schema.read(stream)
                     self._schemas[schema.id] = schema
                 elif opcode == Opcode.CHANNEL:
-                    channel = records.Channel.read(ReadDataStream(BytesIO(body)))
+                    channel = Channel.read(stream)
                     self._channels[channel.id] = channel
             except Exception:  # noqa: BLE001 (mcap raises anything)
                 self.losses.append(f"the chunk at byte {self.at} is damaged at its byte {place}")
                 return
             place += FRAME.size + length
-
-    def _message(self, body: bytes) -> Message:
-        """The message in a record."""
-        if len(body) < MESSAGE.size:
-            raise ValueError
-        number, _, log_time, _ = MESSAGE.unpack_from(body)
-        channel = self._channels[number]
-        return Message(self._schemas[channel.schema_id], channel, log_time, body[MESSAGE.size :])

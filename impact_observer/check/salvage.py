@@ -15,10 +15,9 @@ from tempfile import TemporaryDirectory
 from typing import TypeAlias, final
 
 import zstandard
-from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import parse_qos
 
-from impact_observer.check.mcap_records import McapFile, Message
+from impact_observer.check.mcap_records import McapFile, McapMessage
 from impact_observer.errors import BagError, ImpactObserverError, UsageError
 from impact_observer.io.bag_topics import TopicInfo, recover_command
 from impact_observer.io.interfaces import Quality, usual_quality
@@ -26,13 +25,14 @@ from impact_observer.io.reader import BagReader, RawMessage
 from impact_observer.io.recordings import all_or_nothing
 from impact_observer.stamps import text
 
-_SUFFIXES = (".mcap", ".db3")
-_COMPRESSED = ".zstd"
+_STORAGE = re.compile(r".*\.(mcap|db3)(\.zstd)?")
 _ZSTD = b"\x28\xb5\x2f\xfd"
 """First bytes of compressed data; no serialized message begins with them."""
 _LATEST = 2**63
 Progress: TypeAlias = Callable[[int, int], None]
 """Called with the bytes read and how many there are."""
+_Read: TypeAlias = Iterator[tuple[int, RawMessage]]
+"""Messages, each with the bytes read so far."""
 
 
 @final
@@ -41,6 +41,7 @@ class Salvage:
 
     Attributes:
         path: the folder or file.
+        files: the storage files, in order.
         topics: the topics found so far, by absolute name, without counts.
         counts: messages of each topic so far.
         last: log time of the last message of each topic so far, ns.
@@ -61,87 +62,81 @@ class Salvage:
         self.last: dict[str, int] = {}
         self.losses: list[str] = []
         inside = path.iterdir() if path.is_dir() else [path]
-        self.files = sorted((each for each in inside if _is_storage(each)), key=_file_order)
+        found = [each for each in inside if _STORAGE.fullmatch(each.name) and each.is_file()]
+        self.files = sorted(found, key=_file_order)
 
     def raw(self, progress: Progress = lambda _done, _total: None) -> Iterator[RawMessage]:
         """The messages in the order of the files."""
         total, done = sum(file.stat().st_size for file in self.files), 0
         for file in self.files:
             try:
-                for read, message in self._file(file):
+                for read, stored in self._file(file):
                     progress(min(done + read, total), total)
-                    yield message
+                    if (message := self._decompressed(stored)) is not None:
+                        self.counts[message.topic] += 1
+                        self.last[message.topic] = message.log_time
+                        yield message
             except OSError as error:
                 self._lose(f"{file.name}: {error.strerror or error}")
             done += file.stat().st_size
 
-    def _file(self, file: Path) -> Iterator[tuple[int, RawMessage]]:
-        """The messages of a file, decompressed first where needed; with the bytes read so far."""
+    def _file(self, file: Path) -> _Read:
+        """The messages of a file, which is decompressed first where needed."""
         with TemporaryDirectory() as folder:
             plain = file
-            if file.suffix == _COMPRESSED:
+            if file.suffix == ".zstd":
                 plain = Path(folder) / file.stem
-                self._decompress(file, plain)
+                with file.open("rb") as source, plain.open("wb") as target:
+                    try:
+                        with zstandard.ZstdDecompressor().stream_reader(source) as stream:
+                            shutil.copyfileobj(stream, target)
+                    except (zstandard.ZstdError, EOFError) as error:
+                        self._lose(f"{file.name}: its compression is damaged ({error})")
             read = self._mcap if plain.suffix == ".mcap" else self._sqlite
-            for done, topic, log_time, stored in read(file, plain):
-                if (data := self._decompressed(topic, stored)) is not None:
-                    self.counts[topic] += 1
-                    self.last[topic] = log_time
-                    yield done, RawMessage(topic, log_time, data)
+            yield from read(file, plain)
 
-    def _decompress(self, file: Path, target: Path) -> None:
-        """Write as much of ``file`` as can be decompressed to ``target``."""
-        with file.open("rb") as source, target.open("wb") as plain:
-            try:
-                with zstandard.ZstdDecompressor().stream_reader(source) as stream:
-                    shutil.copyfileobj(stream, plain)
-            except (zstandard.ZstdError, EOFError) as error:
-                self._lose(f"{file.name}: its compression is damaged ({error})")
-
-    def _decompressed(self, topic: str, data: bytes) -> bytes | None:
+    def _decompressed(self, raw: RawMessage) -> RawMessage | None:
         """A message, decompressed where messages are compressed; None if it is broken."""
-        if data[:4] != _ZSTD:
-            return data
+        if raw.data[:4] != _ZSTD:
+            return raw
         try:
-            return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+            data = zstandard.ZstdDecompressor().decompressobj().decompress(raw.data)
         except zstandard.ZstdError:
-            self._lose(f"{topic}: messages whose compression is damaged")
+            self._lose(f"{raw.topic}: messages whose compression is damaged")
             return None
+        return RawMessage(raw.topic, raw.log_time, data)
 
-    def _mcap(self, file: Path, plain: Path) -> Iterator[tuple[int, str, int, bytes]]:
-        """Bytes read, topic, log time and data of the messages, chunk by chunk."""
+    def _mcap(self, file: Path, plain: Path) -> _Read:
         with plain.open("rb") as stream:
             records = McapFile(stream)
-            for message in records.messages():
-                if self._has_topic(message):
-                    yield records.at, message.channel.topic, message.log_time, message.data
+            for found in records.messages():
+                if self._has_topic(found):
+                    _, channel, message = found
+                    yield records.at, RawMessage(channel.topic, message.log_time, message.data)
         self.losses += [f"{file.name}: {loss}" for loss in records.losses]
 
-    def _has_topic(self, message: Message) -> bool:
+    def _has_topic(self, found: McapMessage) -> bool:
         """Note the topic of a message; False where the message cannot be of this bag."""
-        channel, kind = message.channel, message.schema.name
+        schema, channel, message = found
+        topic = channel.topic
         if not 0 <= message.log_time < _LATEST:
             return False
-        if (info := self.topics.get(channel.topic)) is None:
-            offers = _parsed(channel.metadata.get("offered_qos_profiles", ""))
-            depth = usual_quality(channel.topic).depth
-            qualities = [Quality.recorded(qos, depth) for qos in offers]
-            quality = Quality.common(qualities) if qualities else None
-            definition = message.schema.data.decode(errors="replace")
-            self.topics[channel.topic] = TopicInfo(channel.topic, kind, 0, quality, definition)
-        elif info.type != kind:
-            self._lose(f"{channel.topic}: messages of a second type, {kind}")
+        if (info := self.topics.get(topic)) is None:
+            quality = _quality(topic, channel.metadata.get("offered_qos_profiles", ""))
+            definition = schema.data.decode(errors="replace")
+            self.topics[topic] = TopicInfo(topic, schema.name, 0, quality, definition)
+        elif info.type != schema.name:
+            self._lose(f"{topic}: messages of a second type, {schema.name}")
             return False
         return True
 
-    def _sqlite(self, file: Path, plain: Path) -> Iterator[tuple[int, str, int, bytes]]:
-        """Bytes read, topic, log time and data of the messages, as far as sqlite3 reads."""
+    def _sqlite(self, file: Path, plain: Path) -> _Read:
         try:
             with BagReader(plain) as reader:
                 for topic, info in reader.topics.items():
                     self.topics.setdefault(topic, replace(info, count=0))
                 for done, raw in enumerate(reader.raw()):
-                    yield plain.stat().st_size * done // reader.message_count, *raw
+                    yield plain.stat().st_size * done // reader.message_count, raw
         except BagError:
             compressed = f"`zstd -d {file}`, then " if file != plain else ""
             command = recover_command(file.with_suffix("") if compressed else file)
@@ -205,18 +200,15 @@ def summary(source: Salvage) -> str:
     return f"{source.counts.total()} messages, up to {text(max(source.last.values()))} s"
 
 
-def _parsed(profiles: str) -> list[Qos]:
-    """Qualities of service; none where they are damaged."""
+def _quality(topic: str, profiles: str) -> Quality | None:
+    """The quality of service of a topic; None where it is missing or damaged."""
     try:
-        return list(parse_qos(profiles))
+        offers = list(parse_qos(profiles))
     except Exception:  # noqa: BLE001 (rosbags raises anything; a bag is readable without them)
-        return []
-
-
-def _is_storage(file: Path) -> bool:
-    """Whether a file is one of a bag, compressed or not."""
-    inner = Path(file.stem) if file.suffix == _COMPRESSED else file
-    return inner.suffix in _SUFFIXES and file.is_file()
+        return None
+    depth = usual_quality(topic).depth
+    qualities = [Quality.recorded(qos, depth) for qos in offers]
+    return Quality.common(qualities) if qualities else None
 
 
 def _file_order(file: Path) -> list[int | str]:

@@ -16,6 +16,7 @@ from impact_observer.check.findings import (
 from impact_observer.errors import BagError
 from impact_observer.io.interfaces import JOINT_STATE
 from impact_observer.io.messages import AnyMessage, MessageError, read_joint_state
+from impact_observer.io.reader import RawMessage
 from impact_observer.io.state_blocks import decode
 from impact_observer.model import System
 from impact_observer.stamps import MAX_STAMP, text
@@ -49,9 +50,9 @@ class StateCheck:
         self._invalid, self._renamed = Occurrences(), Occurrences()
         self._names: tuple[str, ...] = ()
 
-    def add(self, data: bytes) -> None:
-        """Add a serialized message."""
-        self._pending.append(data)
+    def add(self, raw: RawMessage) -> None:
+        """Add a message."""
+        self._pending.append(raw.data)
         if len(self._pending) == _BLOCK:
             self._check_pending()
 
@@ -74,13 +75,10 @@ class StateCheck:
                     "observe and compare refuse it; record again, or leave the topic out",
                 )
         if self._names and system is not None and set(self._names) != set(system.coordinates):
-            yield Finding(
-                WARNING,
-                self.topic,
-                f"states of {listed(self._names)}",
-                f"the coordinates {listed(system.coordinates)} of the model {system.name}",
-                "compare cannot use them; name the model's coordinates alike",
-            )
+            found = f"states of {listed(self._names)}"
+            wanted = f"the coordinates {listed(system.coordinates)} of the model {system.name}"
+            remedy = "compare cannot use them; name the model's coordinates alike"
+            yield Finding(WARNING, self.topic, found, wanted, remedy)
         if events is not None and self.last:
             yield from self._time_findings(*events)
 
@@ -89,16 +87,13 @@ class StateCheck:
         step = (self.last - self.first) // max(self.count - 1, 1)
         if self.first - step <= first and last <= self.last + step:
             return
-        disjoint = last < self.first or self.last < first
-        yield Finding(
-            WARNING if disjoint else NOTE,
-            self.topic,
-            f"the truth is from {text(self.first)} to {text(self.last)} s, the impacts are from"
-            f" {text(first)} to {text(last)} s",
-            remedy="nothing can be compared; are both stamped by one clock?"
-            if disjoint
-            else "only what is common can be compared",
-        )
+        truth = f"the truth is from {text(self.first)} to {text(self.last)} s"
+        found = f"{truth}, the impacts are from {text(first)} to {text(last)} s"
+        if last < self.first or self.last < first:
+            remedy = "nothing can be compared; are both stamped by one clock?"
+            yield Finding(WARNING, self.topic, found, remedy=remedy)
+        else:
+            yield Finding(NOTE, self.topic, found, remedy="only what is common can be compared")
 
     def _check_pending(self) -> None:
         """Check the messages added since the last block; the irregular ones one by one."""

@@ -53,7 +53,6 @@ def check(bag: Path, *, model: str | None = None, json: bool = False) -> int:
         ModelError: the model is not valid.
     """
     from impact_observer.check.bag_check import check_bag
-    from impact_observer.check.bag_report import figures, print_report
     from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
 
@@ -63,9 +62,9 @@ def check(bag: Path, *, model: str | None = None, json: bool = False) -> int:
             bag, system, progress=lambda done, total: progress.step("check", done, total)
         )
     if json:
-        print(json_module.dumps(figures(report), indent=2))
+        print(json_module.dumps(report.figures(), indent=2))
     else:
-        print_report(report)
+        report.print()
     return 0 if report.usable else 1
 
 

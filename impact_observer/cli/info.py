@@ -1,6 +1,8 @@
 """Say what a bag holds: topics, impacts, model, observers."""
 
 import argparse
+import json as json_module
+from dataclasses import asdict
 from pathlib import Path
 
 
@@ -29,16 +31,11 @@ def info(bag: Path, *, json: bool = False) -> int:
         UsageError: there is no bag.
         BagError: the bag is damaged.
     """
-    from impact_observer.check.bag_summary import summarize
+    from impact_observer.check.bag_summary import print_summary, summarize
 
     summary = summarize(bag)
     if json:
-        from dataclasses import asdict
-        from json import dumps
-
-        print(dumps(asdict(summary), indent=2))
+        print(json_module.dumps(asdict(summary), indent=2, default=str))
     else:
-        from impact_observer.check.bag_summary_text import print_summary
-
         print_summary(summary)
     return 0

@@ -2,10 +2,10 @@
 
 import os
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.table import Table
 
 
@@ -49,6 +49,16 @@ def plain_table(*headings: str, words: Collection[str] = ()) -> Table:
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
     for heading in headings:
         table.add_column(heading, justify="left" if heading in words else "right", overflow="fold")
+    return table
+
+
+def facts_table(rows: Iterable[tuple[RenderableType, RenderableType]]) -> Table:
+    """A table of names and values without headings; long values are folded."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for row in rows:
+        table.add_row(*row)
     return table
 
 
