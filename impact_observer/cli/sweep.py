@@ -9,7 +9,7 @@ the same command goes on where it was interrupted. Needs impact_observer[sweep].
 import argparse
 import json as json_module
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,7 +29,6 @@ from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.sweep.engines import one_thread
 
 if TYPE_CHECKING:
-    from impact_observer.sweep.case_runs import Outcome
     from impact_observer.sweep.plan import Sweep
 
 EPOCH = 1_000_000_000
@@ -220,14 +219,16 @@ def sweep(
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.pictures import check_output
     from impact_observer.sweep.case_runs import plant_run
-    from impact_observer.sweep.outcomes_file import read_outcomes
-    from impact_observer.sweep.summary import groups_of
-    from impact_observer.sweep.summary_picture import save_picture
-    from impact_observer.sweep.summary_tables import document, print_groups
-    from impact_observer.sweep.sweep_run import run_missing
+    from impact_observer.sweep.outcomes_file import read_outcomes, run_missing
+    from impact_observer.sweep.summary import document, groups_of, print_groups
+    from impact_observer.sweep.summary_picture import against_of, save_picture
 
     check_output(output, (".parquet",))
-    _check_plot(wanted, plot, against)
+    if plot is not None:
+        check_output(plot)
+        against_of(wanted, against)
+    elif against is not None:
+        raise UsageError(f"--against {against}: there is no picture; add --plot FILE")
     outcomes = read_outcomes(output, wanted)
     with Progress(sys.stderr if json else None) as progress:
         progress.show(f"{output}: simulating")
@@ -252,31 +253,9 @@ def sweep(
         print(f"{output}: {wanted.size} cases, {impacts} impacts of the plant in each")
         if plot is not None:
             print(f"picture: {plot}")
-    _raise_failed(wanted, outcomes)
-    return 0
-
-
-def _check_plot(wanted: "Sweep", plot: Path | None, against: str | None) -> None:
-    """Raise before any case is run if there can be no such picture.
-
-    Raises:
-        UsageError: its name, its folder or its axis cannot be used.
-    """
-    from impact_observer.draw.pictures import check_output
-    from impact_observer.sweep.summary_picture import against_of
-
-    if plot is not None:
-        check_output(plot)
-        against_of(wanted, against)
-    elif against is not None:
-        raise UsageError(f"--against {against}: there is no picture; add --plot FILE")
-
-
-def _raise_failed(wanted: "Sweep", outcomes: "Mapping[int, Outcome]") -> None:
-    """Raise SweepError if cases have failed."""
-    failed = [outcomes[number] for number in sorted(outcomes) if outcomes[number].error]
-    if failed:
+    if failed := [each for _, each in sorted(outcomes.items()) if each.error]:
         raise SweepError(
             f"{len(failed)} of {wanted.size} cases failed, such as case {failed[0].case}:"
             f" {failed[0].error}"
         )
+    return 0

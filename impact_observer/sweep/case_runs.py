@@ -1,13 +1,13 @@
 """One case of a sweep: a run of the plant, its sensor, an observer, and figures of its estimate.
 
-A new figure is a field of ``Outcome`` and its value in ``_outcome``; the column of the file
-follows. A row of ``SUMMARY`` in ``summary`` adds it to table and JSON.
+A new figure is a field of ``Outcome`` with the name that it has in ``compare``; the column of the
+file follows.
 """
 
 from dataclasses import dataclass, fields
 from functools import lru_cache
 
-from impact_observer.compare.comparison import Comparison, compare_observer
+from impact_observer.compare.comparison import compare_observer
 from impact_observer.compare.figures import figures_of
 from impact_observer.errors import ImpactObserverError
 from impact_observer.io.pairing import Series
@@ -83,11 +83,8 @@ def _parsed(text: str) -> Model:
     return parse_model(text, "model")
 
 
-def _compared(case: Case) -> tuple[Comparison, int]:
-    """The comparison of estimate and truth, and the number of events.
-
-    V is computed with the energy of the plant, also if the observer has another model.
-    """
+def _outcome(case: Case) -> Outcome:
+    """The figures; V is computed with the energy of the plant, also for another model."""
     run, system = plant_run(case.plant), _parsed(case.plant.text).system
     sensed = simulate_sensor(
         case.sensor,
@@ -98,20 +95,14 @@ def _compared(case: Case) -> tuple[Comparison, int]:
         seed=case.seed,
     )
     events = sorted((each.event for each in sensed), key=lambda each: (each.stamp, each.sequence))
-    observer = make_observer(_parsed(case.variant.text).system, case.options)
     comparison = compare_observer(
-        observer,
+        make_observer(_parsed(case.variant.text).system, case.options),
         events,
         lambda: [Series(run.stamps, run.states)],
         system=system,
         threshold=case.threshold,
         needs_event=False,
     )
-    return comparison, len(events)
-
-
-def _outcome(case: Case) -> Outcome:
-    comparison, events = _compared(case)
     figures = figures_of(comparison)
     shown = {each.name: figures[each.name] for each in fields(Outcome) if each.name in figures}
-    return Outcome(case=case.number, events=events, **shown)
+    return Outcome(case=case.number, events=len(events), **shown)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from impact_observer.sweep.case_runs import Outcome
     from impact_observer.sweep.plan import Case
 
-_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", "BLIS_NUM_THREADS")
 _PATIENCE = 10.0
 """Longest wait for a scheduler, and for its first worker, s."""
 _CLOSING = 2.0
@@ -33,7 +32,8 @@ def one_thread() -> None:
 
     More threads are no faster for small matrices, and can change the last bit.
     """
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    for library in ("OPENBLAS", "MKL", "OMP", "BLIS"):
+        os.environ[f"{library}_NUM_THREADS"] = "1"
 
 
 def run_cases(
@@ -85,10 +85,9 @@ def _on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Generator[Outcome, 
 
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # errors are raised as one line
-    with _connected(scheduler) as client:
-        laws = {case.options.law for case in cases if case.options.compiled}
-        if any(law_named(law).compiles for law in laws):
-            _check_compilers(client, scheduler)
+    laws = {case.options.law for case in cases if case.options.compiled}
+    compiled = any(law_named(law).compiles for law in laws)
+    with _connected(scheduler, compiled=compiled) as client:
         waiting, running = iter(cases), 0
         futures = as_completed(loop=client.loop, with_results=True)
         while True:
@@ -111,8 +110,8 @@ def _on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Generator[Outcome, 
 
 
 @contextmanager
-def _connected(scheduler: str) -> "Iterator[Client]":
-    """A client of a cluster whose workers have this version of the package."""
+def _connected(scheduler: str, *, compiled: bool) -> "Iterator[Client]":
+    """A client of a cluster whose workers can run the cases."""
     from distributed import Client
     from distributed import TimeoutError as LateError  # not the builtin one in Python 3.10
     from distributed.comm import resolve_address
@@ -124,15 +123,15 @@ def _connected(scheduler: str) -> "Iterator[Client]":
         line = " ".join(str(error).split())
         raise UsageError(f"--scheduler {scheduler}: cannot be reached: {line}") from None
     try:
-        _check_workers(client, scheduler)
+        _check_workers(client, scheduler, compiled=compiled)
         yield client
     finally:
         with suppress(LateError, OSError):  # the scheduler may be gone
             client.close(timeout=_CLOSING)
 
 
-def _check_workers(client: "Client", scheduler: str) -> None:
-    """Raise UsageError if there are no workers, or any has another version."""
+def _check_workers(client: "Client", scheduler: str, *, compiled: bool) -> None:
+    """Raise UsageError if there are no workers, or one lacks this version or a needed compiler."""
     from distributed import TimeoutError as LateError
 
     try:
@@ -140,38 +139,28 @@ def _check_workers(client: "Client", scheduler: str) -> None:
     except LateError:
         raise UsageError(f"--scheduler {scheduler}: has no workers; start some") from None
     try:
-        versions = dict(client.run(_version))
+        installed = dict(client.run(_installed))
     except Exception as error:  # noqa: BLE001 (errors of workers have any type)
         line = " ".join(str(error).split())
         raise UsageError(
             f"--scheduler {scheduler}: a worker cannot use this package ({line}); install it and"
             " impact_observer[sweep] there too"
         ) from None
-    for worker, found in versions.items():
-        if found != __version__:
+    for worker, (version, has_numba) in installed.items():
+        if version != __version__:
             raise UsageError(
-                f"--scheduler {scheduler}: worker {worker} has impact_observer {found}; expected"
+                f"--scheduler {scheduler}: worker {worker} has impact_observer {version}; expected"
                 f" {__version__}, as here"
             )
-
-
-def _check_compilers(client: "Client", scheduler: str) -> None:
-    """Raise UsageError if a worker has no numba: all of its cases would fail."""
-    for worker, found in client.run(_has_numba).items():
-        if not found:
+        if compiled and not has_numba:
             raise UsageError(
                 f"--scheduler {scheduler}: worker {worker} has no numba, which --compiled needs;"
                 " pip install impact_observer[compiled] there too, or leave --compiled out"
             )
 
 
-def _has_numba() -> bool:
-    """Whether numba is installed on the worker that calls this."""
-    return find_spec("numba") is not None
-
-
-def _version() -> str:
-    """The version of the package on the worker that calls this."""
+def _installed() -> tuple[str, bool]:
+    """Version of the package, and whether there is numba, on the worker that calls this."""
     from impact_observer import __version__ as found
 
-    return found
+    return found, find_spec("numba") is not None

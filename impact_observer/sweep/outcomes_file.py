@@ -1,4 +1,4 @@
-"""The outcomes of a sweep in one Parquet file.
+"""The outcomes of a sweep in one Parquet file, and the runs that are missing in it.
 
 There is one row a case, in order of their numbers: the labels of the case, then its figures. The
 metadata describe the sweep. The file is written beside the old one and then replaces it, so it
@@ -6,13 +6,16 @@ is always complete. Equal outcomes make equal files.
 """
 
 import json
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import get_args, get_type_hints
 
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.sweep.case_runs import Outcome
+from impact_observer.sweep.engines import run_cases
 from impact_observer.sweep.plan import Sweep
 
 try:
@@ -25,6 +28,10 @@ except ImportError as error:
 
 _KEY = b"impact_observer.sweep"
 _TYPES = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
+PERIOD = 5.0
+"""Least time between two writings of the file, s."""
+LOAD = 20.0
+"""Least time between two writings, over the duration of the last one."""
 _LONGEST = 60
 """Most letters of a value in an error line."""
 
@@ -87,3 +94,50 @@ def _check_same(path: Path, found: Mapping[str, object], wanted: Mapping[str, ob
             if max(len(str(one)), len(str(other))) > _LONGEST:
                 difference = f"its {key} is another"
             raise UsageError(f"{path}: holds another sweep: {difference}; name another file")
+
+
+def run_missing(
+    sweep: Sweep,
+    path: Path,
+    outcomes: dict[int, Outcome],
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] = lambda _: None,
+) -> None:
+    """Run the cases that are not in ``outcomes`` yet, and write all outcomes to the file.
+
+    Args:
+        sweep: what is swept.
+        path: the file of outcomes, also written after errors and interrupts.
+        outcomes: by the numbers of their cases; new ones are added.
+        jobs: processes on this machine; None for as many as it has cores.
+        scheduler: address of a Dask scheduler, whose workers run the cases instead.
+        progress: called with the number of outcomes.
+
+    Raises:
+        UsageError: a package is missing, or the scheduler cannot be used.
+        SweepError: processes have died, or the file cannot be written.
+        KeyboardInterrupt: with a line on what is done.
+    """
+    missing = [case for case in sweep.cases() if case.number not in outcomes]
+    if not missing:
+        return
+    before = len(outcomes)
+    progress(before)
+    due = time.monotonic() + PERIOD
+    try:
+        with closing(run_cases(missing, jobs=jobs, scheduler=scheduler)) as finished:
+            for outcome in finished:
+                outcomes[outcome.case] = outcome
+                progress(len(outcomes))
+                if (start := time.monotonic()) >= due:
+                    write_outcomes(path, sweep, outcomes)
+                    end = time.monotonic()
+                    due = end + max(PERIOD, LOAD * (end - start))
+    except KeyboardInterrupt:
+        done = f"{len(outcomes)} of {sweep.size} cases are done; the same command goes on"
+        raise KeyboardInterrupt(done) from None
+    finally:
+        if len(outcomes) > before:
+            write_outcomes(path, sweep, outcomes)

@@ -1,34 +1,21 @@
-"""The outcomes of a sweep in groups: medians and quartiles over the runs."""
+"""The outcomes of a sweep in groups, with quartiles over the runs; as table and JSON."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import NamedTuple
 
+import numpy as np
+
+from impact_observer.draw.text_tables import console, ruled_table, upright
 from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.plan import Label, Sweep
 
-
-class SummaryFigure(NamedTuple):
-    """A figure of the outcomes that is summarized.
-
-    Attributes:
-        name: the field of ``Outcome``.
-        heading: in the table; it may contain ``{threshold}``.
-        form: of its numbers in the table.
-        never: the word for a missing value, which counts as infinite; if empty, missing values
-            are left out.
-    """
-
-    name: str
-    heading: str
-    form: str
-    never: str = ""
-
-
-SETTLING = SummaryFigure("settling_time", "s to {threshold:g} V0", ".3g", never="never")
-SUMMARY = (SETTLING, SummaryFigure("V_ratio", "V/V0 at the end", ".1e"))
-"""What table and JSON show of each group."""
+_NEVER = 1e300
+"""Stands for infinity where numpy computes quartiles: infinities have no difference."""
+_WIDE = 1000
+"""Columns in which any table has room."""
 
 
 class Quartiles(NamedTuple):
@@ -55,7 +42,8 @@ class CaseGroup:
         runs: number of outcomes.
         failed: number of those without figures, which do not count below.
         not_settled: share of the runs with figures that have not settled; None if there is none.
-        quartiles: of each figure of ``SUMMARY``, by name; None without values.
+        settling_time: s; infinite for runs that never settle; None without values.
+        V_ratio: V at the end over V at the start; None without values.
     """
 
     law: str
@@ -63,61 +51,117 @@ class CaseGroup:
     runs: int
     failed: int
     not_settled: float | None
-    quartiles: Mapping[str, Quartiles | None]
+    settling_time: Quartiles | None
+    V_ratio: Quartiles | None
 
 
 def groups_of(sweep: Sweep, outcomes: Iterable[Outcome]) -> list[CaseGroup]:
     """The outcomes in groups, in the order of the sweep."""
-    return [*_groups(sweep, {each.case: each for each in outcomes})]
-
-
-def _groups(sweep: Sweep, by_number: Mapping[int, Outcome]) -> Iterator[CaseGroup]:
-    names = [*sweep.swept]
-    gathered: list[Outcome] = []
-    for case in sweep.cases():
-        if case.number in by_number:
-            gathered.append(by_number[case.number])
-        if case.run == sweep.runs - 1:
-            if gathered:
-                labels = case.labels
-                yield _group(case.options.law, {name: labels[name] for name in names}, gathered)
-            gathered = []
+    by_number = {each.case: each for each in outcomes}
+    present = (case for case in sweep.cases() if case.number in by_number)
+    names, found = [*sweep.swept], []
+    for _, group in groupby(present, lambda case: case.number // sweep.runs):
+        cases = [*group]
+        labels = {name: cases[0].labels[name] for name in names}
+        own = [by_number[case.number] for case in cases]
+        found.append(_group(cases[0].options.law, labels, own))
+    return found
 
 
 def _group(law: str, labels: Mapping[str, Label], outcomes: Sequence[Outcome]) -> CaseGroup:
     good = [each for each in outcomes if not each.error]
-    not_settled = sum(each.settling_time is None for each in good)
+    times = [math.inf if each.settling_time is None else each.settling_time for each in good]
     return CaseGroup(
         law=law,
         labels=labels,
         runs=len(outcomes),
         failed=len(outcomes) - len(good),
-        not_settled=not_settled / len(good) if good else None,
-        quartiles={each.name: quartiles(_values(each, good)) for each in SUMMARY},
+        not_settled=times.count(math.inf) / len(good) if good else None,
+        settling_time=quartiles(times),
+        V_ratio=quartiles([each.V_ratio for each in good if each.V_ratio is not None]),
     )
 
 
-def _values(figure: SummaryFigure, outcomes: Sequence[Outcome]) -> list[float]:
-    """The values of a figure; missing ones are infinite or left out."""
-    found = [getattr(each, figure.name) for each in outcomes]
-    if figure.never:
-        return [math.inf if value is None else value for value in found]
-    return [value for value in found if value is not None]
-
-
 def quartiles(values: Sequence[float]) -> Quartiles | None:
-    """The quartiles of ``values``, some of which may be infinite; None without values."""
+    """The quartiles of ``values``, some of which may be infinite; None without values.
+
+    A quartile between two values is infinite if the upper one is.
+    """
     if not values:
         return None
-    ascending = sorted(values)
-    return Quartiles(*(_quantile(ascending, share) for share in (0.25, 0.5, 0.75)))
+    found = np.quantile(np.minimum(values, _NEVER), (0.25, 0.5, 0.75)).tolist()
+    return Quartiles(*(math.inf if value > _NEVER / 8 else value for value in found))
 
 
-def _quantile(ascending: Sequence[float], share: float) -> float:
-    """Linear between the two nearest values; infinite if the upper one is infinite."""
-    place = share * (len(ascending) - 1)
-    below, part = int(place), place - int(place)
-    if part == 0:
-        return ascending[below]
-    one, other = ascending[below : below + 2]
-    return one + part * (other - one) if math.isfinite(other) else math.inf
+def document(sweep: Sweep, groups: Sequence[CaseGroup], impacts: int) -> dict[str, object]:
+    """What ``--json`` prints: SI units, None for never and for no figure.
+
+    Args:
+        sweep: what was run.
+        groups: its outcomes.
+        impacts: number of impacts of the plant.
+    """
+    return {
+        "cases": sweep.size,
+        "failed": sum(group.failed for group in groups),
+        "impacts": impacts,
+        "threshold": sweep.threshold,
+        "groups": [
+            {
+                "law": group.law,
+                **group.labels,
+                "runs": group.runs,
+                "failed": group.failed,
+                "not_settled": group.not_settled,
+                "settling_time": _finite(group.settling_time),
+                "V_ratio": _finite(group.V_ratio),
+            }
+            for group in groups
+        ],
+    }
+
+
+def _finite(values: Quartiles | None) -> dict[str, float | None] | None:
+    if values is None:
+        return None
+    return {
+        name: value if math.isfinite(value) else None for name, value in values._asdict().items()
+    }
+
+
+def print_groups(sweep: Sweep, groups: Sequence[CaseGroup]) -> None:
+    """Print a row for each law with each combination of what was swept."""
+    figures = ("runs", f"s to {sweep.threshold:g} V0", "not settled", "V/V0 at the end")
+    failed = ["failed"] if any(group.failed for group in groups) else []
+    title = "Medians, and quartiles in brackets, over the runs"
+    table = ruled_table(title, "law", *map(sweep.title, sweep.swept), *figures, *failed)
+    for group in groups:
+        share = group.not_settled
+        table.add_row(
+            group.law,
+            *map(_value, group.labels.values()),
+            str(group.runs),
+            _quartiles(group.settling_time, ".3g"),
+            "" if share is None else f"{100 * share:.0f} %",
+            _quartiles(group.V_ratio, ".1e"),
+            *(str(group.failed) for _ in failed),
+        )
+    output = console()
+    needed = output.measure(table, options=output.options.update(width=_WIDE)).maximum
+    output.print(table if needed <= output.width else upright(table))
+
+
+def _value(value: Label) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _quartiles(values: Quartiles | None, form: str) -> str:
+    """``4.2 (3.1, never)``."""
+    if values is None:
+        return ""
+    low, median, high = (
+        format(value, form) if math.isfinite(value) else "never" for value in values
+    )
+    return median if low == median == high else f"{median} ({low}, {high})"

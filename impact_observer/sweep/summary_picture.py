@@ -14,7 +14,7 @@ from impact_observer.draw.pictures import Style, save, styles
 from impact_observer.errors import UsageError
 from impact_observer.model import parse_model
 from impact_observer.sweep.plan import OFF, SENSOR, Label, Sweep
-from impact_observer.sweep.summary import SETTLING, CaseGroup
+from impact_observer.sweep.summary import CaseGroup
 
 LAW = "law"
 MOST_PANELS = 6
@@ -138,7 +138,7 @@ def sweep_figure(
 
 def _ceiling(groups: Sequence[CaseGroup], duration: float) -> tuple[float, bool]:
     """The largest finite time, s, and whether any is infinite."""
-    times = [time for group in groups for time in group.quartiles[SETTLING.name] or ()]
+    times = [time for group in groups for time in group.settling_time or ()]
     finite = [time for time in times if math.isfinite(time)]
     return max(finite, default=duration) or duration, len(finite) < len(times)
 
@@ -179,7 +179,7 @@ def _draw_law(
 ) -> None:
     """Draw the curves of one law; a group in which all cases failed is a gap."""
     nothing = (np.nan, np.nan, np.nan)
-    times = np.array([group.quartiles[SETTLING.name] or nothing for group in groups])
+    times = np.array([group.settling_time or nothing for group in groups])
     low, median, high = np.where(np.isinf(times), _ZONE[1] * ceiling, times).T
     shares = [np.nan if each.not_settled is None else 100 * each.not_settled for each in groups]
     marked = {"marker": "s", **style}

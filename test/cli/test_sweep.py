@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from impact_observer.cli.main import main
 from impact_observer.errors import DynamicsError
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.sweep import case_runs, engines, sweep_run
+from impact_observer.sweep import case_runs, engines, outcomes_file
 from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.plan import Case
 
@@ -153,17 +153,17 @@ def test_finished_cases_are_kept_and_not_run_again(
     """After Ctrl-C the same command goes on, in any order, and ends with the same file."""
     path = tmp_path / "sweep.parquet"
     first, second, third = Engine(5), Engine(), Engine()
-    monkeypatch.setattr(sweep_run, "run_cases", first)
+    monkeypatch.setattr(outcomes_file, "run_cases", first)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 1
     line = "impact-observer: interrupted; 5 of 16 cases are done; the same command goes on\n"
     assert capsys.readouterr().err == line
     assert table_of(path)["case"] == sorted(first.numbers) == [11, 12, 13, 14, 15]
-    monkeypatch.setattr(sweep_run, "run_cases", second)
+    monkeypatch.setattr(outcomes_file, "run_cases", second)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 0
     assert "has 5 of 16 cases already" in capsys.readouterr().out
     assert sorted(first.numbers + second.numbers) == [*range(SIZE)]
     assert path.read_bytes() == serial.read_bytes()
-    monkeypatch.setattr(sweep_run, "run_cases", third)
+    monkeypatch.setattr(outcomes_file, "run_cases", third)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 0
     assert third.numbers == []
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
@@ -174,15 +174,15 @@ def test_the_file_is_written_from_time_to_time(
 ) -> None:
     """A process that is killed loses seconds, not hours."""
     path, seen = tmp_path / "sweep.parquet", []
-    monkeypatch.setattr(sweep_run, "PERIOD", 0.0)
-    monkeypatch.setattr(sweep_run, "LOAD", 0.0)
+    monkeypatch.setattr(outcomes_file, "PERIOD", 0.0)
+    monkeypatch.setattr(outcomes_file, "LOAD", 0.0)
 
     def looking(cases: Sequence[Case], **_: object) -> Iterator[Outcome]:
         for case in cases:
             yield Outcome(case.number, V_ratio=1.0)
             seen.append(len(table_of(path)["case"]))
 
-    monkeypatch.setattr(sweep_run, "run_cases", looking)
+    monkeypatch.setattr(outcomes_file, "run_cases", looking)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 0
     assert seen == [*range(1, SIZE + 1)]
 
