@@ -28,7 +28,7 @@ from benchmarks.impacts import energy
 from impact_observer.errors import ImpactObserverError
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind
-from impact_observer.io.pairing import Series
+from impact_observer.io.pairing import Samples, samples_of
 from impact_observer.model import Model, System, parse_model, read_model
 from impact_observer.observer import Observer, law_named, law_names, replay
 from impact_observer.options import Options
@@ -82,7 +82,7 @@ class Case:
     system: System
     start: Vector
     events: tuple[ImpactEvent, ...]
-    truth: Series
+    truth: Samples
     regular: np.ndarray
     marks: Mapping[str, int]
 
@@ -129,7 +129,7 @@ def case_of(name: str, seconds: float) -> Case:
         model.system,
         np.concatenate(model.initial_state()),
         events,
-        Series(stamps, _run(model, stamps)[1]),
+        samples_of(stamps, _run(model, stamps)[1]),
         np.isin(stamps, regular),
         {mark: int(np.searchsorted(stamps, stamp)) for mark, stamp in marks.items()},
     )
@@ -146,11 +146,11 @@ def outcome(name: str, case: Case, law: str, seed: int) -> Outcome:
     system, n = case.system, case.system.n
     x = case.start + np.random.default_rng(seed).normal(size=2 * n)
     observer = Observer(system, law_named(law)(system, IDEAL), x[:n], x[n:])
-    replayed = replay(observer, case.events, case.truth.stamps)
+    replayed = replay(observer, case.events, case.truth["stamp"])
     estimates = [each for each in replayed if isinstance(each, Estimate)]
     states = np.array([np.concatenate([each.q, each.u]) for each in estimates])
-    V = energy(system, states - case.truth.x)
-    where = np.searchsorted(case.truth.stamps, [each.last_event for each in estimates])
+    V = energy(system, states - case.truth["x"])
+    where = np.searchsorted(case.truth["stamp"], [each.last_event for each in estimates])
     threshold = (
         Options.agreed * energy(system, states)[where]
     )  # of the motion just after the last event
@@ -164,8 +164,8 @@ def outcome(name: str, case: Case, law: str, seed: int) -> Outcome:
         law=law,
         seed=seed,
         ratios={mark: float(V[index]) / V0 for mark, index in case.marks.items()},
-        synchronized=_first(case.truth.stamps[flagged]),
-        below=_first(case.truth.stamps[last + 1 :]),
+        synchronized=_first(case.truth["stamp"][flagged]),
+        below=_first(case.truth["stamp"][last + 1 :]),
         wrong=int(np.count_nonzero(flagged & above)),
         excess=float(np.max(excess, initial=0.0)),
     )

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from impact_observer.cli.arguments import (
     add_model,
@@ -24,7 +24,7 @@ from impact_observer.compare.comparison import SETTLED
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
-    from impact_observer.compare.bag_comparison import BagComparison, Selection
+    from impact_observer.compare.bag_comparison import BagComparison
     from impact_observer.options import Options
 
 
@@ -147,7 +147,7 @@ def compare(
         BagError: a bag cannot be read, or has nothing to compare.
         ImpactLawError, DynamicsError: an observer cannot follow the events of a bag.
     """
-    from impact_observer.compare.bag_comparison import Selection, labelled_by_law
+    from impact_observer.compare.bag_comparison import labelled_by_law
     from impact_observer.compare.error_pictures import distance_picture
     from impact_observer.compare.error_tables import print_tables, write_csv
     from impact_observer.compare.figures import figures_of
@@ -160,8 +160,8 @@ def compare(
         check_output(report, (".html", ".htm"))
     if csv is not None:
         check_output(csv, (".csv",))
-    selection = Selection(truth, None if estimates is None else tuple(estimates), threshold)
-    results = [(bag, _compare_one(bag, namespace, model, observers, selection)) for bag in bags]
+    how = {"truth": truth, "estimates": estimates, "threshold": threshold}
+    results = [(bag, _compare_one(bag, namespace, model, observers, how)) for bag in bags]
     labelled = labelled_by_law(results)
     if json:
         print(json_module.dumps({k: figures_of(v) for k, v in labelled.items()}, indent=2))
@@ -184,7 +184,7 @@ def _compare_one(
     namespace: str,
     model: str | None,
     observers: "Sequence[Options]",
-    selection: "Selection",
+    how: dict[str, Any],
 ) -> "BagComparison":
     """Compare one bag, with a progress bar on a terminal."""
     from impact_observer.cli.progress import Progress
@@ -204,4 +204,4 @@ def _compare_one(
         def show(what: str, done: int, total: int) -> None:
             progress.step(f"{bag}: {what}", done, total)
 
-        return compare_bag(reader, read.system, made, selection=selection, progress=show)
+        return compare_bag(reader, read.system, made, progress=show, **how)

@@ -5,7 +5,6 @@ dq_NAME and du_NAME with V, all in SI units. Parquet needs pyarrow: impact_obser
 """
 
 import argparse
-from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -96,25 +95,21 @@ def export(
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.bag_export import error_rows, event_rows, state_rows
-    from impact_observer.compare.table_files import table_file
+    from impact_observer.compare.table_files import write_table
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import system_of
 
     if topics is not None and what == EVENTS:
         raise UsageError(f"topics: {', '.join(topics)} given; {EVENTS} have their own topic")
-    written: Counter[str] = Counter()
     with BagReader(bag, namespace) as reader, Progress() as progress:
         show = partial(progress.step, f"exporting {bag.name}")
-        with table_file(output) as file:
-            if what == EVENTS:
-                blocks = event_rows(reader, epoch, show)
-            elif what == ERRORS:
-                blocks = error_rows(reader, system_of(reader, model), topics, epoch, show)
-            else:
-                blocks = state_rows(reader, topics, epoch, show)
-            for block in blocks:
-                file.write(block)
-                written[block.topic] += block.stamps.size
+        if what == EVENTS:
+            blocks = event_rows(reader, epoch, show)
+        elif what == ERRORS:
+            blocks = error_rows(reader, system_of(reader, model), topics, epoch, show)
+        else:
+            blocks = state_rows(reader, topics, epoch, show)
+        written = write_table(output, blocks)
         each = ", ".join(f"{count} of {topic}" for topic, count in written.items())
         progress.line(f"{output}: {written.total()} rows of {what}: {each}")
     return 0

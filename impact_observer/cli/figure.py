@@ -164,9 +164,9 @@ def _observed(
 ) -> "dict[str, Comparison]":
     """Each law's estimates against the run, with a progress bar."""
     from impact_observer.compare.comparison import compare_observer
-    from impact_observer.io.pairing import Series
+    from impact_observer.io.pairing import samples_of
 
-    truth = [Series(run.stamps, run.states)]
+    truth = [samples_of(run.stamps, run.states)]
     return {
         observer.law.name: compare_observer(
             observer,

@@ -18,7 +18,7 @@ from impact_observer.compare.comparison import (
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
-from impact_observer.io.pairing import Series
+from impact_observer.io.pairing import Samples, samples_of
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
 from impact_observer.io.topic_names import first_stamp, named_states, named_topic
@@ -46,31 +46,14 @@ class BagComparison:
     epoch: int
 
 
-@dataclass(frozen=True, slots=True)
-class Selection:
-    """Which topics of a bag to compare, and when an estimate has settled.
-
-    Attributes:
-        truth: the topic of the plant's true states; None for the only one there is.
-        estimates: observers' prefixes, or topics of states; None for every observer.
-        threshold: V over V at the start below which an estimate has settled.
-    """
-
-    truth: str | None = None
-    estimates: tuple[str, ...] | None = None
-    threshold: float = SETTLED
-
-
-ALL = Selection()
-"""Every observer in the bag against its truth."""
-
-
 def compare_bag(
     reader: BagReader,
     system: System,
     observers: Sequence[Observer] = (),
     *,
-    selection: Selection = ALL,
+    truth: str | None = None,
+    estimates: Sequence[str] | None = None,
+    threshold: float = SETTLED,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
     """Compare with the plant the observers in a bag, and others that are run on its events.
@@ -81,7 +64,9 @@ def compare_bag(
         reader: the bag.
         system: gives M and K for V.
         observers: to run on the bag, one a law; they have received nothing yet.
-        selection: which topics to compare, and when an estimate has settled.
+        truth: the topic of the plant's true states; None for the only one there is.
+        estimates: observers' prefixes, or topics of states; None for every observer.
+        threshold: V over V at the start below which an estimate has settled.
         progress: receives what is being done, how much of it is done, and how much there is.
 
     Raises:
@@ -90,39 +75,36 @@ def compare_bag(
             could not apply any of its events.
         ImpactLawError, DynamicsError, UsageError: an observer cannot follow the events.
     """
-    truth = _truth_topic(reader, selection.truth)
-    topics = _estimate_topics(reader, selection.estimates)
+    true_topic = _truth_topic(reader, truth)
+    names = reader.observers() if estimates is None else [f"/{e.strip('/')}" for e in estimates]
+    topics = {name: named_states(reader, name) for name in names}
     if not topics and not observers:
         raise BagError(
             f"{reader.path}: has no estimates; make them with observe, or name laws with --laws"
         )
     events = events_in(reader)
-    recorded = {
-        name: RecordedEstimate(
-            topic,
-            Comparator(system, outcomes_in(reader, topic, events), selection.threshold),
-            law=name.rpartition("/")[2],
-        )
-        for name, topic in topics.items()
-    }
-    for done, total in compare_recorded(reader, system, truth, recorded.values()):
+    recorded = {}
+    for name, topic in topics.items():
+        outcomes, law = outcomes_in(reader, topic, events), name.rpartition("/")[2]
+        recorded[name] = topic, Comparator(system, outcomes, law, threshold)
+    for done, total in compare_recorded(reader, system, true_topic, recorded.values()):
         progress("comparing", done, total)
 
-    def true_states() -> Iterator[Series]:
-        return (_series(block) for _, block in reader.blocks([truth], system.coordinates))
+    def true_states() -> Iterator[Samples]:
+        return (_samples(block) for _, block in reader.blocks([true_topic], system.coordinates))
 
     with _errors_name(reader.path):
-        comparisons = {name: each.comparator.result(each.law) for name, each in recorded.items()}
+        comparisons = {name: each.result() for name, (_, each) in recorded.items()}
         for observer in observers:
             law = observer.law.name
             comparisons[law] = compare_observer(
                 observer,
                 events,
                 true_states,
-                threshold=selection.threshold,
+                threshold=threshold,
                 progress=partial(progress, law),
             )
-    epoch = epoch_of(events) or first_stamp(reader, [truth]) or 0
+    epoch = epoch_of(events) or first_stamp(reader, [true_topic]) or 0
     return BagComparison(system, comparisons, impacts_in(events), epoch)
 
 
@@ -148,23 +130,8 @@ def labelled_by_law(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, 
     return dict(zip(names, (comparison for _, _, comparison in each), strict=True))
 
 
-@dataclass(slots=True)
-class RecordedEstimate:
-    """The estimates on a topic and their comparison.
-
-    Attributes:
-        topic: of the estimates.
-        comparator: receives the blocks of truth and estimate.
-        law: of the estimates, as their messages say; the observer's name until one is read.
-    """
-
-    topic: str
-    comparator: Comparator
-    law: str
-
-
 def compare_recorded(
-    reader: BagReader, system: System, truth: str, estimates: Collection[RecordedEstimate]
+    reader: BagReader, system: System, truth: str, estimates: Collection[tuple[str, Comparator]]
 ) -> Iterator[tuple[int, int]]:
     """Compare recorded estimates with the truth, all in one pass through the bag.
 
@@ -172,28 +139,28 @@ def compare_recorded(
         reader: the bag.
         system: gives the coordinates.
         truth: topic of the true states.
-        estimates: to compare.
+        estimates: their topics, and what compares them; its law becomes that of the messages.
 
     Yields:
         The number of messages read, and of all: after each block of states and at the end.
     """
     if not estimates:
         return
-    topics = [*dict.fromkeys([truth, *(each.topic for each in estimates)])]
+    topics = [*dict.fromkeys([truth, *(topic for topic, _ in estimates)])]
     total, done = sum(reader.topics[topic].count for topic in topics), 0
     for topic, block in reader.blocks(topics, system.coordinates):
-        series = _series(block)
-        for each in estimates:
+        samples = _samples(block)
+        for own, comparator in estimates:
             if topic == truth:
-                each.comparator.pairing.truth.add(series)
-            if topic == each.topic:
-                each.comparator.pairing.estimates.add(series)
-                each.law = getattr(block, "law", "") or each.law
-            each.comparator.update()
+                comparator.pairing.truth.add(samples)
+            if topic == own:
+                comparator.pairing.estimates.add(samples)
+                comparator.law = getattr(block, "law", "") or comparator.law
+            comparator.update()
         done += block.stamps.size
         yield done, total
-    for each in estimates:
-        each.comparator.finish()
+    for _, comparator in estimates:
+        comparator.finish()
     yield total, total
 
 
@@ -207,12 +174,6 @@ def _truth_topic(reader: BagReader, named: str | None) -> str:
     return found
 
 
-def _estimate_topics(reader: BagReader, named: Sequence[str] | None) -> dict[str, str]:
-    """Topics of estimates by their observer's prefix, or by the topic that was named."""
-    names = reader.observers() if named is None else [f"/{each.strip('/')}" for each in named]
-    return {name: named_states(reader, name) for name in names}
-
-
 @contextmanager
 def _errors_name(bag: Path) -> Iterator[None]:
     """Put the bag in front of the errors within."""
@@ -223,6 +184,6 @@ def _errors_name(bag: Path) -> Iterator[None]:
         raise error if str(error).startswith(where) else BagError(f"{where}: {error}") from None
 
 
-def _series(block: JointStates) -> Series:
+def _samples(block: JointStates) -> Samples:
     last_event = block.last_event if isinstance(block, ObserverStates) else None
-    return Series(block.stamps, np.hstack([block.q, block.u]), last_event)
+    return samples_of(block.stamps, np.hstack([block.q, block.u]), last_event)

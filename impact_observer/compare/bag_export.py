@@ -1,17 +1,17 @@
 """The states, errors or events of a bag as rows of a table, block by block."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.compare.bag_comparison import RecordedEstimate, compare_recorded
+from impact_observer.compare.bag_comparison import compare_recorded
 from impact_observer.compare.comparison import Comparator
 from impact_observer.compare.error_tally import ErrorRows
-from impact_observer.compare.table_files import Numbers, TableBlock
+from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError
-from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
 from impact_observer.io.reader import BLOCK, BagReader
 from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
@@ -46,7 +46,8 @@ def state_rows(
     for topic, block in reader.blocks(chosen, first.names):
         if block.stamps.size:
             numbers = _columns(("q", "u"), block.names, np.hstack([block.q, block.u]))
-            yield TableBlock(topic, zero, block.stamps, {"topic": topic}, numbers)
+            words = {"topic": [topic] * block.stamps.size}
+            yield TableBlock(topic, zero, block.stamps, words, numbers)
             done += block.stamps.size
             progress(done, total)
 
@@ -82,37 +83,24 @@ def error_rows(
         raise BagError(f"{reader.path}: has no estimates; make them with observe")
     zero = _epoch(reader, first_stamp(reader, [truth]) or 0) if epoch is None else epoch
     events = events_in(reader) if reader.find(interfaces.IMPACTS) else []
-    found: list[tuple[RecordedEstimate, ErrorRows]] = []
-    recorded = [_recorded(reader, system, topic, events, found) for topic in chosen]
+    found: list[tuple[str, ErrorRows]] = []
+    comparators = {}
+    for topic in chosen:
+        outcomes, law = outcomes_in(reader, topic, events), topic.split("/")[-2]
+        keep = partial(lambda topic, rows: found.append((topic, rows)), topic)
+        comparators[topic] = Comparator(system, outcomes, law, keep=keep)
     count = 0
-    for done, total in compare_recorded(reader, system, truth, recorded):
+    for done, total in compare_recorded(reader, system, truth, comparators.items()):
         count += len(found)
-        for each, (stamps, error, V) in found:
-            texts = {"topic": each.topic, "law": each.law}
-            numbers = {"V": V, **_columns(("dq", "du"), system.coordinates, error)}
-            yield TableBlock(each.topic, zero, stamps, texts, numbers)
+        for topic, rows in found:
+            words = {"topic": [topic] * rows.size, "law": [comparators[topic].law] * rows.size}
+            numbers = {"V": rows["V"], **_columns(("dq", "du"), system.coordinates, rows["error"])}
+            yield TableBlock(topic, zero, rows["stamp"], words, numbers)
         found.clear()
         progress(done, total)
     if not count:
-        ranges = recorded[0].comparator.pairing.ranges()
+        ranges = comparators[chosen[0]].pairing.ranges()
         raise BagError(f"{reader.path}: truth and estimates have nothing in common: {ranges}")
-
-
-def _recorded(
-    reader: BagReader,
-    system: System,
-    topic: str,
-    events: Sequence[ImpactEvent],
-    found: list[tuple[RecordedEstimate, ErrorRows]],
-) -> RecordedEstimate:
-    """The estimates on a topic, whose rows are appended to ``found``."""
-
-    def keep(rows: ErrorRows) -> None:
-        found.append((made, rows))
-
-    comparator = Comparator(system, outcomes_in(reader, topic, events), keep=keep)
-    made = RecordedEstimate(topic, comparator, law=topic.split("/")[-2])
-    return made
 
 
 def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iterator[TableBlock]:
@@ -133,7 +121,7 @@ def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iter
     flat = [(event, switch) for event in events for switch in event.switches]
     for begin in range(0, len(flat), BLOCK):
         part = flat[begin : begin + BLOCK]
-        texts = {
+        words = {
             "contact": [switch.contact for _, switch in part],
             "kind": [switch.kind.name.lower() for _, switch in part],
         }
@@ -142,13 +130,13 @@ def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iter
             "episode": np.array([event.episode for event, _ in part], dtype=np.int64),
         }
         stamps = np.array([event.stamp for event, _ in part], dtype=np.int64)
-        yield TableBlock(reader.find(interfaces.IMPACTS) or "", zero, stamps, texts, numbers)
+        yield TableBlock(reader.find(interfaces.IMPACTS) or "", zero, stamps, words, numbers)
         progress(begin + len(part), len(flat))
 
 
 def _columns(
     kinds: tuple[str, str], names: Sequence[str], x: NDArray[np.float64]
-) -> dict[str, Numbers]:
+) -> dict[str, NDArray[np.float64]]:
     """Columns of coordinates and velocities, such as ``q_x1`` and ``u_x1``."""
     headings = [f"{kind}_{name}" for kind in kinds for name in names]
     return dict(zip(headings, x.T, strict=True))

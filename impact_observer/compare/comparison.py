@@ -10,16 +10,15 @@ has not, or the other way round, is a *mismatch*.
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from tempfile import TemporaryFile
-from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.compare.error_tally import ErrorCurve, ErrorRows, ErrorTally
-from impact_observer.compare.mismatch import Impact, Mismatch
+from impact_observer.compare.mismatch import Mismatch
 from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import ImpactEvent, Verdict
-from impact_observer.io.pairing import Pairing, Series
+from impact_observer.io.pairing import Pairing, Samples, sample_type
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay
 from impact_observer.observer.event_order import impacts_of
@@ -126,12 +125,14 @@ class Comparator:
 
     Attributes:
         pairing: where to add the blocks of both.
+        law: name of the law.
     """
 
     def __init__(
         self,
         system: System,
         outcomes: EventOutcomes,
+        law: str,
         threshold: float = SETTLED,
         keep: Callable[[ErrorRows], None] | None = None,
     ) -> None:
@@ -140,14 +141,16 @@ class Comparator:
         Args:
             system: gives M and K for V.
             outcomes: which events the observer applied, rejected and inserted.
+            law: name of the law.
             threshold: V over V at the start below which the estimate has settled.
             keep: receives the rows that count, in order; None to keep them for the result.
         """
         index = {name: c for c, name in enumerate(system.contact_names)}
-        impacts = [Impact(stamp, index[name]) for stamp, name in outcomes.impacts if name in index]
+        impacts = [(stamp, index[name]) for stamp, name in outcomes.impacts if name in index]
         self.pairing = Pairing()
+        self.law = law
         self._system, self._outcomes, self._threshold = system, outcomes, threshold
-        self._curve = ErrorCurve(2 * system.n)
+        self._curve = ErrorCurve()
         self._tally = ErrorTally(
             system, outcomes.reported, impacts, threshold, keep or self._curve.add
         )
@@ -160,7 +163,7 @@ class Comparator:
         """Compare the rest, when all blocks have been added."""
         self._tally.add(self.pairing.ready(done=True), done=True)
 
-    def result(self, law: str) -> Comparison:
+    def result(self) -> Comparison:
         """The comparison, when all blocks have been added.
 
         Raises:
@@ -168,28 +171,30 @@ class Comparator:
         """
         self.finish()
         tally = self._tally
-        if not (tally.samples or tally.late or tally.between):
+        if not (tally.samples or tally.late or tally.mismatch.samples):
             raise BagError(
-                f"{law}: truth and estimate have no stamp in common: {self.pairing.ranges()};"
+                f"{self.law}: truth and estimate have no stamp in common: {self.pairing.ranges()};"
                 " both must be sampled at the same instants"
             )
         if not tally.samples:
-            raise BagError(f"{law}: every estimate came before its events; nothing to compare")
+            raise BagError(
+                f"{self.law}: every estimate came before its events; nothing to compare"
+            )
         rows = self._curve.rows()
-        start = float(rows.V[0])
+        start = float(rows["V"][0])
         settling_time = None
         if tally.settled is not None and (start > 0 or tally.rise == 0):
-            settling_time = seconds_between(int(rows.stamps[0]), tally.settled)
+            settling_time = seconds_between(int(rows["stamp"][0]), tally.settled)
         return Comparison(
             system=self._system,
-            law=law,
-            stamps=rows.stamps,
-            error=rows.error,
-            V=rows.V,
+            law=self.law,
+            stamps=rows["stamp"],
+            error=rows["error"],
+            V=rows["V"],
             samples=tally.samples,
             late=tally.late,
             stale=self.pairing.truth.stale + self.pairing.estimates.stale,
-            mismatch=Mismatch(tally.windows, tally.between, tally.longest, tally.peak),
+            mismatch=tally.mismatch,
             outcomes=self._outcomes,
             rms=np.sqrt(tally.squares / tally.samples),
             largest=tally.largest,
@@ -202,7 +207,7 @@ class Comparator:
 def compare_observer(
     observer: Observer,
     events: Sequence[ImpactEvent],
-    truth: Callable[[], Iterable[Series]],
+    truth: Callable[[], Iterable[Samples]],
     *,
     system: System | None = None,
     threshold: float = SETTLED,
@@ -228,10 +233,11 @@ def compare_observer(
         DynamicsError: an estimate is not finite.
         ImpactLawError, UsageError: as ``Observer.receive``.
     """
-    stamps, law = np.unique(np.concatenate([block.stamps for block in truth()])), observer.law.name
+    stamps = np.unique(np.concatenate([block["stamp"] for block in truth()]))
+    law = observer.law.name
     verdicts: list[Verdict] = []
     with TemporaryFile() as file:
-        made, row = 0, _row(2 * observer.system.n)
+        made, row = 0, sample_type(2 * observer.system.n)
         for item in replay(observer, events, stamps):
             if isinstance(item, Verdict):
                 verdicts.append(item)
@@ -246,37 +252,26 @@ def compare_observer(
         if not made:
             raise BagError(f"{law}: no impact was received, so there is no estimate to compare")
         file.seek(0)
-        comparator = Comparator(system or observer.system, outcomes, threshold)
-        _compare_blocks(comparator, truth(), _read_back(file, row), law)
-    return comparator.result(law)
+        estimates = iter(lambda: file.read(_BLOCK * row.itemsize), b"")
+        comparator = Comparator(system or observer.system, outcomes, law, threshold)
+        _compare_blocks(comparator, truth(), (np.frombuffer(data, row) for data in estimates))
+    return comparator.result()
 
 
 def _compare_blocks(
-    comparator: Comparator, truth: Iterable[Series], estimates: Iterator[Series], law: str
+    comparator: Comparator, truth: Iterable[Samples], estimates: Iterator[Samples]
 ) -> None:
     """Add blocks of both by turns, so that neither gets far ahead of the other."""
     pairing = comparator.pairing
     for block in truth:
         pairing.truth.add(block)
-        while pairing.estimates.newest < pairing.truth.newest and (
-            series := next(estimates, None)
-        ):
-            if not np.isfinite(series.x).all():
-                raise DynamicsError(f"{law}: the estimate has left all bounds")
-            pairing.estimates.add(series)
+        while pairing.estimates.newest < pairing.truth.newest:
+            if (samples := next(estimates, None)) is None:
+                break
+            if not np.isfinite(samples["x"]).all():
+                raise DynamicsError(f"{comparator.law}: the estimate has left all bounds")
+            pairing.estimates.add(samples)
         comparator.update()
-
-
-def _row(width: int) -> np.dtype[np.void]:
-    """An estimate of ``width`` states in the temporary file."""
-    return np.dtype([("stamp", "i8"), ("last_event", "i8"), ("x", "f8", (width,))])
-
-
-def _read_back(file: IO[bytes], row: np.dtype[np.void]) -> Iterator[Series]:
-    """The estimates in the temporary file, block by block."""
-    while data := file.read(_BLOCK * row.itemsize):
-        block = np.frombuffer(data, dtype=row)
-        yield Series(block["stamp"].copy(), block["x"].copy(), block["last_event"].copy())
 
 
 def impacts_in(events: Iterable[ImpactEvent]) -> dict[str, Stamps]:

@@ -1,13 +1,13 @@
 """Sums and maxima of errors over pairs of truth and estimate that are added block by block."""
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.compare.mismatch import REACH, Impact, Window, window
+from impact_observer.compare.mismatch import REACH, Mismatch, window
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.io.pairing import Pairs, arrived
 from impact_observer.model import System
@@ -16,26 +16,13 @@ from impact_observer.states import Stamps, Vector
 
 MOST_ROWS = 2**16
 """Rows of a curve that are kept, twice as many at most; of longer curves the peaks."""
-_TOGETHER = 4096
-"""Rows that are thinned out together."""
+ErrorRows: TypeAlias = NDArray[np.void]
+"""Errors at some stamps, rows of ``error_type``."""
 
 
-class ErrorRows(NamedTuple):
-    """Errors at some stamps.
-
-    Attributes:
-        stamps: ns, ascending, shape (rows,).
-        error: estimate minus truth, shape (rows, 2n).
-        V: J, shape (rows,).
-    """
-
-    stamps: Stamps
-    error: NDArray[np.float64]
-    V: Vector
-
-    def at(self, rows: slice | NDArray[np.intp]) -> "ErrorRows":
-        """Some of them."""
-        return ErrorRows(self.stamps[rows], self.error[rows], self.V[rows])
+def error_type(size: int) -> np.dtype[np.void]:
+    """A ``stamp`` (ns), the ``error`` (estimate minus truth) of ``size`` states, and ``V`` (J)."""
+    return np.dtype([("stamp", "i8"), ("error", "f8", (size,)), ("V", "f8")])
 
 
 class ErrorTally:
@@ -44,10 +31,7 @@ class ErrorTally:
     Attributes:
         samples: pairs that count.
         late: pairs left out because their event had not arrived at the estimate.
-        between: pairs left out because they lie between the jumps of truth and estimate.
-        windows: impacts with such pairs.
-        longest: the longest time between two jumps, s.
-        peak: largest V between two jumps, J.
+        mismatch: pairs left out because they lie between the jumps of truth and estimate.
         squares: sums of squared errors, shape (2n,).
         largest: largest absolute errors, shape (2n,).
         rise: largest rise of V from one sample to the next, J.
@@ -58,7 +42,7 @@ class ErrorTally:
         self,
         system: System,
         reported: Stamps,
-        impacts: list[Impact],
+        impacts: list[tuple[int, int]],
         threshold: float,
         keep: Callable[[ErrorRows], None],
     ) -> None:
@@ -68,23 +52,25 @@ class ErrorTally:
             system: gives M and K for V.
             reported: stamps of the reported events that the observer used, ns, ascending,
                 shape (reported,).
-            impacts: all that the observer used, inserted ones too, by stamp.
+            impacts: stamp (ns) and index of the contact of all that the observer used, inserted
+                ones too, by stamp.
             threshold: V over V at the start below which an estimate has settled.
             keep: receives the rows that count, in order.
         """
-        self.samples = self.late = self.between = self.windows = 0
-        self.longest = self.peak = self.rise = 0.0
+        self.samples = self.late = 0
+        self.mismatch = Mismatch()
         self.squares, self.largest = np.zeros(2 * system.n), np.zeros(2 * system.n)
+        self.rise = 0.0
         self.settled: int | None = None
         self._keep = keep
         self._system = system
         self._reported = reported
         self._impacts = impacts
-        self._of_contact = [[i.stamp for i in impacts if i.contact == c] for c in range(system.m)]
+        self._of_contact = [[at for at, c in impacts if c == own] for own in range(system.m)]
         self._threshold = threshold
         self._first = self._last = -1.0
         self._searched = 0
-        self._windows: list[Window] = []
+        self._windows: list[tuple[int, int]] = []
         self._carried: Pairs | None = None
         self._counted = 0
 
@@ -98,66 +84,60 @@ class ErrorTally:
             pairs: None for none.
             done: these are the last.
         """
-        if pairs is not None:
-            self._carried = pairs if self._carried is None else self._carried.followed_by(pairs)
-        rows = self._carried
-        if rows is None or not rows.stamps.size:
+        rows = [each for each in (self._carried, pairs) if each is not None and each.size]
+        if not rows:
             return
-        last = int(rows.stamps[-1])
-        self._find_windows(rows, last + 1 if done else last - REACH)
-        due = rows.stamps.size
+        carried = np.concatenate(rows)
+        last = int(carried["stamp"][-1])
+        self._find_windows(carried, last + 1 if done else last - REACH)
+        due = carried.size
         if not done:
-            due = int(np.searchsorted(rows.stamps, last - 2 * REACH, side="right"))
+            due = int(np.searchsorted(carried["stamp"], last - 2 * REACH, side="right"))
         if due > self._counted:
-            self._count(rows.part(slice(self._counted, due)))
+            self._count(carried[self._counted : due])
         # A jump shows against the two samples before it.
-        kept = max(min(due, rows.stamps.size) - 2, 0)
-        self._carried, self._counted = rows.part(slice(kept, None)), due - kept
+        kept = max(due - 2, 0)
+        self._carried, self._counted = carried[kept:], due - kept
 
     def _find_windows(self, rows: Pairs, until: int) -> None:
         """Find the windows of all impacts before ``until`` (ns)."""
-        end = bisect_left(self._impacts, until, key=lambda impact: impact.stamp)
+        end = bisect_left(self._impacts, (until,))
         speeds: dict[int, tuple[Vector, Vector]] = {}
         n = self._system.n
-        for impact in self._impacts[self._searched : end]:
-            c = impact.contact
+        for impact, c in self._impacts[self._searched : end]:
             if c not in speeds:
                 w = self._system.W[:, c]
-                speeds[c] = (rows.truth[:, n:] @ w, rows.estimate[:, n:] @ w)
+                speeds[c] = (rows["truth"][:, n:] @ w, rows["estimate"][:, n:] @ w)
             own = self._of_contact[c]
-            before, after = bisect_left(own, impact.stamp), bisect_right(own, impact.stamp)
+            before, after = bisect_left(own, impact), bisect_right(own, impact)
             others = [*own[max(before - 1, 0) : before], *own[after : after + 1]]
-            if (found := window(rows.stamps, *speeds[c], impact, others)) is not None:
+            if (found := window(rows["stamp"], *speeds[c], impact, others)) is not None:
                 self._windows.append(found)
-                self.windows += 1
-                self.longest = max(self.longest, seconds_between(*found))
+                self.mismatch.windows += 1
+                self.mismatch.longest = max(self.mismatch.longest, seconds_between(*found))
         self._searched = max(self._searched, end)
 
     def _count(self, pairs: Pairs) -> None:
         """Count pairs whose windows are all found."""
-        n, stamps = self._system.n, pairs.stamps
-        error = pairs.estimate - pairs.truth
-        V = distance(self._system, error[:, :n], error[:, n:])
-        punctual = arrived(stamps, pairs.last_event, self._reported)
-        between = punctual & self._is_between(stamps)
-        self.late += int(np.count_nonzero(~punctual))
-        self.between += int(np.count_nonzero(between))
-        self.peak = max(self.peak, float(np.max(V[between], initial=0.0)))
-        kept = punctual & ~between
-        if kept.any():
-            self._sum_up(ErrorRows(stamps[kept], error[kept], V[kept]))
-
-    def _is_between(self, stamps: Stamps) -> NDArray[np.bool_]:
-        """Which samples lie in a window; windows that are over are dropped."""
+        n, stamps = self._system.n, pairs["stamp"]
+        rows = np.empty(pairs.size, error_type(2 * n))
+        rows["stamp"], rows["error"] = stamps, pairs["estimate"] - pairs["truth"]
+        rows["V"] = distance(self._system, rows["error"][:, :n], rows["error"][:, n:])
+        punctual = arrived(stamps, pairs["last_event"], self._reported)
         between = np.zeros(stamps.size, dtype=np.bool_)
-        for each in self._windows:
-            between |= (each.begin <= stamps) & (stamps < each.end)
-        last = int(stamps[-1])
-        self._windows = [each for each in self._windows if each.end > last]
-        return between
+        for begin, end in self._windows:
+            between |= (begin <= stamps) & (stamps < end)
+        self._windows = [each for each in self._windows if each[1] > stamps[-1]]
+        between &= punctual
+        self.late += int(np.count_nonzero(~punctual))
+        self.mismatch.samples += int(np.count_nonzero(between))
+        self.mismatch.V = max(self.mismatch.V, float(np.max(rows["V"][between], initial=0.0)))
+        kept = rows[punctual & ~between]
+        if kept.size:
+            self._sum_up(kept)
 
     def _sum_up(self, rows: ErrorRows) -> None:
-        stamps, error, V = rows
+        stamps, error, V = rows["stamp"], rows["error"], rows["V"]
         if not self.samples:
             self._first = self._last = float(V[0])
         self.samples += stamps.size
@@ -178,49 +158,30 @@ class ErrorCurve:
     The first and the last row are always kept.
     """
 
-    def __init__(self, width: int) -> None:
-        """Keep rows with ``width`` errors."""
-        nothing = ErrorRows(np.empty(0, dtype=np.int64), np.empty((0, width)), np.empty(0))
-        self._kept, self._raw = nothing, [nothing]
-        self._waiting = 0
+    def __init__(self) -> None:
+        self._ends: list[ErrorRows] = []
+        self._kept: list[ErrorRows] = []
         self._stride = 1
-        self._ends: tuple[ErrorRows, ErrorRows] | None = None
 
     def add(self, rows: ErrorRows) -> None:
         """Add rows, at least one and later than all before."""
-        first = rows.at(slice(0, 1)) if self._ends is None else self._ends[0]
-        self._ends = first, rows.at(slice(-1, None))
-        self._raw.append(rows)
-        self._waiting += rows.stamps.size
-        if self._waiting >= max(_TOGETHER, self._stride):
-            raw = _joined(self._raw)
-            whole = raw.stamps.size - raw.stamps.size % self._stride
-            self._kept = _joined([self._kept, _peaks(raw.at(slice(0, whole)), self._stride)])
-            self._raw = [raw.at(slice(whole, None))]
-            self._waiting = raw.stamps.size - whole
-        while self._kept.stamps.size > 2 * MOST_ROWS:
-            self._kept = _peaks(self._kept, 2)
+        first = self._ends[0] if self._ends else rows[:1]
+        self._ends = [first, rows[-1:]]
+        self._kept.append(_peaks(rows, self._stride))
+        while sum(each.size for each in self._kept) > 2 * MOST_ROWS:
+            self._kept = [_peaks(np.concatenate(self._kept), 2)]
             self._stride *= 2
 
     def rows(self) -> ErrorRows:
-        """The rows that are kept."""
-        rows = _joined([self._kept, _peaks(_joined(self._raw), self._stride)])
-        if self._ends is None:
-            return rows
-        first, last = self._ends
-        before = [first] if rows.stamps[0] != first.stamps[0] else []
-        after = [last] if rows.stamps[-1] != last.stamps[0] else []
-        return _joined([*before, rows, *after])
-
-
-def _joined(several: Sequence[ErrorRows]) -> ErrorRows:
-    return ErrorRows(*(np.concatenate(columns) for columns in zip(*several, strict=True)))
+        """The rows that are kept, by stamp."""
+        rows = np.concatenate([*self._ends, *self._kept])
+        return np.asarray(rows[np.unique(rows["stamp"], return_index=True)[1]])
 
 
 def _peaks(rows: ErrorRows, stride: int) -> ErrorRows:
     """Of every ``stride`` rows the one with the largest V, and that of the rest at the end."""
-    whole = rows.V.size - rows.V.size % stride
-    at = np.arange(0, whole, stride) + np.argmax(rows.V[:whole].reshape(-1, stride), axis=1)
-    if whole < rows.V.size:
-        at = np.append(at, whole + np.argmax(rows.V[whole:]))
-    return rows.at(at)
+    whole = rows.size - rows.size % stride
+    at = np.arange(0, whole, stride) + np.argmax(rows["V"][:whole].reshape(-1, stride), axis=1)
+    if whole < rows.size:
+        at = np.append(at, whole + np.argmax(rows["V"][whole:]))
+    return np.asarray(rows[at])

@@ -8,7 +8,6 @@ systems with state-triggered jumps, IEEE Transactions on Automatic Control, 2013
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ _ALIKE = 0.5
 """Smallest jump that counts beside another one, over that one."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Mismatch:
     """All samples between the jumps of truth and estimate.
 
@@ -36,60 +35,38 @@ class Mismatch:
         V: the largest distance in a window, J.
     """
 
-    windows: int
-    samples: int
-    longest: float
-    V: float
-
-
-class Impact(NamedTuple):
-    """An impact that an observer used.
-
-    Attributes:
-        stamp: at which the estimate jumps, ns.
-        contact: index in the system.
-    """
-
-    stamp: int
-    contact: int
-
-
-class Window(NamedTuple):
-    """The samples between the two jumps of one impact.
-
-    Attributes:
-        begin: stamp of the first sample, ns.
-        end: stamp of the first sample after both jumps, ns.
-    """
-
-    begin: int
-    end: int
+    windows: int = 0
+    samples: int = 0
+    longest: float = 0.0
+    V: float = 0.0
 
 
 def window(
-    stamps: Stamps, truth: Vector, estimate: Vector, impact: Impact, others: Sequence[int] = ()
-) -> Window | None:
+    stamps: Stamps, truth: Vector, estimate: Vector, impact: int, others: Sequence[int] = ()
+) -> tuple[int, int] | None:
     """The samples between the jumps of truth and estimate at an impact.
 
     Args:
         stamps: of the samples, ns, ascending, shape (samples,).
         truth: the true contact speed, gamma = w^T u, shape (samples,), m/s.
         estimate: the estimated one, shape (samples,), m/s.
-        impact: where to look, ``REACH`` to both sides.
+        impact: stamp of the impact at which the estimate jumps, ns; where to look, ``REACH`` to
+            both sides.
         others: stamps of the contact's other impacts, ns. A jump that is nearer to one of them
             belongs to that impact.
 
     Returns:
-        None where there is no sample between the jumps, or the truth has no jump.
+        Stamps of the first sample between them and of the first one after both, ns; None where
+        there is no sample between the jumps, or the truth has no jump.
     """
-    low, high = np.searchsorted(stamps, [impact.stamp - REACH, impact.stamp + REACH + 1])
+    low, high = np.searchsorted(stamps, [impact - REACH, impact + REACH + 1])
     low = max(int(low) - 2, 0)
-    near, here = stamps[low:high], int(np.searchsorted(stamps[low:high], impact.stamp))
+    near, here = stamps[low:high], int(np.searchsorted(stamps[low:high], impact))
     if here >= near.size or near.size < 3:
         return None
     of_this_impact = np.ones(near.size, dtype=np.bool_)
     for other in others:
-        of_this_impact &= np.abs(near - impact.stamp) <= np.abs(near - other)
+        of_this_impact &= np.abs(near - impact) <= np.abs(near - other)
     jumps = _jumps(near, truth[low:high])
     # Coarse samples show curvature as small steps: they are no jumps beside the largest one.
     largest = float(np.max(jumps, where=of_this_impact, initial=0.0))
@@ -104,7 +81,7 @@ def window(
     if of_estimate is None or not of_this_impact[of_estimate]:
         of_estimate = here
     first, last = sorted((of_truth, of_estimate))
-    return Window(int(near[first]), int(near[last])) if first < last else None
+    return (int(near[first]), int(near[last])) if first < last else None
 
 
 def _jumps(stamps: Stamps, speed: Vector) -> NDArray[np.float64]:

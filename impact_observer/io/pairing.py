@@ -1,7 +1,6 @@
 """Truth and estimates in pairs of equal stamps, read block by block."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,70 +11,32 @@ from impact_observer.states import Stamps
 HOLD = 10 * NS_PER_S
 """By how much a state may be stamped before the latest one, ns: an observer publishes an estimate
 again when a late event corrects it."""
+Samples: TypeAlias = NDArray[np.void]
+"""States at stamps, rows of ``sample_type``."""
+Pairs: TypeAlias = NDArray[np.void]
+"""Rows with the ``stamp`` (ns), the states ``truth`` and ``estimate``, shape (2n,), and the
+``last_event`` of the estimate; ascending stamps."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """States at stamps.
+def sample_type(size: int) -> np.dtype[np.void]:
+    """A ``stamp`` (ns), a state ``x`` (q, u) of ``size`` numbers, and its ``last_event``.
 
-    Attributes:
-        stamps: ns, shape (samples,).
-        x: states (q, u), shape (samples, 2n).
-        last_event: stamp of the last event that each estimate contains, ns, 0 for none, shape
-            (samples,); None where every estimate contains all events before it.
+    That is the stamp of the last event that an estimate contains, ns, 0 for none.
     """
-
-    stamps: Stamps
-    x: NDArray[np.float64]
-    last_event: Stamps | None = None
-
-    def part(self, rows: slice | NDArray[np.bool_] | NDArray[np.intp]) -> "Series":
-        """Some of the states."""
-        last_event = None if self.last_event is None else self.last_event[rows]
-        return Series(self.stamps[rows], self.x[rows], last_event)
-
-    def by_stamp(self) -> "Series":
-        """The same in order of the stamps; of states with equal stamps the last one."""
-        if (np.diff(self.stamps) > 0).all():
-            return self
-        _, from_behind = np.unique(self.stamps[::-1], return_index=True)
-        return self.part(self.stamps.size - 1 - from_behind)
+    return np.dtype([("stamp", "i8"), ("last_event", "i8"), ("x", "f8", (size,))])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
-    """Truth and estimate at the same stamps.
+def samples_of(
+    stamps: Stamps, x: NDArray[np.float64], last_event: Stamps | None = None
+) -> Samples:
+    """States ``x``, shape (samples, 2n), at ``stamps`` (ns).
 
-    Attributes:
-        stamps: ns, ascending, shape (pairs,).
-        truth: states (q, u), shape (pairs, 2n).
-        estimate: states (q, u), shape (pairs, 2n).
-        last_event: as of ``Series``.
+    Without ``last_event`` every estimate contains all events before it.
     """
-
-    stamps: Stamps
-    truth: NDArray[np.float64]
-    estimate: NDArray[np.float64]
-    last_event: Stamps | None
-
-    def part(self, rows: slice) -> "Pairs":
-        """Some of the pairs."""
-        last_event = None if self.last_event is None else self.last_event[rows]
-        return Pairs(self.stamps[rows], self.truth[rows], self.estimate[rows], last_event)
-
-    def followed_by(self, later: "Pairs") -> "Pairs":
-        """These and ``later`` pairs."""
-        return Pairs(
-            np.concatenate([self.stamps, later.stamps]),
-            np.concatenate([self.truth, later.truth]),
-            np.concatenate([self.estimate, later.estimate]),
-            _concatenated([self.last_event, later.last_event]),
-        )
-
-
-def _concatenated(several: Sequence[Stamps | None]) -> Stamps | None:
-    present = [each for each in several if each is not None]
-    return np.concatenate(present) if len(present) == len(several) else None
+    samples = np.empty(stamps.size, sample_type(x.shape[1]))
+    samples["stamp"], samples["x"] = stamps, x
+    samples["last_event"] = np.iinfo(np.int64).max if last_event is None else last_event
+    return samples
 
 
 class Pairing:
@@ -103,12 +64,15 @@ class Pairing:
         if truth is None or estimates is None:
             return None
         common, of_truth, of_estimates = np.intersect1d(
-            truth.stamps, estimates.stamps, assume_unique=True, return_indices=True
+            truth["stamp"], estimates["stamp"], assume_unique=True, return_indices=True
         )
-        if not common.size:
-            return None
-        estimates = estimates.part(of_estimates)
-        return Pairs(common, truth.x[of_truth], estimates.x, estimates.last_event)
+        state = truth.dtype["x"]
+        row = [("stamp", "i8"), ("last_event", "i8"), ("truth", state), ("estimate", state)]
+        pairs = np.empty(common.size, row)
+        pairs["stamp"], pairs["truth"] = common, truth["x"][of_truth]
+        pairs["estimate"] = estimates["x"][of_estimates]
+        pairs["last_event"] = estimates["last_event"][of_estimates]
+        return pairs
 
     def ranges(self) -> str:
         """The first and last stamps of both series, in words."""
@@ -128,54 +92,46 @@ class Stream:
         self.stale = 0
         self._oldest: int | None = None
         self._taken = 0
-        self._waiting: list[Series] = []
+        self._waiting: list[Samples] = []
 
-    def add(self, block: Series) -> None:
+    def add(self, block: Samples) -> None:
         """Add the next states."""
-        if not block.stamps.size:
+        if not block.size:
             return
-        first, last = int(block.stamps.min()), int(block.stamps.max())
+        first, last = int(block["stamp"].min()), int(block["stamp"].max())
         self._oldest = first if self._oldest is None else min(first, self._oldest)
         self.newest = max(self.newest, last)
-        if first <= self._taken:
-            fresh = block.stamps > self._taken
-            self.stale += int(np.count_nonzero(~fresh))
-            block = block.part(fresh)
-        self._waiting.append(block)
+        fresh = block[block["stamp"] > self._taken]
+        self.stale += block.size - fresh.size
+        self._waiting.append(fresh)
 
-    def take(self, horizon: int) -> Series | None:
+    def take(self, horizon: int) -> Samples | None:
         """The states up to ``horizon`` (ns), by stamp, each stamp once; None if there are none."""
         if horizon <= self._taken or not self._waiting:
             return None
-        waiting = _joined(self._waiting).by_stamp()
-        due = int(np.searchsorted(waiting.stamps, horizon, side="right"))
-        self._waiting = [waiting.part(slice(due, None))]
+        waiting = np.concatenate(self._waiting)
+        if not (np.diff(waiting["stamp"]) > 0).all():
+            # Found from behind: of equal stamps the last one counts.
+            from_behind = np.unique(waiting["stamp"][::-1], return_index=True)[1]
+            waiting = waiting[waiting.size - 1 - from_behind]
+        due = int(np.searchsorted(waiting["stamp"], horizon, side="right"))
+        self._waiting = [waiting[due:]]
         self._taken = horizon
-        return waiting.part(slice(0, due)) if due else None
+        return waiting[:due] if due else None
 
     def range(self) -> str:
         """The first and the last stamp, in words."""
         return "none" if self._oldest is None else f"{text(self._oldest)} to {text(self.newest)} s"
 
 
-def _joined(several: Sequence[Series]) -> Series:
-    return Series(
-        np.concatenate([each.stamps for each in several]),
-        np.concatenate([each.x for each in several]),
-        _concatenated([each.last_event for each in several]),
-    )
-
-
-def arrived(stamps: Stamps, last_event: Stamps | None, reported: Stamps) -> NDArray[np.bool_]:
+def arrived(stamps: Stamps, last_event: Stamps, reported: Stamps) -> NDArray[np.bool_]:
     """Which estimates contain all events before them; the others were published too early.
 
     Args:
         stamps: of the estimates, ns, shape (samples,).
-        last_event: as of ``Series``.
+        last_event: stamp of the last event that each contains, ns, shape (samples,).
         reported: stamps of the reported events that the observer used, ns, ascending, shape
             (reported,).
     """
-    if last_event is None:
-        return np.ones(stamps.size, dtype=np.bool_)
     due = np.concatenate([[0], reported])
     return np.asarray(last_event >= due[np.searchsorted(due, stamps, side="right") - 1])

@@ -10,7 +10,7 @@ from functools import lru_cache
 from impact_observer.compare.comparison import compare_observer
 from impact_observer.compare.figures import figures_of
 from impact_observer.errors import ImpactObserverError
-from impact_observer.io.pairing import Series
+from impact_observer.io.pairing import samples_of
 from impact_observer.model import Model, parse_model
 from impact_observer.observer import make_observer
 from impact_observer.plant import Plant, Run, simulate, simulate_sensor
@@ -98,7 +98,7 @@ def _outcome(case: Case) -> Outcome:
     comparison = compare_observer(
         make_observer(_parsed(case.variant.text).system, case.options),
         events,
-        lambda: [Series(run.stamps, run.states)],
+        lambda: [samples_of(run.stamps, run.states)],
         system=system,
         threshold=case.threshold,
         needs_event=False,

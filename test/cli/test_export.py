@@ -3,7 +3,7 @@
 import csv
 import struct
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from impact_observer.cli.main import main
-from impact_observer.compare import table_files
 from impact_observer.compare.bag_comparison import compare_bag
+from impact_observer.compare.table_files import TableBlock, write_table
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader, BagWriter
 from impact_observer.io.messages import bag_messages
@@ -146,12 +146,9 @@ def test_only_the_topics_asked_for_are_exported(
     assert set(exported(observed, file, "--topics", joint, TRUTH)["topic"]) == {joint, TRUTH}
 
 
-def test_long_bags_are_written_in_row_groups(
-    observed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_bags_are_written_in_row_groups(observed: Path, tmp_path: Path) -> None:
     """So that memory stays constant."""
     pq = pytest.importorskip("pyarrow.parquet")
-    monkeypatch.setattr(table_files, "_GROUP", 3000)
     exported(observed, tmp_path / "states.parquet")
     found = pq.ParquetFile(tmp_path / "states.parquet")
     assert found.metadata.num_row_groups > 1
@@ -225,13 +222,12 @@ def test_an_interruption_leaves_what_was_there(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     path.write_text("kept")
 
-    def interrupted() -> None:
-        with table_files.table_file(path) as file:
-            stamps = np.array([1], dtype=np.int64)
-            file.write(table_files.TableBlock("/x", 0, stamps, {"topic": "/x"}))
-            raise KeyboardInterrupt
+    def interrupted() -> Iterator[TableBlock]:
+        stamps = np.array([1], dtype=np.int64)
+        yield TableBlock("/x", 0, stamps, {"topic": ["/x"]}, {})
+        raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        interrupted()
+        write_table(path, interrupted())
     assert path.read_text() == "kept"
     assert [each.name for each in tmp_path.iterdir()] == ["x.csv"]

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from systems import sample
 
 from impact_observer.compare.comparison import Comparator, Comparison, compare_observer
-from impact_observer.compare.error_tally import MOST_ROWS, ErrorCurve, ErrorRows
-from impact_observer.compare.mismatch import Impact, window
+from impact_observer.compare.error_tally import MOST_ROWS, ErrorCurve, error_type
+from impact_observer.compare.mismatch import window
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
-from impact_observer.io.pairing import HOLD, Pairing, Series
+from impact_observer.io.pairing import HOLD, Pairing, Samples, samples_of
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.event_outcomes import outcomes_of
@@ -37,20 +37,20 @@ def run_of(rate: float = 1000.0) -> Run:
 RUN = run_of()
 
 
-def in_blocks(series: Series, *cuts: int) -> list[Series]:
+def in_blocks(series: Samples, *cuts: int) -> list[Samples]:
     """``series`` cut before these rows."""
-    edges = [0, *cuts, series.stamps.size]
-    return [series.part(slice(a, b)) for a, b in pairwise(edges)]
+    edges = [0, *cuts, series.size]
+    return [series[a:b] for a, b in pairwise(edges)]
 
 
 def compared(
-    truth: Iterable[Series],
-    estimates: Iterable[Series],
+    truth: Iterable[Samples],
+    estimates: Iterable[Samples],
     events: Iterable[ImpactEvent] = (),
     verdicts: Iterable[Verdict] | None = None,
 ) -> Comparison:
     """The comparison when the blocks of both are added by turns."""
-    comparator = Comparator(SYSTEM, outcomes_of(events, verdicts))
+    comparator = Comparator(SYSTEM, outcomes_of(events, verdicts), "some law")
     waiting = [[*truth][::-1], [*estimates][::-1]]
     while any(waiting):
         if waiting[0]:
@@ -58,7 +58,7 @@ def compared(
         if waiting[1]:
             comparator.pairing.estimates.add(waiting[1].pop())
         comparator.update()
-    return comparator.result("some law")
+    return comparator.result()
 
 
 def shifted(delay: int) -> NDArray[np.float64]:
@@ -71,7 +71,7 @@ def test_figures_do_not_depend_on_the_blocks(cuts: tuple[int, ...]) -> None:
     """They are those of plain formulas on whole arrays."""
     rng = np.random.default_rng(3)
     x = RUN.states + rng.normal(size=RUN.states.shape) * np.exp(-np.arange(20001) / 3000)[:, None]
-    truth, estimate = Series(RUN.stamps, RUN.states), Series(RUN.stamps, x)
+    truth, estimate = samples_of(RUN.stamps, RUN.states), samples_of(RUN.stamps, x)
     found = compared(in_blocks(truth, *cuts), in_blocks(estimate, *(c // 2 for c in cuts[::2])))
     error = x - RUN.states
     V = distance(SYSTEM, error[:, :2], error[:, 2:])
@@ -94,7 +94,7 @@ def test_a_late_jump_is_a_mismatch_and_no_error(delay: int) -> None:
     delayed = [
         ImpactEvent(e.stamp + delay * 1_000_000, e.switches, e.sequence) for e in RUN.events
     ]
-    truth, late = Series(RUN.stamps, RUN.states), Series(RUN.stamps, shifted(delay))
+    truth, late = samples_of(RUN.stamps, RUN.states), samples_of(RUN.stamps, shifted(delay))
     found = compared(in_blocks(truth, 5000), in_blocks(late, 9000, 9001), delayed)
     assert found.mismatch.windows == len(RUN.events)
     assert found.mismatch.samples == delay * len(RUN.events)
@@ -111,7 +111,9 @@ def test_jumps_at_the_same_sample_are_no_mismatch() -> None:
     """Whatever the size of the estimate's jump, up or down, and with openings among the events."""
     for factor in (0.1, 1.0, -0.7):
         found = compared(
-            [Series(RUN.stamps, RUN.states)], [Series(RUN.stamps, RUN.states * factor)], RUN.events
+            [samples_of(RUN.stamps, RUN.states)],
+            [samples_of(RUN.stamps, RUN.states * factor)],
+            RUN.events,
         )
         assert found.mismatch.windows == found.mismatch.samples == 0
         assert found.samples == RUN.stamps.size
@@ -124,9 +126,9 @@ def test_a_jump_of_the_estimate_at_the_next_impact_belongs_to_that_one() -> None
     falling = -np.arange(300) / 40.0
     truth = falling + 2.0 * (stamps >= first) + 2.0 * (stamps >= second)
     estimate = falling + 0.1 * (stamps >= first) + 2.0 * (stamps >= second)
-    assert window(stamps, truth, estimate, Impact(first, 0), [second]) is None
-    assert window(stamps, truth, estimate, Impact(second, 0), [first]) is None
-    alone = window(stamps, truth, estimate, Impact(first, 0))
+    assert window(stamps, truth, estimate, first, [second]) is None
+    assert window(stamps, truth, estimate, second, [first]) is None
+    alone = window(stamps, truth, estimate, first)
     assert alone == (first, second), "without another impact it is this one's"
 
 
@@ -137,7 +139,7 @@ def test_a_spurious_impact_is_an_error_and_no_mismatch() -> None:
     x[np.searchsorted(RUN.stamps, instant) :, 3] += 5.0
     spurious = ImpactEvent(instant, (Switch("stop"),))
     found = compared(
-        [Series(RUN.stamps, RUN.states)], [Series(RUN.stamps, x)], [*RUN.events, spurious]
+        [samples_of(RUN.stamps, RUN.states)], [samples_of(RUN.stamps, x)], [*RUN.events, spurious]
     )
     assert found.mismatch.windows == 0
     assert found.largest[3] == pytest.approx(5.0)
@@ -161,7 +163,9 @@ def test_windows_are_as_long_as_the_errors_of_the_stamps(
     events = [each.event for each in sensed]
     options = Options("geometric", "random:1", clock_error=0.0, ensemble=1)
     observer = make_observer(SYSTEM, options)
-    found = compare_observer(observer, events, lambda: [Series(sampled.stamps, sampled.states)])
+    found = compare_observer(
+        observer, events, lambda: [samples_of(sampled.stamps, sampled.states)]
+    )
     samples = 0
     for true, received in zip(sampled.events, events, strict=False):
         a, b = sorted(np.searchsorted(sampled.stamps, [true.stamp, received.stamp]))
@@ -173,27 +177,29 @@ def test_windows_are_as_long_as_the_errors_of_the_stamps(
 
 def test_the_last_estimate_at_a_stamp_counts() -> None:
     """A live estimate is published again when a late event corrects it, blocks later too."""
-    wrong = Series(RUN.stamps[:5000], RUN.states[:5000] + 7.0)
-    right = Series(RUN.stamps, RUN.states + 0.5)
-    found = compared([Series(RUN.stamps, RUN.states)], [wrong, *in_blocks(right, 2500, 10_000)])
+    wrong = samples_of(RUN.stamps[:5000], RUN.states[:5000] + 7.0)
+    right = samples_of(RUN.stamps, RUN.states + 0.5)
+    found = compared(
+        [samples_of(RUN.stamps, RUN.states)], [wrong, *in_blocks(right, 2500, 10_000)]
+    )
     np.testing.assert_allclose(found.largest, 0.5)
     assert found.stale == 0
 
 
 def test_states_that_come_long_after_later_ones_are_counted_and_left_out() -> None:
     """A bag that was played twice while it was recorded: the first pass counts."""
-    truth = Series(RUN.stamps, RUN.states)
-    again = Series(RUN.stamps, RUN.states + 1.0)
+    truth = samples_of(RUN.stamps, RUN.states)
+    again = samples_of(RUN.stamps, RUN.states + 1.0)
     pairing = Pairing()
     pairs = 0
     for block in (truth, again):
         pairing.truth.add(block)
         pairing.estimates.add(block)
         ready = pairing.ready()
-        pairs += 0 if ready is None else ready.stamps.size
+        pairs += 0 if ready is None else ready.size
     last = pairing.ready(done=True)
     assert last is not None
-    assert pairs + last.stamps.size == RUN.stamps.size
+    assert pairs + last.size == RUN.stamps.size
     held = HOLD // 1_000_000
     assert pairing.truth.stale == RUN.stamps.size - held
 
@@ -207,7 +213,9 @@ def test_an_estimate_without_its_event_is_late() -> None:
     last_event[here : here + 6] = instants[3]
     x = RUN.states.copy()
     x[here : here + 6, 3] -= 3.0
-    found = compared([Series(stamps, RUN.states)], [Series(stamps, x, last_event)], RUN.events)
+    found = compared(
+        [samples_of(stamps, RUN.states)], [samples_of(stamps, x, last_event)], RUN.events
+    )
     assert found.late == 6
     assert found.mismatch.samples == 0
     assert not found.largest.any()
@@ -228,7 +236,7 @@ def test_a_missed_impact_makes_no_estimate_late() -> None:
     ]
     received = [e for e in RUN.events if e is not missed]
     found = compared(
-        [Series(stamps, RUN.states)], [Series(stamps, x, last_event)], received, verdicts
+        [samples_of(stamps, RUN.states)], [samples_of(stamps, x, last_event)], received, verdicts
     )
     assert found.late == 0
     assert found.largest[1] == pytest.approx(2.0)
@@ -250,8 +258,8 @@ def test_an_insertion_that_was_taken_back_is_no_rejected_event() -> None:
 
 def test_both_ranges_are_named_where_they_do_not_overlap() -> None:
     """In seconds, in one line."""
-    truth = Series(RUN.stamps, RUN.states)
-    estimate = Series(RUN.stamps + 3600 * NS_PER_S, RUN.states)
+    truth = samples_of(RUN.stamps, RUN.states)
+    estimate = samples_of(RUN.stamps + 3600 * NS_PER_S, RUN.states)
     with pytest.raises(BagError) as error:
         compared([truth], [estimate])
     assert str(error.value) == (
@@ -285,18 +293,20 @@ def test_a_curve_of_any_length_keeps_its_ends_and_peaks() -> None:
     stamps: Stamps = np.arange(1, count + 1, dtype=np.int64)
     V = rng.random(count)
     V[123_457] = 2.0
-    curve = ErrorCurve(1)
+    curve = ErrorCurve()
     for begin in range(0, count, 1000):
         part = slice(begin, begin + 1000)
-        curve.add(ErrorRows(stamps[part], V[part, None], V[part]))
+        added = np.empty(V[part].size, error_type(1))
+        added["stamp"], added["error"], added["V"] = stamps[part], V[part, None], V[part]
+        curve.add(added)
     rows = curve.rows()
-    assert MOST_ROWS <= rows.V.size <= 2 * MOST_ROWS + 2
-    assert rows.stamps[0] == 1
-    assert rows.stamps[-1] == count
-    assert rows.V.max() == 2.0
-    assert (np.diff(rows.stamps) > 0).all()
-    np.testing.assert_array_equal(V[rows.stamps - 1], rows.V)
-    np.testing.assert_array_equal(rows.error[:, 0], rows.V)
+    assert MOST_ROWS <= rows["V"].size <= 2 * MOST_ROWS + 2
+    assert rows["stamp"][0] == 1
+    assert rows["stamp"][-1] == count
+    assert rows["V"].max() == 2.0
+    assert (np.diff(rows["stamp"]) > 0).all()
+    np.testing.assert_array_equal(V[rows["stamp"] - 1], rows["V"])
+    np.testing.assert_array_equal(rows["error"][:, 0], rows["V"])
 
 
 def test_memory_does_not_grow_with_the_length() -> None:
@@ -305,7 +315,7 @@ def test_memory_does_not_grow_with_the_length() -> None:
     for k in range(400):
         stamps = np.arange(k * 1000 + 1, (k + 1) * 1000 + 1, dtype=np.int64) * 1_000_000
         for stream in (pairing.truth, pairing.estimates):
-            stream.add(Series(stamps, np.zeros((1000, 4))))
+            stream.add(samples_of(stamps, np.zeros((1000, 4))))
         pairing.ready()
         for stream in (pairing.truth, pairing.estimates):
-            assert sum(each.stamps.size for each in stream._waiting) <= HOLD // 1_000_000 + 1000
+            assert sum(each.size for each in stream._waiting) <= HOLD // 1_000_000 + 1000

@@ -11,7 +11,7 @@ from systems import sample
 from impact_observer.compare.comparison import Comparator, Comparison
 from impact_observer.compare.error_pictures import lyapunov_picture
 from impact_observer.draw.pictures import STYLES, Style, styles
-from impact_observer.io.pairing import Series
+from impact_observer.io.pairing import samples_of
 from impact_observer.observer.event_outcomes import outcomes_of
 from impact_observer.stamps import NS_PER_S, grid
 
@@ -22,10 +22,10 @@ def fading(law: str, decades: float) -> Comparison:
     """A comparison whose V falls from 1 J by ``decades``."""
     error = np.zeros((STAMPS.size, 4))
     error[:, 2] = np.sqrt(2.0 * 10.0 ** -np.linspace(0.0, decades, STAMPS.size))  # M = 1 kg
-    comparator = Comparator(sample("two_mass").system, outcomes_of((), ()))
-    comparator.pairing.truth.add(Series(STAMPS, np.zeros_like(error)))
-    comparator.pairing.estimates.add(Series(STAMPS, error))
-    return comparator.result(law)
+    comparator = Comparator(sample("two_mass").system, outcomes_of((), ()), law)
+    comparator.pairing.truth.add(samples_of(STAMPS, np.zeros_like(error)))
+    comparator.pairing.estimates.add(samples_of(STAMPS, error))
+    return comparator.result()
 
 
 def picture(laws: dict[str, float], *, contacts: int = 2, paper: bool = False) -> Figure:
