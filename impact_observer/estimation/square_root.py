@@ -118,3 +118,11 @@ def product(root: Matrix, D: Matrix, E: Vector) -> tuple[Vector, Matrix]:
     mean: Vector = noise[:, 0] + E * (deviation * deviation / 2)
     noise[:, 0] = mean * _SQRT2
     return mean, noise
+
+
+def sparse_basis(rows: Matrix) -> Matrix:
+    """Another basis of the span of ``rows``, each zero where another has its pivot."""
+    if len(rows) == 0:
+        return rows
+    pivots = linalg.qr(rows, mode="r", pivoting=True)[1][: len(rows)]
+    return np.asarray(linalg.solve(rows[:, sorted(pivots.tolist())], rows))

@@ -20,7 +20,6 @@ class FitCheck:
     """Tests of the shifts of the stamps against a declared clock.
 
     Attributes:
-        rms: of the shifts, s.
         size: probability of shifts this large under the declared clock error; None without one.
         white: probability of autocorrelations this large of independent shifts (Ljung and Box,
             On a measure of lack of fit in time series models, 1978).
@@ -29,7 +28,6 @@ class FitCheck:
         worst: the contact of the largest rms.
     """
 
-    rms: float
     size: float | None
     white: float
     lags: int
@@ -59,7 +57,6 @@ def check_fit(found: Identification) -> FitCheck:
         size = float(stats.chi2.sf(weight, max(found.freedom, 1)))
     lags = max(1, min(_LAGS, shifts.size // _LEAST))
     return FitCheck(
-        rms=found.rms,
         size=size,
         white=_whiteness(shifts, lags),
         lags=lags,

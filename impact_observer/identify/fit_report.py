@@ -2,7 +2,9 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from rich.table import Table
 
 from impact_observer import __version__
@@ -42,10 +44,10 @@ def figures_of(found: Identification, check: FitCheck) -> dict[str, object]:
             )
         },
         "correlation": found.correlation.tolist(),
-        "unknown": [{term.name: term.change for term in each} for each in found.undetermined],
+        "unknown": list(found.undetermined),
         "singular_values": found.singular.tolist(),
         "initial_state": found.start.tolist(),
-        "initial_state_error": found.start_errors.tolist(),
+        "initial_state_error": np.sqrt(np.diag(found.covariance))[: found.start.size].tolist(),
         "initial_state_seconds": recording.start,
         "clock_error": found.clock,
         "clock_error_declared": found.declared,
@@ -91,10 +93,9 @@ def _print(table: Table, sentences: list[str]) -> None:
 
 
 def _parameter_table(found: Identification) -> Table:
-    """A row a parameter."""
     headings = ("parameter", "given", "learnt", "standard error", "unit")
     table = plain_table(*headings, words={"parameter", "unit"})
-    undetermined = {term.name for each in found.undetermined for term in each}
+    undetermined = {name for each in found.undetermined for name in each}
     for each, value, error in zip(
         found.family.parameters, found.values, found.errors, strict=True
     ):
@@ -166,8 +167,7 @@ def model_text(found: Identification, given: ModelText, bag: Path, output: Path)
     Raises:
         ModelError: the fitted values make no valid model.
     """
-    document = load_yaml(given.text)
-    assert isinstance(document, dict), "a model is a mapping"
+    document: dict[str, Any] = load_yaml(given.text)
     rows = zip(found.family.names, found.values.tolist(), found.errors.tolist(), strict=True)
     provenance: dict[str, object] = {
         "package": "impact_observer",

@@ -1,13 +1,13 @@
 """From a recording of impact times to the parameters of its model."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from impact_observer.errors import IdentificationError, UsageError
+from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.events import ImpactEvent
 from impact_observer.identify.least_squares import (
     Problem,
@@ -47,13 +47,6 @@ _MINOR = 0.2
 """Smallest term of a weakly determined combination, relative to the largest."""
 
 
-class Term(NamedTuple):
-    """One parameter's part in a combination, in units of the parameter."""
-
-    name: str
-    change: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
     """A model fitted to impact times.
@@ -73,7 +66,8 @@ class Identification:
         contacts: the contacts of each.
         singular: singular values of the gaps with respect to the unknowns, each in its unit, over
             the largest, shape (2n + p,).
-        undetermined: combinations of parameters that the impacts do not determine.
+        undetermined: combinations of parameters that the impacts do not determine: the change
+            of each by name, in its unit.
         converged: whether the fit converged to a motion that explains the stamps.
     """
 
@@ -90,18 +84,13 @@ class Identification:
     shifts: Vector
     contacts: tuple[tuple[str, ...], ...]
     singular: Vector
-    undetermined: tuple[tuple[Term, ...], ...]
+    undetermined: tuple[dict[str, float], ...]
     converged: bool
 
     @property
     def errors(self) -> Vector:
         """Standard errors of the parameters, shape (p,)."""
         return np.asarray(np.sqrt(np.diag(self.covariance))[self.start.size :])
-
-    @property
-    def start_errors(self) -> Vector:
-        """Standard errors of the initial state, shape (2n,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance))[: self.start.size])
 
     @property
     def correlation(self) -> Matrix:
@@ -166,7 +155,8 @@ def identify(
     progress("all impacts accepted")
     problem, solution = _fit(recording.problem(family))
     found = _identification(recording, problem, solution, clock)
-    if trust_events or not _is_suspicious(problem, solution, clock):
+    least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
+    if trust_events or (solution.converged and solution.rms <= least):
         return found
     for wrong in (_WRONG * problem.interval, None):
         progress("searching spurious and missed impacts")
@@ -198,15 +188,9 @@ def _without_outliers(
 def _fit(
     problem: Problem, near: Vector | None = None, *, robust: bool = False
 ) -> tuple[Problem, Solution]:
-    """The motion that explains a recording best.
+    """The motion that explains a recording best, searched near ``near``, else from the least gaps.
 
-    Args:
-        problem: the recording and the systems.
-        near: where to begin; None for the least gaps.
-        robust: whether some impacts may be wrong.
-
-    Raises:
-        IdentificationError: fewer impacts than unknowns, or parameters that move no impact.
+    ``robust`` says that some impacts may be wrong.
     """
     unknowns = 2 * problem.family.system.n + problem.family.size
     hits = sum(len(each.hit) for each in problem.moments if each.measured)
@@ -236,7 +220,7 @@ def _fit(
     return problem, solved(problem, by_gaps(problem, y, robust=robust), robust=robust)
 
 
-def combinations_of(problem: Problem, undetermined: Matrix) -> tuple[tuple[Term, ...], ...]:
+def combinations_of(problem: Problem, undetermined: Matrix) -> tuple[dict[str, float], ...]:
     """Combinations of parameters that span the undetermined directions, shape (2n + p, k)."""
     family = problem.family
     part = undetermined[2 * family.system.n :] / family.sizes[:, None]
@@ -245,35 +229,21 @@ def combinations_of(problem: Problem, undetermined: Matrix) -> tuple[tuple[Term,
     # Directions of the parameters alone: the initial state may change in any way.
     left, singular, _ = linalg.svd(part, full_matrices=False)
     found = []
-    for direction in _sparse(left[:, singular > _PART].T):
+    for direction in sparse_basis(left[:, singular > _PART].T):
         largest = np.max(np.abs(direction))
         found.append(
-            tuple(
-                Term(name, float(value * size / largest))
+            {
+                name: float(value * size / largest)
                 for name, value, size in zip(family.names, direction, family.sizes, strict=True)
                 if abs(value) > _PART * largest
-            )
+            }
         )
     return tuple(found)
 
 
-def _sparse(rows: Matrix) -> Matrix:
-    """Another basis of the rows' span, each zero where another has its pivot."""
-    if len(rows) == 0:
-        return rows
-    pivots = linalg.qr(rows, mode="r", pivoting=True)[1][: len(rows)]
-    return np.asarray(linalg.solve(rows[:, sorted(pivots.tolist())], rows))
-
-
-def combination(terms: tuple[Term, ...]) -> str:
+def combination(terms: Mapping[str, float]) -> str:
     """A combination in words, such as ``+1 mass-scale +1 stiffness-scale``."""
-    return " ".join(f"{each.change:+.3g} {each.name}" for each in terms)
-
-
-def _is_suspicious(problem: Problem, solution: Solution, clock: float | None) -> bool:
-    """Whether there may be spurious or missed impacts."""
-    least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
-    return not solution.converged or solution.rms > least
+    return " ".join(f"{change:+.3g} {name}" for name, change in terms.items())
 
 
 def _identification(

@@ -1,7 +1,7 @@
 """The entries of a model file that change with the values of its parameters."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Iterator, Mapping
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -12,11 +12,10 @@ from impact_observer.states import Vector
 Place: TypeAlias = tuple[str | int, ...]
 """Path of a value in a model file."""
 Change: TypeAlias = tuple[Place, object]
-_MATRICES = {"mass": "M", "damping": "C", "stiffness": "K"}
 
 
 def changes(
-    document: Mapping[str, object], family: ParametricFamily, values: Vector
+    document: Mapping[str, Any], family: ParametricFamily, values: Vector
 ) -> dict[Place, object]:
     """New values by their path; a matrix from a file of its own comes into the model.
 
@@ -36,7 +35,7 @@ def _of_matrices(
     family: ParametricFamily, values: Vector, by_name: Mapping[str, float]
 ) -> Iterator[Change]:
     system = family.system_at(values)
-    for name, part in _MATRICES.items():
+    for name, part in {"mass": "M", "damping": "C", "stiffness": "K"}.items():
         if f"{name}-scale" in by_name:
             yield (name,), getattr(system, part).tolist()
     for i, contact in enumerate(system.contacts):
@@ -44,41 +43,37 @@ def _of_matrices(
             if f"{name}.{contact.name}" in by_name:
                 yield ("contacts", i, name), by_name[f"{name}.{contact.name}"]
     for k in range(system.forcing.frequency.size):
-        if _harmonic_changes(by_name, k):
+        if {f"forcing-amplitude.{k + 1}", f"forcing-phase.{k + 1}"} & by_name.keys():
             for name in ("cosine", "sine"):
                 part = getattr(system.forcing, name)[k]
                 yield ("forcing", "harmonics", k, name), part.tolist()
 
 
-def _harmonic_changes(by_name: Mapping[str, float], k: int) -> bool:
-    return any(f"forcing-{name}.{k + 1}" in by_name for name in ("amplitude", "phase"))
-
-
-def _of_elements(document: Mapping[str, object], by_name: Mapping[str, float]) -> Iterator[Change]:
-    for i, body in enumerate(_list(document, "bodies")):
+def _of_elements(document: Mapping[str, Any], by_name: Mapping[str, float]) -> Iterator[Change]:
+    for i, body in enumerate(document.get("bodies", [])):
         yield from _of_element(("bodies", i), body, "mass", str(body["name"]), by_name)
-    springs = _list(document, "springs")
+    springs = document.get("springs", [])
     names = labels(spring["between"] for spring in springs)
     for i, (label, spring) in enumerate(zip(names, springs, strict=True)):
         for kind in ("stiffness", "damping"):
             if kind in spring:
                 yield from _of_element(("springs", i), spring, kind, label, by_name)
-    for i, stop in enumerate(_list(document, "stops")):
+    for i, stop in enumerate(document.get("stops", [])):
         yield from _of_stop(i, stop, by_name)
     harmonics = [
-        (i, each) for i, each in enumerate(_list(document, "forces")) if "constant" not in each
+        (i, each) for i, each in enumerate(document.get("forces", [])) if "constant" not in each
     ]
     for k, (i, force) in enumerate(harmonics):
         if (ratio := by_name.get(f"forcing-amplitude.{k + 1}")) is not None:
-            yield ("forces", i, "amplitude"), _float(force["amplitude"]) * ratio
+            yield ("forces", i, "amplitude"), force["amplitude"] * ratio
         if (ahead := by_name.get(f"forcing-phase.{k + 1}")) is not None:
-            phase = _float(force.get("phase", 0.0)) + ahead
+            phase = force.get("phase", 0.0) + ahead
             yield ("forces", i, "phase"), float(np.remainder(phase + np.pi, 2 * np.pi) - np.pi)
 
 
 def _of_element(
     place: Place,
-    element: Mapping[str, object],
+    element: Mapping[str, Any],
     kind: str,
     label: str,
     by_name: Mapping[str, float],
@@ -87,10 +82,10 @@ def _of_element(
     if f"{kind}.{label}" in by_name:
         yield (*place, kind), by_name[f"{kind}.{label}"]
     elif f"{kind}-scale" in by_name:
-        yield (*place, kind), _float(element[kind]) * by_name[f"{kind}-scale"]
+        yield (*place, kind), element[kind] * by_name[f"{kind}-scale"]
 
 
-def _of_stop(i: int, stop: Mapping[str, object], by_name: Mapping[str, float]) -> Iterator[Change]:
+def _of_stop(i: int, stop: Mapping[str, Any], by_name: Mapping[str, float]) -> Iterator[Change]:
     name = str(stop["name"])
     if (restitution := by_name.get(f"restitution.{name}")) is not None:
         yield ("stops", i, "restitution"), restitution
@@ -100,14 +95,3 @@ def _of_stop(i: int, stop: Mapping[str, object], by_name: Mapping[str, float]) -
         yield ("stops", i, "gap"), gap
     else:
         yield ("stops", i, "limit"), gap if stop["side"] == "above" else -gap
-
-
-def _list(document: Mapping[str, object], key: str) -> Sequence[Mapping[str, object]]:
-    found = document.get(key, [])
-    assert isinstance(found, list), "a model that was read has a list there"
-    return found
-
-
-def _float(value: object) -> float:
-    assert isinstance(value, (int, float)), "a model that was read has a number there"
-    return float(value)

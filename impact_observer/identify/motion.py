@@ -13,6 +13,7 @@ impact ``u+ = J u-``, ``J = I - X (1 + E) W^T``, ``X = M^-1 W G^-1`` with ``dX =
 """
 
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +51,6 @@ class Shot(NamedTuple):
         by_start: derivatives with respect to initial state and parameters, shape (hits, 2n + p).
         by_instant: derivatives with respect to the instants, shape (hits, moments).
         moment: index of each hit's moment, shape (hits,).
-        contact: index of its contact, shape (hits,).
         states: (q, u) just after each moment, shape (moments, 2n).
     """
 
@@ -59,7 +59,6 @@ class Shot(NamedTuple):
     by_start: Matrix
     by_instant: Matrix
     moment: np.ndarray
-    contact: np.ndarray
     states: Matrix
 
 
@@ -82,7 +81,7 @@ def shoot(
     steps = equations.steps(moments, lengths)
     W, d = family.system.W, start.size
     states = np.zeros((len(moments), 2 * n))
-    rows: list[tuple[float, float, Vector, int, int]] = []
+    rows: list[tuple[float, float, Vector, int]] = []
     for k, moment in enumerate(moments):
         before = moments[k - 1].held if k else ()
         E, L = steps[k]
@@ -97,17 +96,16 @@ def shoot(
             row = W[:, i] @ Z[:n]
             row[2 * n : d] += equations.gap_change[:, i]
             gap = float(W[:, i] @ z[:n] + equations.numbers.gap[i])
-            rows.append((gap, float(W[:, i] @ z[n : 2 * n]), row, k, i))
+            rows.append((gap, float(W[:, i] @ z[n : 2 * n]), row, k))
         z, Z = equations.jumped(z, Z, moment)
         states[k] = z[: 2 * n]
-    table = np.array([row for _, _, row, _, _ in rows]).reshape(len(rows), d + len(moments))
+    table = np.array([row[2] for row in rows]).reshape(len(rows), d + len(moments))
     return Shot(
         np.array([row[0] for row in rows]),
         np.array([row[1] for row in rows]),
         table[:, :d],
         table[:, d:],
         np.array([row[3] for row in rows], dtype=int),
-        np.array([row[4] for row in rows], dtype=int),
         states,
     )
 
@@ -120,9 +118,8 @@ class _EquationsOfMotion:
         self._changes = [each.effect for each in family.parameters]
         self._system = family.system
         self._inverse = linalg.inv(numbers.M)
-        self._inverses: dict[Contacts, Matrix] = {}
-        self._presses: dict[Contacts, Matrix] = {}
-        self._generators: dict[Contacts, Matrix] = {}
+        self.constrained_inverse = cache(self._constrained_inverse)
+        self.generator = cache(self._generator)
         h = family.system.forcing.frequency.size
         self._size = 2 * family.system.n + 2 * h + 1
         self.gap_change = np.reshape([each.gap for each in self._changes], (-1, family.system.m))
@@ -143,55 +140,39 @@ class _EquationsOfMotion:
             Z[2 * n : -1, 2 * n + j] = _pairs(turn * wave)
         return z, Z
 
-    def constrained_inverse(self, held: Contacts) -> Matrix:
+    def _constrained_inverse(self, held: Contacts) -> Matrix:
         """``R``: the inverse of ``M`` in the directions that ``held`` contacts leave free."""
-        if held not in self._inverses:
-            W = self._system.W[:, list(held)]
-            free = linalg.null_space(W.T) if held else np.eye(self._system.n)
-            inner = free.T @ self.numbers.M @ free
-            # scipy before 1.14 refuses empty systems
-            solved = linalg.solve(inner, free.T) if free.size else free.T
-            self._inverses[held] = free @ solved
-        return self._inverses[held]
+        W = self._system.W[:, list(held)]
+        free = linalg.null_space(W.T) if held else np.eye(self._system.n)
+        inner = free.T @ self.numbers.M @ free
+        # scipy before 1.14 refuses empty systems
+        return np.asarray(free @ (linalg.solve(inner, free.T) if free.size else free.T))
 
-    def _pressing(self, pressed: Contacts) -> Matrix:
-        """``X = M^-1 W G^-1`` of contacts."""
-        if pressed not in self._presses:
-            W = self._system.W[:, list(pressed)]
-            self._presses[pressed] = self._inverse @ W @ linalg.pinvh(W.T @ self._inverse @ W)
-        return self._presses[pressed]
-
-    def generator(self, held: Contacts) -> Matrix:
+    def _generator(self, held: Contacts) -> Matrix:
         """``F`` while ``held`` contacts are closed."""
-        if held not in self._generators:
-            n, omega = self._system.n, self._system.forcing.frequency
-            F = np.zeros((self._size, self._size))
-            F[:n, n : 2 * n] = np.eye(n)
-            F[n : 2 * n] = self.constrained_inverse(held) @ self._forces(self.numbers, force=True)
-            for k, rate in enumerate(omega.tolist()):
-                c = 2 * n + 2 * k
-                F[c, c + 1], F[c + 1, c] = -rate, rate
-            self._generators[held] = F
-        return self._generators[held]
-
-    def _forces(self, numbers: Coefficients, *, force: bool) -> Matrix:
-        """``-K q - C u + f`` as a matrix on ``z``; without ``f`` for a change."""
         n, forcing = self._system.n, self._system.forcing
-        found = np.zeros((n, self._size))
-        found[:, :n], found[:, n : 2 * n] = -numbers.K, -numbers.C
-        if force:
-            found[:, 2 * n : -1 : 2], found[:, 2 * n + 1 : -1 : 2] = (
-                forcing.cosine.T,
-                forcing.sine.T,
-            )
-            found[:, -1] = forcing.constant
-        return found
+        F = np.zeros((self._size, self._size))
+        F[:n, n : 2 * n] = np.eye(n)
+        forces = self._internal_forces(self.numbers)
+        forces[:, 2 * n : -1 : 2] = forcing.cosine.T
+        forces[:, 2 * n + 1 : -1 : 2] = forcing.sine.T
+        forces[:, -1] = forcing.constant
+        F[n : 2 * n] = self.constrained_inverse(held) @ forces
+        for k, rate in enumerate(forcing.frequency.tolist()):
+            c = 2 * n + 2 * k
+            F[c, c + 1], F[c + 1, c] = -rate, rate
+        return F
+
+    def _internal_forces(self, numbers: Coefficients) -> Matrix:
+        """``-K q - C u`` as a matrix on ``z``."""
+        zero = np.zeros((self._system.n, self._size - 2 * self._system.n))
+        return np.hstack([-numbers.K, -numbers.C, zero])
 
     def _generator_change(self, change: Coefficients, held: Contacts) -> Matrix:
         """The derivative of ``F`` with respect to a parameter."""
         n, R = self._system.n, self.constrained_inverse(held)
         found = np.zeros((self._size, self._size))
-        pulled = self._forces(change, force=False) - change.M @ self.generator(held)[n : 2 * n]
+        pulled = self._internal_forces(change) - change.M @ self.generator(held)[n : 2 * n]
         found[n : 2 * n] = R @ pulled
         return found
 
@@ -224,7 +205,7 @@ class _EquationsOfMotion:
         if moment.pressed:
             P = list(moment.pressed)
             W, R = self._system.W[:, P], self.constrained_inverse(moment.pressed)
-            X = self._pressing(moment.pressed)
+            X = self._inverse @ W @ linalg.pinvh(W.T @ self._inverse @ W)
             speeds, rebound = W.T @ u, 1.0 + self.numbers.eps[P]
             U -= X @ (rebound[:, None] * (W.T @ U))
             for j, change in enumerate(self._changes):

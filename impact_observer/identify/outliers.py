@@ -7,7 +7,7 @@ through a stop, an impact is inserted, or a rejected one accepted again.
 """
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
 from impact_observer.dynamics import Phases
 from impact_observer.estimation.uncertainty import Uncertainty
@@ -61,23 +61,20 @@ def outliers_by_observer(
         clock_error=None if wrong is None else min(wrong, _LARGEST),
         model_error=_MODEL_ERROR * reach * rate**1.5 if wrong is None else 0.0,
     )
-    law = law_named("minimum-variance")(system, declared)
-    span = 1.0 + (recording.episode.keys[-1].stamp - recording.episode.start) * 1e-9
     observer = Observer(
         system,
-        law,
+        law_named("minimum-variance")(system, declared),
         *initial_state("zero", system),
         epoch=recording.episode.epoch,
-        history=span,
+        history=1.0 + (recording.episode.keys[-1].stamp - recording.episode.start) * 1e-9,
         ensemble=1,
     )
     none = np.empty(0, dtype=np.int64)
     verdicts = [v for v in replay(observer, events, none) if isinstance(v, Verdict)]
     index = {name: i for i, name in enumerate(system.contact_names)}
-    rulings = final_rulings(verdicts)
     received = {(key.stamp, i) for key in recording.episode.keys for i, _ in key.switches}
     found: dict[Ruling, set[Hit]] = {Ruling.REJECTED: set(), Ruling.INSERTED: set()}
-    for (stamp, _, contact), ruling in rulings.items():
+    for (stamp, _, contact), ruling in final_rulings(verdicts).items():
         if ruling in found and contact in index:
             found[ruling].add((stamp, index[contact]))
     return recording.with_outliers(
@@ -131,12 +128,7 @@ def _moved(
 ) -> Recording:
     """The recording without the impact that fits worst, and with the one in its place if any.
 
-    Args:
-        recording: as it was fitted.
-        problem: that was solved.
-        solution: the fitted motion, which hits at another instant than the stamp.
-        worst: index among the moments that count.
-        width: largest error of a stamp, s.
+    ``worst`` is its index among the moments that count, ``width`` the largest error of a stamp, s.
     """
     k = solution.counted[worst]
     stamp, contacts = recording.hits()[k]
@@ -192,12 +184,7 @@ def _closing(s: Vector, gap: Vector, depth: float) -> float:
     left = int(above[-1]) if above.size else 0
     if gap[left] <= 0:
         return float(s[max(deep - 1, 0)])
-    right = left + 1
-    return float(
-        optimize.brentq(
-            lambda at: np.interp(at, s[[left, right]], gap[[left, right]]), s[left], s[right]
-        )
-    )
+    return float(np.interp(0.0, gap[[left + 1, left]], s[[left + 1, left]]))
 
 
 def _rate(system: System) -> float:

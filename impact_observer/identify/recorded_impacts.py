@@ -49,16 +49,17 @@ class Recording:
 
     def _changes(self) -> Iterator[ContactChange]:
         """The accepted events, in order."""
-        kept = [
-            key._replace(switches=tuple(s for s in key.switches if not self._is_rejected(key, s)))
-            for key in self.episode.keys
-        ]
+        kept = []
+        for key in self.episode.keys:
+            switches = [
+                (contact, kind)
+                for contact, kind in key.switches
+                if kind is Kind.OPEN or (key.stamp, contact) not in self.rejected
+            ]
+            kept.append(key._replace(switches=tuple(switches)))
         added = [EventKey(stamp, 0, ((contact, Kind.IMPACT),)) for stamp, contact in self.inserted]
         keys = sorted([*(key for key in kept if key.switches), *added])
         return changes(keys, self.episode.epoch)
-
-    def _is_rejected(self, key: EventKey, switch: tuple[int, Kind]) -> bool:
-        return switch[1] is not Kind.OPEN and (key.stamp, switch[0]) in self.rejected
 
     def problem(self, family: ParametricFamily) -> Problem:
         """The problem that a fit of ``family`` solves.

@@ -22,6 +22,7 @@ from scipy import linalg
 from impact_observer.dynamics import ImpactLaw, Phase, Phases
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, ImpactEvent
 from impact_observer.model import System
@@ -152,7 +153,11 @@ def observability(
     found = [np.count_nonzero(each > tolerance * each[0]) for each in singular]
     rank = np.maximum.accumulate(np.array(found, dtype=np.int64))
     directions = linalg.svd(factor)[2]
-    undetermined = _sparse(directions[rank[-1] :])
+    undetermined = sparse_basis(directions[rank[-1] :])
+    if undetermined.size:
+        undetermined /= np.linalg.norm(undetermined, axis=1, keepdims=True)
+        undetermined[np.abs(undetermined) <= _CLEAN] = 0.0
+        undetermined = _with_sign(undetermined)
     return Observability(
         system=system,
         start=episode.start,
@@ -260,18 +265,6 @@ def _in_all_states(directions: Matrix, scale: Vector) -> Matrix:
     found = np.zeros((len(directions), scale.size))
     found[:, scale > 0] = directions
     return found * scale
-
-
-def _sparse(directions: Matrix) -> Matrix:
-    """Another basis of the rows' span, of unit length, each zero where another has its pivot."""
-    r = len(directions)
-    if r == 0:
-        return directions
-    pivots = linalg.qr(directions, mode="r", pivoting=True)[1][:r]
-    basis = linalg.solve(directions[:, sorted(pivots.tolist())], directions)
-    basis /= np.linalg.norm(basis, axis=1, keepdims=True)
-    basis[np.abs(basis) <= _CLEAN] = 0.0
-    return _with_sign(basis)
 
 
 def _with_sign(directions: Matrix) -> Matrix:

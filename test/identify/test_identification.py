@@ -300,8 +300,8 @@ def test_weakly_determined_parameters_are_named_after_the_fit() -> None:
     found = identify(family, sensed("two_mass")[:12], clock=0.3, trust_events=True)
     restitution, damping = found.errors
     assert 2 * restitution < 1.0 < damping
-    ((term,),) = found.undetermined
-    assert term.name == "damping-scale"
+    ((name,),) = found.undetermined
+    assert name == "damping-scale"
     precise = identify(family, sensed("two_mass")[:12], clock=1e-4, trust_events=True)
     assert precise.undetermined == ()
 
