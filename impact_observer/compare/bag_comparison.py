@@ -160,7 +160,7 @@ def compare_recorded(
         done += block.stamps.size
         yield done, total
     for _, comparator in estimates:
-        comparator.finish()
+        comparator.update(done=True)
     yield total, total
 
 

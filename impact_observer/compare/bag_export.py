@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from impact_observer.compare.bag_comparison import compare_recorded
 from impact_observer.compare.comparison import Comparator
-from impact_observer.compare.error_tally import ErrorRows
+from impact_observer.compare.error_curve import ErrorRows
 from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces

@@ -7,6 +7,7 @@ published before its event arrived is *late*; a sample where the truth has jumpe
 has not, or the other way round, is a *mismatch*.
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from tempfile import TemporaryFile
@@ -14,11 +15,12 @@ from tempfile import TemporaryFile
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.compare.error_tally import ErrorCurve, ErrorRows, ErrorTally
-from impact_observer.compare.mismatch import Mismatch
+from impact_observer.compare.error_curve import ErrorCurve, ErrorRows, error_type
+from impact_observer.compare.mismatch import REACH, Mismatch, window
+from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import ImpactEvent, Verdict
-from impact_observer.io.pairing import Pairing, Samples, sample_type
+from impact_observer.io.pairing import Pairing, Pairs, Samples, arrived, sample_type
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay
 from impact_observer.observer.event_order import impacts_of
@@ -121,7 +123,7 @@ class Comparison:
 
 
 class Comparator:
-    """Compares truth and estimates that are added block by block.
+    """Compares truth and estimates that are added block by block, in constant memory.
 
     Attributes:
         pairing: where to add the blocks of both.
@@ -145,23 +147,101 @@ class Comparator:
             threshold: V over V at the start below which the estimate has settled.
             keep: receives the rows that count, in order; None to keep them for the result.
         """
-        index = {name: c for c, name in enumerate(system.contact_names)}
-        impacts = [(stamp, index[name]) for stamp, name in outcomes.impacts if name in index]
         self.pairing = Pairing()
         self.law = law
         self._system, self._outcomes, self._threshold = system, outcomes, threshold
         self._curve = ErrorCurve()
-        self._tally = ErrorTally(
-            system, outcomes.reported, impacts, threshold, keep or self._curve.add
-        )
+        self._keep = keep or self._curve.add
+        index = {name: c for c, name in enumerate(system.contact_names)}
+        self._impacts = [(at, index[name]) for at, name in outcomes.impacts if name in index]
+        self._of_contact = [[at for at, c in self._impacts if c == i] for i in range(system.m)]
+        self._searched = 0  # impacts
+        self._windows: list[tuple[int, int]] = []
+        self._carried: Pairs | None = None
+        self._counted = 0  # of the carried ones
+        self._samples = self._late = 0
+        self._mismatch = Mismatch()
+        self._squares, self._largest = np.zeros(2 * system.n), np.zeros(2 * system.n)
+        self._first = self._last = -1.0  # V, J
+        self._rise = 0.0  # of V from one sample to the next, J
+        self._settled: int | None = None  # stamp from which on V is below the threshold, ns
 
-    def update(self) -> None:
-        """Compare as far as the blocks that were added allow."""
-        self._tally.add(self.pairing.ready())
+    def update(self, *, done: bool = False) -> None:
+        """Compare as far as the blocks that were added allow.
 
-    def finish(self) -> None:
-        """Compare the rest, when all blocks have been added."""
-        self._tally.add(self.pairing.ready(done=True), done=True)
+        A pair counts once all windows that may contain it have been found, which needs the pairs
+        ``2 REACH`` around it. Until then it is carried over to the next call.
+
+        Args:
+            done: whether all blocks have been added.
+        """
+        waiting = [self._carried, self.pairing.ready(done=done)]
+        rows = [each for each in waiting if each is not None and each.size]
+        if not rows:
+            return
+        pairs = np.concatenate(rows)
+        last = int(pairs["stamp"][-1])
+        self._find_windows(pairs, last + 1 if done else last - REACH)
+        due = pairs.size
+        if not done:
+            due = int(np.searchsorted(pairs["stamp"], last - 2 * REACH, side="right"))
+        if due > self._counted:
+            self._count(pairs[self._counted : due])
+        # A jump shows against the two samples before it.
+        kept = max(due - 2, 0)
+        self._carried, self._counted = pairs[kept:], due - kept
+
+    def _find_windows(self, rows: Pairs, until: int) -> None:
+        """Find the windows of all impacts before ``until`` (ns)."""
+        end = bisect_left(self._impacts, (until,))
+        speeds: dict[int, tuple[Vector, Vector]] = {}
+        n = self._system.n
+        for impact, c in self._impacts[self._searched : end]:
+            if c not in speeds:
+                w = self._system.W[:, c]
+                speeds[c] = (rows["truth"][:, n:] @ w, rows["estimate"][:, n:] @ w)
+            own = self._of_contact[c]
+            before, after = bisect_left(own, impact), bisect_right(own, impact)
+            others = [*own[max(before - 1, 0) : before], *own[after : after + 1]]
+            if (found := window(rows["stamp"], *speeds[c], impact, others)) is not None:
+                self._windows.append(found)
+                self._mismatch.windows += 1
+                self._mismatch.longest = max(self._mismatch.longest, seconds_between(*found))
+        self._searched = max(self._searched, end)
+
+    def _count(self, pairs: Pairs) -> None:
+        """Count pairs whose windows are all found."""
+        n, stamps = self._system.n, pairs["stamp"]
+        rows = np.empty(pairs.size, error_type(2 * n))
+        rows["stamp"], rows["error"] = stamps, pairs["estimate"] - pairs["truth"]
+        rows["V"] = distance(self._system, rows["error"][:, :n], rows["error"][:, n:])
+        punctual = arrived(stamps, pairs["last_event"], self._outcomes.reported)
+        between = np.zeros(stamps.size, dtype=np.bool_)
+        for begin, end in self._windows:
+            between |= (begin <= stamps) & (stamps < end)
+        self._windows = [each for each in self._windows if each[1] > stamps[-1]]
+        between &= punctual
+        self._late += int(np.count_nonzero(~punctual))
+        self._mismatch.samples += int(np.count_nonzero(between))
+        self._mismatch.V = max(self._mismatch.V, float(np.max(rows["V"][between], initial=0.0)))
+        kept = rows[punctual & ~between]
+        if kept.size:
+            self._sum_up(kept)
+
+    def _sum_up(self, rows: ErrorRows) -> None:
+        stamps, error, V = rows["stamp"], rows["error"], rows["V"]
+        if not self._samples:
+            self._first = self._last = float(V[0])
+        self._samples += stamps.size
+        self._squares += np.sum(error**2, axis=0)
+        self._largest = np.maximum(self._largest, np.max(np.abs(error), axis=0))
+        self._rise = max(self._rise, float(np.max(np.diff(V, prepend=self._last))))
+        self._last = float(V[-1])
+        above = np.flatnonzero(self._threshold * self._first < V)
+        after = int(above[-1]) + 1 if above.size else 0
+        if above.size or self._settled is None:
+            self._settled = int(stamps[after]) if after < stamps.size else None
+        self._keep(rows)
 
     def result(self) -> Comparison:
         """The comparison, when all blocks have been added.
@@ -169,36 +249,34 @@ class Comparator:
         Raises:
             BagError: no stamp is in both, or every estimate came before its events.
         """
-        self.finish()
-        tally = self._tally
-        if not (tally.samples or tally.late or tally.mismatch.samples):
+        self.update(done=True)
+        if not (self._samples or self._late or self._mismatch.samples):
             raise BagError(
                 f"{self.law}: truth and estimate have no stamp in common: {self.pairing.ranges()};"
                 " both must be sampled at the same instants"
             )
-        if not tally.samples:
+        if not self._samples:
             raise BagError(
                 f"{self.law}: every estimate came before its events; nothing to compare"
             )
-        rows = self._curve.rows()
-        start = float(rows["V"][0])
+        rows, start = self._curve.rows(), self._first
         settling_time = None
-        if tally.settled is not None and (start > 0 or tally.rise == 0):
-            settling_time = seconds_between(int(rows["stamp"][0]), tally.settled)
+        if self._settled is not None and (start > 0 or self._rise == 0):
+            settling_time = seconds_between(int(rows["stamp"][0]), self._settled)
         return Comparison(
             system=self._system,
             law=self.law,
             stamps=rows["stamp"],
             error=rows["error"],
             V=rows["V"],
-            samples=tally.samples,
-            late=tally.late,
+            samples=self._samples,
+            late=self._late,
             stale=self.pairing.truth.stale + self.pairing.estimates.stale,
-            mismatch=tally.mismatch,
+            mismatch=self._mismatch,
             outcomes=self._outcomes,
-            rms=np.sqrt(tally.squares / tally.samples),
-            largest=tally.largest,
-            largest_rise=tally.rise / start if start > 0 else 0.0,
+            rms=np.sqrt(self._squares / self._samples),
+            largest=self._largest,
+            largest_rise=self._rise / start if start > 0 else 0.0,
             threshold=self._threshold,
             settling_time=settling_time,
         )

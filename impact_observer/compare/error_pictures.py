@@ -18,7 +18,6 @@ from impact_observer.states import Stamps, Vector
 
 MOST_COORDINATES = 8
 """Most coordinates whose errors are drawn."""
-_MARKERS_A_CURVE = 9
 _SIZE, _PAPER_SIZE = (8.0, 5.0), (3.46, 3.0)
 """Inches; a column of a printed page is 88 mm wide."""
 _FONT, _PAPER_FONT = 10.0, 7.5
@@ -52,13 +51,13 @@ def error_pictures(
         labelled: every estimate, by its label.
         results: the bags and the comparison of each.
     """
-    alike: dict[tuple[str, ...], tuple[list[Path], dict[str, Comparison]]] = {}
+    bags: dict[tuple[str, ...], list[Path]] = {}
+    alike: dict[tuple[str, ...], dict[str, Comparison]] = {}
     for bag, result, those in _by_bag(labelled, results):
-        bags, comparisons = alike.setdefault(result.system.coordinates, ([], {}))
-        bags.append(bag)
-        comparisons.update(those)
-    for coordinates, (bags, comparisons) in alike.items():
-        yield bags, len(coordinates), error_picture(comparisons, epoch=0)
+        bags.setdefault(result.system.coordinates, []).append(bag)
+        alike.setdefault(result.system.coordinates, {}).update(those)
+    for coordinates, comparisons in alike.items():
+        yield bags[coordinates], len(coordinates), _error_picture(comparisons)
 
 
 def _by_bag(
@@ -137,14 +136,10 @@ def lyapunov_picture(
     return figure
 
 
-def error_picture(comparisons: Mapping[str, Comparison], *, epoch: int) -> Figure:
+def _error_picture(comparisons: Mapping[str, Comparison]) -> Figure:
     """The size of each state's error over time, coordinates at the left, velocities at the right.
 
     Of more than ``MOST_COORDINATES`` those with the largest errors are shown.
-
-    Args:
-        comparisons: one curve a panel each, by label; of one system.
-        epoch: stamp at which the time axis begins, ns.
     """
     first = next(iter(comparisons.values()))
     names, n = first.system.coordinates, first.system.n
@@ -160,9 +155,8 @@ def error_picture(comparisons: Mapping[str, Comparison], *, epoch: int) -> Figur
                 (grid[row, 1], n + i, f"|Δd{names[i]}/dt| [m/s or rad/s]"),
             ):
                 for each, style in zip(comparisons.values(), drawn, strict=True):
-                    seconds = (each.stamps - epoch) / NS_PER_S
                     size = np.abs(each.error[:, column])
-                    _draw_curve(axes, seconds, size, len(comparisons), style)
+                    _draw_curve(axes, each.stamps / NS_PER_S, size, len(comparisons), style)
                 axes.set_ylabel(label, fontsize="small")
                 axes.grid(visible=True, which="major", color="0.9")
                 axes.margins(x=0.01)
@@ -180,7 +174,7 @@ def _draw_curve(
     """One of several ``curves``, with a few markers beside those of the others."""
     # Zero has no logarithm: a gap in the curve means that the estimate is exact there.
     (line,) = axes.semilogy(seconds, np.where(values > 0, values, np.nan), **style)
-    step = max(values.size // _MARKERS_A_CURVE, 1)
+    step = max(values.size // 9, 1)
     line.set_markevery((step * (len(axes.lines) - 1) // curves, step))
 
 

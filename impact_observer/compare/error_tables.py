@@ -12,9 +12,6 @@ from impact_observer.draw.text_tables import console, ruled_table, upright
 from impact_observer.dynamics.lyapunov import is_seminorm
 from impact_observer.errors import UsageError
 
-_NARROW = 80
-"""Columns of a terminal below which figures would be cut."""
-
 
 def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
     """Write the figures, a line an estimate; errors have a column a state.
@@ -45,7 +42,8 @@ def print_tables(labelled: Mapping[str, Comparison]) -> None:
     """Print all tables, and which systems' V is blind to something."""
     terminal = console()
     for table in (distance_table(labelled), impacts_table(labelled), errors_table(labelled)):
-        terminal.print(table if terminal.width >= _NARROW else upright(table))
+        # A narrow terminal would cut figures.
+        terminal.print(table if terminal.width >= 80 else upright(table))
     print_blindness(labelled)
 
 

@@ -105,7 +105,6 @@ def _page(
 
 
 def _bags_table(results: Sequence[tuple[Path, BagComparison]]) -> Table:
-    """The bags that were compared."""
     table = Table("bag", "system", "from [s]", "to [s]", "impacts")
     for bag, result in results:
         stamps = [(each.stamps[0], each.stamps[-1]) for each in result.comparisons.values()]
@@ -121,7 +120,6 @@ def _bags_table(results: Sequence[tuple[Path, BagComparison]]) -> Table:
 
 
 def _listed(bags: Sequence[Path]) -> str:
-    """Bags, each once."""
     return ", ".join(dict.fromkeys(map(str, bags)))
 
 
@@ -137,11 +135,8 @@ def _figure(picture: str, caption: str) -> str:
 
 def _html(table: Table) -> str:
     """A table of the terminal as one of the page."""
-    columns = [[str(cell) for cell in column.cells] for column in table.columns]
-    rows = [[str(column.header) for column in table.columns], *zip(*columns, strict=True)]
-    lines = [
-        "".join(f"<{tag}>{escape(cell)}</{tag}>" for cell in row)
-        for tag, row in zip(["th", *["td"] * (len(rows) - 1)], rows, strict=True)
-    ]
-    body = "".join(f"<tr>{line}</tr>\n" for line in lines)
+    head = "".join(f"<th>{escape(str(column.header))}</th>" for column in table.columns)
+    rows = zip(*(column.cells for column in table.columns), strict=True)
+    lines = ["".join(f"<td>{escape(str(cell))}</td>" for cell in row) for row in rows]
+    body = "".join(f"<tr>{line}</tr>\n" for line in [head, *lines])
     return f'<div class="scroll"><table>{body}</table></div>'

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from rich.table import Table
@@ -167,7 +167,7 @@ def model_text(found: Identification, given: ModelText, bag: Path, output: Path)
     Raises:
         ModelError: the fitted values make no valid model.
     """
-    document: dict[str, Any] = load_yaml(given.text)
+    document = cast("dict[str, Any]", load_yaml(given.text))
     rows = zip(found.family.names, found.values.tolist(), found.errors.tolist(), strict=True)
     provenance: dict[str, object] = {
         "package": "impact_observer",

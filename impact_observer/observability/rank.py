@@ -193,11 +193,6 @@ class _Errors:
         self._t = 0.0
         self.map: Matrix = np.diag(scale)[:, scale > 0]
 
-    @property
-    def size(self) -> int:
-        """Number of uncertain states."""
-        return len(self.map.T)
-
     def informative(self, change: ContactChange) -> Contacts:
         """The contacts that add rows: those that hit, or a single one that opens by itself."""
         return change.informative(self._phases.independent(change.before), self._system.forcing)
@@ -247,7 +242,8 @@ def _factored(errors: _Errors, changes: Sequence[ContactChange]) -> tuple[Matrix
     Raises:
         ImpactLawError: the impact law has no solution at an event.
     """
-    factor = np.zeros((errors.size, errors.size))
+    size = errors.map.shape[1]
+    factor = np.zeros((size, size))
     singular = []
     for change in changes:
         try:
@@ -255,7 +251,7 @@ def _factored(errors: _Errors, changes: Sequence[ContactChange]) -> tuple[Matrix
         except ImpactLawError as error:
             raise ImpactLawError(f"at {text(change.stamp)} s: {error}") from None
         if errors.informative(change):
-            factor = linalg.qr(np.vstack([factor, rows]), mode="r")[0][: errors.size]
+            factor = linalg.qr(np.vstack([factor, rows]), mode="r")[0][:size]
             singular.append(np.linalg.svd(factor, compute_uv=False))
     return factor, np.array(singular)
 

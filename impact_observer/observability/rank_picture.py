@@ -12,10 +12,6 @@ from impact_observer.states import Vector
 _STYLES = ("-", (0, (6, 2)), (0, (4, 1, 1, 1)), (0, (1, 1)), "-", (0, (3, 3)))
 _NAMED = 6
 """Most singular values, and most contacts, with a label of their own."""
-_BELOW = 30.0
-"""Factor by which the picture extends below the tolerance, where all is rounding."""
-_ABOVE = 2.0
-"""Factor by which it extends above the largest."""
 
 
 def rank_picture(found: Observability, *, title: str) -> Figure:
@@ -48,6 +44,7 @@ def rank_picture(found: Observability, *, title: str) -> Figure:
 def _draw_values(axes: Axes, found: Observability, t: Vector) -> None:
     """One line a singular value, from the impact on at which it rises above the tolerance."""
     size = found.size
+    labels = ["largest", *(f"number {k + 1}" for k in range(1, size - 1)), "smallest"]
     for k, values in enumerate(found.singular.T):
         named = size <= _NAMED or k in {0, size - 1}
         axes.semilogy(
@@ -59,16 +56,11 @@ def _draw_values(axes: Axes, found: Observability, t: Vector) -> None:
             linestyle=_STYLES[k % len(_STYLES)] if size <= _NAMED else "-",
             drawstyle="steps-post",
             marker="." if np.count_nonzero(found.rank > k) == 1 else "",
-            label=_ordinal(k, size) if named and found.rank[-1] > k else None,
+            label=labels[k] if named and found.rank[-1] > k else None,
         )
     least = np.where(found.rank > 0, found.tolerance * found.singular[:, 0], np.nan)
     style = {"color": "0.3", "linewidth": 0.9, "linestyle": ":", "drawstyle": "steps-post"}
     axes.semilogy(t, least, label="tolerance", **style)
-
-
-def _ordinal(k: int, size: int) -> str:
-    """Label of a singular value."""
-    return "largest" if k == 0 else "smallest" if k == size - 1 else f"number {k + 1}"
 
 
 def _mark_impacts(axes: Axes, found: Observability, t: Vector) -> None:
@@ -83,5 +75,6 @@ def _mark_impacts(axes: Axes, found: Observability, t: Vector) -> None:
     if found.released.any():
         rows["releases"] = t[found.released]
     if (top := float(found.singular[-1, 0])) > 0:
-        axes.set_ylim(top * found.tolerance / _BELOW, top * _ABOVE)
+        # All below the tolerance is rounding.
+        axes.set_ylim(top * found.tolerance / 30.0, 2.0 * top)
     mark_rows(axes, rows)

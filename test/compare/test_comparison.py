@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from systems import sample
 
 from impact_observer.compare.comparison import Comparator, Comparison, compare_observer
-from impact_observer.compare.error_tally import MOST_ROWS, ErrorCurve, error_type
+from impact_observer.compare.error_curve import MOST_ROWS, ErrorCurve, error_type
 from impact_observer.compare.mismatch import window
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError
