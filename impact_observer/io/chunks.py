@@ -4,10 +4,11 @@ This is faster than ``rosbags``, which reads each message in eight steps: here o
 The order is that of ``rosbags``: by log time, then by position in the file.
 """
 
-import heapq
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from operator import itemgetter
+from bisect import bisect_left
+from collections.abc import Collection, Iterator, Mapping
+from itertools import zip_longest
+from operator import attrgetter
 from pathlib import Path
 from typing import BinaryIO, TypeAlias
 
@@ -19,17 +20,14 @@ from impact_observer.io.mcap_layout import (
     CHUNK,
     COMPRESSIONS,
     FRAME,
-    FRAMED_MESSAGE,
-    LOGGED,
     MESSAGE,
     MESSAGE_OPCODE,
     summary_of,
     uncompressed,
 )
 
-Message: TypeAlias = tuple[int, str, bytes]
-"""Log time (ns), topic, bytes."""
-_Load: TypeAlias = "Callable[[ChunkIndex], list[Message]]"
+Message: TypeAlias = tuple[int, tuple[int, int], str, bytes]
+"""Log time (ns), position in the file, topic, bytes."""
 
 
 def index_of(path: Path) -> Summary | None:
@@ -66,63 +64,34 @@ def messages(
         for chunk in index.chunk_indexes
         if chunk.message_end_time >= start and topics.keys() & chunk.message_index_offsets.keys()
     ]
+    chunks.sort(key=attrgetter("message_start_time"))
+    pending: list[Message] = []
     with path.open("rb") as file:
-        yield from _in_order(chunks, lambda chunk: _messages(_records(file, chunk), topics, start))
+        for chunk, following in zip_longest(chunks, chunks[1:]):
+            records = _records(file, chunk)
+            pending += _messages(records, chunk.chunk_start_offset, topics, start)
+            pending.sort()
+            # Chunks may overlap in time: what the next one may precede has to wait.
+            due = bisect_left(pending, (following.message_start_time,)) if following else None
+            yield pending[:due]
+            pending = [] if due is None else pending[due:]
 
 
-def _in_order(chunks: Iterable[ChunkIndex], load: _Load) -> Iterator[list[Message]]:
-    """The messages of ``chunks``; chunks that overlap in time are merged."""
-    together: list[ChunkIndex] = []
-    end = offset = -1
-    for chunk in sorted(chunks, key=_place):
-        begin = chunk.message_start_time
-        if begin > end or (begin == end and chunk.chunk_start_offset > offset):
-            yield from _merged(together, load)
-            together, end, offset = [], -1, -1
-        together.append(chunk)
-        end = max(end, chunk.message_end_time)
-        offset = max(offset, chunk.chunk_start_offset)
-    yield from _merged(together, load)
-
-
-def _place(chunk: ChunkIndex) -> tuple[int, int]:
-    return chunk.message_start_time, chunk.chunk_start_offset
-
-
-def _merged(chunks: Sequence[ChunkIndex], load: _Load) -> Iterator[list[Message]]:
-    """The messages of ``chunks``, each of which is loaded when its first message is due."""
-    if len(chunks) == 1:
-        yield load(chunks[0])
-        return
-
-    def placed(chunk: ChunkIndex) -> Iterator[tuple[int, int, int, Message | None]]:
-        yield chunk.message_start_time, chunk.chunk_start_offset, -1, None
-        for k, message in enumerate(load(chunk)):
-            yield message[0], chunk.chunk_start_offset, k, message
-
-    for *_, message in heapq.merge(*map(placed, chunks)):
-        if message is not None:
-            yield [message]
-
-
-def _messages(records: bytes, topics: dict[int, str], start: int) -> list[Message]:
-    """The messages of some channels in ``records``, by log time."""
-    found: list[Message] = []
+def _messages(
+    records: bytes, offset: int, topics: Mapping[int, str], start: int
+) -> Iterator[Message]:
+    """The messages of some channels in the ``records`` of the chunk at ``offset``."""
     size, at = len(records), 0
-    padded = records + bytes(LOGGED.size)  # the last record may be shorter than a message
-    unpack, frame, before = LOGGED.unpack_from, FRAME.size, FRAMED_MESSAGE.size
     while at < size:
-        opcode, length, channel, _, log_time = unpack(padded, at)
-        end = at + frame + length
-        if opcode == MESSAGE_OPCODE and channel in topics and log_time >= start:
-            if length < MESSAGE.size:
-                break
-            found.append((log_time, topics[channel], records[at + before : end]))
+        opcode, length = FRAME.unpack_from(records, at)
+        begin, end = at + FRAME.size, at + FRAME.size + length
+        if end > size:
+            raise ReaderError("A record reaches beyond the end of its chunk.")
+        if opcode == MESSAGE_OPCODE:
+            channel, _, log_time, _ = MESSAGE.unpack_from(records, begin)
+            if channel in topics and log_time >= start:
+                yield log_time, (offset, at), topics[channel], records[begin + MESSAGE.size : end]
         at = end
-    if at != size:
-        raise ReaderError("A record reaches beyond the end of its chunk.")
-    found.sort(key=itemgetter(0))
-    return found
 
 
 def _records(file: BinaryIO, chunk: ChunkIndex) -> bytes:

@@ -18,10 +18,6 @@ FRAME = struct.Struct("<BQ")
 """Opcode and length of a record."""
 MESSAGE = struct.Struct("<HIQQ")
 """Channel, sequence, log and publish time of a message, before its bytes."""
-FRAMED_MESSAGE = struct.Struct("<BQHIQQ")
-"""``FRAME`` and ``MESSAGE`` at once."""
-LOGGED = struct.Struct("<BQHIQ")
-"""The same up to the log time. Unpacking takes a seventh less, which matters for reading."""
 MESSAGE_OPCODE = int(Opcode.MESSAGE)  # an int compares faster than the enumeration
 CHUNK = struct.Struct("<QQQI")
 """First and last log time, uncompressed size, checksum of a chunk, before its records."""

@@ -5,10 +5,8 @@ The records other than messages are those of the library ``mcap``. Its writer, l
 ``observe``; here the messages of a batch are joined at once.
 """
 
-from bisect import bisect_right
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
-from itertools import accumulate, chain, repeat
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
@@ -32,7 +30,7 @@ from mcap.records import (
 )
 
 from impact_observer import __version__
-from impact_observer.io.mcap_layout import FRAMED_MESSAGE, MAGIC, MESSAGE, MESSAGE_OPCODE
+from impact_observer.io.mcap_layout import FRAME, MAGIC, MESSAGE, MESSAGE_OPCODE
 
 Item: TypeAlias = tuple[int, int, bytes]
 """A message: the number of its channel, its log time (ns), its bytes."""
@@ -44,9 +42,9 @@ class McapWriter:
     """An MCAP file of profile ``ros2``, open for writing.
 
     Attributes:
-        counts: messages of each channel.
-        start: log time of the earliest message, ns; 0 before the first.
-        end: log time of the latest message, ns; 0 before the first.
+        counts: messages of each channel in the chunks that have ended.
+        start: log time of their earliest message, ns; 0 without any.
+        end: log time of their latest message, ns; 0 without any.
     """
 
     def __init__(self, path: Path, *, compressed: bool) -> None:
@@ -95,16 +93,19 @@ class McapWriter:
         self._chunk += _bytes_of(channel)
         return channel.id
 
-    def write(self, items: Sequence[Item]) -> None:
+    def write(self, items: Iterable[Item]) -> None:
         """Add messages, in this order.
 
         Raises:
             OSError: the disk is full or gone.
         """
-        while items:
-            items = items[self._fill_chunk(items) :]
+        for channel, log_time, data in items:
+            self._places[channel].append((log_time, len(self._chunk)))
+            self._chunk += FRAME.pack(MESSAGE_OPCODE, MESSAGE.size + len(data))
+            self._chunk += MESSAGE.pack(channel, 0, log_time, log_time)
+            self._chunk += data
             if len(self._chunk) > _CHUNK_SIZE:
-                self._end_chunk()
+                self.end_chunk()
 
     def finish(self, metadata: str) -> None:
         """Write what is left, the ``metadata`` of rosbag2 and the index; close the file.
@@ -113,8 +114,7 @@ class McapWriter:
             OSError: the disk is full or gone.
         """
         with self._file:
-            if self._chunk:
-                self._end_chunk()
+            self.end_chunk()
             begin = self._file.tell()
             self._write(Metadata("rosbag2", {"serialized_metadata": metadata}))
             index = MetadataIndex(begin, self._file.tell() - begin, "rosbag2")
@@ -125,34 +125,20 @@ class McapWriter:
     def _write(self, record: McapRecord) -> None:
         self._file.write(_bytes_of(record))
 
-    def _fill_chunk(self, items: Sequence[Item]) -> int:
-        """Add as many messages as come into the open chunk; how many these are."""
-        channels, times, data = zip(*items, strict=True)
-        sizes = [len(each) for each in data]
-        ends = [*accumulate((s + FRAMED_MESSAGE.size for s in sizes), initial=len(self._chunk))]
-        count = min(bisect_right(ends, _CHUNK_SIZE, lo=1), len(items))
-        channels, times = channels[:count], times[:count]
-        heads = map(
-            FRAMED_MESSAGE.pack,
-            repeat(MESSAGE_OPCODE),
-            [size + MESSAGE.size for size in sizes],
-            channels,
-            repeat(0),
-            times,
-            times,
-        )
-        self._chunk += b"".join(chain.from_iterable(zip(heads, data, strict=False)))
-        for channel, place in zip(channels, zip(times, ends, strict=False), strict=True):
-            self._places[channel].append(place)
-        self.start = min(self.start, *times) if self.counts else min(times)
-        self.end = max(self.end, *times)
-        self.counts.update(channels)
-        return count
+    def end_chunk(self) -> None:
+        """Write the open chunk, if it has a record, and the indexes of its messages.
 
-    def _end_chunk(self) -> None:
-        """Write the open chunk and the indexes of its messages."""
+        Raises:
+            OSError: the disk is full or gone.
+        """
+        if not self._chunk:
+            return
         times = [time for places in self._places.values() for time, _ in places]
-        first, last = (min(times), max(times)) if times else (0, 0)
+        first, last = min(times, default=0), max(times, default=0)
+        if times:
+            self.start = min(self.start, first) if self.counts else first
+            self.end = max(self.end, last)
+            self.counts.update({channel: len(places) for channel, places in self._places.items()})
         records = bytes(self._chunk)
         compression = "zstd" if self._compressed else ""
         data = zstandard.ZstdCompressor().compress(records) if self._compressed else records

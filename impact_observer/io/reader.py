@@ -181,7 +181,7 @@ class BagReader:
         connections = [c for topic in wanted for c in self._connections[topic]]
         return (
             RawMessage(topic, log_time, data)
-            for log_time, topic, data in self._stream(connections, start)
+            for log_time, _, topic, data in self._stream(connections, start)
         )
 
     def messages(self, topic: str) -> Iterator[tuple[int, AnyMessage]]:
@@ -241,7 +241,7 @@ class BagReader:
         columns = {topic: self._columns(topic, names) for topic in topics}
         for batch in self._batches([c for topic in columns for c in self._connections[topic]]):
             for topic, own in columns.items():
-                data = [each for _, name, each in batch if name == topic]
+                data = [each for *_, name, each in batch if name == topic]
                 while data:
                     room = BLOCK - len(own)
                     own.add(data[:room])
@@ -312,7 +312,7 @@ class BagReader:
         store = self._store_for(topic, type_name)
         return (
             (log_time, self._deserialized(store, topic, type_name, data))
-            for log_time, _, data in self._stream(self._connections[topic])
+            for log_time, *_, data in self._stream(self._connections[topic])
         )
 
     def _store_for(self, topic: str, type_name: str) -> Typestore:
@@ -377,7 +377,7 @@ class BagReader:
         """The messages in bag order: in bulk if all files have an index, else by ``rosbags``."""
         if not self._indexes:
             read = self._reader.messages(connections, start=start or None)
-            return (((log_time, own.topic, data),) for own, log_time, data in read)
+            return (((log_time, (0, 0), own.topic, data),) for own, log_time, data in read)
         wanted = {(each.topic, each.msgtype) for each in connections}
         return chain.from_iterable(
             messages(file, index, wanted, start) for file, index in self._indexes

@@ -207,6 +207,7 @@ class BagWriter:
         """In the thread: write the rest, then index and metadata."""
         try:
             self._write_pending()
+            self._file.end_chunk()
         finally:
             file = f"{self.path.name}.mcap"
             whole, inner = metadata(file, self._file, self._topics.values())
