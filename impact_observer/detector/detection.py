@@ -5,10 +5,15 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from impact_observer.detector.arrival import ArrivalSensor
 from impact_observer.detector.fields import FieldPath, header_stamp, numbers_at
 from impact_observer.detector.peak import PeakSensor
-from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, Sensor
+from impact_observer.detector.sensors import (
+    ArrivalSensor,
+    DetectedSwitch,
+    Sample,
+    SampleTime,
+    Sensor,
+)
 from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH, Source
 from impact_observer.detector.switch import SwitchSensor
 from impact_observer.events import ImpactEvent, Kind, Switch
@@ -135,7 +140,6 @@ class Detector:
         switches = [
             (switch, index)
             for index, sensor in enumerate(self._sensors)
-            if sensor.due is not None
             for switch in sensor.advance(now)
         ]
         detections = self._events(sorted(switches, key=lambda pair: pair[0].decided))

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, due
+from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, Sensor
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 from impact_observer.stamps import from_seconds, seconds_between
@@ -65,7 +65,7 @@ def vertex(left: Point, top: Point, right: Point) -> int:
     return round(-a / 2 + (a + b) / 2 * up / (up - down))
 
 
-class PeakSensor:
+class PeakSensor(Sensor):
     """An IMPACT at each peak of a signal, interpolated between samples.
 
     A peak begins when the signal reaches the threshold after it was below
@@ -90,13 +90,8 @@ class PeakSensor:
         self._armed = False
         self._dead_until = 0
 
-    @property
-    def due(self) -> int | None:
-        """See :class:`~impact_observer.detector.sensors.Sensor`."""
-        return due(self._deadline())
-
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
-        """See :class:`~impact_observer.detector.sensors.Sensor`.
+        """See :class:`Sensor`.
 
         Raises:
             UsageError: a vector has no direction up or down.
@@ -105,23 +100,21 @@ class PeakSensor:
         point = (time.stamp, self._signal(sample))
         self.largest_signal = max(self.largest_signal, point[1])
         if (deadline := self._deadline()) is not None and deadline.stamp <= time.stamp:
-            switches = self._end_peak(time.received)
+            switches = self._on_deadline(time.received)
         if self._peak is not None:
             self._peak.add(self._before or point, point)
             if point[1] < self._low:
-                switches += self._end_peak(time.received)
+                switches += self._on_deadline(time.received)
         elif point[1] >= self._high and self._armed and time.stamp >= self._dead_until:
             self._peak = _Peak(time, point, time.stamp, self._before)
         self._armed = point[1] < self._low or (self._armed and point[1] < self._high)
         if self._baseline and self._peak is None:  # a peak would shift the mean
-            self._update_mean(sample)
+            since = 0 if self._before is None else time.stamp - self._before[0]
+            weight = -math.expm1(-seconds_between(0, since) / self._baseline)
+            rest = self._without_mean(sample)
+            self._mean = tuple(m + weight * r for m, r in zip(self._mean, rest, strict=True))
         self._before = point
         return switches
-
-    def advance(self, now: int) -> list[DetectedSwitch]:
-        """See :class:`~impact_observer.detector.sensors.Sensor`."""
-        decided = self.due
-        return [] if decided is None or decided > now else self._end_peak(decided)
 
     def _signal(self, sample: Sample) -> float:
         """What is compared with the threshold."""
@@ -132,17 +125,13 @@ class PeakSensor:
         return value if self._source.direction == "up" else -value
 
     def _without_mean(self, sample: Sample) -> tuple[float, ...]:
-        """The values minus their running mean, which starts at the first sample."""
+        """The values minus their running mean, which starts at the first sample.
+
+        The mean is a first-order low pass with the time constant ``baseline``.
+        """
         if len(self._mean) != len(sample.values):
             self._mean = sample.values
         return tuple(x - m for x, m in zip(sample.values, self._mean, strict=True))
-
-    def _update_mean(self, sample: Sample) -> None:
-        """One step of a first-order low pass with the time constant ``baseline``."""
-        since = 0 if self._before is None else sample.time.stamp - self._before[0]
-        weight = -math.expm1(-seconds_between(0, since) / self._baseline)
-        rest = self._without_mean(sample)
-        self._mean = tuple(m + weight * r for m, r in zip(self._mean, rest, strict=True))
 
     def _deadline(self) -> SampleTime | None:
         """When a peak ends even if the signal stays high."""
@@ -150,7 +139,8 @@ class PeakSensor:
             return None
         return self._peak.onset.after(self._dead_time)
 
-    def _end_peak(self, decided: int) -> list[DetectedSwitch]:
+    def _on_deadline(self, decided: int) -> list[DetectedSwitch]:
+        """The peak has ended."""
         assert self._peak is not None
         stamp, self._peak = self._peak.instant(), None
         self._dead_until = stamp + from_seconds(self._dead_time)

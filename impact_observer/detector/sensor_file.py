@@ -1,6 +1,6 @@
 """The file that declares the sensors of a rig."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 
@@ -35,39 +35,31 @@ def parse_sources(text: str, name: str) -> tuple[Source, ...]:
         UsageError: one line that names the file, the key and what is wanted.
     """
     try:
-        document = Section("", _load(text), ("sources",))
-        found = [_source(key, value, name) for key, value in document.items("sources")]
+        document = load_yaml(text)
+        if not isinstance(document, Mapping):
+            raise ModelError("", "is no list of sensors: expected a YAML mapping with sources")
+        members = Section("", document, ("sources",)).items("sources")
+        found = [_source(key, value, name) for key, value in members]
         if not found:
             raise ModelError("sources", "is missing or empty; expected a list of sensors")
     except ModelError as error:
         raise UsageError(f"{name}: {error}") from None
-    check_contacts(found)
-    return tuple(found)
-
-
-def check_contacts(sources: Sequence[Source]) -> None:
-    """Check that each contact has one sensor: with two, each impact would be two events.
-
-    Raises:
-        UsageError: a contact has two.
-    """
     first: dict[str, Source] = {}
-    for source in sources:
-        other = first.setdefault(source.contact, source)
-        if other is not source:
+    for source in found:
+        if (other := first.setdefault(source.contact, source)) is not source:
+            # Each impact would be two events.
             both = f"{other.topic} and {source.topic}"
             raise source.wrong(
                 "contact", f"{source.contact!r} has two sensors, {both}; expected one a contact"
             )
+    return tuple(found)
 
 
 def _source(key: str, value: Value, name: str) -> Source:
     """The sensor in one member of the list."""
     section = Section(key, value, _KEYS)
-    given: dict[str, object] = {}
-    for each in _KEYS:
-        if each in section or each in {"contact", "topic"}:
-            given[each] = _value(section, each)
+    keys = [each for each in _KEYS if each in section or each in {"contact", "topic"}]
+    given = {each: _value(section, each) for each in keys}
     return Source(**given, origin=f"{name}: {key}.")  # type: ignore[arg-type]
 
 
@@ -81,11 +73,3 @@ def _value(section: Section, key: str) -> object:
             raise ModelError(section.key(key), f"{value!r} found; expected true or false")
         return value
     return section.number(key)
-
-
-def _load(text: str) -> Value:
-    """The mapping at the top of the file."""
-    document = load_yaml(text)
-    if not isinstance(document, Mapping):
-        raise ModelError("", "is no list of sensors: expected a YAML mapping with sources")
-    return document

@@ -1,7 +1,8 @@
-"""What all kinds of sensors have in common: samples in, switches of a contact out."""
+"""What all kinds of sensors have in common, and the simplest kind."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
+from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 from impact_observer.stamps import from_seconds
 
@@ -25,11 +26,6 @@ class SampleTime(NamedTuple):
         """So many seconds later."""
         length = from_seconds(seconds)
         return SampleTime(self.received + length, self.stamp + length)
-
-
-def due(deadline: SampleTime | None) -> int | None:
-    """From when on (received, ns) no sample before a deadline can follow; None without one."""
-    return None if deadline is None else deadline.received + MAX_DELAY
 
 
 class Sample(NamedTuple):
@@ -59,15 +55,49 @@ class DetectedSwitch(NamedTuple):
     kind: Kind
 
 
-class Sensor(Protocol):
+class Sensor:
     """Detects the switches in one stream of samples, whose stamps never go back."""
 
     @property
     def due(self) -> int | None:
         """From when on (received, ns) the absence of samples decides something; None for never."""
+        deadline = self._deadline()
+        return None if deadline is None else deadline.received + MAX_DELAY
 
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
         """The switches that a sample decides, and the time up to it."""
+        raise NotImplementedError
 
     def advance(self, now: int) -> list[DetectedSwitch]:
         """The switches that are decided if no sample is received until ``now``, ns."""
+        switches = []
+        while (decided := self.due) is not None and decided <= now:
+            switches += self._on_deadline(decided)
+        return switches
+
+    def _deadline(self) -> SampleTime | None:
+        """The time that decides something, if no sample before it follows."""
+        return None
+
+    def _on_deadline(self, decided: int) -> list[DetectedSwitch]:
+        """The switches that the deadline decides."""
+        raise NotImplementedError
+
+
+class ArrivalSensor(Sensor):
+    """A sensor that publishes one message at each impact; what it holds does not matter.
+
+    Each message is an IMPACT, except within ``dead_time`` after an impact.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self._dead_time = from_seconds(source.number("dead_time"))
+        self._dead_until = 0
+
+    def feed(self, sample: Sample) -> list[DetectedSwitch]:
+        """See :class:`Sensor`."""
+        time = sample.time
+        if time.stamp < self._dead_until:
+            return []
+        self._dead_until = time.stamp + self._dead_time
+        return [DetectedSwitch(time.received, time.stamp, Kind.IMPACT)]

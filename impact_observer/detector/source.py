@@ -27,12 +27,7 @@ _IMU_BASELINE = 1.0
 """Default ``baseline`` of an accelerometer, s. It removes gravity, and an impact of some
 milliseconds changes the mean by less than a percent of its peak."""
 _TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-_KEYS = {
-    SWITCH: ("field", "threshold", "hysteresis", "dead_time", "min_contact_duration", "inverted"),
-    PEAK: ("field", "threshold", "hysteresis", "direction", "baseline", "dead_time"),
-    ARRIVAL: ("dead_time",),
-}
-_DEFAULTS: dict[str, dict[str, object]] = {
+_DEFAULTS: dict[str, dict[str, object]] = {  # and which keys go with each kind
     SWITCH: {
         "field": "data",
         "threshold": 0.5,
@@ -41,7 +36,14 @@ _DEFAULTS: dict[str, dict[str, object]] = {
         "min_contact_duration": 0.05,
         "inverted": False,
     },
-    PEAK: {"direction": "both", "baseline": 0.0, "dead_time": 0.02},
+    PEAK: {
+        "field": "data",
+        "threshold": None,
+        "hysteresis": None,  # half the threshold
+        "direction": "both",
+        "baseline": 0.0,
+        "dead_time": 0.02,
+    },
     ARRIVAL: {"dead_time": 0.0},
 }
 
@@ -144,7 +146,7 @@ class Source:
         if not kind:
             wanted = f"expected one of {', '.join(KINDS)}, or a threshold, which makes it a peak"
             raise self.wrong("kind", f"is missing, as {self.topic} is {type_name}; {wanted}")
-        for key in {*_KEYS[SWITCH], *_KEYS[PEAK]} - {*_KEYS[kind]}:
+        for key in {*_DEFAULTS[SWITCH], *_DEFAULTS[PEAK]} - {*_DEFAULTS[kind]}:
             if getattr(self, key) is not None:
                 raise self.wrong(key, f"does not go with kind {kind}; leave it out")
         defaults = dict(_DEFAULTS[kind])
@@ -152,7 +154,7 @@ class Source:
             defaults |= self._peak_defaults(type_name)
         missing = {key: value for key, value in defaults.items() if getattr(self, key) is None}
         complete = replace(self, kind=kind, **missing)  # type: ignore[arg-type]
-        complete.check_together()
+        complete._check_together()  # noqa: SLF001 (of the same class)
         return complete
 
     def _peak_defaults(self, type_name: str) -> dict[str, object]:
@@ -163,15 +165,11 @@ class Source:
             raise self.wrong("threshold", f"{self.threshold:g} found; of a peak it is above 0")
         defaults: dict[str, object] = {"hysteresis": self.threshold / 2}
         if type_name == IMU:
-            return defaults | {"field": "linear_acceleration", "baseline": _IMU_BASELINE}
-        return defaults | {"field": "data"}
+            defaults |= {"field": "linear_acceleration", "baseline": _IMU_BASELINE}
+        return defaults
 
-    def check_together(self) -> None:
-        """Check the numbers of a complete source against each other.
-
-        Raises:
-            UsageError: one does not fit another; it is named.
-        """
+    def _check_together(self) -> None:
+        """Check the numbers of a complete source against each other."""
         if self.kind == PEAK and not self.number("hysteresis") < self.number("threshold"):
             problem = f"{self.hysteresis:g} found; expected less than the threshold"
             raise self.wrong("hysteresis", f"{problem}, {self.threshold:g}")

@@ -1,11 +1,11 @@
 """A contact switch: debounced edges; long closures are persistent contact."""
 
-from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, due
+from impact_observer.detector.sensors import DetectedSwitch, Sample, SampleTime, Sensor
 from impact_observer.detector.source import Source
 from impact_observer.events import Kind
 
 
-class SwitchSensor:
+class SwitchSensor(Sensor):
     """A signal that is high while the contact is closed, or low where it is inverted.
 
     The rising edge is an IMPACT, at once. If the switch is still closed after
@@ -30,13 +30,8 @@ class SwitchSensor:
         self._has_edge = False
         self._input_changed = self._edge = SampleTime(0, 0)
 
-    @property
-    def due(self) -> int | None:
-        """See :class:`~impact_observer.detector.sensors.Sensor`."""
-        return due(self._deadline())
-
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
-        """See :class:`~impact_observer.detector.sensors.Sensor`.
+        """See :class:`Sensor`.
 
         Raises:
             UsageError: the field is a vector.
@@ -49,19 +44,10 @@ class SwitchSensor:
         closed = self._level != self._inverted
         if closed != self._input_closed:
             self._input_closed, self._input_changed = closed, time
-            if not self._in_dead_time(time):
+            dead_until = self._edge.after(self._dead_time).stamp if self._has_edge else 0
+            if time.stamp >= dead_until:
                 switches += self._follow_input(time.received)
         return switches
-
-    def advance(self, now: int) -> list[DetectedSwitch]:
-        """See :class:`~impact_observer.detector.sensors.Sensor`."""
-        switches = []
-        while (decided := self.due) is not None and decided <= now:
-            switches += self._on_deadline(decided)
-        return switches
-
-    def _in_dead_time(self, time: SampleTime) -> bool:
-        return self._has_edge and time.stamp < self._edge.after(self._dead_time).stamp
 
     def _deadline(self) -> SampleTime | None:
         """When the end of the dead time, or of the shortest persistent contact, is decided."""
