@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from impact_observer.errors import BagError
 from impact_observer.io.interfaces import OBSERVER_STATE
 from impact_observer.io.messages import AnyMessage, MessageError, read_estimate, read_joint_state
-from impact_observer.io.state_blocks import StateRows, decode
+from impact_observer.io.state_blocks import StateRows, decode, no_rows
 from impact_observer.states import Matrix, Stamps
 
 
@@ -72,7 +72,6 @@ class Columns:
         self._type = type_name
         self._names = None if names is None else tuple(names)
         self._deserialize = deserialize
-        self._orders: dict[tuple[str, ...], list[int]] = {}
         self._pending: list[bytes] = []
         self._taken = 0
         self._law: str | None = None
@@ -93,61 +92,51 @@ class Columns:
                 not the expected ones, or the law has changed.
         """
         block, self._pending = self._pending, []
-        together, alone = decode(self._type, block)
-        table = _Table(len(block))
         if block and self._names is None:
             self._names = self._one(block, 0)[0]
+        together, alone = decode(self._type, block)
+        parts = [no_rows(len(self._names or ()))]
         for rows in together:
-            names, first = self._one(block, int(rows.at[0]))
-            # If one of them is invalid, each is read alone, so that an error can name it.
-            if rows.valid.all() and _first_row_equals(rows, first):
-                table.put(rows, self._order(names))
+            if rows.valid.all():
+                names, _ = self._one(block, int(rows.at[0]))
+                parts.append(self._in_columns(names, rows))
             else:
                 alone += rows.at.tolist()
-        for i in sorted(alone):
-            names, rows = self._one(block, i)
-            table.put(rows, self._order(names))
+        parts += (self._in_columns(*self._one(block, i)) for i in sorted(alone))
         self._taken += len(block)
-        return self._block(table)
+        return self._block(parts)
 
-    def _block(self, table: "_Table") -> JointStates:
-        """The columns, read-only."""
-        names = self._names or ()
-        x = table.x.reshape(len(table.stamps), 2 * len(names))
-        for each in (x, table.stamps, table.last_sequence, table.last_event):
+    def _block(self, parts: Sequence[StateRows]) -> JointStates:
+        """The rows of all parts in the order of the messages, read-only."""
+        order = np.argsort(np.concatenate([part.at for part in parts]))
+        columns = StateRows(*(np.concatenate(each)[order] for each in zip(*parts, strict=True)))
+        for each in columns:
             each.setflags(write=False)
-        q, u = x[:, : len(names)], x[:, len(names) :]
+        _, stamps, q, u, sequences, events = columns
+        names, law = self._names or (), self._law or ""
         if self._type != OBSERVER_STATE:
-            return JointStates(names, table.stamps, q, u)
-        law = self._law or ""
-        sequences, events = table.last_sequence, table.last_event
-        return ObserverStates(names, table.stamps, q, u, law, sequences, events)
+            return JointStates(names, stamps, q, u)
+        return ObserverStates(names, stamps, q, u, law, sequences, events)
 
     def _one(self, block: Sequence[bytes], i: int) -> tuple[tuple[str, ...], StateRows]:
         """The names and the row of one message, checked."""
         message = self._deserialize(block[i])
-        at, sequence, event = np.array([i]), np.uint64(0), 0
+        rows = no_rows(len(message.name), 1)
+        rows.at[0] = i
         try:
             if self._type == OBSERVER_STATE:
                 names, state = read_estimate(message)
                 self._check_law(state.law)
-                stamp, q, u = state.stamp, state.q, state.u
-                sequence, event = np.uint64(state.last_sequence), state.last_event
+                rows.stamps[0], rows.q[0], rows.u[0] = state.stamp, state.q, state.u
+                rows.last_sequence[0], rows.last_event[0] = state.last_sequence, state.last_event
             else:
                 joint = read_joint_state(message)
-                names, stamp, q, u = joint.names, joint.stamp, joint.q, joint.u
+                names = joint.names
+                rows.stamps[0], rows.q[0], rows.u[0] = joint.stamp, joint.q, joint.u
         except MessageError as error:
             place = f"{self._source}, message {self._taken + i}"
             raise BagError(f"{place}: {error}") from error
-        row = StateRows(
-            at,
-            np.array([stamp], dtype=np.int64),
-            q[np.newaxis],
-            u[np.newaxis],
-            np.array([sequence], dtype=np.uint64),
-            np.array([event], dtype=np.int64),
-        )
-        return names, row
+        return names, rows
 
     def _check_law(self, law: str) -> None:
         """Check that the law is that of the messages before."""
@@ -158,10 +147,8 @@ class Columns:
             )
         self._law = law
 
-    def _order(self, found: tuple[str, ...]) -> list[int]:
-        """For each column, the index of its coordinate in a message with the names ``found``."""
-        if (order := self._orders.get(found)) is not None:
-            return order
+    def _in_columns(self, found: tuple[str, ...], rows: StateRows) -> StateRows:
+        """Rows of messages with the names ``found``, their coordinates in the order wanted."""
         wanted = self._names or ()
         double = sorted({name for name in found if found.count(name) > 1})
         missing = [name for name in wanted if name not in found]
@@ -172,34 +159,10 @@ class Columns:
                     f"{self._source} {problem} {', '.join(those)}; "
                     f"expected the coordinates {', '.join(wanted)}"
                 )
-        return self._orders.setdefault(found, [found.index(name) for name in wanted])
-
-
-class _Table:
-    """The columns of a block while they are filled."""
-
-    def __init__(self, size: int) -> None:
-        self.stamps = np.zeros(size, dtype=np.int64)
-        self.last_sequence = np.zeros(size, dtype=np.uint64)
-        self.last_event = np.zeros(size, dtype=np.int64)
-        self.x = np.zeros((size, 0))
-
-    def put(self, rows: StateRows, order: list[int]) -> None:
-        """Fill in ``rows``, their coordinates in ``order``."""
-        if self.x.shape[1] != 2 * len(order):
-            self.x = np.zeros((len(self.stamps), 2 * len(order)))
-        self.stamps[rows.at] = rows.stamps
-        self.x[rows.at] = np.hstack([rows.q[:, order], rows.u[:, order]])
-        self.last_sequence[rows.at] = rows.last_sequence
-        self.last_event[rows.at] = rows.last_event
-
-
-def _first_row_equals(rows: StateRows, first: StateRows) -> bool:
-    """Whether the layout and ``rosbags`` decode the first message alike."""
-    return all(
-        np.asarray(ours[0]).tobytes() == np.asarray(theirs[0]).tobytes()
-        for ours, theirs in zip(rows, first, strict=True)
-    )
+        if found == wanted:
+            return rows
+        order = [found.index(name) for name in wanted]
+        return rows._replace(q=rows.q[:, order], u=rows.u[:, order])
 
 
 def joined(blocks: Iterable[JointStates]) -> JointStates:

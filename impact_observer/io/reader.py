@@ -174,10 +174,9 @@ class BagReader:
         Raises:
             BagError: a topic is missing, or the bag is damaged.
         """
-        if topics is not None:
-            for topic in topics:
-                self._topic(topic)
         wanted = self.topics if topics is None else topics
+        for topic in wanted:
+            self._topic(topic)
         connections = [c for topic in wanted for c in self._connections[topic]]
         return (
             RawMessage(topic, log_time, data)
@@ -190,7 +189,9 @@ class BagReader:
         Raises:
             BagError: the topic is missing, its type is unknown, or the bag is damaged.
         """
-        return self._decoded(topic, self._topic(topic).type)
+        decode = self.decoder(topic)
+        stream = self._stream(self._connections[topic])
+        return ((log_time, decode(data)) for log_time, *_, data in stream)
 
     def decoder(self, topic: str) -> Callable[[bytes], AnyMessage]:
         """A function that deserializes the messages of a topic.
@@ -199,9 +200,18 @@ class BagReader:
             BagError: the topic is missing or its type is unknown. The function raises it, too,
                 for bytes that are no message of that type.
         """
-        type_name = self._topic(topic).type
-        store = self._store_for(topic, type_name)
-        return lambda data: self._deserialized(store, topic, type_name, data)
+        info = self._topic(topic)
+        store = self._store_for(info)
+
+        def decode(data: bytes) -> AnyMessage:
+            try:
+                return deserialize(store, data, info.type)
+            except Exception as error:  # rosbags raises errors of many types
+                raise BagError(
+                    f"{self.path}: {topic} has bytes that are no {info.type}: {_reason(error)}"
+                ) from error
+
+        return decode
 
     def events(self, topic: str = interfaces.IMPACTS.topic) -> Iterator[ImpactEvent]:
         """The events of a topic, in bag order.
@@ -280,9 +290,8 @@ class BagReader:
         """
         if (topic := self.find(interfaces.PLANT_MODEL)) is None:
             return None
-        return next(
-            iter(deque(self._values(topic, interfaces.STRING, attrgetter("data")), maxlen=1)), None
-        )
+        texts = deque(self._values(topic, interfaces.STRING, attrgetter("data")), maxlen=1)
+        return texts[0] if texts else None
 
     def _topic(self, topic: str) -> TopicInfo:
         """A topic, checked to be in the bag."""
@@ -295,7 +304,8 @@ class BagReader:
         self, topic: str, type_name: str, read: Callable[[AnyMessage], _Value]
     ) -> Iterator[_Value]:
         """The messages of a topic of the given type, each converted by ``read``."""
-        messages = self._decoded(topic, type_name)
+        self._check_type(topic, type_name)
+        messages = self.messages(topic)
 
         def values() -> Iterator[_Value]:
             position = 0
@@ -307,21 +317,11 @@ class BagReader:
 
         return values()
 
-    def _decoded(self, topic: str, type_name: str) -> Iterator[tuple[int, AnyMessage]]:
-        """Log times and messages of a topic, which must be of the given type."""
-        store = self._store_for(topic, type_name)
-        return (
-            (log_time, self._deserialized(store, topic, type_name, data))
-            for log_time, *_, data in self._stream(self._connections[topic])
-        )
-
-    def _store_for(self, topic: str, type_name: str) -> Typestore:
-        """A typestore with the type of a topic, which must be the given one."""
-        self._check_type(topic, type_name)
-        info = self._topic(topic)
+    def _store_for(self, info: TopicInfo) -> Typestore:
+        """A typestore with the type of a topic."""
         if self._store is None:
             self._store = new_typestore()
-        store = self._store
+        store, topic, type_name = self._store, info.name, info.type
         try:
             disagrees = info.definition and add_definition(store, info.definition, type_name)
         except BagError as error:
@@ -337,17 +337,6 @@ class BagReader:
                 "defines; expected a bag with message definitions, as MCAP and Jazzy write them"
             )
         return store
-
-    def _deserialized(
-        self, store: Typestore, topic: str, type_name: str, data: bytes
-    ) -> AnyMessage:
-        """The message in ``data``."""
-        try:
-            return deserialize(store, data, type_name)
-        except Exception as error:  # rosbags raises errors of many types
-            raise BagError(
-                f"{self.path}: {topic} has bytes that are no {type_name}: {_reason(error)}"
-            ) from error
 
     def _stream(self, connections: Collection[Connection], start: int = 0) -> Iterator[Message]:
         """Log times (ns), topics and messages of some connections; checks that none is missing."""

@@ -19,8 +19,6 @@ from impact_observer.states import Matrix, Stamps
 _START = 4
 """Size of the header of a serialized message; alignment counts from its end."""
 _LITTLE_ENDIAN = b"\x00\x01"
-_MOST_LAYOUTS = 32
-"""Shapes tried on one block; further messages are decoded one by one."""
 
 
 class StateRows(NamedTuple):
@@ -49,6 +47,18 @@ class StateRows(NamedTuple):
         stamped = (self.stamps > 0) & (self.stamps <= MAX_STAMP)
         events = (self.last_event >= 0) & (self.last_event <= MAX_STAMP)
         return np.asarray(finite & stamped & events)
+
+
+def no_rows(n: int, size: int = 0) -> StateRows:
+    """``size`` rows of ``n`` coordinates, all zeros."""
+    return StateRows(
+        np.zeros(size, dtype=np.intp),
+        np.zeros(size, dtype=np.int64),
+        np.zeros((size, n)),
+        np.zeros((size, n)),
+        np.zeros(size, dtype=np.uint64),
+        np.zeros(size, dtype=np.int64),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +173,7 @@ def decode(type_name: str, block: Sequence[bytes]) -> tuple[list[StateRows], lis
     left = np.arange(len(block))
     sizes = np.fromiter(map(len, block), dtype=np.intp, count=len(block))
     without: list[int] = []
-    while left.size and len(found) < _MOST_LAYOUTS:
+    while left.size:
         first = int(left[0])
         layout = layout_of(type_name, block[first])
         if layout is None:
@@ -176,7 +186,7 @@ def decode(type_name: str, block: Sequence[bytes]) -> tuple[list[StateRows], lis
         fits = (data[:, layout.fixed] == data[0, layout.fixed]).all(axis=1)
         found.append(_rows(layout, data[fits], same[fits]))
         left = np.setdiff1d(left, same[fits], assume_unique=True)
-    return found, [*without, *left.tolist()]
+    return found, without
 
 
 def encode(
@@ -205,17 +215,17 @@ def encode(
 
 def _rows(layout: Layout, data: NDArray[np.uint8], at: NDArray[np.intp]) -> StateRows:
     """The numbers of messages of one layout, shape (k, size)."""
-    sequences, events = np.zeros(len(data), dtype=np.uint64), np.zeros(len(data), dtype=np.int64)
-    if layout.last_sequence is not None and layout.last_event is not None:
-        sequences = _numbers(data, layout.last_sequence, 8).view("<u8").ravel()
-        events = _times(data, layout.last_event)
-    return StateRows(
-        at,
-        _times(data, layout.stamp),
-        _numbers(data, layout.q, 8 * layout.n).view("<f8"),
-        _numbers(data, layout.u, 8 * layout.n).view("<f8"),
-        sequences,
-        events,
+    rows = no_rows(layout.n, len(data))._replace(
+        at=at,
+        stamps=_times(data, layout.stamp),
+        q=_numbers(data, layout.q, 8 * layout.n).view("<f8"),
+        u=_numbers(data, layout.u, 8 * layout.n).view("<f8"),
+    )
+    if layout.last_sequence is None or layout.last_event is None:
+        return rows
+    return rows._replace(
+        last_sequence=_numbers(data, layout.last_sequence, 8).view("<u8").ravel(),
+        last_event=_times(data, layout.last_event),
     )
 
 
