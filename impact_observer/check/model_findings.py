@@ -17,7 +17,7 @@ class ModelFinding(NamedTuple):
 
     Attributes:
         kind: ``ok``, ``note`` or ``warning``.
-        text: one or two lines.
+        text: one or two sentences.
     """
 
     kind: str
@@ -26,14 +26,7 @@ class ModelFinding(NamedTuple):
 
 def findings(checked: ModelCheck) -> list[ModelFinding]:
     """All findings, those on the impact law first."""
-    return [
-        *_impact_law(checked),
-        *_closing(checked),
-        *_rigid_modes(checked),
-        *_damping(checked),
-        *_resonances(checked),
-        *_unseen(checked),
-    ]
+    return [*_impact_law(checked), *_closing(checked), *_modes(checked), *_unseen(checked)]
 
 
 def _impact_law(checked: ModelCheck) -> Iterator[ModelFinding]:
@@ -45,10 +38,8 @@ def _impact_law(checked: ModelCheck) -> Iterator[ModelFinding]:
             " One restitution for all contacts would settle it.",
         )
     elif checked.nonexpansive and system.m:
-        yield ModelFinding(
-            "ok",
-            "No impact raises V, or adds kinetic energy, whichever contacts close together.",
-        )
+        law = "No impact raises V, or adds kinetic energy, whichever contacts close together."
+        yield ModelFinding("ok", law)
     for each in checked.growths[:_SHOWN]:
         yield ModelFinding(
             "warning",
@@ -93,7 +84,8 @@ def _closing(checked: ModelCheck) -> Iterator[ModelFinding]:
         )
 
 
-def _rigid_modes(checked: ModelCheck) -> Iterator[ModelFinding]:
+def _modes(checked: ModelCheck) -> Iterator[ModelFinding]:
+    """Rigid-body modes, damping, and resonances."""
     if count := len(checked.rigid):
         shapes = "; ".join(_shape(checked.system, each) for each in checked.rigid[:_SHOWN])
         yield ModelFinding(
@@ -101,32 +93,25 @@ def _rigid_modes(checked: ModelCheck) -> Iterator[ModelFinding]:
             f"K is singular, {times(count, 'rigid-body mode')}: {shapes}"
             f"{', ...' * (count > _SHOWN)}. V is a seminorm: it does not see such a displacement.",
         )
-
-
-def _damping(checked: ModelCheck) -> Iterator[ModelFinding]:
-    undamped = [f"{mode.frequency:.4g} rad/s" for mode in checked.modes if mode.decay == 0]
-    if 0 in checked.rates:
-        undamped.insert(0, "rigid-body motion")
-    if undamped:
+    if checked.damped:
+        slowest = -max([*checked.modes.real, *checked.rates])
+        yield ModelFinding(
+            "ok",
+            "All motion is damped: V falls between impacts too,"
+            f" in the slowest mode by a factor e in {0.5 / slowest:.3g} s.",
+        )
+    else:
+        undamped = [f"{mode.imag:.4g} rad/s" for mode in checked.modes if mode.real == 0]
+        free = ["rigid-body motion"] if 0 in checked.rates else []
         yield ModelFinding(
             "note",
-            f"Without damping: {listed(undamped, _SHOWN + 1)}. V need not vanish: only impacts"
-            " reduce it there.",
+            f"Without damping: {listed([*free, *undamped], _SHOWN + 1)}. V need not vanish: only"
+            " impacts reduce it there.",
         )
-        return
-    slowest = -max([mode.decay for mode in checked.modes] + checked.rates.tolist())
-    yield ModelFinding(
-        "ok",
-        "All motion is damped: V falls between impacts too,"
-        f" in the slowest mode by a factor e in {0.5 / slowest:.3g} s.",
-    )
-
-
-def _resonances(checked: ModelCheck) -> Iterator[ModelFinding]:
-    for each in checked.resonances:
+    for harmonic, frequency in checked.resonances:
         yield ModelFinding(
             "warning",
-            f"Harmonic {each.harmonic + 1} of the forcing, {each.frequency:g} rad/s, is at the"
+            f"Harmonic {harmonic + 1} of the forcing, {frequency:g} rad/s, is at the"
             " frequency of an undamped mode: without impacts its amplitude grows without bound.",
         )
 
@@ -136,17 +121,17 @@ def _unseen(checked: ModelCheck) -> Iterator[ModelFinding]:
     if not system.m:
         yield ModelFinding("warning", "There are no contacts: no event ever corrects an estimate.")
         return
-    for each in checked.unseen[:_SHOWN]:
-        if each.frequency:
-            what = f"the mode at {each.frequency:.4g} rad/s"
-        elif each.decay:
-            what = f"the mode that decays at {-each.decay:.4g} 1/s"
+    for value, shape in checked.unseen[:_SHOWN]:
+        if value.imag:
+            what = f"the mode at {value.imag:.4g} rad/s"
+        elif value.real:
+            what = f"the mode that decays at {-value.real:.4g} 1/s"
         else:
             what = "the rigid-body mode"
-        fate = "only damping takes it away" if each.decay else "it stays"
+        fate = "only damping takes it away" if value.real else "it stays"
         yield ModelFinding(
             "warning",
-            f"No contact sees {what}, {_shape(system, each.shape)}: no law ever corrects an error"
+            f"No contact sees {what}, {_shape(system, shape)}: no law ever corrects an error"
             f" of it, {fate}.",
         )
     if (more := len(checked.unseen) - _SHOWN) > 0:
@@ -159,14 +144,9 @@ def _unseen(checked: ModelCheck) -> Iterator[ModelFinding]:
         )
 
 
-def contact_names(system: System, contacts: Sequence[int]) -> list[str]:
-    """The names of contacts, given by their indices."""
-    return [system.contact_names[i] for i in contacts]
-
-
 def _contacts(system: System, contacts: Sequence[int]) -> str:
     """``Contacts a, b and c``; of a long list the first names and how many more there are."""
-    names = contact_names(system, contacts)
+    names = [system.contact_names[i] for i in contacts]
     if len(names) > 2 * _SHOWN:
         names = [*names[:_SHOWN], f"{len(names) - _SHOWN} more"]
     return f"Contacts {', '.join(names[:-1])} and {names[-1]}"
@@ -174,7 +154,7 @@ def _contacts(system: System, contacts: Sequence[int]) -> str:
 
 def _restitutions(system: System, contacts: Sequence[int]) -> str:
     """The coefficients of few contacts, the range of many."""
-    values = [float(system.eps[i]) for i in contacts]
+    values = system.eps[list(contacts)]
     if len(values) > 2 * _SHOWN:
         return f"{min(values):g} to {max(values):g}"
     return ", ".join(f"{value:g}" for value in values)

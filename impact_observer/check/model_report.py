@@ -1,19 +1,16 @@
 """A model check as text with tables, and as figures for ``--json``."""
 
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from math import tau
 
-from rich.console import Console
 from rich.table import Table
 
 from impact_observer.check.findings import times
 from impact_observer.check.model_check import ModelCheck
-from impact_observer.check.model_findings import contact_names, findings
+from impact_observer.check.model_findings import findings
+from impact_observer.draw.text_tables import console, facts_table, plain_table
 from impact_observer.model import Forcing
 
-_WIDTH = 100
-"""Columns where there is no terminal."""
 _ENDS = 4
 """Rows shown at either end of a long table."""
 
@@ -21,6 +18,10 @@ _ENDS = 4
 def figures(checked: ModelCheck) -> dict[str, object]:
     """What ``--json`` prints; SI units, contacts by name, None for what is not decided."""
     system = checked.system
+
+    def names(contacts: Iterable[int]) -> list[str]:
+        return [system.contact_names[i] for i in contacts]
+
     return {
         "name": system.name,
         "n": system.n,
@@ -28,32 +29,30 @@ def figures(checked: ModelCheck) -> dict[str, object]:
         "undamped_frequencies": checked.undamped.tolist(),
         "modes": [
             {
-                "natural_frequency": mode.natural,
-                "damped_frequency": mode.frequency,
-                "damping_ratio": mode.damping_ratio,
-                "decay": -mode.decay + 0.0,
+                "natural_frequency": abs(mode),
+                "damped_frequency": mode.imag,
+                "damping_ratio": abs(mode.real) / abs(mode),
+                "decay": abs(mode.real),
             }
-            for mode in checked.modes
+            for mode in checked.modes.tolist()
         ],
         "real_eigenvalues": checked.rates.tolist(),
         "rigid_modes": checked.rigid.tolist(),
-        "resonances": [
-            {"harmonic": r.harmonic, "frequency": r.frequency} for r in checked.resonances
-        ],
+        "resonances": [{"harmonic": k, "frequency": omega} for k, omega in checked.resonances],
         "unseen": [
-            {"decay": -u.decay + 0.0, "frequency": u.frequency, "shape": u.shape.tolist()}
-            for u in checked.unseen
+            {"decay": abs(value.real), "frequency": value.imag, "shape": shape.tolist()}
+            for value, shape in checked.unseen
         ],
         "contacts": [
             {"name": c.name, "gap": c.gap, "restitution": c.restitution, "effective_mass": mass}
             for c, mass in zip(system.contacts, checked.effective_mass.tolist(), strict=True)
         ],
-        "redundant": [contact_names(system, contacts) for contacts in checked.redundant.sets],
+        "redundant": [names(contacts) for contacts in checked.redundant.sets],
         "redundant_decided": checked.redundant.decided,
         "nonexpansive": checked.nonexpansive,
         "expansive": [
             {
-                "contacts": contact_names(system, each.contacts),
+                "contacts": names(each.contacts),
                 "factor": each.factor,
                 "contact_speeds": [each.one.tolist(), each.two.tolist()],
             }
@@ -65,23 +64,14 @@ def figures(checked: ModelCheck) -> dict[str, object]:
 
 def print_check(checked: ModelCheck) -> None:
     """Print tables and findings."""
-    width = None if sys.stdout.isatty() else _WIDTH
-    console = Console(highlight=False, markup=False, width=width)
-    system = checked.system
-    console.print(
+    output, system = console(100), checked.system
+    output.print(
         f"{system.name}: {times(system.n, 'coordinate')}, {times(system.m, 'contact')},"
         f" {_forcing(system.forcing)}"
     )
-    for table in _tables(checked):
-        console.print()
-        console.print(table)
-    words = Table.grid(padding=(0, 2))
-    words.add_column(no_wrap=True)
-    words.add_column(overflow="fold")
-    for finding in findings(checked):
-        words.add_row(*finding)
-    console.print()
-    console.print(words)
+    for table in (*_tables(checked), facts_table(findings(checked))):
+        output.print()
+        output.print(table)
 
 
 def _forcing(forcing: Forcing) -> str:
@@ -97,37 +87,35 @@ def _tables(checked: ModelCheck) -> Iterator[Table]:
     """Frequencies without damping, modes with damping, contacts."""
     undamped = [
         (str(i), f"{omega:.6g}", f"{omega / tau:.6g}", "" if omega else "rigid body")
-        for i, omega in enumerate(checked.undamped.tolist(), start=1)
+        for i, omega in enumerate(checked.undamped, start=1)
     ]
     yield _table(("without damping", "rad/s", "Hz", ""), undamped)
     modes = [
         (
             str(i),
-            f"{mode.frequency:.6g}",
-            f"{mode.frequency / tau:.6g}",
-            f"{mode.damping_ratio:.4g}",
-            f"{-1 / mode.decay:.4g}" if mode.decay else "never",
+            f"{mode.imag:.6g}",
+            f"{mode.imag / tau:.6g}",
+            f"{abs(mode.real) / abs(mode):.4g}",
+            f"{-1 / mode.real:.4g}" if mode.real else "never",
         )
         for i, mode in enumerate(checked.modes, start=1)
     ]
     modes += [
         ("overdamped" if rate else "free", "", "", "", f"{-1 / rate:.4g}" if rate else "never")
-        for rate in reversed(checked.rates.tolist())
+        for rate in reversed(checked.rates)
     ]
     yield _table(("with damping", "rad/s", "Hz", "damping ratio", "s to 1/e"), modes)
     if contacts := checked.system.contacts:
         rows = [
             (c.name, f"{c.gap:g}", f"{c.restitution:g}", f"{mass:.4g}")
-            for c, mass in zip(contacts, checked.effective_mass.tolist(), strict=True)
+            for c, mass in zip(contacts, checked.effective_mass, strict=True)
         ]
         yield _table(("contact", "gap", "restitution", "effective mass"), rows)
 
 
-def _table(headers: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:
+def _table(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:
     """A table; of a long one the first and last rows."""
-    table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
-    for k, header in enumerate(headers):
-        table.add_column(header, justify="right" if k and header else "left", overflow="fold")
+    table = plain_table(*headings, words=(headings[0], ""))
     if (left_out := len(rows) - 2 * _ENDS) > 1:
         rows = [*rows[:_ENDS], (f"... {left_out} more in --json",), *rows[-_ENDS:]]
     for row in rows:

@@ -182,7 +182,7 @@ def test_stops_without_clearance_are_a_warning(
     assert "No position is clear of all stops" in printed(capsys, written(tmp_path, position))
     contacts = [([1.0], -0.1, 0.5), ([-1.0], -0.1, 0.5)]
     contradicting = check(system(1, 1, 1, contacts=contacts))  # no file can: it needs a position
-    assert "Every position is inside some stop" in findings(contradicting)[1].text
+    assert "Every position is inside some stop" in findings(contradicting)[1][1]
 
 
 def test_an_undecided_question_is_a_warning(
