@@ -67,7 +67,7 @@ def switch(**given: object) -> Source:
 
 
 def peak(threshold: float, **given: object) -> Source:
-    """A peak likewise."""
+    """A peak detector at its defaults but for what is given."""
     source = Source("stop", "/force", threshold=threshold, **given)  # type: ignore[arg-type]
     return source.complete(FLOAT)
 

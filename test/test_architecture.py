@@ -1,7 +1,9 @@
 """The house: who may import whom, and what every test owes its reader."""
 
 import ast
+import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -16,6 +18,12 @@ TESTS = ROOT / "test"
 
 LEVELS = {room.name: level for level, rooms in enumerate(ROOMS, 1) for room in rooms}
 """The modules beside the rooms are the vocabulary, level 0."""
+PRIVATE_WORDS = {
+    *("likewise", "heard", "unheard", "hears", "overheard", "believed", "believes", "foretold"),
+    *("astray", "telling", "glance", "anew", "surety", "invented", "invents", "spoken"),
+}
+"""Words that a reader of the field would have to learn first."""
+PAGES = [*ROOT.glob("*.md"), *sorted(ROOT.glob("docs/*.md")), ROOT / "bags" / "README.md"]
 CORE = ("model", "dynamics", "plant", "estimation", "observer")
 ALLOWED = {"numpy", "scipy", *sys.stdlib_module_names} - {"argparse"}
 ENTRANCE = {"__init__.py", "__main__.py"}
@@ -120,6 +128,31 @@ def test_core_prints_nothing(path: Path) -> None:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     }
     assert not called & {"print", "input", "breakpoint"}
+
+
+def test_no_file_name_stands_twice() -> None:
+    """A name says which file is meant."""
+    stems = Counter(path.stem for path in modules() if path.name != "__init__.py")
+    assert [stem for stem, count in stems.items() if count > 1] == []
+
+
+def test_no_class_name_stands_twice() -> None:
+    """A class name has one meaning in the whole package."""
+    classes = Counter(
+        node.name
+        for path in modules()
+        for node in parsed(path).body
+        if isinstance(node, ast.ClassDef)
+    )
+    assert [name for name, count in classes.items() if count > 1] == []
+
+
+@pytest.mark.parametrize("path", [*modules(), *sorted(TESTS.rglob("*.py")), *PAGES], ids=named)
+def test_words_are_those_of_the_field(path: Path) -> None:
+    """Names and prose are for readers who know ROS, estimation and multibody dynamics."""
+    text = path.read_text(encoding="utf-8").lower().replace("_", " ")
+    if path != Path(__file__).resolve():
+        assert PRIVATE_WORDS & set(re.findall("[a-z]+", text)) == set()
 
 
 def is_test(node: ast.AST) -> bool:

@@ -34,7 +34,7 @@ def test_the_readme_begins_with_the_two_commands() -> None:
 
 @pytest.mark.parametrize("path", TABLES, ids=lambda path: path.name)
 def test_tables_of_options_and_samples_of_parameters_are_those_of_the_code(path: Path) -> None:
-    """Where they differ, ./dev docs writes them anew."""
+    """Where they differ, ./dev docs writes them again."""
     assert path.read_text(encoding="utf-8") == TABLES[path]
 
 

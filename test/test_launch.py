@@ -381,11 +381,11 @@ def test_demo_launch_runs_and_estimates(
     from impact_observer.ros.qos import qos_profile
 
     quality = qos_profile(interfaces.STATES)
-    heard = {law: [0, 0] for law in LAWS}
+    received = {law: [0, 0] for law in LAWS}
 
     def count(law: str, kind: int) -> Callable[[object], None]:
         def add(_: object) -> None:
-            heard[law][kind] += 1
+            received[law][kind] += 1
 
         return add
 
@@ -408,4 +408,6 @@ def test_demo_launch_runs_and_estimates(
             output, _ = process.communicate()
     assert process.returncode == 0, output
     assert "process has died" not in output, output
-    assert all(estimates > 200 and errors > 200 for estimates, errors in heard.values()), heard
+    assert all(estimates > 200 and errors > 200 for estimates, errors in received.values()), (
+        received
+    )

@@ -66,7 +66,7 @@ def urdf(
             cannot be written.
     """
     from impact_observer.draw.scene.scene import Scene
-    from impact_observer.draw.urdf import urdf_text
+    from impact_observer.draw.urdf_text import urdf_text
     from impact_observer.model import read_model
 
     for name, value in (("reach", reach), ("row", row)):

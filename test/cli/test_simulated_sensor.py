@@ -67,7 +67,7 @@ def test_events_of_the_bag_are_those_of_the_sensor_at_their_reception(
     assert f"{len(expected)} events of a sensor with delay, jitter" in said.out + said.err
 
 
-def test_ideal_sensor_is_not_spoken_of(tmp_path: Path) -> None:
+def test_ideal_sensor_is_not_mentioned(tmp_path: Path) -> None:
     """No fault by default; provenance names those that were chosen."""
     bag = tmp_path / "bag"
     assert main(["simulate", "two_mass", "--duration", "5", "-o", str(bag)]) == 0

@@ -8,7 +8,7 @@ from systems import chain
 
 from impact_observer.cli.main import main
 from impact_observer.draw.scene.scene import Scene
-from impact_observer.draw.urdf import urdf_text
+from impact_observer.draw.urdf_text import urdf_text
 from impact_observer.model import read_model
 
 

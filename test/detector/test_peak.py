@@ -72,7 +72,7 @@ def test_the_top_of_a_parabola_is_exact_for_uneven_samples(
     st.integers(0, 2**32 - 1),
     st.sampled_from([1000, 4000]),
 )
-def test_noise_neither_hides_nor_invents_a_peak(gaps: list[float], seed: int, rate: int) -> None:
+def test_noise_neither_hides_nor_adds_a_peak(gaps: list[float], seed: int, rate: int) -> None:
     """Half-sines of 8 ms with a tenth of noise: each is found once, to within a millisecond."""
     tops = 0.05 + np.cumsum(gaps)
     stamps = every(S // rate, int((tops[-1] + 0.1) * rate))

@@ -7,7 +7,7 @@ import pytest
 from systems import system
 
 from impact_observer.draw.scene.scene import Scene
-from impact_observer.draw.urdf import urdf_text
+from impact_observer.draw.urdf_text import urdf_text
 from impact_observer.model import read_model
 
 

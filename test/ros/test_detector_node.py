@@ -66,7 +66,7 @@ class Rig:
         return publisher
 
     def until_events(self, count: int) -> None:
-        """Spin until so many events were heard."""
+        """Spin until so many events were received."""
         self.spinner.until(lambda: len(self.events) >= count)
 
     def diagnosis(self, contact: str) -> DiagnosticStatus:
@@ -110,7 +110,7 @@ def rig(ros_environment: dict[str, str], sources: Path) -> Iterator[Rig]:
 
 
 @pytest.mark.parametrize("quality", [STATES, BEST_EFFORT], ids=["reliable", "best effort"])
-def test_a_switch_is_heard_whatever_its_quality_of_service(rig: Rig, quality: Quality) -> None:
+def test_a_switch_is_received_whatever_its_quality_of_service(rig: Rig, quality: Quality) -> None:
     """A short closure, then one that lasts and says no more until it opens."""
     switch = rig.sensor(Bool, "switch", quality)
     before = time.time_ns()
@@ -133,7 +133,7 @@ def test_a_switch_is_heard_whatever_its_quality_of_service(rig: Rig, quality: Qu
     assert rig.events[3].switches == (Switch("stop", Kind.OPEN),)
 
 
-def test_a_less_reliable_publisher_that_comes_later_is_heard_too(rig: Rig) -> None:
+def test_a_less_reliable_publisher_that_comes_later_is_received_too(rig: Rig) -> None:
     """The subscription asks for what all offer."""
     rig.sensor(Bool, "switch", STATES)
     second = rig.sensor(Bool, "switch", BEST_EFFORT)
@@ -145,7 +145,7 @@ def test_a_less_reliable_publisher_that_comes_later_is_heard_too(rig: Rig) -> No
 def test_a_latched_switch_that_was_closed_before_the_node_began_is_known(
     ros_environment: dict[str, str], sources: Path
 ) -> None:
-    """With the stamp of its closing; a publisher that does not latch later on is heard too."""
+    """With the stamp of its closing; a publisher that does not latch later on is received too."""
     assert ros_environment
     with spinning(ros_arguments({"sources": sources, "epoch": EPOCH})) as spinner:
         latched = spinner.probe.create_publisher(
@@ -212,7 +212,7 @@ def test_diagnostics_tell_of_each_sensor(rig: Rig) -> None:
 def test_a_clock_that_jumps_back_is_a_new_episode(
     ros_environment: dict[str, str], sources: Path
 ) -> None:
-    """Under simulated time, which stamps what has no header; before it begins nothing is heard."""
+    """Under simulated time, which stamps messages without a header; nothing before it begins."""
     assert ros_environment
     with spinning(ros_arguments({"sources": sources, "use_sim_time": True})) as spinner:
         rig = make_rig(spinner)
@@ -297,25 +297,25 @@ def test_a_bag_that_is_played_gives_the_events_that_detect_finds(
     with BagReader(output) as reader:
         wanted = events_in(reader)
     assert len(wanted) == 12
-    heard: list[Event] = []
+    received: list[Event] = []
     arguments = ros_arguments({"sources": sources, "use_sim_time": True})
     with (
         running_node("detector", arguments, ros_environment) as process,
         spinning() as spinner,
     ):
         spinner.probe.create_subscription(
-            ImpactEvent, "impacts", lambda m: heard.append(read_event(m)), qos_profile(EVENTS)
+            ImpactEvent, "impacts", lambda m: received.append(read_event(m)), qos_profile(EVENTS)
         )
         with BagReader(bag) as reader, ros_node("player") as (node, _):
             player = Player(node, reader, Playing(clock_rate=200.0, rate=0.3))
             assert player.wait_for_subscribers(PATIENCE)
             player.play()
             player.finish()
-        spinner.until(lambda: len(heard) >= len(wanted))
+        spinner.until(lambda: len(received) >= len(wanted))
         assert interrupt(process)[0] == 0
-    heard.sort(key=lambda e: (e.stamp, e.sequence))
-    assert [e.switches for e in heard] == [e.switches for e in wanted]
-    late = [abs(a.stamp - b.stamp) for a, b in zip(heard, wanted, strict=True)]
+    received.sort(key=lambda e: (e.stamp, e.sequence))
+    assert [e.switches for e in received] == [e.switches for e in wanted]
+    late = [abs(a.stamp - b.stamp) for a, b in zip(received, wanted, strict=True)]
     assert max(late) <= 60 * MS
 
 

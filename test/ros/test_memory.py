@@ -1,4 +1,4 @@
-"""Memory of an observer node: what it keeps does not grow with what it has heard."""
+"""Memory of an observer node: what it keeps does not grow with what it has received."""
 
 import gc
 import tracemalloc

@@ -96,7 +96,7 @@ class Rig:
         return {each.key: each.value for each in self.diagnostics[-1].values}
 
     def estimates(self) -> list[Estimate]:
-        """All estimates heard so far."""
+        """All estimates received so far."""
         return [read_estimate(message)[1] for message in self.states]
 
 
@@ -158,9 +158,9 @@ def assert_same(estimate: Estimate, wanted: Estimate) -> None:
 def test_estimates_stand_on_the_grid_of_the_epoch(rig: Rig) -> None:
     """Stamps are epoch + k / rate; each state is that of the same observer without ROS."""
     rig.tick(EPOCH + 35_000_000)
-    heard = rig.estimates()
-    assert [each.stamp - EPOCH for each in heard] == [0, 10_000_000, 20_000_000, 30_000_000]
-    for each in heard:
+    received = rig.estimates()
+    assert [each.stamp - EPOCH for each in received] == [0, 10_000_000, 20_000_000, 30_000_000]
+    for each in received:
         assert_same(each, replica().estimate(each.stamp))
 
 
@@ -225,9 +225,9 @@ def test_a_clock_that_jumps_back_begins_again(rig: Rig) -> None:
     rig.states.clear()
     rig.tick(EPOCH + 1)
     rig.tick(EPOCH + 12_000_000)
-    heard = rig.estimates()
-    assert [each.stamp - EPOCH for each in heard] == [0, 10_000_000]
-    for each in heard:
+    received = rig.estimates()
+    assert [each.stamp - EPOCH for each in received] == [0, 10_000_000]
+    for each in received:
         assert_same(each, replica().estimate(each.stamp))
 
 
@@ -244,20 +244,20 @@ def test_a_new_episode_begins_again_at_its_epoch(rig: Rig) -> None:
     assert_same(last, replica(again).estimate(last.stamp))
 
 
-def test_a_plant_started_anew_is_followed_and_its_past_is_not(rig: Rig) -> None:
+def test_a_plant_started_again_is_followed_and_its_past_is_not(rig: Rig) -> None:
     """The later epoch wins, though episodes count from 0 again; what is older is refused."""
     rig.tick(EPOCH + 10_000_000)
     rig.send(event(EPOCH + 5_000_000, 1, episode=3))
     moved = EPOCH + 100_000_000
     rig.tick(moved + 1_000_000)
-    anew = event(moved + 500_000, 1, episode=0, epoch=moved)
-    rig.send(anew)
+    restarted = event(moved + 500_000, 1, episode=0, epoch=moved)
+    rig.send(restarted)
     rig.send(event(EPOCH + 6_000_000, 2, episode=3))
     rulings = [Ruling(verdict.verdict) for verdict in rig.verdicts]
     assert rulings == [Ruling.APPLIED, Ruling.APPLIED, Ruling.REJECTED]
     rig.tick(moved + 10_000_000)
     last = rig.estimates()[-1]
-    assert_same(last, replica(anew).estimate(last.stamp))
+    assert_same(last, replica(restarted).estimate(last.stamp))
 
 
 def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
@@ -355,14 +355,14 @@ def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
         rig.send(intime)
         assert rig.verdicts[-1].reason == ""
         rig.tick(EPOCH + 70_000_000)
-        heard = rig.estimates()
+        received = rig.estimates()
         stamps = [0, 10_000_000, 20_000_000, 30_000_000, 40_000_000]
-        assert [each.stamp - EPOCH for each in heard] == stamps, "each once"
-        for each in heard:
+        assert [each.stamp - EPOCH for each in received] == stamps, "each once"
+        for each in received:
             assert_same(each, replica(intime).estimate(each.stamp))
         rig.send(late)
         assert rig.verdicts[-1].reason == "later than lag: the last estimate is published again"
-        rig.spinner.until(lambda: len(rig.states) > len(heard))
+        rig.spinner.until(lambda: len(rig.states) > len(received))
         last = rig.estimates()[-1]
         assert_same(last, replica(intime, late).estimate(EPOCH + 40_000_000))
         assert rig.figures()["estimates corrected"] == "1"
@@ -387,11 +387,11 @@ def test_a_state_set_behind_a_lag_obeys_events_that_are_known_already(
         wanted = replica()
         wanted.set_state(EPOCH + 20_000_000, [0.1, 0.2], [0.3, 0.4])
         wanted.receive(known)
-        heard = rig.estimates()
-        assert [each.stamp - EPOCH for each in heard] == [k * 10_000_000 for k in range(7)]
-        for each in heard[3:]:
+        received = rig.estimates()
+        assert [each.stamp - EPOCH for each in received] == [k * 10_000_000 for k in range(7)]
+        for each in received[3:]:
             assert_same(each, wanted.estimate(each.stamp))
-        assert heard[-1].last_sequence == 1
+        assert received[-1].last_sequence == 1
 
 
 def test_a_lag_beyond_the_history_is_refused(ros_environment: dict[str, str]) -> None:
@@ -484,7 +484,7 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
 def test_a_publisher_that_is_not_durable_enough_is_an_error_diagnostic(
     ros_environment: dict[str, str],
 ) -> None:
-    """Who asks for transient_local never hears a volatile publisher; it is told so."""
+    """Who asks for transient_local never receives a volatile publisher; it is told so."""
     assert ros_environment
     wanted = {**PARAMETERS, "events_durability": "transient_local"}
     with spinning(ros_arguments(wanted)) as spinner:
@@ -545,8 +545,10 @@ def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str
             )
         )
         spinner.settle(0.5)
-        heard = {name for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")}
-        assert heard <= {"/impacts", "/clock", "/parameter_events"}
+        received = {
+            name for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")
+        }
+        assert received <= {"/impacts", "/clock", "/parameter_events"}
 
 
 def test_events_that_contradict_what_was_declared_are_a_warning(

@@ -46,7 +46,7 @@ sys.exit(play.run(parser.parse_args()))
 """
 
 
-class Heard(NamedTuple):
+class Received(NamedTuple):
     """A message and when it came, s."""
 
     topic: str
@@ -55,9 +55,9 @@ class Heard(NamedTuple):
 
 
 @contextmanager
-def listening(*topics: str) -> Iterator[list[Heard]]:
-    """What a node in this process hears on some topics; spun in a thread."""
-    heard: list[Heard] = []
+def listening(*topics: str) -> Iterator[list[Received]]:
+    """What a node in this process receives on some topics; spun in a thread."""
+    received: list[Received] = []
     done = threading.Event()
     with ros_node("listener") as (node, executor):
         for topic in topics:
@@ -66,7 +66,9 @@ def listening(*topics: str) -> Iterator[list[Heard]]:
             node.create_subscription(
                 message_class(known.type),
                 topic,
-                lambda message, topic=topic: heard.append(Heard(topic, time.monotonic(), message)),
+                lambda message, topic=topic: received.append(
+                    Received(topic, time.monotonic(), message)
+                ),
                 qos_profile(known.quality),
             )
 
@@ -77,29 +79,29 @@ def listening(*topics: str) -> Iterator[list[Heard]]:
         thread = threading.Thread(target=spin)
         thread.start()
         try:
-            yield heard
+            yield received
         finally:
             done.set()
             thread.join()
 
 
-def wait_for(heard: list[Heard], count: int) -> None:
+def wait_for(received: list[Received], count: int) -> None:
     """Wait until that many messages have come."""
     latest = time.monotonic() + PATIENCE
-    while len(heard) < count:
-        assert time.monotonic() < latest, f"{len(heard)} of {count} came"
+    while len(received) < count:
+        assert time.monotonic() < latest, f"{len(received)} of {count} came"
         time.sleep(0.02)
 
 
-def stamps(heard: list[Heard]) -> list[int]:
-    """Stamps of the events heard, ns."""
-    messages: list[AnyMessage] = [h.message for h in heard if h.topic == "/impacts"]
+def stamps(received: list[Received]) -> list[int]:
+    """Stamps of the events received, ns."""
+    messages: list[AnyMessage] = [h.message for h in received if h.topic == "/impacts"]
     return [read_event(message).stamp for message in messages]
 
 
-def clock(heard: list[Heard]) -> list[int]:
+def clock(received: list[Received]) -> list[int]:
     """What the clock showed, ns."""
-    messages: list[AnyMessage] = [h.message for h in heard if h.topic == "/clock"]
+    messages: list[AnyMessage] = [h.message for h in received if h.topic == "/clock"]
     return [read_stamp("clock", message.clock) for message in messages]
 
 
@@ -111,14 +113,14 @@ def test_messages_come_when_they_are_due(
     assert ros_environment
     with BagReader(sample_bag) as reader:
         wanted = [event.stamp for event in reader.events()]
-    with listening("/impacts", "/plant/joint_states") as heard:
+    with listening("/impacts", "/plant/joint_states") as received:
         count = play(
             sample_bag, Playing(["/impacts", "/plant/joint_states"], rate), delay=PATIENCE
         )
-        wait_for(heard, count)
-    assert count == len(heard) == 62
-    assert stamps(heard) == wanted
-    times = np.array([each.at for each in heard if each.topic == "/impacts"])
+        wait_for(received, count)
+    assert count == len(received) == 62
+    assert stamps(received) == wanted
+    times = np.array([each.at for each in received if each.topic == "/impacts"])
     late = (times - times[0]) - (np.array(wanted) - wanted[0]) * 1e-9 / rate
     assert abs(np.median(late)) < 0.02
     assert np.abs(late).max() < 0.2
@@ -129,12 +131,12 @@ def test_clock_shows_the_time_of_every_message_and_ticks_between(
 ) -> None:
     """It never goes back in one pass, and ends with the last message."""
     assert ros_environment
-    with listening("/impacts", "/clock") as heard:
+    with listening("/impacts", "/clock") as received:
         play(sample_bag, Playing(["/impacts"], 2.0, clock_rate=200.0), delay=PATIENCE)
-        wait_for(heard, 11 + 51)
-    times = clock(heard)
+        wait_for(received, 11 + 51)
+    times = clock(received)
     assert times == sorted(times)
-    assert set(stamps(heard)) <= set(times)
+    assert set(stamps(received)) <= set(times)
     assert times == [1_000_000_000 + k * 10_000_000 for k in range(51)]
 
 
@@ -143,7 +145,7 @@ def test_loop_begins_again_and_the_clock_jumps_back(
 ) -> None:
     """Until it is told to end."""
     assert ros_environment
-    with listening("/impacts", "/clock") as heard:
+    with listening("/impacts", "/clock") as received:
         with BagReader(sample_bag) as reader, ros_node("player") as (node, _):
             player = Player(node, reader, Playing(["/impacts"], 5.0, loop=True, clock_rate=100.0))
             assert player.wait_for_subscribers(PATIENCE)
@@ -151,11 +153,11 @@ def test_loop_begins_again_and_the_clock_jumps_back(
             player.play(lambda: player.count < 30)
             took = time.monotonic() - begin
             player.finish()
-        wait_for(heard, 30)
+        wait_for(received, 30)
         time.sleep(0.2)
     once = [1_000_000_000 + k * 50_000_000 for k in range(11)]
-    assert stamps(heard)[:30] == (once * 3)[:30]
-    assert sum(b < a for a, b in zip(clock(heard), clock(heard)[1:], strict=False)) == 2
+    assert stamps(received)[:30] == (once * 3)[:30]
+    assert sum(b < a for a, b in zip(clock(received), clock(received)[1:], strict=False)) == 2
     assert took == pytest.approx(2.7 * 0.1, abs=0.1)
 
 
@@ -164,12 +166,12 @@ def test_start_skips_messages_but_not_latched_values(
 ) -> None:
     """An observer still gets the model."""
     assert ros_environment
-    with listening("/impacts", "/plant/model") as heard:
+    with listening("/impacts", "/plant/model") as received:
         how = Playing(["/impacts", "/plant/model"], 5.0, start=0.3)
         play(sample_bag, how, delay=PATIENCE)
-        wait_for(heard, 6)
-    assert heard[0].topic == "/plant/model" or heard[1].topic == "/plant/model"
-    assert stamps(heard) == [1_300_000_000 + k * 50_000_000 for k in range(5)]
+        wait_for(received, 6)
+    assert received[0].topic == "/plant/model" or received[1].topic == "/plant/model"
+    assert stamps(received) == [1_300_000_000 + k * 50_000_000 for k in range(5)]
 
 
 def test_late_listener_gets_events_and_model_until_the_end(
@@ -182,11 +184,11 @@ def test_late_listener_gets_events_and_model_until_the_end(
         player.play()
         infos = node.get_publishers_info_by_topic("/impacts")
         offered = [offered_quality(info.qos_profile, depth=2000) for info in infos]
-        with listening("/impacts", "/plant/model") as heard:
+        with listening("/impacts", "/plant/model") as received:
             player.finish()
-            wait_for(heard, 12)
+            wait_for(received, 12)
     assert offered == [interfaces.EVENTS]
-    assert len(stamps(heard)) == 11
+    assert len(stamps(received)) == 11
 
 
 def test_recorded_clock_gives_way_to_the_player_s_own(
@@ -257,13 +259,13 @@ def test_signal_ends_a_loop_well(
     """Exit code 0 and a line that says how far it got."""
     command = [sys.executable, "-c", PLAY, str(sample_bag), "--loop", "--clock"]
     with (
-        listening("/impacts") as heard,
+        listening("/impacts") as received,
         subprocess.Popen(
             command, env=ros_environment, stdout=subprocess.PIPE, text=True
         ) as process,
     ):
         try:
-            wait_for(heard, 15)
+            wait_for(received, 15)
             process.send_signal(number)
             said, _ = process.communicate(timeout=PATIENCE)
         finally:
@@ -310,16 +312,16 @@ def test_pause_holds_messages_while_the_clock_stands_still(
     """And ticks on; afterwards everything comes, later by the pause."""
     assert ros_environment
     how = Playing(["/impacts"], clock_rate=100.0)
-    with listening("/impacts", "/clock") as heard, player_of(sample_bag, how) as player:
+    with listening("/impacts", "/clock") as received, player_of(sample_bag, how) as player:
         assert player.wait_for_subscribers(PATIENCE)
         acts = (lambda: player.count == 3, Control.PAUSE), (after(0.5), Control.PAUSE)
         begin = time.monotonic()
         player.play(Script(player, *acts))
         took = time.monotonic() - begin
         player.finish()
-        wait_for(heard, 11 + 60)
-    assert len(stamps(heard)) == 11
-    times = clock(heard)
+        wait_for(received, 11 + 60)
+    assert len(stamps(received)) == 11
+    times = clock(received)
     assert times == sorted(times)
     longest = max(times.count(each) for each in times)
     assert 20 < longest < 80
@@ -332,7 +334,7 @@ def test_single_messages_are_sent_while_paused(
     """The clock goes with them, and playing goes on from there; it may begin so."""
     assert ros_environment
     how = Playing(["/impacts"], rate=2.0, paused=True, clock_rate=100.0)
-    with listening("/impacts", "/clock") as heard, player_of(sample_bag, how) as player:
+    with listening("/impacts", "/clock") as received, player_of(sample_bag, how) as player:
         assert player.wait_for_subscribers(PATIENCE)
         acts = [(after(0.1), Control.NEXT) for _ in range(4)]
         counts: list[int] = []
@@ -346,10 +348,10 @@ def test_single_messages_are_sent_while_paused(
 
         player.play(keep_on)
         player.finish()
-        wait_for(heard, 11 + 40)
-    assert stamps(heard) == [1_000_000_000 + k * 50_000_000 for k in range(11)]
+        wait_for(received, 11 + 40)
+    assert stamps(received) == [1_000_000_000 + k * 50_000_000 for k in range(11)]
     assert len(counts) > 2
-    times = clock(heard)
+    times = clock(received)
     assert times == sorted(times)
     assert times.count(1_150_000_000) > 5
 
@@ -374,15 +376,15 @@ def test_only_a_part_is_played(sample_bag: Path, ros_environment: dict[str, str]
     """From the start, as long as was said; again and again if wanted."""
     assert ros_environment
     how = Playing(["/impacts"], start=0.1, duration=0.22, loop=True)
-    with listening("/impacts") as heard, player_of(sample_bag, how) as player:
+    with listening("/impacts") as received, player_of(sample_bag, how) as player:
         assert player.wait_for_subscribers(PATIENCE)
         begin = time.monotonic()
         player.play(lambda: player.count < 11)
         took = time.monotonic() - begin
         player.finish()
-        wait_for(heard, 11)
+        wait_for(received, 11)
     once = [1_100_000_000 + k * 50_000_000 for k in range(5)]
-    assert stamps(heard) == [*once, *once, *once[:1]]
+    assert stamps(received) == [*once, *once, *once[:1]]
     assert took == pytest.approx(0.44, abs=0.1)
     assert player.length == pytest.approx(0.22)
 
@@ -423,12 +425,12 @@ def test_late_listener_gets_the_model_in_a_later_pass(
         try:
             while player.count < 20:
                 time.sleep(0.01)
-            with listening("/plant/model") as heard:
-                wait_for(heard, 1)
+            with listening("/plant/model") as received:
+                wait_for(received, 1)
         finally:
             done.set()
             thread.join()
-    assert heard[0].topic == "/plant/model"
+    assert received[0].topic == "/plant/model"
 
 
 def test_keys_pause_a_command_and_end_it(

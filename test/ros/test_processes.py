@@ -60,7 +60,7 @@ def test_plant_and_observer_processes_converge_on_the_topic(
         )
         spinner.until(lambda: spinner.probe.count_publishers("monitor/error") == 1)
         with running_node("plant", plant, ros_environment) as third:
-            # Until the observer has heard the clock it passes estimates over.
+            # Until the observer has received the clock it skips estimates.
             spinner.until(lambda: times and times[-1] > 0)
             spinner.probe.create_subscription(
                 ImpactEvent, "impacts", lambda _: None, qos_profile(EVENTS)
@@ -104,8 +104,8 @@ def test_a_body_at_rest_on_its_stop_is_told_as_closed(
         spinning() as spinner,
     ):
         probe = spinner.probe
-        heard = qos_profile(Quality(transient_local=True, depth=10))
-        probe.create_subscription(ImpactEvent, "impacts", events.append, heard)
+        received = qos_profile(Quality(transient_local=True, depth=10))
+        probe.create_subscription(ImpactEvent, "impacts", events.append, received)
         seen = qos_profile(Quality(depth=1000))
         probe.create_subscription(JointState, "plant/joint_states", truth.append, seen)
         probe.create_subscription(ObserverState, "observer/state", states.append, seen)

@@ -140,7 +140,7 @@ def test_latched_and_earlier_messages_are_recorded_by_a_late_recorder(
         assert bag.topics["/plant/model"].quality == interfaces.LATCHED
 
 
-def test_best_effort_publishers_are_heard_too(
+def test_best_effort_publishers_are_received_too(
     tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
     """A reliable subscription would never connect to them."""

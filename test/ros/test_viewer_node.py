@@ -56,7 +56,7 @@ class Rig:
     spinner: Spinner
     states: dict[str, Publisher]
     impacts: Publisher
-    heard: list[MarkerArray] = field(default_factory=list)
+    received: list[MarkerArray] = field(default_factory=list)
 
     def say(self, owner: str, stamp: int, q: list[float]) -> None:
         """Publish a state."""
@@ -70,10 +70,10 @@ class Rig:
 
     def shown(self, row: str, stamp: int) -> list[Marker]:
         """The next markers of a row whose state has a stamp."""
-        del self.heard[:]
+        del self.received[:]
         wanted = ros_messages().time(stamp)
-        self.spinner.until(lambda: any(self._of(each, row, wanted) for each in self.heard))
-        return next(found for each in self.heard if (found := self._of(each, row, wanted)))
+        self.spinner.until(lambda: any(self._of(each, row, wanted) for each in self.received))
+        return next(found for each in self.received if (found := self._of(each, row, wanted)))
 
     @staticmethod
     def _of(array: MarkerArray, row: str, time: Time) -> list[Marker]:
@@ -95,7 +95,7 @@ def rig(ros_environment: dict[str, str]) -> Iterator[Rig]:
         impacts = probe.create_publisher(ImpactEvent, "impacts", qos_profile(EVENTS))
         made = Rig(spinner, topics, impacts)
         quality = qos_profile(VIEWER_MARKERS.quality)
-        probe.create_subscription(MarkerArray, "viewer/markers", made.heard.append, quality)
+        probe.create_subscription(MarkerArray, "viewer/markers", made.received.append, quality)
         spinner.add(ViewerNode())
         publishers = [*topics.values(), impacts]
         spinner.until(lambda: all(each.get_subscription_count() == 1 for each in publishers))
@@ -104,12 +104,14 @@ def rig(ros_environment: dict[str, str]) -> Iterator[Rig]:
 
 def test_viewer_shows_what_comes_and_removes_what_was_there(rig: Rig) -> None:
     """First DELETEALL, then each row as soon as it has a state, at the place of its state."""
-    rig.spinner.until(lambda: rig.heard)
-    assert [each.action for each in rig.heard[0].markers] == [Marker.DELETEALL]
-    assert all(len(each.markers) == 1 for each in rig.heard)
+    rig.spinner.until(lambda: rig.received)
+    assert [each.action for each in rig.received[0].markers] == [Marker.DELETEALL]
+    assert all(len(each.markers) == 1 for each in rig.received)
     rig.say("plant", EPOCH + 10, [0.1, -0.2])
     plant = rig.shown("plant", EPOCH + 10)
-    assert not any(each.ns.startswith("observer") for array in rig.heard for each in array.markers)
+    assert not any(
+        each.ns.startswith("observer") for array in rig.received for each in array.markers
+    )
     rig.say(OBSERVERS[1], EPOCH + 20, [0.3, 0.4])
     estimate = rig.shown(OBSERVERS[1], EPOCH + 20)
     for markers, row, q in ((plant, "plant", [0.1, -0.2]), (estimate, OBSERVERS[1], [0.3, 0.4])):
@@ -153,7 +155,7 @@ def test_viewer_begins_again_with_a_bag_that_is_played_again(rig: Rig) -> None:
             assert is_lit(shapes(rig.shown("plant", stamp), "plant", "stops")[0]) is lit
         rig.hit(EPOCH + 5_000_000_000, Kind.CLOSE, 2)
         rig.spinner.settle(0.1)
-        rig.heard.clear()
+        rig.received.clear()
 
 
 def test_viewer_takes_columns_by_name_and_refuses_others(rig: Rig) -> None:

@@ -261,7 +261,7 @@ def test_what_is_not_there_is_said(
 
 
 def test_a_frozen_screen_says_so() -> None:
-    """And how to go on; where no keys are heard none are named."""
+    """And how to go on; where no keys are read none are named."""
     assert "FROZEN: space goes on   q ends" in printed(
         both(), ScreenStyle(100, 40, keys=True, frozen=True)
     )

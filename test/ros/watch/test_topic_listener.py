@@ -1,4 +1,4 @@
-"""What is heard of a running system, in constant memory; no ROS is needed."""
+"""What is received of a running system, in constant memory; no ROS is needed."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -150,7 +150,7 @@ def test_diagnostics_go_to_their_observer() -> None:
     ]
 
 
-def test_only_wanted_observers_are_heard() -> None:
+def test_only_wanted_observers_are_received() -> None:
     """With their monitors; the plant always; foreign topics and types never."""
     listener = TopicListener(["observer_a"])
     joint, error = "sensor_msgs/msg/JointState", "impact_observer_msgs/msg/EstimateError"
@@ -187,7 +187,7 @@ def test_latency_is_by_the_clock_that_stamps_follow() -> None:
     assert (seen.simulated, seen.clock) == (True, EPOCH)
 
 
-def test_a_clock_that_jumps_back_begins_anew() -> None:
+def test_a_clock_that_jumps_back_restarts() -> None:
     """As of a bag that is played again: nothing of the first pass is left."""
     listener = TopicListener(["observer"])
     for stamp in (EPOCH, EPOCH + 9 * SECOND):
@@ -224,7 +224,7 @@ def test_a_truth_of_other_coordinates_is_none(names: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize("topic", ["/impacts", "/plant/joint_states", "/observer/state"])
 def test_bytes_that_are_no_message_are_told_and_passed_over(topic: str) -> None:
-    """Whatever they are; what comes after is heard."""
+    """Whatever they are; what comes after is received."""
     listener = TopicListener()
     for data in (b"", b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + bytes([255] * 40)):
         listener.receive(topic, data, 0.0, EPOCH)
@@ -257,7 +257,7 @@ def test_each_rig_has_its_own_epoch() -> None:
 
 
 def test_a_rate_is_that_of_the_messages_and_not_of_their_bursts() -> None:
-    """Of 1 kHz, heard 20 times a second, all that wait within a tenth of a millisecond."""
+    """Of 1 kHz, received 20 times a second, all that wait within a tenth of a millisecond."""
     arrivals = Arrivals()
     for burst in range(200):
         for k in range(50):
@@ -265,7 +265,7 @@ def test_a_rate_is_that_of_the_messages_and_not_of_their_bursts() -> None:
     assert arrivals.rate("t", 10.0).rate == pytest.approx(1000.0, rel=1e-3)
 
 
-def test_nobody_is_heard_while_those_who_were_named_are_silent() -> None:
+def test_nobody_is_received_while_those_who_were_named_are_silent() -> None:
     """An observer is shown because it was asked for, and yet it has said nothing."""
     listener = TopicListener(["observer"])
     assert listener.snapshot(0.0, EPOCH).is_empty
@@ -290,7 +290,7 @@ def test_memory_is_constant() -> None:
 
 
 def test_a_course_holds_a_value_until_the_next() -> None:
-    """Bins between two values have the first; an earlier time than is kept begins anew."""
+    """Bins between two values have the first; a time before those kept empties it."""
     trace = HistoryBuffer(240.0)
     assert trace.history().values == ()
     for second, value in ((1000, 4.0), (1003, 2.0), (1003, 1.0)):

@@ -67,7 +67,7 @@ def system(environment: dict[str, str]) -> Iterator[None]:
 
 
 class Keeping(TopicListener):
-    """Keeps what is heard on ``/diagnostics`` as it came, too."""
+    """Keeps what is received on ``/diagnostics`` as it came, too."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -158,7 +158,7 @@ def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
             keep_on=lambda: not is_known(),
             duration=PATIENCE,
         )
-        check_glance(seen[-1])
+        check_snapshot(seen[-1])
         check_diagnostics(listener.diagnostics)
         code, text, restored = screen_of(ros_environment)
         assert (code, restored) == (0, True)
@@ -174,7 +174,7 @@ def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
         assert "\x1b" not in written
 
 
-def check_glance(seen: Snapshot) -> None:
+def check_snapshot(seen: Snapshot) -> None:
     """The estimate against the truth, by the clock of the stamps."""
     (observer,) = seen.observers
     assert (seen.model, seen.truth, seen.simulated, seen.trouble) == ("two_mass", True, True, "")
