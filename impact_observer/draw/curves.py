@@ -7,6 +7,7 @@ It is made for the observers of a bag, or for the names of observer nodes. The l
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import product
 from pathlib import Path
 
 from impact_observer.draw.observer_topics import ObserverTopics, observers_in
@@ -83,13 +84,13 @@ class Curve:
 
 
 _V = "V and its bound: log10 of J"
+_VERDICT = "verdict: 0 applied, 1 rejected, 2 inserted, 3 and more refused"
 _DISTANCES = (
     ("V", interfaces.MONITOR_ERROR, "v", _V),
     ("bound of V", interfaces.OBSERVER_BOUND, "v", _V),
     ("convergence", interfaces.OBSERVER_STATES, "convergence", "convergence: log10 of J"),
 )
 """V and what bounds it: name, interface, field, plot."""
-_VERDICT = "verdict: 0 applied, 1 rejected, 2 inserted, 3 and more refused"
 _EVENTS = (
     ("verdict", interfaces.OBSERVER_VERDICTS, _VERDICT, True),
     ("synchronized", interfaces.OBSERVER_STATES, "synchronized: 0 or 1", True),
@@ -108,6 +109,11 @@ _DIAGNOSTICS = (
     "largest latency [s]",
 )
 """Keys of an observer's diagnostics whose values are always numbers."""
+_MOTION = (
+    (CurveGroup.POSITIONS, "position", "m"),
+    (CurveGroup.VELOCITIES, "velocity", "m/s"),
+)
+"""Fields of joint states with their groups and units."""
 
 
 def curves(
@@ -128,17 +134,17 @@ def curves(
     """
     if not observers:
         raise UsageError("no observer: there is nothing to draw beside the plant; name one")
-    every = [
-        *_states(system, observers, CurveGroup.POSITIONS, "position", "m"),
-        *_states(system, observers, CurveGroup.VELOCITIES, "velocity", "m/s"),
-        *_errors(system, observers, "position", "m"),
-        *_errors(system, observers, "velocity", "m/s"),
-        *_impacts(system, observers),
-    ]
-    for curves_of in (_distances, _deviations, _events, _learnt, _diagnostics):
-        every += [curve for each in observers for curve in curves_of(system, each)]
+    every = [*_plants(system, observers)]
+    for each in observers:
+        every += [*_motion(system, each), *_accuracy(system, each), *_events(system, each)]
     wanted = None if topics is None else set(topics)
-    return tuple(each for each in every if wanted is None or each.topic in wanted)
+    order = [*CurveGroup]
+    return tuple(
+        sorted(
+            (each for each in every if wanted is None or each.topic in wanted),
+            key=lambda each: order.index(each.group),
+        )
+    )
 
 
 def curves_of_model(model: str, observers: Sequence[str]) -> tuple[Curve, ...]:
@@ -183,117 +189,88 @@ def curves_of_bag(
     return curves(system, [by_prefix[prefix] for prefix in wanted], topics), topics
 
 
-def _states(
-    system: System, observers: Sequence[ObserverTopics], group: CurveGroup, field: str, unit: str
-) -> Iterator[Curve]:
-    """Truth and estimates of each coordinate, in one plot."""
-    truths = _plant_topics(observers, interfaces.PLANT_JOINT_STATES)
-    sources = [("plant", f"{rig}plant", topic) for rig, topic in truths]
-    joints = interfaces.OBSERVER_JOINT_STATES
-    sources += [(each.name, each.name, each.topic(joints)) for each in observers]
-    for i, name in enumerate(system.coordinates):
-        for source, label, topic in sources:
-            steps = (FieldStep(field, i),)
-            plot = f"{name} {field} [{unit}]"
-            yield Curve(f"{name} {label}", source, topic, steps, group, plot, element=name)
+def _plants(system: System, observers: Sequence[ObserverTopics]) -> Iterator[Curve]:
+    """True motion, and how each contact switches, of each plant once; of several by namespace."""
+    joints = interfaces.PLANT_JOINT_STATES
+    rigs = {each.topic(joints): each for each in observers}
+    for topic, observer in rigs.items():
+        rig = topic.removesuffix(joints.name).lstrip("/") if len(rigs) > 1 else ""
+        yield from _coordinates(system, "plant", f"{rig}plant", topic)
+        for name in system.contact_names:
+            yield Curve(
+                f"{rig}{name}",
+                "plant",
+                observer.topic(interfaces.IMPACTS),
+                (FieldStep("switches", where=("contact", name)), FieldStep("kind")),
+                CurveGroup.EVENTS,
+                "kind of switch: 0 impact, 1 close, 2 open",
+                is_state=True,
+            )
 
 
-def _plant_topics(
-    observers: Sequence[ObserverTopics], interface: Interface
-) -> Iterator[tuple[str, str]]:
-    """Each topic of the plants of observers once, with its namespace if there are several."""
-    topics = dict.fromkeys(each.topic(interface) for each in observers)
-    for topic in topics:
-        rig = topic.removesuffix(interface.name).lstrip("/")
-        yield rig if len(topics) > 1 else "", topic
+def _coordinates(system: System, source: str, label: str, topic: str) -> Iterator[Curve]:
+    """Positions and velocities in joint states; those of all sources share a plot."""
+    for (group, field, unit), (i, name) in product(_MOTION, enumerate(system.coordinates)):
+        steps, plot = (FieldStep(field, i),), f"{name} {field} [{unit}]"
+        yield Curve(f"{name} {label}", source, topic, steps, group, plot, element=name)
 
 
 def _of_observer(
     observer: ObserverTopics,
     label: str,
     interface: Interface,
-    *steps: FieldStep,
     group: CurveGroup,
     plot: str,
+    *steps: FieldStep,
 ) -> Curve:
     """A curve of an observer; its name is the label and the observer's name."""
     name = observer.name
     return Curve(f"{label} {name}", name, observer.topic(interface), steps, group, plot)
 
 
-def _errors(
-    system: System, observers: Sequence[ObserverTopics], quantity: str, unit: str
-) -> Iterator[Curve]:
-    """Estimate minus truth of each coordinate, from the monitors."""
+def _motion(system: System, observer: ObserverTopics) -> Iterator[Curve]:
+    """Estimates, and their difference from the truth by the monitor."""
+    name = observer.name
+    yield from _coordinates(system, name, name, observer.topic(interfaces.OBSERVER_JOINT_STATES))
     error, group = interfaces.MONITOR_ERROR, CurveGroup.ERRORS
-    for i, name in enumerate(system.coordinates):
-        step, plot = FieldStep(f"{quantity}_error", i), f"{name} {quantity} error [{unit}]"
-        for each in observers:
-            yield _of_observer(each, name, error, step, group=group, plot=plot)
+    for (_, field, unit), (i, name) in product(_MOTION, enumerate(system.coordinates)):
+        step, plot = FieldStep(f"{field}_error", i), f"{name} {field} error [{unit}]"
+        yield _of_observer(observer, name, error, group, plot, step)
 
 
-def _impacts(system: System, observers: Sequence[ObserverTopics]) -> Iterator[Curve]:
-    """How each contact switches: 0 IMPACT, 1 CLOSE, 2 OPEN."""
-    plot = "kind of switch: 0 impact, 1 close, 2 open"
-    for rig, topic in _plant_topics(observers, interfaces.IMPACTS):
-        for name in system.contact_names:
-            steps = (FieldStep("switches", where=("contact", name)), FieldStep("kind"))
-            label = f"{rig}{name}"
-            yield Curve(label, "plant", topic, steps, CurveGroup.EVENTS, plot, is_state=True)
-
-
-def _distances(_: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """V, its bound if the observer has one, and the distance of the replicas."""
-    group = CurveGroup.DISTANCE
+def _accuracy(system: System, observer: ObserverTopics) -> Iterator[Curve]:
+    """V, its bound, the distance of the replicas; standard deviations; learnt parameters."""
+    states, n = interfaces.OBSERVER_STATES, system.n
     for label, interface, field, plot in _DISTANCES:
         if observer.bounded or interface is not interfaces.OBSERVER_BOUND:
-            curve = _of_observer(
-                observer, label, interface, FieldStep(field), group=group, plot=plot
-            )
+            step, group = FieldStep(field), CurveGroup.DISTANCE
+            curve = _of_observer(observer, label, interface, group, plot, step)
             yield replace(curve, transform=Transform.LOGARITHM)
-
-
-def _deviations(system: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """Standard deviations: square roots of the covariance's diagonal, if there is one."""
-    interface, group, n = interfaces.OBSERVER_STATES, CurveGroup.DEVIATIONS, system.n
     for k in range(2 * n if observer.filters else 0):
-        step = FieldStep("covariance", k * (2 * n + 1))
+        step, group = FieldStep("covariance", k * (2 * n + 1)), CurveGroup.DEVIATIONS
         plot = "velocity deviations [m/s]" if k >= n else "position deviations [m]"
-        name = system.coordinates[k % n]
-        curve = _of_observer(observer, name, interface, step, group=group, plot=plot)
+        curve = _of_observer(observer, system.coordinates[k % n], states, group, plot, step)
         yield replace(curve, transform=Transform.ROOT)
-
-
-def _events(_: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """Verdicts, latency, and the innovation if the observer has one."""
-    group = CurveGroup.EVENTS
-    for field, interface, plot, is_state in _EVENTS:
-        if observer.filters or field != "innovation":
-            curve = _of_observer(
-                observer, field, interface, FieldStep(field), group=group, plot=plot
-            )
-            yield replace(curve, is_state=is_state)
-
-
-def _learnt(_: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """Value and standard deviation of each parameter that is estimated with the state."""
-    interface, group = interfaces.OBSERVER_STATES, CurveGroup.LEARNT
     for i, parameter in enumerate(observer.learnt):
         words, plot = parameter.replace("_", " "), with_unit(parameter)
         for field, label in (("parameter", words), ("parameter_deviation", f"{words} deviation")):
-            yield _of_observer(
-                observer, label, interface, FieldStep(field, i), group=group, plot=plot
-            )
+            step, group = FieldStep(field, i), CurveGroup.LEARNT
+            yield _of_observer(observer, label, states, group, plot, step)
 
 
-def _diagnostics(system: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """The level and the figures of an observer's diagnostics."""
+def _events(system: System, observer: ObserverTopics) -> Iterator[Curve]:
+    """Verdicts, latency, innovations; level and figures of the diagnostics."""
+    for field, interface, plot, is_state in _EVENTS:
+        if observer.filters or field != "innovation":
+            step, group = FieldStep(field), CurveGroup.EVENTS
+            curve = _of_observer(observer, field, interface, group, plot, step)
+            yield replace(curve, is_state=is_state)
     interface, group = interfaces.DIAGNOSTIC_ARRAYS, CurveGroup.DIAGNOSTICS
     status = FieldStep("status", where=("name", f"{observer.prefix}: impacts"))
-    paths: dict[str, tuple[FieldStep, ...]] = {"level": (status, FieldStep("level"))}
+    plot = "level: 0 ok, 1 warning, 2 error"
+    level = _of_observer(observer, "level", interface, group, plot, status, FieldStep("level"))
+    yield replace(level, element=system.name)
     for key in _DIAGNOSTICS:
-        paths[key] = (status, FieldStep("values", where=("key", key)), FieldStep("value"))
-    for label, steps in paths.items():
-        plot = "level: 0 ok, 1 warning, 2 error" if label == "level" else label
-        curve = _of_observer(observer, label, interface, *steps, group=group, plot=plot)
+        steps = (status, FieldStep("values", where=("key", key)), FieldStep("value"))
+        curve = _of_observer(observer, key, interface, group, key, *steps)
         yield replace(curve, element=system.name)
