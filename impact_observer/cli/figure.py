@@ -29,37 +29,21 @@ EPOCH = 1_000_000_000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="FILE",
-        type=Path,
-        required=True,
-        help="the picture: a PNG, SVG or PDF",
-    )
-    parser.add_argument(
-        "--laws",
-        metavar="LAW,...",
-        default=LAWS,
-        help=f"one curve each, or all that are installed (default {LAWS})",
-    )
-    parser.add_argument(
-        "--initial",
-        metavar="STATE",
-        default=INITIAL,
-        help=f"of the observers: q1,..,qn,u1,..,un, random:SEED or zero (default {INITIAL})",
-    )
-    parser.add_argument(
-        "--duration", metavar="S", type=positive, default=30.0, help="how long, s (default 30)"
-    )
-    parser.add_argument(
-        "--rate", metavar="HZ", type=positive, default=100.0, help="samples, Hz (default 100)"
-    )
-    parser.add_argument(
-        "--paper", action="store_true", help="for a printed column: 88 mm wide, without a title"
-    )
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    add = parser.add_argument
+    add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
+    output = "the picture: a PNG, SVG or PDF"
+    add("-o", "--output", metavar="FILE", type=Path, required=True, help=output)
+    laws = f"one curve each, or all that are installed (default {LAWS})"
+    add("--laws", metavar="LAW,...", default=LAWS, help=laws)
+    initial = f"of the observers: q1,..,qn,u1,..,un, random:SEED or zero (default {INITIAL})"
+    add("--initial", metavar="STATE", default=INITIAL, help=initial)
+    duration = "how long, s (default 30)"
+    add("--duration", metavar="S", type=positive, default=30.0, help=duration)
+    rate = "samples, Hz (default 100)"
+    add("--rate", metavar="HZ", type=positive, default=100.0, help=rate)
+    paper = "for a printed column: 88 mm wide, without a title"
+    add("--paper", action="store_true", help=paper)
+    add("--json", action="store_true", help="print the figures as JSON")
 
 
 def run(args: argparse.Namespace) -> int:

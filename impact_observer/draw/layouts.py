@@ -60,12 +60,11 @@ def foxglove(curves: Sequence[Curve], topics: Iterable[str] | None = None) -> st
     """
     present = None if topics is None else set(topics)
     panels = _Panels(curves)
-    overview: list[_Tree] = [
+    overview = [
         panels.plots(curves, CurveGroup.DISTANCE, most=1),
         panels.plots(curves, CurveGroup.POSITIONS, most=2),
+        panels.transitions(curves),
     ]
-    if states := panels.transitions(curves):
-        overview.append(states)
     tabs = [("overview", _split("column", [each for each in overview if each]))]
     tabs += [
         (group.value, _split("column", [*panels.above(curves, group, present), tree]))
@@ -126,7 +125,8 @@ class _Panels:
         """The plots of a group, at most so many; empty if it has none."""
         quantities = [each for each in curves if each.group is group and not each.is_state]
         axes = _by_plot(quantities)[:most]
-        return _grid([self._plot(title, curves_there) for title, curves_there in axes])
+        columns = _columns([self._plot(title, own) for title, own in axes])
+        return _split("row", [_split("column", each) for each in columns]) if columns else ""
 
     def transitions(self, curves: Sequence[Curve]) -> str:
         """States over time, such as contacts and verdicts; empty if there are none."""
@@ -190,12 +190,6 @@ def _split(direction: str, trees: Sequence[_Tree]) -> _Tree:
     }
 
 
-def _grid(panels: Sequence[str]) -> _Tree:
-    """Panels in columns, about twice as wide as high; empty for none."""
-    columns = [_split("column", column) for column in _columns(panels)]
-    return _split("row", columns) if columns else ""
-
-
 def plotjuggler(curves: Sequence[Curve]) -> str:
     """A layout that PlotJuggler 3 loads.
 
@@ -241,18 +235,16 @@ def series(curve: Curve) -> str:
         status, *inside = curve.steps
         key = inside[0].where[1] or inside[0].field
         return f"{curve.topic}/{curve.element}/{status.where[1]}/{key}"
-    return curve.topic + "".join(map(_series_step, curve.steps))
+    name = curve.topic
+    for step in curve.steps:
+        index = 0 if step.where[0] else step.index
+        name += f"/{step.field}" + ("" if index is None else f"[{index}]")
+    return name
 
 
 def series_drawn(curve: Curve) -> str:
     """The name of the series that is drawn; a transformed one has a name of its own."""
     return f"{curve.transform.value} {curve.name}" if curve.transform in _LUA else series(curve)
-
-
-def _series_step(step: FieldStep) -> str:
-    """One step of the name of a series."""
-    index = 0 if step.where[0] else step.index
-    return f"/{step.field}" + ("" if index is None else f"[{index}]")
 
 
 def _readable(curves: Sequence[Curve]) -> list[Curve]:

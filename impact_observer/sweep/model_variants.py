@@ -1,6 +1,6 @@
 """The models of the observers: the plant's own, or variants with other parameters."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
@@ -53,11 +53,6 @@ def model_variants(model: Model, off: Mapping[str, Sequence[float]]) -> tuple[Mo
     """
     if not off:
         return (ModelVariant(Model(model.system).text()),)
-    return tuple(_variants(model, off))
-
-
-def _variants(model: Model, off: Mapping[str, Sequence[float]]) -> Iterator[ModelVariant]:
-    """As ``model_variants``, for at least one parameter."""
     try:
         family = parametric_family(model.system, [*off], model.elements)
     except UsageError as error:
@@ -71,6 +66,7 @@ def _variants(model: Model, off: Mapping[str, Sequence[float]]) -> Iterator[Mode
                 raise UsageError(
                     f"off: {each.name} {value:g} found; expected {each.low:g} to {each.high:g}"
                 )
+    found = []
     for values in product(*off.values()):
         chosen = dict(zip(off, map(float, values), strict=True))
         try:
@@ -79,4 +75,5 @@ def _variants(model: Model, off: Mapping[str, Sequence[float]]) -> Iterator[Mode
             values_set = ", ".join(f"{name} {value:g}" for name, value in chosen.items())
             raise ModelError("", f"off: {values_set}: {error}") from None
         swept = (ParameterValue(name, value, units[name]) for name, value in chosen.items())
-        yield ModelVariant(Model(system).text(), tuple(swept))
+        found.append(ModelVariant(Model(system).text(), tuple(swept)))
+    return tuple(found)

@@ -58,24 +58,21 @@ def against_of(sweep: Sweep, wanted: str | None) -> str:
 def save_picture(
     sweep: Sweep, groups: Sequence[CaseGroup], path: Path, *, against: str | None = None
 ) -> None:
-    """Draw the settling times into a file.
-
-    Args:
-        sweep: what was swept.
-        groups: its outcomes.
-        path: a PNG, SVG or PDF file.
-        against: see ``against_of``.
+    """Draw the settling times into a PNG, SVG or PDF file, as ``sweep_figure``.
 
     Raises:
         UsageError: as ``against_of``, or the file cannot be written.
     """
+    save(sweep_figure(sweep, groups, against=against), path, about=_title(sweep))
+
+
+def _title(sweep: Sweep) -> str:
     name = parse_model(sweep.plant.text, "model").system.name
-    title = f"{name}: when estimates settle, medians and quartiles of {sweep.runs} runs"
-    save(sweep_figure(sweep, groups, against=against, title=title), path, about=title)
+    return f"{name}: when estimates settle, medians and quartiles of {sweep.runs} runs"
 
 
 def sweep_figure(
-    sweep: Sweep, groups: Sequence[CaseGroup], *, against: str | None = None, title: str
+    sweep: Sweep, groups: Sequence[CaseGroup], *, against: str | None = None
 ) -> Figure:
     """Settling times above, the share that has not settled below.
 
@@ -86,7 +83,6 @@ def sweep_figure(
         sweep: what was swept.
         groups: its outcomes.
         against: see ``against_of``.
-        title: of the picture.
 
     Raises:
         UsageError: as ``against_of``.
@@ -132,7 +128,7 @@ def sweep_figure(
                 frameon=False,
                 handlelength=3.2,
             )
-        figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
+        figure.suptitle(_title(sweep), x=0.01, ha="left", fontsize="medium")
     return figure
 
 

@@ -34,7 +34,7 @@ def drawn(sweep: Sweep, times: Sequence[float | None], against: str | None = Non
     outcomes = [
         Outcome(k, settling_time=times[k % len(times)], V_ratio=0.1) for k in range(sweep.size)
     ]
-    return sweep_figure(sweep, groups_of(sweep, outcomes), against=against, title="a sweep")
+    return sweep_figure(sweep, groups_of(sweep, outcomes), against=against)
 
 
 def test_each_law_is_a_line_with_a_band_over_what_was_swept(tmp_path: Path) -> None:

@@ -50,11 +50,13 @@ class FilmPictures:
         self._film = film
         self._highlight = round(_HIGHLIGHT * speed * NS_PER_S)
         height = row_height(film.scene)
-        lower = _LEGEND + _DISTANCE + _AXIS if film.distances else _NOTHING
+        lower = _LEGEND + _DISTANCE + _AXIS if film.truth and film.estimates else _NOTHING
         with mpl.rc_context({"font.size": LARGE, "hatch.linewidth": 0.7}):
             self.figure = Figure((WIDTH, _TITLE + height * len(film.tracks) + lower), DPI)
             self._rows = _rows(self.figure, film, height)
-            self._distances = _DistancePlot(self.figure, film) if film.distances else None
+            self._distances = (
+                _DistancePlot(self.figure, film) if film.truth and film.estimates else None
+            )
             self._clock = _write(self.figure, film, title)
 
     def show(self, stamp: int) -> None:
@@ -103,13 +105,12 @@ class _DistancePlot:
         start, end = film.seconds(np.array([film.start, film.end]))
         found = styles([each.law for each in film.estimates])
         self._curves = []
-        for track, each, style in zip(film.estimates, film.distances, found, strict=True):
-            t = film.seconds(each.stamps)
-            # Zero has no logarithm: it becomes a gap.
-            V = np.where(each.V > 0, each.V, np.nan)
+        for track, style in zip(film.estimates, found, strict=True):
+            stamps, V = film.distance(track)
+            V = np.where(V > 0, V, np.nan)  # zero has no logarithm: it becomes a gap
             plain = {k: v for k, v in style.items() if not k.startswith("marker")}
-            axes.semilogy(t, V, label=track.label, **plain)
-            self._curves.append((each.stamps, V))
+            axes.semilogy(film.seconds(stamps), V, label=track.label, **plain)
+            self._curves.append((stamps, V))
         axes.set_xlim(start, end if end > start else start + 1)
         axes.set_xlabel("time since the epoch [s]")
         axes.set_ylabel("V [J]")

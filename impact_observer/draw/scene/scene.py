@@ -256,7 +256,11 @@ def _couplings(
     the lowest free lane above the bodies, short and strong ones first.
     """
     last = len(order) - 1
-    found = sorted(_joined(system, order), key=_length)
+    # A coupling to the ground counts by its drawn length.
+    found = sorted(
+        _joined(system, order),
+        key=lambda each: (_GROUND if each[1] < 0 else each[2] - each[1], -each[3]),
+    )
     lanes: list[list[tuple[float, float]]] = [[] for _ in range(MOST_LANES)]
     drawn, left_out = [], 0
     for joint, first, second, _ in found:
@@ -270,8 +274,12 @@ def _couplings(
         else:
             grounded = first < 0
             begin = second - _GROUND if grounded else float(first)
-            lane = next((k for k, taken in enumerate(lanes) if _free(taken, begin, second)), None)
-            if lane is None:
+            free = (
+                k
+                for k, taken in enumerate(lanes)
+                if all(second <= start or end <= begin for start, end in taken)
+            )
+            if (lane := next(free, None)) is None:
                 left_out += 1
                 continue
             lanes[lane].append((begin, second))
@@ -279,11 +287,6 @@ def _couplings(
             left = None if grounded else first
             drawn.append(Coupling(joint, left, second, ground, lane + 1))
     return tuple(drawn), left_out
-
-
-def _free(taken: Iterable[tuple[float, float]], begin: float, end: float) -> bool:
-    """Whether a lane has room from one place in the row to another."""
-    return all(end <= start or stop <= begin for start, stop in taken)
 
 
 def _joined(system: System, order: Sequence[int]) -> list[tuple[SceneJoint, int, int, float]]:
@@ -305,21 +308,10 @@ def _joined(system: System, order: Sequence[int]) -> list[tuple[SceneJoint, int,
     return found
 
 
-def _length(joined: tuple[SceneJoint, int, int, float]) -> tuple[float, float]:
-    """The sorting key of couplings: short ones first, of those the strong ones."""
-    _, first, second, strength = joined
-    return (_GROUND if first < 0 else second - first), -strength
-
-
 def _parts(matrix: Matrix, slots: Sequence[int]) -> Matrix:
     """Stiffness or damping between bodies, and in the last row (index -1) to the ground.
 
-    Args:
-        matrix: shape (n, n), symmetric.
-        slots: coordinates of the bodies that are drawn.
-
-    Returns:
-        Shape (bodies + 1, bodies), with rounding set to zero.
+    Of shape (bodies + 1, bodies), with rounding set to zero.
     """
     between = -matrix[np.ix_(slots, slots)]
     ground = matrix.sum(axis=1)[slots]
@@ -330,14 +322,7 @@ def _parts(matrix: Matrix, slots: Sequence[int]) -> Matrix:
 
 
 def _omitted(system: System, bodies: int, contacts: int, couplings: int) -> Iterable[str]:
-    """What is not drawn, in words.
-
-    Args:
-        system: the whole.
-        bodies: number of bodies drawn.
-        contacts: number of contacts drawn.
-        couplings: number of couplings between these bodies that are not drawn.
-    """
+    """What is not drawn; ``bodies`` and ``contacts`` are drawn, ``couplings`` are not."""
     if bodies < system.n:
         yield f"the first {bodies} of {system.n} bodies"
     if contacts < system.m:

@@ -12,7 +12,7 @@ from systems import EPOCH, Array, chain, run, sample, system
 
 from impact_observer.draw.scene import row
 from impact_observer.draw.scene.animation import DPI, FilmPictures
-from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
+from impact_observer.draw.scene.film import ContactHistory, Film, Track, scene_of
 from impact_observer.draw.scene.row import LARGE
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
@@ -40,7 +40,6 @@ def film() -> Film:
         scene=scene_of(model, [truth, *estimates]),
         truth=truth,
         estimates=estimates,
-        distances=tuple(Distance.between(model, truth, each) for each in estimates),
         contacts=ContactHistory.of(model, ran.events),
         epoch=EPOCH,
         start=EPOCH,
@@ -63,7 +62,6 @@ def still(model: System, q: Array, **changes: object) -> Film:
         scene=scene_of(model, [truth]),
         truth=truth,
         estimates=(),
-        distances=(),
         contacts=ContactHistory({}, {}),
         epoch=EPOCH,
         start=EPOCH,
@@ -197,7 +195,7 @@ def test_estimate_without_a_state_says_so() -> None:
 
 def test_estimates_alone_make_a_film() -> None:
     """Without truth there is no V and no ghost."""
-    shown = replace(film(), truth=None, distances=())
+    shown = replace(film(), truth=None)
     moving = FilmPictures(shown, title="")
     assert moving._distances is None
     assert len(moving._rows) == len(LAWS)
@@ -209,8 +207,7 @@ def test_exact_estimate_has_no_distance_to_draw() -> None:
     shown = film()
     assert shown.truth is not None
     exact = replace(shown.truth, law="geometric", label="geometric")
-    zero = Distance(exact.stamps, np.zeros(exact.stamps.size))
-    moving = FilmPictures(replace(shown, estimates=(exact,), distances=(zero,)), title="")
+    moving = FilmPictures(replace(shown, estimates=(exact,)), title="")
     drawn(moving, EPOCH + NS_PER_S)
     assert moving._distances is not None
     assert np.size(moving._distances._dots.get_xdata()) == 0
