@@ -125,19 +125,8 @@ def compare(
 ) -> int:
     """Compare bags, print the figures, and write the files that are asked for.
 
-    Args:
-        bags: with truth, and with estimates or impacts.
-        model: a model file or a sample's name; None for the model that each bag carries.
-        observers: to run on each bag, one a law, beside those whose estimates it has. Their
-            ensemble is left out: no estimate depends on it.
-        truth: the topic of the true states; None for the plant's.
-        estimates: names of observers or topics; None for every observer.
-        threshold: V over V at the start at which an estimate has settled.
-        namespace: of the rig; empty for the only one.
-        plot: a picture of V; None for none. Files that exist are replaced.
-        report: a page of HTML; None for none.
-        csv: the figures as CSV; None for none.
-        json: print JSON instead of tables.
+    The arguments are the options. ``observers`` are run on each bag, one a law, without their
+    ensemble: no estimate depends on it. Files that exist are replaced.
 
     Returns:
         0.

@@ -77,14 +77,7 @@ def export(
 ) -> int:
     """Export a bag and print how many rows were written.
 
-    Args:
-        bag: the bag.
-        output: the file; its name says the format.
-        what: ``states``, ``errors`` or ``events``.
-        topics: topics of states, or observers' prefixes; None for the truth and all observers.
-        model: for errors, a model file or a sample's name; None for the model in the bag.
-        epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
-        namespace: of the rig; empty for the only one.
+    The arguments are the options; ``epoch`` is a stamp, ns.
 
     Returns:
         0.

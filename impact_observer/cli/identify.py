@@ -85,18 +85,7 @@ def identify(
 ) -> int:
     """Fit a model to the impacts in a bag and print the result.
 
-    Args:
-        bag: has impacts.
-        free: names of parameters; see ``model.free_parameters.parametric_family``.
-        model: a model file or a sample's name; None for the model that the bag carries.
-        clock_error: standard deviation of the stamps, s; None to estimate it.
-        horizon: seconds of the recording that count; None for all.
-        trust_events: whether no impact is taken for spurious or missed.
-        check: whether to check the model instead.
-        namespace: of the rig; empty for the only one.
-        output: the model file to make; None for none.
-        plot: a picture to write; None for none.
-        json: print JSON instead of tables and words.
+    The arguments are the options.
 
     Returns:
         0; 1 where a parameter is not determined, the fit does not converge or the model does not

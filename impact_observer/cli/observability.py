@@ -57,14 +57,7 @@ def observe(
 ) -> int:
     """Print which part of the state the impacts in a bag determine.
 
-    Args:
-        bag: has impacts.
-        model: a model file or a sample's name; None for the model that the bag carries.
-        namespace: of the rig; empty for the only one.
-        deviation: standard deviations of the initial state; see ``deviation_of``.
-        tolerance: singular value that counts as zero, over the largest; None for the default.
-        plot: a picture to write; None for none.
-        json: print JSON instead of a table and words.
+    The arguments are the options.
 
     Returns:
         0, also where the rank is not full.

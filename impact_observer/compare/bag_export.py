@@ -1,4 +1,8 @@
-"""The states, errors or events of a bag as rows of a table, block by block."""
+"""The states, errors or events of a bag as rows of a table, block by block.
+
+Everywhere ``epoch`` is the stamp of ``t = 0``, ns; None for that of the events, else the first
+stamp. ``topics`` are topics of states, or observers' prefixes; None for all.
+"""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
@@ -26,12 +30,6 @@ def state_rows(
     reader: BagReader, topics: Collection[str] | None, epoch: int | None, progress: Progress
 ) -> Iterator[TableBlock]:
     """The true states and the estimates, in the order of the bag.
-
-    Args:
-        reader: the bag.
-        topics: topics of states, or observers' prefixes; None for the truth and all observers.
-        epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
-        progress: receives how far it is.
 
     Raises:
         UsageError: a topic is not in the bag.
@@ -63,13 +61,6 @@ def error_rows(
 
     What ``compare`` leaves out is left out: estimates that were published before their events
     arrived, and samples between the jumps of truth and estimate.
-
-    Args:
-        reader: the bag.
-        system: gives M and K for V, and the coordinates.
-        topics: of estimates, or observers' prefixes; None for all observers.
-        epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
-        progress: receives how far it is.
 
     Raises:
         UsageError: a topic is not in the bag.
@@ -105,11 +96,6 @@ def error_rows(
 
 def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iterator[TableBlock]:
     """The events, a row for each contact that switches; ``import`` reads them again.
-
-    Args:
-        reader: the bag.
-        epoch: stamp of ``t = 0``, ns; None for that of the events, else the first stamp.
-        progress: receives how far it is.
 
     Raises:
         BagError: there are no events, or the bag is damaged.

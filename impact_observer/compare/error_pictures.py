@@ -30,12 +30,7 @@ _HANDLE = 11
 def distance_picture(
     labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Figure:
-    """V of all estimates in one picture.
-
-    Args:
-        labelled: every estimate, by its label.
-        results: the bags and the comparison of each.
-    """
+    """V of all estimates, by their labels, in one picture."""
     since = {label: each for _, _, those in _by_bag(labelled, results) for label, each in those}
     names = ", ".join(dict.fromkeys(result.system.name for _, result in results))
     title = f"{names}: distance of the estimates from the truth"
@@ -45,12 +40,7 @@ def distance_picture(
 def error_pictures(
     labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Iterator[tuple[list[Path], int, Figure]]:
-    """Sizes of the errors: bags, number of coordinates, and one picture per kind of system.
-
-    Args:
-        labelled: every estimate, by its label.
-        results: the bags and the comparison of each.
-    """
+    """Sizes of the errors: bags, number of coordinates, and one picture per kind of system."""
     bags: dict[tuple[str, ...], list[Path]] = {}
     alike: dict[tuple[str, ...], dict[str, Comparison]] = {}
     for bag, result, those in _by_bag(labelled, results):

@@ -58,12 +58,9 @@ def _count(value: int | None) -> str:
     return "" if value is None else str(value)
 
 
-def _switches(ruling: Ruling) -> Callable[[Comparison], int | None]:
-    def count(comparison: Comparison) -> int | None:
-        rulings = comparison.outcomes.rulings
-        return None if rulings is None else rulings[ruling]
-
-    return count
+def _switches(comparison: Comparison, ruling: Ruling) -> int | None:
+    rulings = comparison.outcomes.rulings
+    return None if rulings is None else rulings[ruling]
 
 
 FIGURES = (
@@ -78,13 +75,13 @@ FIGURES = (
     ),
     FigureOfMerit(
         "switches_rejected",
-        _switches(Ruling.REJECTED),
+        lambda c: _switches(c, Ruling.REJECTED),
         "by its last verdict on each; empty where it published none",
         column=Column(IMPACTS, "rejected", _count),
     ),
     FigureOfMerit(
         "impacts_inserted",
-        _switches(Ruling.INSERTED),
+        lambda c: _switches(c, Ruling.INSERTED),
         "missed impacts that it inserted and did not take back",
         column=Column(IMPACTS, "inserted", _count),
     ),

@@ -58,11 +58,6 @@ def write_report(
 ) -> None:
     """Write the page; one that is there is replaced.
 
-    Args:
-        path: of the page.
-        labelled: every estimate, by its label.
-        results: the bags and the comparison of each.
-
     Raises:
         UsageError: the file cannot be written.
     """

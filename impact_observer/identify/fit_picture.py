@@ -9,12 +9,7 @@ _MARKERS = "o^sDvx+*"
 
 
 def fit_picture(found: Identification, *, title: str) -> Figure:
-    """Errors of the stamps over time, with a band of two deviations of the clock.
-
-    Args:
-        found: the fit.
-        title: of the picture.
-    """
+    """Errors of the stamps over time, with a band of two deviations of the clock."""
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
     names = sorted({name for each in found.contacts for name in each})

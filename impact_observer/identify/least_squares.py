@@ -131,13 +131,8 @@ def start_of(problem: Problem) -> Vector:
 def by_gaps(problem: Problem, y: Vector, *, robust: bool = False) -> Vector:
     """``y`` of the least gaps at the stamps, from all moments or from more and more of them.
 
-    The first search has a weak prior on the parameters: far from the answer unbounded motions
-    would make small gaps too.
-
-    Args:
-        problem: the recording and the systems.
-        y: where to begin; see ``start_of``.
-        robust: whether a few gaps may be large.
+    The search begins at ``y``, with a weak prior on the parameters: far from the answer unbounded
+    motions would make small gaps too. If ``robust`` a few gaps may be large.
     """
     speed = float(np.linalg.norm(problem.shot(y).speeds))
 
@@ -224,13 +219,10 @@ def directions(problem: Problem, shot: Shot) -> Directions:
 
 
 def solved(problem: Problem, y: Vector, *, robust: bool = False) -> Solution:
-    """The most likely motion, from one near it.
+    """The most likely motion, from that of a ``y`` near it.
 
-    Args:
-        problem: the recording and the systems.
-        y: where to begin; see ``by_gaps``.
-        robust: whether a few shifts may be large. They count as if they were drawn from a Cauchy
-            distribution, by weights that are renewed at every step.
+    If ``robust`` a few shifts may be large. They count as if they were drawn from a Cauchy
+    distribution, by weights that are renewed at every step.
 
     Raises:
         IdentificationError: fewer hits than unknowns.
@@ -266,12 +258,8 @@ def usual_size(shifts: Vector, freedom: int) -> float:
 class _Step(NamedTuple):
     """A Gauss-Newton step.
 
-    Attributes:
-        dy: of initial state and parameters, shape (2n + p,).
-        t: the new instants, s, shape (moments,).
-        root: of the covariance of ``y``; see ``Solution``.
-        freedom: see ``Solution``.
-        penalty: on a gap in the merit function, s^2/m; larger than any multiplier.
+    ``t`` are the new instants, s, and ``penalty`` (s^2/m) is that on a gap in the merit function,
+    larger than any multiplier; see ``Solution`` for the others.
     """
 
     dy: Vector
@@ -289,11 +277,7 @@ class _Step(NamedTuple):
 
 
 class _Iterate(NamedTuple):
-    """A point of the iteration; see ``Solution``.
-
-    Attributes:
-        weights: of the shifts, shape (counted,).
-    """
+    """A point of the iteration, with weights of the shifts, shape (counted,); see ``Solution``."""
 
     problem: Problem
     counted: NDArray[np.int64]

@@ -87,11 +87,7 @@ def outliers_by_motion(
 ) -> Recording:
     """The recording with one more outlier, or all missed impacts; the same where none is left.
 
-    Args:
-        recording: as it was fitted.
-        problem: that was solved.
-        solution: the fitted motion.
-        clock: standard deviation of a stamp, s; None to estimate it from the shifts.
+    ``clock`` is the standard deviation of a stamp, s; None to estimate it from the shifts.
     """
     deviation = max(clock or usual_size(solution.shifts, solution.freedom), _ROUNDED)
     rejected, inserted = set(recording.rejected), set(recording.inserted)

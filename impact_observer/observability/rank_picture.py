@@ -15,12 +15,7 @@ _NAMED = 6
 
 
 def rank_picture(found: Observability, *, title: str) -> Figure:
-    """Singular values over time on a logarithmic axis with the tolerance, the rank below.
-
-    Args:
-        found: the observability of a recording.
-        title: of the picture.
-    """
+    """Singular values over time on a logarithmic axis with the tolerance, the rank below."""
     figure = Figure(figsize=(8.0, 5.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": (3, 1)})
     t = found.seconds
