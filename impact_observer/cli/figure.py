@@ -95,8 +95,8 @@ def figure(
     from impact_observer.cli.progress import Progress
     from impact_observer.compare.comparison import impacts_in
     from impact_observer.compare.error_pictures import lyapunov_picture
-    from impact_observer.compare.error_tables import distance_table, print_blindness
-    from impact_observer.compare.figures import figures_of
+    from impact_observer.compare.error_tables import print_blindness, table_of_laws
+    from impact_observer.compare.figures import DISTANCE, figures_of
     from impact_observer.draw.pictures import check_output, save
     from impact_observer.draw.text_tables import console
     from impact_observer.model import read_model
@@ -125,7 +125,7 @@ def figure(
         found = {law: figures_of(each) for law, each in comparisons.items()}
         print(json_module.dumps(found, indent=2))
         return 0
-    console().print(distance_table(comparisons))
+    console().print(table_of_laws(DISTANCE, comparisons))
     print_blindness(comparisons)
     print(f"picture: {output}")
     return 0

@@ -1,7 +1,6 @@
 """Comparing estimates in a bag with the truth, and those of observers that are run on the bag."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -93,7 +92,7 @@ def compare_bag(
     def true_states() -> Iterator[Samples]:
         return (_samples(block) for _, block in reader.blocks([true_topic], system.coordinates))
 
-    with _errors_name(reader.path):
+    try:
         comparisons = {name: each.result() for name, (_, each) in recorded.items()}
         for observer in observers:
             law = observer.law.name
@@ -104,6 +103,10 @@ def compare_bag(
                 threshold=threshold,
                 progress=partial(progress, law),
             )
+    except BagError as error:
+        if str(error).startswith(str(reader.path)):
+            raise
+        raise BagError(f"{reader.path}: {error}") from None
     epoch = epoch_of(events) or first_stamp(reader, [true_topic]) or 0
     return BagComparison(system, comparisons, impacts_in(events), epoch)
 
@@ -172,16 +175,6 @@ def _truth_topic(reader: BagReader, named: str | None) -> str:
             f"{reader.path}: has no truth ({interfaces.PLANT_JOINT_STATES.topic}) to compare with"
         )
     return found
-
-
-@contextmanager
-def _errors_name(bag: Path) -> Iterator[None]:
-    """Put the bag in front of the errors within."""
-    try:
-        yield
-    except BagError as error:
-        where = str(bag)
-        raise error if str(error).startswith(where) else BagError(f"{where}: {error}") from None
 
 
 def _samples(block: JointStates) -> Samples:

@@ -17,7 +17,7 @@ from impact_observer.compare.error_curve import ErrorRows
 from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
-from impact_observer.io.reader import BLOCK, BagReader
+from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
 from impact_observer.io.topic_names import first_block, first_stamp, named_states, states_of
 from impact_observer.model import System
@@ -104,20 +104,18 @@ def event_rows(reader: BagReader, epoch: int | None, progress: Progress) -> Iter
     if not events:
         raise BagError(f"{reader.path}: has no events to export")
     zero = _epoch(reader, events[0].stamp) if epoch is None else epoch
-    flat = [(event, switch) for event in events for switch in event.switches]
-    for begin in range(0, len(flat), BLOCK):
-        part = flat[begin : begin + BLOCK]
-        words = {
-            "contact": [switch.contact for _, switch in part],
-            "kind": [switch.kind.name.lower() for _, switch in part],
-        }
-        numbers = {
-            "sequence": np.array([event.sequence for event, _ in part], dtype=np.int64),
-            "episode": np.array([event.episode for event, _ in part], dtype=np.int64),
-        }
-        stamps = np.array([event.stamp for event, _ in part], dtype=np.int64)
-        yield TableBlock(reader.find(interfaces.IMPACTS) or "", zero, stamps, words, numbers)
-        progress(begin + len(part), len(flat))
+    rows = [(event, switch) for event in events for switch in event.switches]
+    words = {
+        "contact": [switch.contact for _, switch in rows],
+        "kind": [switch.kind.name.lower() for _, switch in rows],
+    }
+    numbers = {
+        "sequence": np.array([event.sequence for event, _ in rows], dtype=np.int64),
+        "episode": np.array([event.episode for event, _ in rows], dtype=np.int64),
+    }
+    stamps = np.array([event.stamp for event, _ in rows], dtype=np.int64)
+    yield TableBlock(reader.find(interfaces.IMPACTS) or "", zero, stamps, words, numbers)
+    progress(len(rows), len(rows))
 
 
 def _columns(

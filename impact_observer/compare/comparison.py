@@ -80,19 +80,9 @@ class Comparison:
         return float(self.V[-1] / self.V[0]) if self.V[0] > 0 else None
 
     @property
-    def final(self) -> Vector:
-        """Error of each state at the end, shape (2n,)."""
-        return np.asarray(self.error[-1])
-
-    @property
     def events(self) -> int:
         """Instants of events, openings included, that the estimate used."""
         return int(np.count_nonzero(self.outcomes.instants <= self.stamps[-1]))
-
-    @property
-    def impacts(self) -> int:
-        """Impacts that the estimate used."""
-        return self.outcomes.until(int(self.stamps[-1]))
 
     @property
     def states(self) -> tuple[str, ...]:

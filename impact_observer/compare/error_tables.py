@@ -7,7 +7,7 @@ from pathlib import Path
 from rich.table import Table
 
 from impact_observer.compare.comparison import Comparison
-from impact_observer.compare.figures import DISTANCE, ERRORS, IMPACTS, columns_of, figures_of
+from impact_observer.compare.figures import DISTANCE, ERRORS, FIGURES, IMPACTS, figures_of
 from impact_observer.draw.text_tables import console, ruled_table, upright
 from impact_observer.dynamics.lyapunov import is_seminorm
 from impact_observer.errors import UsageError
@@ -41,7 +41,8 @@ def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
 def print_tables(labelled: Mapping[str, Comparison]) -> None:
     """Print all tables, and which systems' V is blind to something."""
     terminal = console()
-    for table in (distance_table(labelled), impacts_table(labelled), errors_table(labelled)):
+    of_laws = [table_of_laws(title, labelled) for title in (DISTANCE, IMPACTS)]
+    for table in (*of_laws, errors_table(labelled)):
         # A narrow terminal would cut figures.
         terminal.print(table if terminal.width >= 80 else upright(table))
     print_blindness(labelled)
@@ -55,34 +56,24 @@ def print_blindness(labelled: Mapping[str, Comparison]) -> None:
             print(f"{name} has a rigid-body mode: V does not see an error of its position")
 
 
-def distance_table(labelled: Mapping[str, Comparison]) -> Table:
-    """V of each estimate, when it settled and how fast it fell."""
-    return _table_of_laws(DISTANCE, labelled)
-
-
-def impacts_table(labelled: Mapping[str, Comparison]) -> Table:
-    """Used, rejected and inserted impacts, and the samples that do not count."""
-    return _table_of_laws(IMPACTS, labelled)
-
-
-def _table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> Table:
-    """A row a law with the figures that belong into the table of that title."""
+def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> Table:
+    """A row a law with the figures of the table ``DISTANCE`` or ``IMPACTS``."""
     names, threshold = system_names(labelled), next(iter(labelled.values())).threshold
-    shown = columns_of(title)
-    headings = [column.heading.format(threshold=threshold) for _, column in shown]
+    shown = [figure for figure in FIGURES if figure.table == title]
+    headings = [figure.heading.format(threshold=threshold) for figure in shown]
     table = ruled_table(title.format(names=names), "law", *headings)
     for label, each in labelled.items():
-        table.add_row(label, *(column.cell(figure.value(each)) for figure, column in shown))
+        table.add_row(label, *(figure.cell(figure.value(each)) for figure in shown))
     return table
 
 
 def errors_table(labelled: Mapping[str, Comparison]) -> Table:
     """A row a state with the figures that every state has."""
-    shown = columns_of(ERRORS)
-    table = ruled_table(ERRORS, "law", "state", *(column.heading for _, column in shown))
+    shown = [figure for figure in FIGURES if figure.table == ERRORS]
+    table = ruled_table(ERRORS, "law", "state", *(figure.heading for figure in shown))
     table.columns[1].justify = "left"
     for label, each in labelled.items():
-        cells = [[column.cell(v) for v in figure.value(each)] for figure, column in shown]
+        cells = [map(figure.cell, figure.value(each)) for figure in shown]
         for i, (state, *of_state) in enumerate(zip(each.states, *cells, strict=True)):
             table.add_row("" if i else label, state, *of_state)
         table.add_section()

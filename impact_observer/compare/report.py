@@ -14,12 +14,8 @@ from impact_observer.compare.error_pictures import (
     distance_picture,
     error_pictures,
 )
-from impact_observer.compare.error_tables import (
-    distance_table,
-    errors_table,
-    impacts_table,
-    system_names,
-)
+from impact_observer.compare.error_tables import errors_table, system_names, table_of_laws
+from impact_observer.compare.figures import DISTANCE, IMPACTS
 from impact_observer.draw.pictures import svg
 from impact_observer.errors import UsageError
 from impact_observer.stamps import seconds_between
@@ -85,10 +81,10 @@ def _page(
     yield "<h2>Distance from the truth</h2>"
     picture = svg(distance_picture(labelled, results))
     yield _figure(picture, f"V over time, {_listed(bags)}")
-    yield _html(distance_table(labelled))
+    yield _html(table_of_laws(DISTANCE, labelled))
     yield _note(_ABOUT_V.format(threshold=threshold))
     yield "<h2>Impacts</h2>"
-    yield _html(impacts_table(labelled))
+    yield _html(table_of_laws(IMPACTS, labelled))
     yield _note(_ABOUT_IMPACTS)
     yield "<h2>Errors of each state</h2>"
     for shown, n, figure in error_pictures(labelled, results):

@@ -12,7 +12,7 @@ An instant with several impacts counts as if all of them were equally fast. Ineq
 0`` at all other times, ``gamma- <= 0``, loads that only press) are not used.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +26,7 @@ from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, ImpactEvent
 from impact_observer.model import System
-from impact_observer.observer.episode import last_episode
+from impact_observer.observer.episode import Episode, last_episode
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector, frozen
 
@@ -45,7 +45,7 @@ class Observability:
 
     Attributes:
         system: the system.
-        start: where the initial state holds, ns.
+        episode: the events; the initial state holds at its start.
         deviation: standard deviations of that state, shape (2n,); 0 for certain states.
         tolerance: singular value that counts as zero, relative to the largest.
         stamps: of impacts and releases, ns, shape (events,).
@@ -58,13 +58,10 @@ class Observability:
             shape (states - rank, 2n): a basis that is zero wherever it can be.
         remaining: these errors just after the last event, same shape.
         weakest: the error of the initial state that moved the gaps least, one deviation long.
-        foreign: number of switches of contacts that the model does not have, by name.
-        left_out: number of events that are duplicates, or before the start.
-        episodes: in the recording; the last one counts.
     """
 
     system: System
-    start: int
+    episode: Episode
     deviation: Vector
     tolerance: float
     stamps: Stamps
@@ -75,9 +72,6 @@ class Observability:
     undetermined: Matrix
     remaining: Matrix
     weakest: Vector
-    foreign: Mapping[str, int]
-    left_out: int
-    episodes: int
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -93,7 +87,8 @@ class Observability:
     @property
     def seconds(self) -> Vector:
         """Instants of impacts and releases since the start, s, shape (events,)."""
-        return np.array([seconds_between(self.start, stamp) for stamp in self.stamps.tolist()])
+        start = self.episode.start
+        return np.array([seconds_between(start, stamp) for stamp in self.stamps.tolist()])
 
     @property
     def condition(self) -> Vector:
@@ -160,7 +155,7 @@ def observability(
         undetermined = _with_sign(undetermined)
     return Observability(
         system=system,
-        start=episode.start,
+        episode=episode,
         deviation=frozen(scale),
         tolerance=tolerance,
         stamps=np.array([each.stamp for each, _ in counted], dtype=np.int64),
@@ -171,9 +166,6 @@ def observability(
         undetermined=frozen(_in_all_states(undetermined, scale)),
         remaining=frozen(undetermined @ errors.map.T),
         weakest=frozen(_in_all_states(_with_sign(directions[-1:]), scale)[0]),
-        foreign=episode.foreign,
-        left_out=episode.left_out,
-        episodes=episode.episodes,
     )
 
 

@@ -22,7 +22,7 @@ def figures_of(found: Observability) -> dict[str, object]:
     return {
         "name": found.system.name,
         "states": list(found.states),
-        "start_stamp_ns": found.start,
+        "start_stamp_ns": found.episode.start,
         "deviation": found.deviation.tolist(),
         "tolerance": found.tolerance,
         "uncertain": found.size,
@@ -38,9 +38,9 @@ def figures_of(found: Observability) -> dict[str, object]:
         "unknown_at_the_end": found.remaining.tolist(),
         "determined": list(found.determined),
         "least_known": found.weakest.tolist(),
-        "foreign_switches": dict(found.foreign),
-        "events_left_out": found.left_out,
-        "episodes": found.episodes,
+        "foreign_switches": dict(found.episode.foreign),
+        "events_left_out": found.episode.left_out,
+        "episodes": found.episode.episodes,
         "growth": {
             "stamp_ns": found.stamps.tolist(),
             "seconds": found.seconds.tolist(),
@@ -56,13 +56,15 @@ def figures_of(found: Observability) -> dict[str, object]:
 def sentences(found: Observability) -> Iterator[str]:
     """The conclusions."""
     yield from _verdict(found)
-    if found.episodes > 1:
-        yield f"The bag has {found.episodes} episodes: this is the last one."
-    if found.left_out:
-        yield f"{_count(found.left_out, 'event')} left out: sent twice, or from before the start."
-    if found.foreign:
-        contacts, known = _listed(list(found.foreign)), _listed(found.system.contact_names)
-        switches = _count(sum(found.foreign.values()), "switch", "es")
+    episode = found.episode
+    if episode.episodes > 1:
+        yield f"The bag has {episode.episodes} episodes: this is the last one."
+    if episode.left_out:
+        left_out = _count(episode.left_out, "event")
+        yield f"{left_out} left out: sent twice, or from before the start."
+    if episode.foreign:
+        contacts, known = _listed(list(episode.foreign)), _listed(found.system.contact_names)
+        switches = _count(sum(episode.foreign.values()), "switch", "es")
         yield (
             f"{switches} of contacts that the model does not have left out: {contacts};"
             f" it has {known}."

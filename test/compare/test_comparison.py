@@ -80,7 +80,7 @@ def test_figures_do_not_depend_on_the_blocks(cuts: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(found.V, V)
     np.testing.assert_allclose(found.rms, np.sqrt(np.mean(error**2, axis=0)), rtol=1e-12)
     np.testing.assert_array_equal(found.largest, np.max(np.abs(error), axis=0))
-    np.testing.assert_array_equal(found.final, error[-1])
+    np.testing.assert_array_equal(found.error[-1], error[-1])
     assert found.largest_rise == pytest.approx(np.max(np.diff(V)) / V[0], rel=1e-12)
     above = np.flatnonzero(0.01 * V[0] < V)
     assert found.settling_time == pytest.approx((above[-1] + 1) / 1000, abs=1e-9)

@@ -167,7 +167,7 @@ def test_impact_that_a_close_supersedes_adds_nothing() -> None:
     plain = observability(DECOUPLED, [*rest, closing])
     found = observability(DECOUPLED, [*rest, event(1.0, "c1", sequence=2), closing])
     assert found.singular.tobytes() == plain.singular.tobytes()
-    assert (found.stamps.tolist(), found.left_out) == (plain.stamps.tolist(), 0)
+    assert (found.stamps.tolist(), found.episode.left_out) == (plain.stamps.tolist(), 0)
 
 
 @pytest.mark.parametrize(("name", "impacts"), [("two_mass", 4), ("three_mass", 6)])
@@ -397,8 +397,8 @@ def test_only_the_last_episode_of_the_last_epoch_counts() -> None:
         event(100.5, "c1", sequence=2, episode=0, epoch=later),
     ]
     found = observability(model, events)
-    assert found.episodes == 3
-    assert found.start == later
+    assert found.episode.episodes == 3
+    assert found.episode.start == later
     np.testing.assert_allclose(found.seconds, [0.3, 0.5])
 
 
@@ -407,18 +407,18 @@ def test_recording_that_misses_its_beginning_starts_at_its_first_stamp() -> None
     late = observability(DECOUPLED, [event(3.0, "c1", sequence=7), event(3.5, "c1", sequence=8)])
     unknown = observability(DECOUPLED, [event(3.0, "c1", epoch=0), event(3.5, "c1", epoch=0)])
     for found in (late, unknown):
-        assert seconds_between(EPOCH, found.start) == 3.0
+        assert seconds_between(EPOCH, found.episode.start) == 3.0
         np.testing.assert_array_equal(found.seconds, [0.0, 0.5])
         np.testing.assert_allclose(found.singular[0], [1.0, 0.0, 0.0, 0.0], atol=1e-15)
     early = observability(DECOUPLED, [event(-1.0, "c1"), event(1.0, "c1")])
-    assert early.left_out == 1
+    assert early.episode.left_out == 1
     np.testing.assert_array_equal(early.seconds, [1.0])
 
 
 def test_other_contacts_are_counted_and_own_ones_are_needed() -> None:
     """The error names both."""
     found = observability(DECOUPLED, [event(1.0, "c1", "bell"), event(2.0, "bell")])
-    assert found.foreign == {"bell": 2}
+    assert found.episode.foreign == {"bell": 2}
     assert found.stamps.size == 1
     with pytest.raises(
         BagError, match=r"contains no impact of the model's contacts \(c1\).*: bell"
