@@ -26,8 +26,6 @@ _CLOSED = 1e-8
 """Gap that counts as closed, relative to the largest gap in the rest position."""
 _FEASIBLE = 1e-10
 """Tolerance of the linear programmes, the least that HiGHS accepts."""
-_INSIDE = 1e-12
-"""Penetration that counts as rounding, relative to the largest gap in the rest position."""
 _RANK = 1e-10
 """Singular value that counts as zero, for columns of length one."""
 
@@ -63,8 +61,8 @@ class ClosingSets:
         eps: restitution coefficients, shape (m,).
         lengths: of the columns before scaling, shape (m,), kg^(-1/2).
         gap: gaps in the rest position, scaled, shape (m,), the largest 1.
-        clearance: the maximum over q of the smallest gap, scaled, at most 1; negative where
-            ``g >= 0`` is empty.
+        feasible: whether some position is outside all stops.
+        has_clearance: whether some position is clear of all stops at once.
         conflicts: sets found to be unable to close together.
     """
 
@@ -83,23 +81,14 @@ class ClosingSets:
         # In coordinates divided by the roots of their masses, rows are about as long as B's.
         roots = np.sqrt(np.diag(system.M))
         self._rows = sparse.csr_matrix(system.W.T / np.outer(self.lengths, roots))
-        self.clearance, self._clear_gap = self._largest_clearance()
+        clearance = self._largest_clearance()
+        self.feasible, self.has_clearance = clearance >= -_CLOSED, clearance > _CLOSED
         # Two-sided stops, and stops one behind the other, need no programme.
         self.conflicts: set[Contacts] = {
             (i, j)
             for i, j in self.parallel()
             if abs(float(self.gap[i] - np.sign(self.G[i, j]) * self.gap[j])) > _CLOSED
         }
-
-    @property
-    def feasible(self) -> bool:
-        """Whether some position is outside all stops."""
-        return self.clearance >= -_CLOSED
-
-    @property
-    def has_clearance(self) -> bool:
-        """Whether some position is clear of all stops at once."""
-        return self.clearance > _CLOSED
 
     def parallel(self) -> list[tuple[int, int]]:
         """Pairs ``i < j`` of contacts with the same or the opposite direction."""
@@ -152,8 +141,6 @@ class ClosingSets:
         with ``z_i < 1`` alone have ``sum (1 - z_i) g_i >= c``: they cannot be zero together.
         """
         index = list(contacts)
-        if self._closes_nearby(index):
-            return None
         cost = np.asarray(self._rows[index].sum(axis=0)).ravel()
         found = self._solve(cost, self._rows, self.gap)
         if found.fun + np.sum(self.gap[index]) <= _CLOSED * len(index):
@@ -161,46 +148,27 @@ class ClosingSets:
         multipliers = -np.asarray(found.ineqlin.marginals)
         return tuple(i for i in contacts if multipliers[i] < 1 - _CLOSED) or contacts
 
-    def _closes_nearby(self, index: list[int]) -> bool:
-        """Whether ``g >= 0`` where ``g_A = 0`` is nearest to the clear position.
-
-        It is sufficient for A to close together, and needs no programme.
-        """
-        if len(index) > self.B.shape[0]:
-            return False
-        try:
-            factor = linalg.cho_factor(self.G[np.ix_(index, index)])
-        except linalg.LinAlgError:
-            return False
-        impulses = linalg.cho_solve(factor, self._clear_gap[index])
-        gap = self._clear_gap - self.G[:, index] @ impulses
-        return bool(np.all(np.abs(gap[index]) <= _INSIDE) and np.all(gap >= -_INSIDE))
-
-    def _largest_clearance(self) -> tuple[float, Vector]:
-        """The clearance, and all gaps in a position where it is reached."""
+    def _largest_clearance(self) -> float:
+        """The maximum over q of the smallest gap, at most 1; negative if ``g >= 0`` is empty."""
         m, n = self._rows.shape
         if m == 0:
-            return 1.0, np.zeros(0)
+            return 1.0
         rows = sparse.bmat([[self._rows, -np.ones((m, 1))], [None, -np.ones((1, 1))]]).tocsr()
         try:
             found = self._solve(np.append(np.zeros(n), -1.0), rows, np.append(self.gap, 1.0))
         except NotDecidedError:
             self._steps = 0  # no programme will be solved
-            return 1.0, self.gap
-        return float(found.x[n]), np.asarray(self._rows @ found.x[:n] + self.gap)
+            return 1.0
+        return float(found.x[n])
 
     def _solve(
         self, cost: Vector, rows: sparse.csr_matrix, gap: Vector
     ) -> optimize.OptimizeResult:
         """Minimise ``cost . x`` subject to ``rows x + gap >= 0``."""
         self.step()
-        tolerances = {
-            "primal_feasibility_tolerance": _FEASIBLE,
-            "dual_feasibility_tolerance": _FEASIBLE,
-        }
-        found = optimize.linprog(
-            cost, A_ub=-rows, b_ub=gap, bounds=(None, None), method="highs", options=tolerances
-        )
+        names = ("primal_feasibility_tolerance", "dual_feasibility_tolerance")
+        options = dict.fromkeys(names, _FEASIBLE)
+        found = optimize.linprog(cost, -rows, gap, bounds=(None, None), options=options)
         if found.status != 0:  # it is feasible and bounded: a numerical failure
             raise NotDecidedError
         return found
@@ -216,6 +184,15 @@ def redundant(closing: ClosingSets) -> SearchResult:
         All parallel pairs, and enough of the larger sets to name every contact that the others
         make redundant. No set contains another.
     """
+    columns = np.vstack([closing.B, closing.gap])
+
+    def dependent(contacts: Contacts) -> bool:
+        """Whether ``W_A a = 0`` and, as where ``g_A = 0``, ``q_r,A . a = 0`` for some ``a``."""
+        index = list(contacts)
+        return _rank_deficient(columns[:, index], _CLOSED) and _rank_deficient(
+            closing.B[:, index], _RANK
+        )
+
     found: list[Contacts] = []
     try:
         for pair in closing.parallel():
@@ -223,9 +200,7 @@ def redundant(closing: ClosingSets) -> SearchResult:
                 found.append(pair)
         contacts = _on_dependent_lines(closing, {pair[1] for pair in found})
         while contacts and len(found) < LISTED:
-            closed = first_failing(
-                closing, _dependent_where_closed(closing), closing.conflict, contacts
-            )
+            closed = first_failing(closing, dependent, closing.conflict, contacts)
             if closed is None:
                 break
             found.append(minimal_dependent(closing.B, closed))
@@ -233,23 +208,6 @@ def redundant(closing: ClosingSets) -> SearchResult:
     except NotDecidedError:
         return SearchResult(tuple(found), False)
     return SearchResult(tuple(found), True)
-
-
-def _dependent_where_closed(closing: ClosingSets) -> Callable[[Contacts], bool]:
-    """A test whether ``W_A a = 0`` and ``q_r,A . a = 0`` for some ``a``.
-
-    Dependent contacts that close together pass it, since ``g_A = 0``.
-    """
-    columns = np.vstack([closing.B, closing.gap])
-
-    def test(contacts: Contacts) -> bool:
-        index = list(contacts)
-        return all(
-            _rank_deficient(matrix[:, index], tolerance)
-            for matrix, tolerance in ((columns, _CLOSED), (closing.B, _RANK))
-        )
-
-    return test
 
 
 def _rank_deficient(columns: Matrix, tolerance: float) -> bool:
@@ -294,9 +252,8 @@ def first_failing(
 ) -> Contacts | None:
     """A subset of ``contacts`` that fails a test and has no conflict; None if there is none.
 
-    Subsets of a set that passes the test pass it too, and subsets of one without conflict have
-    none. So of a failing set with a conflict, only those subsets are searched that lack one
-    contact of the conflict.
+    Subsets of a set that passes the test pass it too. So of a failing set with a conflict, only
+    those subsets are searched that lack one contact of the conflict.
 
     Args:
         closing: counts the steps.
@@ -322,12 +279,3 @@ def first_failing(
                 seen.add(fewer)
                 waiting.append(fewer)
     return None
-
-
-def minimal_failing(fails: Callable[[Contacts], bool], contacts: Contacts) -> Contacts:
-    """A subset of a failing set that fails and has no failing subset."""
-    for i in contacts:
-        fewer = tuple(k for k in contacts if k != i)
-        if fails(fewer):
-            contacts = fewer
-    return contacts

@@ -18,7 +18,6 @@ from impact_observer.check.closing_sets import (
     SearchResult,
     first_failing,
     minimal_dependent,
-    minimal_failing,
 )
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -73,7 +72,10 @@ def expansive(closing: ClosingSets) -> SearchResult:
             return SearchResult((), True)
         for component in test.components():
             if found := first_failing(closing, test.fails, test.conflict, component):
-                return SearchResult((minimal_failing(test.fails, found),), True)
+                for i in found:  # only what the failure needs is kept
+                    fewer = tuple(k for k in found if k != i)
+                    found = fewer if test.fails(fewer) else found
+                return SearchResult((found,), True)
     except NotDecidedError:
         return SearchResult((), False)
     return SearchResult((), True)
@@ -106,8 +108,9 @@ class _Expansion:
             return False  # exactly zero or positive; rounding must not decide
         at = np.ix_(index, index)
         shift = _EIGENVALUE * float(np.linalg.norm(self._closing.G[at], np.inf))
-        return not any(
-            _definite(H[at] + shift * np.eye(len(index))) for H in (self._reduced, self._whole)
+        return all(
+            float(linalg.eigvalsh(H[at], subset_by_index=(0, 0))[0]) < -shift
+            for H in (self._reduced, self._whole)
         )
 
     def conflict(self, contacts: Contacts) -> Contacts | None:
@@ -153,14 +156,6 @@ class _Expansion:
             if not found:
                 raise
         return tuple(found)
-
-
-def _definite(matrix: Matrix) -> bool:
-    try:
-        linalg.cholesky(matrix, lower=True, overwrite_a=True)
-    except linalg.LinAlgError:
-        return False
-    return True
 
 
 def growth(closing: ClosingSets, contacts: Contacts) -> Growth:
