@@ -1,7 +1,7 @@
 """What a bag holds: topics, impacts, model, observers."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -12,13 +12,16 @@ from rich.filesize import decimal
 from impact_observer.check.findings import times
 from impact_observer.draw.text_tables import console, facts_table, plain_table
 from impact_observer.errors import BagError, ModelError
-from impact_observer.events import Kind
+from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io.interfaces import IMPACT_EVENT
 from impact_observer.io.mcap_layout import summary_of
 from impact_observer.io.reader import BagReader
 from impact_observer.model import parse_model
 from impact_observer.observer.event_order import impacts_of
 from impact_observer.stamps import seconds_between, text
+
+_WINDOW = 20_000
+"""Events that are sorted together: all of any bag but a very long one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +106,16 @@ def summarize(bag: Path) -> BagSummary:
 def _summary(reader: BagReader) -> BagSummary:
     impacts: Counter[str] = Counter()
     closings: Counter[str] = Counter()
-    episodes = 0
+    episodes: set[tuple[str, int]] = set()
+
+    def events(topic: str) -> Iterator[ImpactEvent]:
+        for event in reader.events(topic):
+            episodes.add((topic, event.episode))
+            yield event
+
     for topic in reader.topics.values():
         if topic.type == IMPACT_EVENT:
-            events = list(reader.events(topic.name))
-            episodes += len({event.episode for event in events})
-            for _, contact, kind in impacts_of(events):
+            for contact, kind in _impacts_in_order(events(topic.name)):
                 impacts[contact] += 1
                 closings[contact] += kind is Kind.CLOSE
     return BagSummary(
@@ -123,10 +130,32 @@ def _summary(reader: BagReader) -> BagSummary:
         topics=_topics(reader),
         impacts=dict(sorted(impacts.items())),
         closings=dict(sorted((+closings).items())),
-        episodes=episodes,
+        episodes=len(episodes),
         model=_model(reader),
         observers={prefix: _law(reader, prefix) for prefix in reader.observers()},
     )
+
+
+def _impacts_in_order(events: Iterable[ImpactEvent]) -> Iterator[tuple[str, Kind]]:
+    """Contacts and kinds of the impacts and closings that count, in constant memory.
+
+    ``_WINDOW`` events are sorted at a time; those of one stamp stay together.
+    """
+
+    def key(event: ImpactEvent) -> tuple[int, int, int]:
+        return event.epoch, event.episode, event.stamp
+
+    waiting: list[ImpactEvent] = []
+    for event in events:
+        waiting.append(event)
+        if len(waiting) >= 2 * _WINDOW:
+            waiting.sort(key=key)
+            cut = _WINDOW
+            while cut < len(waiting) and key(waiting[cut]) == key(waiting[cut - 1]):
+                cut += 1
+            yield from (impact[1:] for impact in impacts_of(waiting[:cut]))
+            del waiting[:cut]
+    yield from (impact[1:] for impact in impacts_of(waiting))
 
 
 def _topics(reader: BagReader) -> list[TopicSummary]:

@@ -1,4 +1,4 @@
-"""Checks of the contacts that events name, in one pass."""
+"""Checks of the contacts that events name, in one pass and constant memory."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -8,6 +8,8 @@ from impact_observer.check.findings import ERROR, WARNING, Finding, Occurrences,
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
 
+_MOST_NAMES = 1000
+"""Most contacts that are counted by name; a damaged bag may name any number."""
 _MOST_LINES = 5
 """Most contacts with the same fault that have a line of their own."""
 _FAST = 5_000_000
@@ -94,7 +96,8 @@ class ContactCheck:
     def add(self, event: ImpactEvent, where: str) -> None:
         """Add an event, at the place ``where`` of the bag."""
         for switch in sorted(event.switches, key=lambda each: each.kind):
-            contact = self._contacts[switch.contact]
+            named = switch.contact in self._contacts or len(self._contacts) < _MOST_NAMES
+            contact = self._contacts[switch.contact if named else "(other contacts)"]
             contact.switches += 1
             # An observer sorts late events by stamp; here they would look like a fault.
             if event.stamp >= contact.at:

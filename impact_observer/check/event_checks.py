@@ -15,7 +15,7 @@ from impact_observer.stamps import NS_PER_S, text
 _RECENT = 50_000
 """Events that are remembered to recognise duplicates."""
 _MOST = 1000
-"""Most missing sequence numbers that are remembered for each run."""
+"""Most runs, epochs and kinds of faults that are kept; a damaged bag may have any number."""
 _FAR = 3600 * NS_PER_S
 """Difference of stamps and log times beyond which they come from different clocks, ns."""
 
@@ -125,7 +125,9 @@ class EventCheck:
 
     def add_invalid(self, reason: str) -> None:
         """Add a message without a valid event."""
-        self._invalid[reason.partition(" is ")[0]].add(f"message {self.count}: {reason}")
+        kind = reason.partition(" is ")[0]
+        if len(self._invalid) < _MOST or kind in self._invalid:
+            self._invalid[kind].add(f"message {self.count}: {reason}")
         self.count += 1
 
     def add(self, event: ImpactEvent, log_time: int) -> None:
@@ -136,7 +138,8 @@ class EventCheck:
         delay = log_time - event.stamp
         if self._least_delay is None or abs(delay) < abs(self._least_delay):
             self._least_delay = delay
-        self._epochs[event.epoch] += 1
+        if len(self._epochs) < _MOST or event.epoch in self._epochs:
+            self._epochs[event.epoch] += 1
         if event.stamp < event.epoch:
             self._found["before epoch"].add(where)
         if not event.switches:
@@ -155,7 +158,8 @@ class EventCheck:
             self._found["duplicate" if earlier == event.stamp else "number reused"].add(where)
             return True
         _remember(self._recent_numbers, (*run_of, number), event.stamp)
-        self._runs.setdefault(run_of, _Run(number, number)).add(number, event.stamp)
+        if len(self._runs) < _MOST or run_of in self._runs:
+            self._runs.setdefault(run_of, _Run(number, number)).add(number, event.stamp)
         return False
 
     def _add_new(self, event: ImpactEvent, where: str) -> None:

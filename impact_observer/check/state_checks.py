@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Iterator
 
-import numpy as np
-
 from impact_observer.check.findings import (
     ERROR,
     NOTE,
@@ -14,16 +12,10 @@ from impact_observer.check.findings import (
     times,
 )
 from impact_observer.errors import BagError
-from impact_observer.io.interfaces import JOINT_STATE
 from impact_observer.io.messages import AnyMessage, MessageError, read_joint_state
 from impact_observer.io.reader import RawMessage
-from impact_observer.io.state_blocks import decode
 from impact_observer.model import System
-from impact_observer.stamps import MAX_STAMP, text
-from impact_observer.states import Stamps
-
-_BLOCK = 1024
-"""Messages that are decoded together."""
+from impact_observer.stamps import text
 
 
 class StateCheck:
@@ -31,7 +23,7 @@ class StateCheck:
 
     Attributes:
         topic: the absolute name.
-        count: messages that were decoded, valid or not.
+        count: messages, valid or not.
         first: the earliest stamp, ns; 0 before any.
         last: the latest stamp, ns; 0 before any.
     """
@@ -46,15 +38,23 @@ class StateCheck:
         self.topic = topic
         self.count = self.first = self.last = 0
         self._deserialize = deserialize
-        self._pending: list[bytes] = []
         self._invalid, self._renamed = Occurrences(), Occurrences()
         self._names: tuple[str, ...] = ()
 
     def add(self, raw: RawMessage) -> None:
         """Add a message."""
-        self._pending.append(raw.data)
-        if len(self._pending) == _BLOCK:
-            self._check_pending()
+        where = f"message {self.count}"
+        self.count += 1
+        try:
+            state = read_joint_state(self._deserialize(raw.data))
+        except (BagError, MessageError) as error:
+            self._invalid.add(f"{where}: {error}")
+            return
+        self._names = self._names or state.names
+        if len(set(state.names)) < len(state.names) or set(state.names) != set(self._names):
+            self._renamed.add(f"{where}: {listed(state.names)}")
+        self.first = min(self.first or state.stamp, state.stamp)
+        self.last = max(self.last, state.stamp)
 
     def findings(self, system: System | None, events: tuple[int, int] | None) -> Iterator[Finding]:
         """The findings.
@@ -63,7 +63,6 @@ class StateCheck:
             system: of the model; None where there is none.
             events: first and last stamp of the impacts, ns; None without any.
         """
-        self._check_pending()
         for fault, what in ((self._invalid, "no state"), (self._renamed, "other coordinates")):
             if fault.count:
                 have = "has" if fault.count == 1 else "have"
@@ -94,38 +93,3 @@ class StateCheck:
             yield Finding(WARNING, self.topic, found, remedy=remedy)
         else:
             yield Finding(NOTE, self.topic, found, remedy="only what is common can be compared")
-
-    def _check_pending(self) -> None:
-        """Check the messages added since the last block; the irregular ones one by one."""
-        block, self._pending = self._pending, []
-        together, alone = decode(JOINT_STATE, block)
-        for rows in together:
-            try:
-                self._check_names(block, int(rows.at[0]))
-            except BagError:  # names that are no text: all of these have them
-                alone += rows.at.tolist()
-                continue
-            alone += rows.at[~rows.valid].tolist()
-            self._add_stamps(rows.stamps[rows.valid])
-        for i in sorted(alone):
-            try:
-                message = self._deserialize(block[i])
-                state = read_joint_state(message)
-            except (BagError, MessageError) as error:
-                self._invalid.add(f"message {self.count + i}: {error}")
-                continue
-            self._check_names(block, i)
-            self._add_stamps(np.array([state.stamp]))
-        self.count += len(block)
-
-    def _check_names(self, block: list[bytes], i: int) -> None:
-        """Compare the coordinates of message ``i`` with those of the first message."""
-        names = tuple(self._deserialize(block[i]).name)
-        self._names = self._names or names
-        if sorted(names) != sorted(self._names) or len(set(names)) < len(names):
-            self._renamed.add(f"message {self.count + i}: {listed(names)}")
-
-    def _add_stamps(self, stamps: Stamps) -> None:
-        if stamps.size:
-            self.first = min(self.first or MAX_STAMP, int(stamps.min()))
-            self.last = max(self.last, int(stamps.max()))
