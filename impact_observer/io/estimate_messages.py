@@ -10,13 +10,12 @@ from impact_observer.events import Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, bag_messages
 from impact_observer.io.state_blocks import encode
+from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Estimate, Estimates
 
 Serialize: TypeAlias = Callable[[str, object], bytes]
 """Makes bytes of a topic and a message of its type."""
-_FEW = 4
-"""Messages of fewer estimates are made one by one."""
-_JOINT_STATES, _STATES = interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES
+_OWN = (interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES)
 
 
 def in_log_order(
@@ -54,36 +53,20 @@ def messages_of(
     Raises:
         MessageError: a message cannot carry an estimate.
     """
-    both = _together(estimates, names, serialize)
-    if both is None:
+    n, x, stamps = len(names), estimates.x, estimates.stamps
+    if stamps[-1] > MAX_STAMP or not np.isfinite(x).all():  # one of them raises the error
         for each in estimates:
             for topic, data in _one(each, names, serialize):
                 yield each.stamp, topic, data
         return
-    of_joints, of_state = _JOINT_STATES.topic, _STATES.topic
-    for stamp, joints, state in zip(estimates.stamps.tolist(), *both, strict=True):
-        yield stamp, of_joints, joints
-        yield stamp, of_state, state
-
-
-def _together(
-    estimates: Estimates, names: tuple[str, ...], serialize: Serialize
-) -> list[list[bytes]] | None:
-    """The two messages of all estimates; None where they have to be made one by one."""
-    n, x = len(names), estimates.x
-    if len(x) < _FEW or not np.isfinite(x).all():
-        return None
-    last = estimates.part(len(x) - 1, len(x)).first
-    found: list[list[bytes]] = []
-    of_first, of_last = (_one(each, names, serialize) for each in (estimates.first, last))
-    for own, (_, example), (_, expected) in zip(
-        (_JOINT_STATES, _STATES), of_first, of_last, strict=True
-    ):
-        made = encode(own.type, example, estimates.stamps, x[:, :n], x[:, n:])
-        if made is None or made[0] != example or made[-1] != expected:
-            return None
-        found.append(made)
-    return found
+    made = []
+    for own, (topic, example) in zip(_OWN, _one(estimates.first, names, serialize), strict=True):
+        copies = encode(own.type, example, stamps, x[:, :n], x[:, n:])
+        assert copies is not None, "our messages have a layout"
+        made.append([(topic, data) for data in copies])
+    for stamp, *both in zip(stamps.tolist(), *made, strict=True):
+        for topic, data in both:
+            yield stamp, topic, data
 
 
 def _one(
@@ -92,8 +75,6 @@ def _one(
     """The two messages of an estimate, with their topics."""
     make = bag_messages()
     joints = JointState(estimate.stamp, names, estimate.q, estimate.u)
-    for topic, message in (
-        (_JOINT_STATES.topic, make.joint_state(joints)),
-        (_STATES.topic, make.estimate(estimate, names)),
-    ):
-        yield topic, serialize(topic, message)
+    messages = (make.joint_state(joints), make.estimate(estimate, names))
+    for own, message in zip(_OWN, messages, strict=True):
+        yield own.topic, serialize(own.topic, message)

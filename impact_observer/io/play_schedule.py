@@ -3,11 +3,10 @@
 import math
 import queue
 import threading
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import Enum
-from types import TracebackType
 from typing import final
 
 from impact_observer.errors import UsageError
@@ -64,11 +63,10 @@ class Playing:
         Raises:
             UsageError: one is out of range.
         """
-        _check_positive("rate", self.rate)
-        if self.clock_rate is not None:
-            _check_positive("clock rate", self.clock_rate)
-        if self.duration is not None:
-            _check_positive("duration", self.duration)
+        numbers = {"rate": self.rate, "clock rate": self.clock_rate, "duration": self.duration}
+        for name, value in numbers.items():
+            if value is not None and not 0 < value < math.inf:
+                raise UsageError(f"{name} is {value}; expected a positive number")
 
 
 @dataclass(slots=True)
@@ -141,50 +139,30 @@ class Ticks:
 
 @final
 class ReadAhead:
-    """Reads messages ahead in a thread; a context manager and iterator."""
+    """Reads messages ahead in a thread, and passes them on once."""
 
     def __init__(self, messages: Iterable[RawMessage]) -> None:
-        """Begin to read."""
+        """Begin to read, and wait for the first message."""
         self._ahead: queue.Queue[RawMessage | Exception | None] = queue.Queue(_READ_AHEAD)
         self._closed = threading.Event()
-        self._first: list[RawMessage | Exception | None] = []
         self._thread = threading.Thread(
             target=self._read, args=(messages,), name="read ahead", daemon=True
         )
         self._thread.start()
+        self._first = self._ahead.get()
 
-    def __enter__(self) -> "ReadAhead":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-    def __iter__(self) -> "ReadAhead":
-        return self
-
-    def __next__(self) -> RawMessage:
-        """The next message.
+    def __iter__(self) -> Iterator[RawMessage]:
+        """The messages.
 
         Raises:
             BagError: reading failed, at the message where it did.
         """
-        item = self._first.pop() if self._first else self._ahead.get()
-        if isinstance(item, RawMessage):
-            return item
-        self._first = [item]  # to be raised again
-        if item is None:
-            raise StopIteration
-        raise item
-
-    def wait(self) -> None:
-        """Wait until the first message is read."""
-        if not self._first:
-            self._first = [self._ahead.get()]
+        item = self._first
+        while item is not None:
+            if isinstance(item, Exception):
+                raise item
+            yield item
+            item = self._ahead.get()
 
     def close(self) -> None:
         """Stop reading; closing twice does no harm."""
@@ -192,25 +170,18 @@ class ReadAhead:
         self._thread.join()
 
     def _put(self, item: RawMessage | Exception | None) -> None:
-        """In the thread: put an item into the queue, unless closed."""
         while not self._closed.is_set():
             with suppress(queue.Full):
                 self._ahead.put(item, timeout=_PATIENCE)
                 break
 
     def _read(self, messages: Iterable[RawMessage]) -> None:
-        """In the thread: read all."""
+        """In the thread: read all messages, unless closed."""
         try:
             for message in messages:
                 self._put(message)
                 if self._closed.is_set():
                     return
             self._put(None)
-        except Exception as error:  # noqa: BLE001 (raised by __next__)
+        except Exception as error:  # noqa: BLE001 (raised by __iter__)
             self._put(error)
-
-
-def _check_positive(name: str, value: float) -> None:
-    """Check that ``value`` is a positive finite number."""
-    if not 0 < value < math.inf:
-        raise UsageError(f"{name} is {value}; expected a positive number")

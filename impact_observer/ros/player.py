@@ -232,7 +232,6 @@ class Player:
         """
         how, ahead = self._how, self._ahead()
         try:
-            ahead.wait()
             begin = time.monotonic_ns()
             while self._play_once(ahead, begin, keep_on):
                 if how.loop:  # read the next pass during the rest of this one
