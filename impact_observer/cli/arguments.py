@@ -51,20 +51,16 @@ def add_option(
         flag: if not the row's own.
         default: what ``--help`` calls the default, if not the row's.
     """
+    flag = flag or option.long_flag
     if option.type == "bool":
-        text = option.meaning
         parser.add_argument(
-            flag or option.long_flag,
-            dest=option.name,
-            action="store_true",
-            default=None,
-            help=text,
+            flag, dest=option.name, action="store_true", default=None, help=option.meaning
         )
         return
     unit = "s" if option.unit == "ns" else option.unit
     shown = option.default if option.default not in ("", ()) else "none"
     parser.add_argument(
-        flag or option.long_flag,
+        flag,
         dest=option.name,
         metavar=metavar(option),
         type=value_of(option),
@@ -171,15 +167,18 @@ def not_negative(text: str) -> float:
 
 def count(text: str) -> int:
     """A whole number above zero."""
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text} found; expected a whole number, 1 or more")
-    return int(text)
+    return _whole(text, 1)
 
 
 def seed(text: str) -> int:
     """A whole number, not below zero."""
-    if not (text.isascii() and text.isdigit()):
-        raise argparse.ArgumentTypeError(f"{text} found; expected a whole number, 0 or more")
+    return _whole(text, 0)
+
+
+def _whole(text: str, least: int) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) >= least):
+        expected = f"a whole number, {least} or more"
+        raise argparse.ArgumentTypeError(f"{text} found; expected {expected}")
     return int(text)
 
 

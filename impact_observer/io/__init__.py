@@ -4,24 +4,9 @@ Bags are read and written by ``rosbags``; nothing in this room imports ``rclpy``
 and conversions serve the nodes, which bring their own message classes.
 """
 
-from impact_observer.io.bag_topics import TopicInfo
-from impact_observer.io.columns import JointStates, ObserverStates
-from impact_observer.io.interfaces import Interface, Quality
-from impact_observer.io.messages import EstimateError, JointState, MessageError, Messages
+from impact_observer.io.interfaces import Quality
+from impact_observer.io.messages import EstimateError, JointState
 from impact_observer.io.reader import BagReader
 from impact_observer.io.writer import BagWriter, copy_topics
 
-__all__ = [
-    "BagReader",
-    "BagWriter",
-    "EstimateError",
-    "Interface",
-    "JointState",
-    "JointStates",
-    "MessageError",
-    "Messages",
-    "ObserverStates",
-    "Quality",
-    "TopicInfo",
-    "copy_topics",
-]
+__all__ = ["BagReader", "BagWriter", "EstimateError", "JointState", "Quality", "copy_topics"]

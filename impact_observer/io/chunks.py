@@ -18,7 +18,6 @@ from rosbags.rosbag2 import ReaderError
 
 from impact_observer.io.mcap_layout import (
     CHUNK,
-    COMPRESSIONS,
     FRAME,
     MESSAGE,
     MESSAGE_OPCODE,
@@ -102,9 +101,7 @@ def _records(file: BinaryIO, chunk: ChunkIndex) -> bytes:
     if len(data) < chunk.chunk_length or begin + chunk.compressed_size > len(data):
         raise ReaderError(f"Truncated chunk at offset {chunk.chunk_start_offset}.")
     *_, size, checksum = CHUNK.unpack_from(data, FRAME.size)
-    if chunk.compression not in COMPRESSIONS:
-        raise ReaderError(f"Unsupported chunk compression {chunk.compression!r}.")
-    records = uncompressed(data[begin : begin + chunk.compressed_size], chunk.compression, size)
+    records = uncompressed(data[begin : begin + chunk.compressed_size], chunk.compression)
     if len(records) != size:
         raise ReaderError(f"Chunk size mismatch: expected {size} bytes, got {len(records)}.")
     if checksum and zlib.crc32(records) != checksum:

@@ -21,8 +21,6 @@ MESSAGE = struct.Struct("<HIQQ")
 MESSAGE_OPCODE = int(Opcode.MESSAGE)  # an int compares faster than the enumeration
 CHUNK = struct.Struct("<QQQI")
 """First and last log time, uncompressed size, checksum of a chunk, before its records."""
-COMPRESSIONS = ("", "lz4", "zstd")
-"""How the records of a chunk may be compressed."""
 
 
 def summary_of(file: BinaryIO) -> Summary | None:
@@ -34,28 +32,17 @@ def summary_of(file: BinaryIO) -> Summary | None:
         return None
 
 
-def uncompressed(data: bytes, compression: str, size: int | None = None) -> bytes:
-    """The records of a chunk.
-
-    Args:
-        data: as they are stored.
-        compression: one of ``COMPRESSIONS``.
-        size: of the records, bytes; None to read as many as there are in ``data``, which may be
-            cut short.
+def uncompressed(data: bytes, compression: str) -> bytes:
+    """The records of a chunk; as many as there are if ``data`` is cut short.
 
     Raises:
         ValueError: no such compression.
         Exception: the decompressor's own, for broken data.
     """
     if compression == "zstd":
-        zstd = zstandard.ZstdDecompressor()
-        if size is None:
-            return bytes(zstd.decompressobj().decompress(data))
-        return bytes(zstd.decompress(data, max_output_size=size))
+        return bytes(zstandard.ZstdDecompressor().decompressobj().decompress(data))
     if compression == "lz4":
-        if size is None:
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
-        return bytes(lz4.frame.decompress(data))
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(data))
     if compression:
         raise ValueError(f"unknown compression {compression}")
     return data
