@@ -35,24 +35,17 @@ _NUMBERS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag of sensors")
-    parser.add_argument(
-        "--sources", metavar="FILE", type=Path, help="the sensors, docs/detector.md"
-    )
+    add = parser.add_argument
+    add("bag", metavar="BAG", type=Path, help="a bag of sensors")
+    add("--sources", metavar="FILE", type=Path, help="the sensors, docs/detector.md")
     for name, meaning in _TEXTS.items():
-        parser.add_argument(_option(name), metavar=name.upper(), help=meaning)
+        add(_option(name), metavar=name.upper(), help=meaning)
     for name, meaning in _NUMBERS.items():
-        parser.add_argument(_option(name), metavar="X", type=float, help=meaning)
-    parser.add_argument(
-        "--inverted", action="store_true", default=None, help="the switch is closed when low"
-    )
+        add(_option(name), metavar="X", type=float, help=meaning)
+    add("--inverted", action="store_true", default=None, help="the switch is closed when low")
     add_model(parser, "a model file or a sample, to be put into the bag")
-    parser.add_argument(
-        "--epoch", metavar="S", type=stamp, help="stamp of t = 0 (default: unknown)"
-    )
-    parser.add_argument(
-        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
-    )
+    add("--epoch", metavar="S", type=stamp, help="stamp of t = 0 (default: unknown)")
+    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make")
 
 
 def _option(name: str) -> str:

@@ -16,29 +16,28 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("csv", metavar="CSV", type=Path, help="the file of impact times")
-    parser.add_argument(
-        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
-    )
+    add = parser.add_argument
+    add("csv", metavar="CSV", type=Path, help="the file of impact times")
+    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make")
     add_model(parser, "a model file or a sample, to be put into the bag")
-    parser.add_argument(
+    add(
         "--time-unit",
         choices=("s", "ms", "us", "ns"),
         help="of the times (default: that in the header, else s)",
     )
-    parser.add_argument(
+    add(
         "--start",
         metavar="S",
         type=_start,
         help="stamp of the file's time 0 (default: 1 s, or 0 for times since 1970)",
     )
-    parser.add_argument(
+    add(
         "--epoch",
         metavar="S",
         type=stamp,
         help="stamp of t = 0 of the forcing (default: that of the file's time 0)",
     )
-    parser.add_argument("--sort", action="store_true", help="the rows may be in any order")
+    add("--sort", action="store_true", help="the rows may be in any order")
 
 
 def _start(text: str) -> int:

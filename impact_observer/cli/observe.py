@@ -23,19 +23,14 @@ _HARDLY = 0.9
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag with impacts")
+    add = parser.add_argument
+    add("bag", metavar="BAG", type=Path, help="a bag with impacts")
     add_model(parser)
     add_namespace(parser)
-    parser.add_argument(
-        "--law", metavar="LAW", default="geometric", help="of the observer (default geometric)"
-    )
+    add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
     add_observer_arguments(parser, convergence=True)
-    parser.add_argument(
-        "--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)"
-    )
-    parser.add_argument(
-        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
-    )
+    add("--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)")
+    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -22,43 +22,27 @@ _CLOCK_RATE = 100.0
 """Nodes that receive the bag need its time too, so /clock is published by default."""
 _NAME = r"/?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_][A-Za-z0-9_]*)*"
 _REMAPPING = re.compile(f"({_NAME}):=({_NAME})")
-_KEYS = {
-    " ": "PAUSE",
-    "n": "NEXT",
-    "right": "NEXT",
-    "up": "FASTER",
-    "down": "SLOWER",
-    "q": "QUIT",
-}
+_KEYS = {" ": "PAUSE", "n": "NEXT", "right": "NEXT", "up": "FASTER", "down": "SLOWER", "q": "QUIT"}
 """Keys, and names of :class:`~impact_observer.io.play_schedule.Control`."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
+    add = parser.add_argument
     # BAG comes first: behind --clock or --topics it would be taken for their value.
     parser.usage = (
         "%(prog)s BAG [--rate R] [--loop] [--start S] [--duration S] [--start-paused] "
         "[--topics TOPIC ...] [--remap FROM:=TO ...] [--qos FILE] [--clock [HZ] | --no-clock] "
         "[--delay S]"
     )
-    parser.add_argument("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
-    parser.add_argument(
-        "--rate", metavar="R", type=float, default=1.0, help="times as fast (default: 1)"
-    )
-    parser.add_argument("--loop", action="store_true", help="start again at the end")
-    parser.add_argument(
-        "--start", metavar="S", type=float, default=0.0, help="start S seconds into the bag"
-    )
-    parser.add_argument(
-        "--duration", metavar="S", type=positive, help="play S seconds of the bag (default: all)"
-    )
-    parser.add_argument(
-        "--start-paused", action="store_true", help="wait for the space bar, or n, to begin"
-    )
-    parser.add_argument(
-        "--topics", metavar="TOPIC", nargs="+", help="play these topics only (default: all)"
-    )
-    parser.add_argument(
+    add("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
+    add("--rate", metavar="R", type=float, default=1.0, help="times as fast (default: 1)")
+    add("--loop", action="store_true", help="start again at the end")
+    add("--start", metavar="S", type=float, default=0.0, help="start S seconds into the bag")
+    add("--duration", metavar="S", type=positive, help="play S seconds of the bag (default: all)")
+    add("--start-paused", action="store_true", help="wait for the space bar, or n, to begin")
+    add("--topics", metavar="TOPIC", nargs="+", help="play these topics only (default: all)")
+    add(
         "--remap",
         metavar="FROM:=TO",
         nargs="+",
@@ -66,14 +50,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="publish topics by other names",
     )
-    parser.add_argument(
+    add(
         "--qos",
         metavar="FILE",
         type=Path,
         help="qualities of service to offer, as ros2 bag play --qos-profile-overrides-path",
     )
     _add_clock_arguments(parser)
-    parser.add_argument(
+    add(
         "--delay",
         metavar="S",
         type=float,

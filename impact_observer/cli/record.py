@@ -11,31 +11,24 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument(
-        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to create"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to create")
+    add(
         "--topics",
         metavar="TOPIC",
         nargs="+",
         help="record these topics only (default: every topic that appears)",
     )
-    parser.add_argument(
+    add(
         "--exclude",
         metavar="TOPIC",
         nargs="+",
         default=[],
         help="leave these out; quoted, a * stands for anything: '/camera/*'",
     )
-    parser.add_argument(
-        "--use-sim-time",
-        action="store_true",
-        help="log times follow /clock",
-    )
-    parser.add_argument(
-        "--duration", metavar="S", type=float, help="stop by itself after S seconds of wall time"
-    )
-    parser.add_argument(
+    add("--use-sim-time", action="store_true", help="log times follow /clock")
+    add("--duration", metavar="S", type=float, help="stop by itself after S seconds of wall time")
+    add(
         "--compression",
         choices=("none", "zstd"),
         default="none",

@@ -11,38 +11,31 @@ from impact_observer.sensor_faults import SENSOR_FAULTS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    parser.add_argument("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
-    parser.add_argument(
-        "--duration", metavar="S", type=positive, default=30.0, help="how long, s (default 30)"
-    )
-    parser.add_argument(
-        "--rate", metavar="HZ", type=positive, default=100.0, help="true states, Hz (default 100)"
-    )
-    parser.add_argument(
-        "--seed", metavar="N", type=seed, default=0, help="of everything random (default 0)"
-    )
-    parser.add_argument(
+    add = parser.add_argument
+    add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
+    add("--duration", metavar="S", type=positive, default=30.0, help="how long, s (default 30)")
+    add("--rate", metavar="HZ", type=positive, default=100.0, help="true states, Hz (default 100)")
+    add("--seed", metavar="N", type=seed, default=0, help="of everything random (default 0)")
+    add(
         "--epoch",
         metavar="S",
         type=stamp,
         default=1_000_000_000,
         help="stamp of t = 0 (default 1)",
     )
-    parser.add_argument(
+    add(
         "--integrator",
         choices=INTEGRATORS,
         default=EVENT_DRIVEN,
         help="exact from event to event, or Moreau's time stepping (default event-driven)",
     )
-    parser.add_argument(
+    add(
         "--step",
         metavar="S",
         type=positive,
         help=f"length of the steps of moreau, s (default {DEFAULT_STEP:g})",
     )
-    parser.add_argument(
-        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
-    )
+    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make")
     group = parser.add_argument_group("sensor", "its faults; none by default")
     for each in SENSOR_FAULTS:
         add_option(group, each)

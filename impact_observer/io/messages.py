@@ -69,7 +69,7 @@ class EstimateError:
         stamp: when both states hold, ns.
         law: name of the observer's law.
         v: Lyapunov distance V, J.
-        names: the coordinates' names, n of them.
+        names: of the n coordinates.
         q: estimate minus truth, shape (n,), m or rad.
         u: estimate minus truth, shape (n,), m/s or rad/s.
     """
@@ -133,12 +133,7 @@ class Messages:
         )
 
     def verdict(self, verdict: Verdict, latency: float = 0.0) -> AnyMessage:
-        """``verdict`` as ``impact_observer_msgs/EventVerdict``.
-
-        Args:
-            verdict: on an event.
-            latency: from the event's stamp to its application, s.
-        """
+        """As ``impact_observer_msgs/EventVerdict``; latency from stamp to application, s."""
         _check_counter("EventVerdict.sequence", verdict.sequence, _MAX_UINT64)
         return self._classes(interfaces.EVENT_VERDICT)(
             header=self._header("EventVerdict", verdict.stamp),
@@ -151,12 +146,7 @@ class Messages:
         )
 
     def estimate(self, estimate: Estimate, names: Sequence[str]) -> AnyMessage:
-        """``estimate`` as ``impact_observer_msgs/ObserverState``.
-
-        Args:
-            estimate: the state of n coordinates, with covariance and further values.
-            names: the coordinates' names, n of them.
-        """
+        """``estimate`` as ``impact_observer_msgs/ObserverState``; ``names`` of coordinates."""
         n = len(names)
         _check_counter("ObserverState.last_sequence", estimate.last_sequence, _MAX_UINT64)
         _check_stamp("ObserverState.last_event", estimate.last_event, earliest=0)

@@ -31,18 +31,9 @@ _MOST = 2**31 - 1
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """All policies of a topic; the defaults are those of ``rclpy.qos.QoSProfile``.
+    """All policies of a topic by the names of ``rclpy.qos.QoSProfile``, with its defaults.
 
-    Attributes:
-        history: ``keep_last``, ``keep_all`` or ``system_default``.
-        depth: messages kept with ``keep_last``.
-        reliability: ``reliable``, ``best_effort``, ``system_default`` or ``best_available``.
-        durability: ``volatile``, ``transient_local``, ``system_default`` or ``best_available``.
-        liveliness: ``automatic``, ``manual_by_topic``, ``system_default`` or ``best_available``.
-        deadline: ns; 0 for none.
-        lifespan: ns; 0 for none.
-        liveliness_lease_duration: ns; 0 for none.
-        avoid_ros_namespace_conventions: whether the topic's name gets no prefix of ROS.
+    The texts are short names, such as ``keep_last``; durations are in ns, 0 for none.
     """
 
     history: str = "keep_last"
@@ -87,7 +78,6 @@ def read_overrides(path: Path) -> dict[str, Profile]:
 
 
 def _profile(where: str, policies: object) -> Profile:
-    """The profile of one topic."""
     if not isinstance(policies, Mapping):
         raise UsageError(f"{where}: {policies!r} found; expected policies: {', '.join(_KEYS)}")
     values = {key: _policy(f"{where}: {key}", key, value) for key, value in policies.items()}
@@ -116,7 +106,6 @@ def _policy(where: str, key: object, value: object) -> object:
 
 
 def _whole(where: str, value: object) -> int:
-    """A whole number, 0 or more."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= _MOST:
         raise UsageError(f"{where} is {value!r}; expected a whole number, 0 or more")
     return value
