@@ -39,7 +39,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
     ),
     (Room("sweep", "Monte Carlo over laws, starts, faults, wrong models", "joblib, pyarrow"),),
     (Room("ros", "nodes, recorder, player, monitor, watch", "rclpy"),),
-    (Room("cli", "one short file a subcommand", "rich"),),
+    (Room("cli", "one short file per subcommand", "rich"),),
 )
 """Level by level: a room imports only from rooms of the levels before its own."""
 

@@ -229,6 +229,16 @@ def test_law_that_redefines_impact_does_not_inherit_the_bound() -> None:
     assert bounds[1] is None
 
 
+def test_law_that_redefines_impact_does_not_inherit_how_many_replicas_jump() -> None:
+    """Estimate and other replicas jump alike."""
+    model = sample("two_mass").system
+    replicas = np.array([[0.1, 0.6, 1.0, 0.5], [0.2, 0.3, -1.0, 0.8], [0.0, 0.4, 0.3, -0.2]])
+    law, change = Halfway(model), ContactChange(0.0, (), (0,), ())
+    found = law.correct(change, Belief(Ensemble.of(replicas)))
+    wanted = [law.impact(x, (0,), ()) for x in replicas]
+    np.testing.assert_allclose(found.replicas, wanted, rtol=0, atol=1e-15)
+
+
 def install(monkeypatch: pytest.MonkeyPatch, **entries: str) -> None:
     """As if packages with these entry points were installed."""
     found = EntryPoints(

@@ -31,15 +31,16 @@ class ReplicaLaw(Law):
     """
 
     def __init_subclass__(cls) -> None:
-        """Reset what is derived from a method that ``cls`` redefines.
-
-        ``phase`` belongs to ``motion``, and ``energy_removed`` to ``impact``.
-        """
+        """Reset what belongs to a method that ``cls`` redefines, unless it redefines that too."""
         super().__init_subclass__()
-        if "impact" in vars(cls) and "energy_removed" not in vars(cls):
-            cls.energy_removed = ReplicaLaw.energy_removed  # type: ignore[method-assign]
-        if "motion" in vars(cls) and "phase" not in vars(cls):
-            cls.phase = ReplicaLaw.phase  # type: ignore[method-assign]
+        belonging = {
+            "impact": ("impacts", "impact_ensemble", "energy_removed"),
+            "motion": ("phase",),
+        }
+        for method, others in belonging.items():
+            for other in others if method in vars(cls) else ():
+                if other not in vars(cls):
+                    setattr(cls, other, getattr(ReplicaLaw, other))
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare sprag clutches and all linear phases."""

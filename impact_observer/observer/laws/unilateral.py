@@ -14,8 +14,7 @@ from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
-from impact_observer.observer.laws.replica_law import ReplicaLaw
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Vector
 
 
 class Unilateral(Geometric):
@@ -49,16 +48,6 @@ class Unilateral(Geometric):
         if closed != active:  # where not all gaps can be zero, those of ``closed`` are
             x = self._projected(x, closed)
         return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
-
-    def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """One after the other: replicas reach their stops at different times."""
-        return ReplicaLaw.impacts(self, replicas, active, closed)
-
-    def impact_ensemble(
-        self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
-    ) -> Ensemble:
-        """One after the other."""
-        return ReplicaLaw.impact_ensemble(self, before, x, active, closed)
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed; the other gaps never turn negative."""
