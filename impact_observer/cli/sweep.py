@@ -9,7 +9,7 @@ the same command goes on where it was interrupted. Needs impact_observer[sweep].
 import argparse
 import json as json_module
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,6 +29,7 @@ from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.sweep.engines import one_thread
 
 if TYPE_CHECKING:
+    from impact_observer.sweep.case_runs import Outcome
     from impact_observer.sweep.plan import Sweep
 
 EPOCH = 1_000_000_000
@@ -253,9 +254,14 @@ def sweep(
         print(f"{output}: {wanted.size} cases, {impacts} impacts of the plant in each")
         if plot is not None:
             print(f"picture: {plot}")
-    if failed := [each for _, each in sorted(outcomes.items()) if each.error]:
+    _raise_failed(outcomes.values(), wanted.size)
+    return 0
+
+
+def _raise_failed(outcomes: "Iterable[Outcome]", size: int) -> None:
+    failed = sorted((each for each in outcomes if each.error), key=lambda each: each.case)
+    if failed:
         raise SweepError(
-            f"{len(failed)} of {wanted.size} cases failed, such as case {failed[0].case}:"
+            f"{len(failed)} of {size} cases failed, such as case {failed[0].case}:"
             f" {failed[0].error}"
         )
-    return 0

@@ -40,17 +40,14 @@ class _GifWriter(AbstractMovieWriter):
     """
 
     def setup(self, fig: Figure, outfile: str | Path, dpi: float | None = None) -> None:
-        """Begin a film."""
         super().setup(fig, outfile, dpi)
         self._pictures: list[BytesIO] = []
 
     def grab_frame(self, **savefig_kwargs: Any) -> None:  # noqa: ANN401 (as in the base class)
-        """Add the picture that the figure shows."""
         self._pictures.append(BytesIO())
         self.fig.savefig(self._pictures[-1], format="png", dpi=self.dpi, **savefig_kwargs)
 
     def finish(self) -> None:
-        """Write the film."""
         # The format counts hundredths of a second.
         ends = np.rint(np.arange(len(self._pictures) + 1) * 100 / self.fps)
         durations = (10 * np.diff(ends)).astype(int).tolist()

@@ -81,7 +81,6 @@ def read_film(
 
 
 def _chosen(reader: BagReader, observers: Sequence[str] | None) -> tuple[str, ...]:
-    """Prefixes of the observers that are shown."""
     present = reader.observers()
     chosen = present if observers is None else tuple(f"/{each.lstrip('/')}" for each in observers)
     for each in chosen:
@@ -133,7 +132,6 @@ def _rows(block: JointStates, rows: NDArray[np.bool_]) -> JointStates:
 
 
 def _track(label: str, states: JointStates, jumps: set[int]) -> Track:
-    """The track of some states."""
     return Track.of(label, getattr(states, "law", ""), (states.stamps, states.q, states.u), jumps)
 
 

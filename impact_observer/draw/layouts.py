@@ -96,7 +96,6 @@ def message_path(curve: Curve) -> str:
 
 
 def _message_step(step: FieldStep) -> str:
-    """One step of a message path."""
     if step.index is not None:
         return f".{step.field}[{step.index}]"
     key, value = step.where
@@ -153,7 +152,6 @@ class _Panels:
         return [states, *([_split("row", texts)] if texts else [])]
 
     def _plot(self, title: str, curves: Sequence[Curve]) -> str:
-        """One pair of axes."""
         paths = [
             {
                 **_path(each),
@@ -254,7 +252,6 @@ def _readable(curves: Sequence[Curve]) -> list[Curve]:
 
 
 def _tab(tab: ET.Element, curves: Sequence[Curve], colours: dict[str, str]) -> None:
-    """Fill a tab with plots in columns."""
     columns = _columns(_by_plot(curves))
     rows = ET.SubElement(ET.SubElement(tab, "Container"), "DockSplitter", _sizes("|", columns))
     for column in columns:
@@ -287,7 +284,6 @@ def _columns(parts: Sequence[Any]) -> list[list[Any]]:
 
 
 def _by_plot(curves: Iterable[Curve]) -> list[tuple[str, list[Curve]]]:
-    """Titles of plots, and the curves of each."""
     plots: dict[str, list[Curve]] = {}
     for each in curves:
         plots.setdefault(each.plot, []).append(each)

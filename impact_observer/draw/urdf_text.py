@@ -79,7 +79,6 @@ def _walls(scene: Scene, prefix: str, used: set[str]) -> Iterator[tuple[str, flo
 
 
 def _add_joint(robot: ET.Element, name: str, kind: str, links: tuple[str, str]) -> ET.Element:
-    """A joint from one link to another."""
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
     ET.SubElement(joint, "parent", link=links[0])
     ET.SubElement(joint, "child", link=links[1])

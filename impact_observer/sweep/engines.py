@@ -54,7 +54,6 @@ def run_cases(
 
 
 def _on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome, None, None]":
-    """Run cases in processes of this machine."""
     try:
         import joblib
     except ImportError as error:

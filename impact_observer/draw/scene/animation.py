@@ -71,7 +71,6 @@ class FilmPictures:
 
 
 def _rows(figure: Figure, film: Film, height: float) -> list[SceneRow]:
-    """One row for each track, of the given height, inches."""
     whole = float(figure.get_figheight())
     rows = []
     for k, (track, style) in enumerate(zip(film.tracks, _track_styles(film), strict=True)):

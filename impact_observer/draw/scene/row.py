@@ -197,7 +197,6 @@ def _box(axes: Axes, width: float, **style: Any) -> Rectangle:  # noqa: ANN401 (
 
 
 def _lines(axes: Axes, width: float) -> LineCollection:
-    """Lines whose points are set later."""
     lines = LineCollection([], colors="0.15", linewidths=width)
     axes.add_collection(lines)
     return lines
@@ -235,7 +234,6 @@ def _draw_still(axes: Axes, scene: Scene, label: str) -> None:
 
 
 def _hatch(axes: Axes, box: Box) -> None:
-    """Draw a hatched box that does not move."""
     style: Style = {"facecolor": "white", "edgecolor": "0.35", "hatch": "/////", "linewidth": 0.9}
     axes.add_patch(Rectangle((box.left, box.bottom), box.width, box.height, zorder=2, **style))
 
