@@ -73,7 +73,7 @@ def observe(
     from impact_observer.io.recordings import events_in, system_of
     from impact_observer.observability.rank import TOLERANCE, observability
     from impact_observer.observability.rank_picture import rank_picture
-    from impact_observer.observability.rank_report import figures_of, print_report
+    from impact_observer.observability.rank_report import figures_of, print_observability
 
     if plot is not None:
         check_output(plot)
@@ -92,7 +92,7 @@ def observe(
     if json:
         print(json_module.dumps(figures_of(found), indent=2, allow_nan=False))
     else:
-        print_report(found)
+        print_observability(found)
     if plot is not None:
         title = f"{system.name}: what the impacts determine of the initial state"
         save(rank_picture(found, title=title), plot)

@@ -136,13 +136,9 @@ def labelled_by_law(results: Sequence[tuple[Path, BagComparison]]) -> dict[str, 
 def compare_recorded(
     reader: BagReader, system: System, truth: str, estimates: Collection[tuple[str, Comparator]]
 ) -> Iterator[tuple[int, int]]:
-    """Compare recorded estimates with the truth, all in one pass through the bag.
+    """Compare recorded estimates with the ``truth`` on a topic, in one pass through the bag.
 
-    Args:
-        reader: the bag.
-        system: gives the coordinates.
-        truth: topic of the true states.
-        estimates: their topics, and what compares them; its law becomes that of the messages.
+    Each of the ``estimates`` is a topic and what compares it; its law becomes that of the messages.
 
     Yields:
         The number of messages read, and of all: after each block of states and at the end.

@@ -32,8 +32,6 @@ SETTLED = 1e-2
 """Default of the ratio V over V at the start below which an estimate has settled."""
 _FLOOR = 10.0
 """V over V at the end up to which V counts as falling."""
-_BLOCK = 4096
-"""Estimates that are read back from the temporary file together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -320,7 +318,7 @@ def compare_observer(
         if not made:
             raise BagError(f"{law}: no impact was received, so there is no estimate to compare")
         file.seek(0)
-        estimates = iter(lambda: file.read(_BLOCK * row.itemsize), b"")
+        estimates = iter(lambda: file.read(4096 * row.itemsize), b"")
         comparator = Comparator(system or observer.system, outcomes, law, threshold)
         _compare_blocks(comparator, truth(), (np.frombuffer(data, row) for data in estimates))
     return comparator.result()

@@ -67,7 +67,6 @@ def write_report(
 def _page(
     labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Iterator[str]:
-    """The page, part by part."""
     title = escape(f"Estimates of {system_names(labelled)}")
     threshold = next(iter(labelled.values())).threshold
     bags = [bag for bag, _ in results]

@@ -62,6 +62,15 @@ def facts_table(rows: Iterable[tuple[RenderableType, RenderableType]]) -> Table:
     return table
 
 
+def print_report(table: Table, sentences: Iterable[str]) -> None:
+    """Print a table, and sentences below it."""
+    terminal = console(100)
+    terminal.print(table)
+    terminal.print()
+    for sentence in sentences:
+        terminal.print(sentence)
+
+
 def upright(table: Table) -> Table:
     """The same table for a narrow terminal: the cells of a row stand below each other."""
     upright = Table(box=None, title=table.title, title_justify="left", show_header=False)

@@ -10,9 +10,6 @@ from impact_observer.states import Vector
 
 REJECTED = 1e-3
 """Probability of the shifts under the model below which the model is rejected."""
-_LAGS = 10
-_LEAST = 3
-"""Fewest impacts in which a lag counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +52,7 @@ def check_fit(found: Identification) -> FitCheck:
     if found.declared:
         weight = float(np.sum((shifts / found.clock) ** 2))
         size = float(stats.chi2.sf(weight, max(found.freedom, 1)))
-    lags = max(1, min(_LAGS, shifts.size // _LEAST))
+    lags = max(1, min(10, shifts.size // 3))
     return FitCheck(
         size=size,
         white=_whiteness(shifts, lags),

@@ -8,7 +8,7 @@ import numpy as np
 from rich.table import Table
 
 from impact_observer import __version__
-from impact_observer.draw.text_tables import console, plain_table
+from impact_observer.draw.text_tables import plain_table, print_report
 from impact_observer.identify.fit_check import FitCheck
 from impact_observer.identify.identification import Identification, combination
 from impact_observer.identify.model_edit import changes
@@ -73,7 +73,7 @@ def figures_of(found: Identification, check: FitCheck) -> dict[str, object]:
 
 def print_parameters(found: Identification) -> None:
     """Print the fitted parameters and how well they are determined."""
-    _print(_parameter_table(found), [*_about_fit(found), *_about_parameters(found)])
+    print_report(_parameter_table(found), [*_about_fit(found), *_about_parameters(found)])
 
 
 def print_check(found: Identification, check: FitCheck) -> None:
@@ -81,15 +81,7 @@ def print_check(found: Identification, check: FitCheck) -> None:
     table = plain_table("contact", "impacts", "mean [s]", "rms [s]", words={"contact"})
     for name, (count, mean, rms) in check.by_contact.items():
         table.add_row(name, str(count), f"{mean:.3g}", f"{rms:.3g}")
-    _print(table, [*_about_fit(found), *_about_check(found, check)])
-
-
-def _print(table: Table, sentences: list[str]) -> None:
-    terminal = console(100)
-    terminal.print(table)
-    terminal.print()
-    for sentence in sentences:
-        terminal.print(sentence)
+    print_report(table, [*_about_fit(found), *_about_check(found, check)])
 
 
 def _parameter_table(found: Identification) -> Table:
@@ -109,7 +101,6 @@ def _parameter_table(found: Identification) -> Table:
 
 
 def _about_fit(found: Identification) -> Iterator[str]:
-    """How well the recording is explained."""
     declared = f" ({found.clock:.3g} s declared)" if found.declared else ""
     off = f"{found.rms:.3g} s from the model's impacts (rms)"
     yield f"{len(found.shifts)} stamps, {off}{declared}."
@@ -144,7 +135,6 @@ def _about_parameters(found: Identification) -> Iterator[str]:
 
 
 def _about_check(found: Identification, check: FitCheck) -> Iterator[str]:
-    """The tests and the verdict."""
     if check.size is not None:
         yield f"Were the model right, shifts that large had a probability of {check.size:.2g}."
     yield (

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from rich.table import Table
 
-from impact_observer.draw.text_tables import console, plain_table
+from impact_observer.draw.text_tables import console, plain_table, print_report
 from impact_observer.observability.rank import Observability
 from impact_observer.states import Vector
 
@@ -120,18 +120,13 @@ def combination(found: Observability, direction: Vector) -> str:
     return f"{words} and {more} more" if more > 0 else words
 
 
-def print_report(found: Observability) -> None:
+def print_observability(found: Observability) -> None:
     """Print how the rank grew, and the conclusions."""
-    terminal = console(100)
-    terminal.print(
+    console(100).print(
         f"{found.system.name}: {_events(found, found.stamps.size)} in"
-        f" {found.seconds[-1]:.3f} s, {found.size} unknown numbers"
+        f" {found.seconds[-1]:.3f} s, {found.size} unknown numbers\n"
     )
-    terminal.print()
-    terminal.print(growth_table(found))
-    terminal.print()
-    for sentence in sentences(found):
-        terminal.print(sentence)
+    print_report(growth_table(found), sentences(found))
 
 
 def growth_table(found: Observability) -> Table:
@@ -141,17 +136,15 @@ def growth_table(found: Observability) -> Table:
     rises = [k for k, r in enumerate(found.rank) if r > (found.rank[k - 1] if k else 0)]
     rows = sorted({*rises, found.rank.size - 1})
     middle = len(rows) - 2 * _SHOWN
-    for k in rows if middle <= 1 else rows[:_SHOWN]:
-        table.add_row(*_row(found, k))
-    if middle > 1:
-        table.add_row("...", "", f"{middle} more in --json")
-        for k in rows[-_SHOWN:]:
+    for number, k in enumerate(rows):
+        if middle <= 1 or not _SHOWN <= number < len(rows) - _SHOWN:
             table.add_row(*_row(found, k))
+        elif number == _SHOWN:
+            table.add_row("...", "", f"{middle} more in --json")
     return table
 
 
 def _row(found: Observability, k: int) -> tuple[str, ...]:
-    """Rank and singular values after one event."""
     values, rank = found.singular[k], int(found.rank[k])
     return (
         str(k + 1),

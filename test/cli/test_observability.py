@@ -174,7 +174,7 @@ def test_long_growth_is_shown_by_its_ends(capsys: pytest.CaptureFixture[str]) ->
     events = [impact(k, f"c{k % 8 + 1}") for k in range(1, 17)]
     events.append(event_of(30, Switch("c1", Kind.CLOSE), Switch("c2")))
     events.append(event_of(40, Switch("c1", Kind.OPEN)))
-    rank_report.print_report(observability(model, events))
+    rank_report.print_observability(observability(model, events))
     output = capsys.readouterr().out
     assert "17 impacts and 1 release in 4.000 s, 16 unknown numbers" in output
     assert "... " in output
