@@ -77,11 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _sources(args: argparse.Namespace) -> "tuple[Source, ...]":
-    """The sensors of a file, or the one that the options declare.
-
-    Raises:
-        UsageError: neither is given, or both are.
-    """
+    """The sensors of a file, or the one that the options declare."""
     from impact_observer.detector import Source, read_sources
     from impact_observer.errors import UsageError
 

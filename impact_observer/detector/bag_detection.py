@@ -93,11 +93,7 @@ def _present(reader: BagReader, sources: Sequence[Source]) -> tuple[list[Source]
 
 
 def _check_contacts(reader: BagReader, model: Model | None, sources: Sequence[Source]) -> None:
-    """Check the contacts of the sensors against the model that is given, or the bag's, if any.
-
-    Raises:
-        UsageError: a contact is none of the model's.
-    """
+    """Check the contacts of the sensors against the model that is given, or the bag's, if any."""
     if model is None:
         if reader.model_text() is None:
             return

@@ -126,7 +126,12 @@ class Columns:
         try:
             if self._type == OBSERVER_STATE:
                 names, state = read_estimate(message)
-                self._check_law(state.law)
+                if self._law not in (None, state.law):
+                    raise BagError(
+                        f"{self._source} changes its law from {self._law} to {state.law}; "
+                        "expected one law a topic, such as /observer_<law>/state"
+                    )
+                self._law = state.law
                 rows.stamps[0], rows.q[0], rows.u[0] = state.stamp, state.q, state.u
                 rows.last_sequence[0], rows.last_event[0] = state.last_sequence, state.last_event
             else:
@@ -137,15 +142,6 @@ class Columns:
             place = f"{self._source}, message {self._taken + i}"
             raise BagError(f"{place}: {error}") from error
         return names, rows
-
-    def _check_law(self, law: str) -> None:
-        """Check that the law is that of the messages before."""
-        if self._law not in (None, law):
-            raise BagError(
-                f"{self._source} changes its law from {self._law} to {law}; "
-                "expected one law a topic, such as /observer_<law>/state"
-            )
-        self._law = law
 
     def _in_columns(self, found: tuple[str, ...], rows: StateRows) -> StateRows:
         """Rows of messages with the names ``found``, their coordinates in the order wanted."""

@@ -76,11 +76,7 @@ def observe_bag(
 def _sample_stamps(
     reader: BagReader, events: Sequence[ImpactEvent], rate: float | None, epoch: int
 ) -> Stamps:
-    """Stamps of the estimates: at ``rate`` (Hz) from the epoch on, or those of the true states.
-
-    Raises:
-        UsageError: there is neither a rate nor a true state.
-    """
+    """Stamps of the estimates: at ``rate`` (Hz) from the epoch on, or those of the true states."""
     truth = reader.truth_topic()
     if rate is None:
         if truth is None:
@@ -99,19 +95,13 @@ def _stamps_of(reader: BagReader, topic: str) -> Stamps:
 
 
 class _ObserverMessages:
-    """Makes the messages of estimates and verdicts, and counts them.
-
-    Attributes:
-        estimates: how many so far.
-        others: how many verdicts of each kind that do not decide on an event.
-        final: of the other verdicts the last one on each event and contact.
-    """
+    """Makes the messages of estimates and verdicts, and counts them."""
 
     def __init__(
         self, writer: BagWriter, names: tuple[str, ...], progress: Callable[[int], None]
     ) -> None:
         self.estimates = 0
-        self.others = Counter[Ruling]()
+        self.others = Counter[Ruling]()  # of verdicts that do not decide on an event
         self.final: dict[tuple[int, int, str], Ruling] = {}
         self._serialize = writer.serialized
         self._names = names
