@@ -138,7 +138,7 @@ def compare_recorded(
 ) -> Iterator[tuple[int, int]]:
     """Compare recorded estimates with the ``truth`` on a topic, in one pass through the bag.
 
-    Each of the ``estimates`` is a topic and what compares it. Its law becomes that of the topic.
+    Each of the ``estimates`` is a topic with its comparator. The law becomes that of the messages.
 
     Yields:
         The number of messages read, and of all: after each block of states and at the end.
