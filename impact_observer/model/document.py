@@ -1,4 +1,4 @@
-"""Reading values from a model file; errors name the key."""
+"""Values of a model, read from its file and checked; errors name the key."""
 
 import math
 import zlib
@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import io, sparse
 
 from impact_observer.errors import ModelError
-from impact_observer.model.validation import LARGEST
-from impact_observer.states import Matrix, Vector
+from impact_observer.states import Matrix, Vector, frozen
 
+LARGEST = 1e15
+"""Largest magnitude of any number of a model, SI units; beyond it products overflow."""
 Value: TypeAlias = object
 """Any value in a YAML file."""
 
@@ -127,6 +128,28 @@ def numbers(key: str, value: Value, n: int) -> Vector:
         found = f"{len(value)} values" if isinstance(value, list) else _shown(value)
         raise ModelError(key, f"{found} found; expected a list of {n} numbers")
     return np.array([number(f"{key}[{i}]", item) for i, item in enumerate(value)])
+
+
+def finite(key: str, values: ArrayLike, shape: tuple[int, ...], what: str) -> Vector:
+    """``values`` as a frozen array of ``shape``; ``what`` says it in words.
+
+    Raises:
+        ModelError: another shape, or a value that is no number, not finite or too large.
+    """
+    try:
+        array = frozen(values)
+    except (TypeError, ValueError):
+        raise ModelError(key, f"is not made of numbers only; expected {what}") from None
+    if array.shape != shape:
+        found = " x ".join(map(str, array.shape)) or "a single number"
+        raise ModelError(key, f"has shape {found}; expected {what}")
+    if not np.all(np.isfinite(array)):
+        at = "".join(f"[{i}]" for i in np.argwhere(~np.isfinite(array))[0])
+        raise ModelError(f"{key}{at}", "is not finite; expected a number")
+    if np.any(np.abs(array) > LARGEST):
+        at = "".join(f"[{i}]" for i in np.argwhere(np.abs(array) > LARGEST)[0])
+        raise ModelError(f"{key}{at}", f"is too large; expected at most {LARGEST:g}")
+    return array
 
 
 def file_beside(key: str, relative: str, folder: Path | None) -> Path:

@@ -13,7 +13,7 @@ from impact_observer.errors import ModelError
 from impact_observer.model import sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.system import Contact
+from impact_observer.model.system import Contact, System
 from impact_observer.states import Matrix, Vector
 
 GROUND = "ground"
@@ -37,19 +37,6 @@ class Element:
     label: str
     value: float
     matrix: Matrix
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Assembly:
-    """The matrices that a list of elements assembles to, shapes as in ``System``."""
-
-    coordinates: tuple[str, ...]
-    M: Matrix
-    C: Matrix
-    K: Matrix
-    forcing: Forcing
-    contacts: tuple[Contact, ...]
-    elements: tuple[Element, ...]
 
 
 class _Line:
@@ -85,11 +72,14 @@ class _Line:
         return self.unit(f"{key}[1]", pair[1]) - self.unit(f"{key}[0]", pair[0])
 
 
-def assemble(document: Section, folder: Path | None = None) -> Assembly:
-    """Assemble the elements of a model file.
+def assembled_system(
+    name: str, document: Section, folder: Path | None
+) -> tuple[System, tuple[Element, ...]]:
+    """The system called ``name`` that a model file assembles, and its elements.
 
     Args:
-        document: the whole of it.
+        name: of the system.
+        document: the whole file.
         folder: where the CSV file of a sampled forcing lies.
 
     Raises:
@@ -99,29 +89,27 @@ def assemble(document: Section, folder: Path | None = None) -> Assembly:
     if not bodies:
         raise ModelError("bodies", "is missing or empty; a system needs at least one body")
     line = _Line([body.text("name") for body in bodies])
-    for i, (body, name) in enumerate(zip(bodies, line.names, strict=True)):
-        if name == GROUND:
-            raise ModelError(body.key("name"), f"{GROUND!r} is reserved; choose another name")
-        if name in line.names[:i]:
-            raise ModelError(body.key("name"), f"{name!r} is taken already; names must differ")
-    elements = [*_masses(line, bodies), *_springs(line, document.items("springs"))]
+    for i, (section, body) in enumerate(zip(bodies, line.names, strict=True)):
+        if body == GROUND:
+            raise ModelError(section.key("name"), f"{GROUND!r} is reserved; choose another name")
+        if body in line.names[:i]:
+            raise ModelError(section.key("name"), f"{body!r} is taken already; names must differ")
+    elements = [
+        Element("mass", body, section.positive("mass"), np.outer(axis, axis))
+        for section, body, axis in zip(bodies, line.names, np.eye(line.n), strict=True)
+    ]
+    elements += _springs(line, document.items("springs"))
     matrices = {kind: np.zeros((line.n, line.n)) for kind in KINDS}
     for each in elements:
         matrices[each.kind] += each.value * each.matrix
-    return Assembly(
-        coordinates=tuple(line.names),
-        M=matrices["mass"],
-        C=matrices["damping"],
-        K=matrices["stiffness"],
-        forcing=_forcing(line, document, folder),
-        contacts=tuple(_stop(line, key, value) for key, value in document.items("stops")),
-        elements=tuple(each for each in elements if each.value),
-    )
-
-
-def _masses(line: _Line, bodies: list[Section]) -> Iterator[Element]:
-    for body, name, axis in zip(bodies, line.names, np.eye(line.n), strict=True):
-        yield Element("mass", name, body.positive("mass"), np.outer(axis, axis))
+    forcing = _forcing(line, document, folder)
+    stops = tuple(_stop(line, key, value) for key, value in document.items("stops"))
+    M, C, K = matrices["mass"], matrices["damping"], matrices["stiffness"]
+    try:
+        system = System(name, tuple(line.names), M, C, K, forcing, stops)
+    except ModelError as error:
+        raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
+    return system, tuple(each for each in elements if each.value)
 
 
 def _springs(line: _Line, items: list[tuple[str, Value]]) -> Iterator[Element]:

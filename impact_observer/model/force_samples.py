@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.errors import DynamicsError, ModelError
-from impact_observer.model.validation import finite
+from impact_observer.model.document import finite
 from impact_observer.states import Matrix, Vector, frozen
 
 HOLDS = ("previous", "linear")

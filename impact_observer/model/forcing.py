@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.errors import ModelError
+from impact_observer.model.document import finite
 from impact_observer.model.force_samples import Samples
-from impact_observer.model.validation import finite
 from impact_observer.states import Matrix, Vector, frozen
 
 

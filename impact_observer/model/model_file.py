@@ -24,8 +24,6 @@ from impact_observer.states import Matrix, Vector, frozen
 _MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "forcing", "contacts")
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """What ruamel raises: its own errors, and others for values such as ``2020-13-45``."""
-_LONGEST = 1_000_000
-"""Line width that keeps ruamel from breaking lines."""
 _COMMON_KEYS = ("name", "initial_state", "provenance")
 
 
@@ -208,7 +206,7 @@ def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
         changes: new values by their path in the file, such as ``("stops", 0, "limit")``.
     """
     yaml = YAML()
-    yaml.width = _LONGEST
+    yaml.width = 1_000_000  # or ruamel breaks lines
     yaml.preserve_quotes = True
     if re.search(r"^ +- ", text, re.MULTILINE):
         yaml.indent(sequence=4, offset=2)
@@ -236,44 +234,36 @@ def _model(document: Value, folder: Path | None) -> Model:
     name = section.text("name")
     parts: tuple[Element, ...] = ()
     if form is elements.KEYS:
-        system, parts = _system_of_elements(name, section, folder)
+        system, parts = elements.assembled_system(name, section, folder)
     else:
         system = _system_of_matrices(name, section, folder)
     position, velocity = _initial_state(section, system)
-    return Model(system, position, velocity, _provenance(section), elements=parts)
-
-
-def _system_of_elements(
-    name: str, section: Section, folder: Path | None
-) -> tuple[System, tuple[Element, ...]]:
-    a = elements.assemble(section, folder)
-    try:
-        return System(name, a.coordinates, a.M, a.C, a.K, a.forcing, a.contacts), a.elements
-    except ModelError as error:
-        raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
+    provenance = section.value("provenance") if "provenance" in section else {}
+    if not isinstance(provenance, Mapping):
+        raise ModelError("provenance", f"{provenance!r} found; expected keys and values")
+    provenance = {str(key): value for key, value in provenance.items()}
+    return Model(system, position, velocity, provenance, elements=parts)
 
 
 def _system_of_matrices(name: str, section: Section, folder: Path | None) -> System:
-    coordinates = tuple(_name(key, value) for key, value in section.items("coordinates"))
+    coordinates = section.items("coordinates")
     if not coordinates:
         raise ModelError("coordinates", "is missing or empty; expected a list of names")
-    n = len(coordinates)
+    for key, value in coordinates:
+        if not isinstance(value, str):
+            raise ModelError(key, f"{value!r} is not a name; give a string")
+    names = tuple(str(value) for _, value in coordinates)
+    n = len(names)
     section.value("contacts")
     return System(
         name=name,
-        coordinates=coordinates,
+        coordinates=names,
         M=section.matrix("mass", n, folder),
         C=section.matrix("damping", n, folder),
         K=section.matrix("stiffness", n, folder),
-        forcing=_forcing(section, coordinates, folder),
+        forcing=_forcing(section, names, folder),
         contacts=tuple(_contact(key, value, n) for key, value in section.items("contacts")),
     )
-
-
-def _name(key: str, value: Value) -> str:
-    if not isinstance(value, str):
-        raise ModelError(key, f"{value!r} is not a name; give a string")
-    return value
 
 
 def _forcing(section: Section, coordinates: Sequence[str], folder: Path | None) -> Forcing:
@@ -320,8 +310,6 @@ def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vec
     position = frozen(state.vector("position", system.n))
     velocity = frozen(state.vector("velocity", system.n))
     for name, values in (("position", position), ("velocity", velocity)):
-        for i in np.flatnonzero(~np.isfinite(values)):
-            raise ModelError(f"initial_state.{name}[{i}]", "is not finite; expected a number")
         for i in np.flatnonzero(np.abs(values) > LARGEST_STATE):
             raise ModelError(
                 f"initial_state.{name}[{i}]", f"is too large; expected at most {LARGEST_STATE:g}"
@@ -331,12 +319,3 @@ def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vec
         problem = f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0"
         raise ModelError("initial_state.position", problem)
     return position, velocity
-
-
-def _provenance(section: Section) -> Mapping[str, Value]:
-    if "provenance" not in section:
-        return {}
-    value = section.value("provenance")
-    if not isinstance(value, Mapping):
-        raise ModelError("provenance", f"{value!r} found; expected keys and values")
-    return {str(k): v for k, v in value.items()}

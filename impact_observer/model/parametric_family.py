@@ -4,8 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from impact_observer.model.forcing import Forcing
-from impact_observer.model.system import Contact, System
+from impact_observer.model.system import System
 from impact_observer.states import Matrix, Vector, frozen
 
 
@@ -153,29 +152,17 @@ class ParametricFamily:
         Raises:
             ModelError: that is not a valid system.
         """
-        return system_with(self.system, self.at(values))
-
-
-def system_with(system: System, coefficients: Coefficients) -> System:
-    """``system`` with other ``coefficients``."""
-    cosine, sine = rotated_harmonics(system.forcing, coefficients)
-    return replace(
-        system,
-        M=coefficients.M,
-        C=coefficients.C,
-        K=coefficients.K,
-        forcing=replace(system.forcing, cosine=cosine, sine=sine),
-        contacts=tuple(
-            Contact(each.name, each.direction, gap, eps)
-            for each, gap, eps in zip(
-                system.contacts, coefficients.gap.tolist(), coefficients.eps.tolist(), strict=True
-            )
-        ),
-    )
-
-
-def rotated_harmonics(forcing: Forcing, coefficients: Coefficients) -> tuple[Matrix, Matrix]:
-    """Cosine and sine parts of the harmonics with other amplitudes and phases, (h, n) each, N."""
-    cos = (coefficients.amplitude * np.cos(coefficients.phase))[:, None]
-    sin = (coefficients.amplitude * np.sin(coefficients.phase))[:, None]
-    return forcing.cosine * cos + forcing.sine * sin, forcing.sine * cos - forcing.cosine * sin
+        found, forcing, contacts = self.at(values), self.system.forcing, self.system.contacts
+        cos = (found.amplitude * np.cos(found.phase))[:, None]
+        sin = (found.amplitude * np.sin(found.phase))[:, None]
+        cosine = forcing.cosine * cos + forcing.sine * sin
+        sine = forcing.sine * cos - forcing.cosine * sin
+        stops = zip(contacts, found.gap.tolist(), found.eps.tolist(), strict=True)
+        return replace(
+            self.system,
+            M=found.M,
+            C=found.C,
+            K=found.K,
+            forcing=replace(forcing, cosine=cosine, sine=sine),
+            contacts=tuple(replace(each, gap=gap, restitution=eps) for each, gap, eps in stops),
+        )

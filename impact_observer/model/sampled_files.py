@@ -9,10 +9,16 @@ from pathlib import Path
 import numpy as np
 
 from impact_observer.errors import ModelError
-from impact_observer.model.document import Section, Value, file_beside, number, numbers
+from impact_observer.model.document import (
+    LARGEST,
+    Section,
+    Value,
+    file_beside,
+    number,
+    numbers,
+)
 from impact_observer.model.force_samples import HOLDS, Samples
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.validation import LARGEST
 from impact_observer.states import Matrix
 
 KEYS = ("sampled", "hold")
@@ -82,9 +88,9 @@ def _read_csv(text: Iterable[str], coordinates: Sequence[str]) -> Matrix:
     """Time and forces in the order of ``coordinates``, shape (k, 1 + n)."""
     reader = csv.reader(text)
     header = [name.strip() for name in next(reader, [])]
-    lines = [(reader.line_num, row) for row in reader if row]
     order = _order(header, coordinates)
-    return _numbers(lines, header)[:, order]
+    rows = [_numbers(reader.line_num, row, header) for row in reader if row]
+    return np.reshape(rows, (-1, len(header)))[:, order]
 
 
 def _order(header: list[str], coordinates: Sequence[str]) -> list[int]:
@@ -103,47 +109,31 @@ def _order(header: list[str], coordinates: Sequence[str]) -> list[int]:
     return [header.index(name) for name in wanted]
 
 
-def _numbers(lines: list[tuple[int, list[str]]], header: list[str]) -> Matrix:
-    """All rows as numbers."""
-    for line, row in lines:
-        if len(row) != len(header):
-            raise ValueError(f"line {line} has {len(row)} values; expected {len(header)}")
-    try:
-        table = np.array([[float(value) for value in row] for _, row in lines])
-    except ValueError:
-        pass
-    else:
-        if np.all(np.abs(table) <= LARGEST):  # false for NaN
-            return table.reshape(-1, len(header))
-    line, name, value = next(
-        (line, name, value)
-        for line, row in lines
-        for name, value in zip(header, row, strict=True)
-        if not _is_number(value)
-    )
-    raise ValueError(
-        f"line {line}, column {name}: {value.strip()!r} found; expected a number of at most"
-        f" {LARGEST:g}"
-    )
-
-
-def _is_number(value: str) -> bool:
-    try:
-        return math.isfinite(float(value)) and abs(float(value)) <= LARGEST
-    except ValueError:
-        return False
+def _numbers(line: int, row: list[str], header: list[str]) -> list[float]:
+    """The numbers in a ``row``, which ends at ``line``."""
+    if len(row) != len(header):
+        raise ValueError(f"line {line} has {len(row)} values; expected {len(header)}")
+    numbers = []
+    for name, value in zip(header, row, strict=True):
+        try:
+            numbers.append(float(value))
+        except ValueError:
+            numbers.append(math.nan)
+        if not abs(numbers[-1]) <= LARGEST:  # NaN neither
+            raise ValueError(
+                f"line {line}, column {name}: {value.strip()!r} found; expected a number of at"
+                f" most {LARGEST:g}"
+            )
+    return numbers
 
 
 def table_of(samples: Samples, coordinates: Sequence[str]) -> Value:
     """The value of ``sampled`` that reads back equal: CSV, or lists for unusual names."""
-    if _TIME in coordinates or any(not _plain(name) for name in coordinates):
+    plain = all(name.isprintable() and name == name.strip() for name in coordinates)
+    if _TIME in coordinates or not plain:
         return {"time": samples.time.tolist(), "force": samples.force.tolist()}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow([_TIME, *coordinates])
     writer.writerows(np.column_stack([samples.time, samples.force]).tolist())
     return text.getvalue()
-
-
-def _plain(name: str) -> bool:
-    return name.isprintable() and name == name.strip()

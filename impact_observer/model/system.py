@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
-from impact_observer.model.bands import band_of
+from impact_observer.model.document import LARGEST, finite
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.validation import LARGEST, finite
 from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST_STATE = 1e9
@@ -82,9 +81,10 @@ class System:
         """Copy, freeze and check everything."""
         _check_names("coordinates", self.coordinates)
         n = self.n
-        M = _square("mass", self.M, n)
-        C = _square("damping", self.C, n)
-        K = _square("stiffness", self.K, n)
+        square = f"{n} x {n}, one row and one column a coordinate"
+        M = finite("mass", self.M, (n, n), square)
+        C = finite("damping", self.C, (n, n), square)
+        K = finite("stiffness", self.K, (n, n), square)
         _check_symmetric("mass", M)
         _check_symmetric("stiffness", K)
         _check_definite("mass", M, strictly=True)
@@ -130,13 +130,14 @@ class System:
 
     def penetrated(self, q: Vector) -> tuple[int, ...]:
         """Indices of the contacts with ``g < 0`` at ``q``, shape (n,)."""
-        scale = np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)
-        return tuple(np.flatnonzero(self.gap(q) < -_INSIDE * scale).tolist())
+        return tuple(np.flatnonzero(self.gap(q) < -self._gap_rounding(q)).tolist())
 
     def closed_at(self, q: Vector) -> tuple[int, ...]:
         """Indices of the contacts with ``g <= 0`` at ``q``, shape (n,)."""
-        scale = np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)
-        return tuple(np.flatnonzero(self.gap(q) <= _INSIDE * scale).tolist())
+        return tuple(np.flatnonzero(self.gap(q) <= self._gap_rounding(q)).tolist())
+
+    def _gap_rounding(self, q: Vector) -> Vector:
+        return np.asarray(_INSIDE * (np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)))
 
     def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
         """As ``checked_state``, for a plant, which must not be inside a stop.
@@ -189,10 +190,6 @@ def _check_names(key: str, names: Sequence[object]) -> None:
         raise ModelError(key, "is empty; a system needs at least one coordinate")
 
 
-def _square(key: str, values: ArrayLike, n: int) -> Matrix:
-    return finite(key, values, (n, n), f"{n} x {n}, one row and one column a coordinate")
-
-
 def _check_symmetric(key: str, matrix: Matrix) -> None:
     difference = np.abs(matrix - matrix.T)
     if np.max(difference) <= _SYMMETRY * np.max(np.abs(matrix)):
@@ -206,8 +203,8 @@ def _check_symmetric(key: str, matrix: Matrix) -> None:
 
 
 def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
-    smallest, other = _ends(symmetric)
-    largest = max(abs(smallest), abs(other))
+    eigenvalues = linalg.eigvalsh(symmetric)
+    smallest, largest = float(eigenvalues[0]), float(np.max(np.abs(eigenvalues)))
     if strictly and smallest <= _SINGULAR * largest:
         raise ModelError(key, f"is not positive definite: smallest eigenvalue {smallest:g}")
     if strictly and smallest < 1 / LARGEST:
@@ -220,19 +217,6 @@ def _check_definite(key: str, symmetric: Matrix, *, strictly: bool) -> None:
         raise ModelError(
             key, f"{part}it is not positive semidefinite: smallest eigenvalue {smallest:g}"
         )
-
-
-def _ends(symmetric: Matrix) -> tuple[float, float]:
-    """The least and the largest eigenvalue; in n^2 operations for a banded matrix, else n^3."""
-    band = band_of(symmetric)
-    if band is None:
-        eigenvalues = linalg.eigvalsh(symmetric)
-        return float(eigenvalues[0]), float(eigenvalues[-1])
-    least, largest = (
-        linalg.eigvals_banded(band, lower=True, select="i", select_range=(i, i))
-        for i in (0, len(symmetric) - 1)
-    )
-    return float(least[0]), float(largest[0])
 
 
 def _checked_contact(i: int, contact: Contact, n: int) -> Contact:

@@ -9,16 +9,19 @@ from collections.abc import Callable
 import numpy as np
 from scipy import linalg, sparse
 
-from impact_observer.model.bands import FEW, MANY, band_of
 from impact_observer.states import Matrix, Vector
 
 Product = Callable[[Vector], Vector]
+MANY = 32
+"""Least number of coordinates for which skipping zeros is faster."""
+_FEW = 16
+"""Most entries in a row, or diagonals below the main one, that count as few."""
 
 
 def product_with(A: Matrix) -> Product:
     """``A x``, shape (n,), as a function of ``x``, shape (n,); ``A`` has shape (n, n)."""
     n = len(A)
-    few = n >= MANY and np.count_nonzero(A) <= FEW * n
+    few = n >= MANY and np.count_nonzero(A) <= _FEW * n
     found: Product = sparse.csr_array(A).dot if few else A.dot
     return found
 
@@ -33,7 +36,7 @@ class Factor:
     def __init__(self, M: Matrix) -> None:
         """Factorise ``M``, shape (n, n)."""
         self._lower = linalg.cholesky(M, lower=True)
-        self._band = band_of(self._lower)
+        self._band = _band_of(self._lower)
         self.transposed = product_with(self._lower.T)
 
     # LAPACK's routines themselves: on the path of every impact, where checks cost more.
@@ -50,3 +53,21 @@ class Factor:
             found = linalg.lapack.dtbtrs(self._band, B, uplo="L", trans="T")[0]
             return np.reshape(found, B.shape)
         return np.asarray(linalg.lapack.dtrtrs(self._lower, B, lower=1, trans=1)[0])
+
+
+def _band_of(A: Matrix) -> Matrix | None:
+    """The diagonal of ``A``, shape (n, n), and those below it, shape (b + 1, n).
+
+    None where ``A`` is small, or more than ``_FEW`` diagonals are not zero.
+    """
+    n = len(A)
+    if n < MANY:
+        return None
+    # A copy, as scipy 1.11 refuses read-only arrays.
+    below = int(linalg.bandwidth(A.copy())[0])
+    if below > _FEW:
+        return None
+    band = np.zeros((below + 1, n), order="F")
+    for k, row in enumerate(band):
+        row[: n - k] = np.diagonal(A, -k)
+    return band

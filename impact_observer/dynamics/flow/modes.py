@@ -10,8 +10,8 @@ from scipy import linalg
 from impact_observer.dynamics.flow.divided_differences import Complex
 from impact_observer.dynamics.flow.double_double import product
 from impact_observer.dynamics.flow.eigenmodes import congruence, diagonal, modes_of
+from impact_observer.dynamics.flow.few import MANY
 from impact_observer.dynamics.flow.flow import Equations
-from impact_observer.model.bands import MANY
 from impact_observer.states import Matrix, Vector
 
 _PROPORTIONAL = 1e-12
