@@ -1,11 +1,7 @@
 """A bank of impact filters: each holds another hypothesis of what the events were.
 
-At every event each hypothesis branches: the event was true, or spurious, or an impact of another
-contact; and where the estimate penetrated a stop before, an impact was missed. Hypotheses are
-weighed by the likelihood of the instants that were reported, and the unlikely ones are dropped:
-multiple hypothesis tracking (Blackman and Popoli, Design and Analysis of Modern Tracking Systems,
-1999, chapter 16). A hypothesis that has all events right soon predicts the next one to the
-accuracy of the clock, and then no other can compete.
+Multiple hypothesis tracking (Blackman and Popoli, Design and Analysis of Modern Tracking Systems,
+1999, chapter 16), as ``docs/robustness.md`` describes.
 """
 
 import math
@@ -187,7 +183,6 @@ class FilterBank:
         return _Branch(weight, make, soon and depth < SURPRISE), likelihood
 
     def _spurious_event(self, change: ContactChange, h: Hypothesis, reason: str) -> _Branch:
-        """Nothing happened at the event."""
         odds = self._spurious if self._spurious > -math.inf else 0.0
         weight = h.penalised_weight + len(change.contacts) * odds
 
@@ -198,7 +193,6 @@ class FilterBank:
         return _Branch(weight, make)
 
     def _mislabelled_events(self, change: ContactChange, h: Hypothesis) -> Iterator[_Branch]:
-        """The event was an impact of another contact."""
         system, closed = self.filter.system, h.state.closed
         others = [i for i in range(system.m) if i not in (*change.hit, *closed)]
         for i in others:
@@ -295,17 +289,14 @@ def _restarted(
 
 
 def _logs(probability: float) -> tuple[float, float]:
-    """Logarithms of a probability and of its complement."""
     return (math.log(probability) if probability else -math.inf), math.log1p(-probability)
 
 
 def _total(hypotheses: Sequence[Hypothesis]) -> float:
-    """Logarithm of the sum of probabilities; 0 where there is none."""
     return float(np.logaddexp.reduce([h.weight for h in hypotheses])) if hypotheses else 0.0
 
 
 def _weight(h: Hypothesis) -> float:
-    """To sort by: the likeliest first."""
     return -h.weight
 
 

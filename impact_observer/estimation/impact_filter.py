@@ -210,7 +210,9 @@ class ImpactFilter:
             (expected, update, white), linear = linear, None
             found = view.corrected(update, expected.rows(view), white)
             settled = expected.settled(found)
-            found = self._bounded(found) if found.parameters else found
+            if found.parameters:
+                bounds = self.members.bound_correction(found.theta, found.root, found.of_theta)
+                found = found._replace(z=found.z + bounds)
             if not (settled and self._is_near(change, found)):
                 found = self._at_estimated_instant(change, found, member)
             if settled:
@@ -265,7 +267,6 @@ class ImpactFilter:
         return self.members.load_sensitivity(member, change.before, contacts, x, t)
 
     def _measured_contacts(self, change: ContactChange) -> Contacts:
-        """The contacts whose guard the event measures."""
         if change.hit:
             return change.hit
         held = self.members.given.moving.phase(change.before).held
@@ -296,7 +297,6 @@ class ImpactFilter:
         )
 
     def _is_near(self, change: ContactChange, joint: Joint) -> bool:
-        """Whether the estimated instant is so near that one expansion at ``joint`` suffices."""
         far = max(abs(joint.e), abs(float(joint.root[0, 0])))
         return far <= self._near and not (change.before or change.closed)
 
@@ -330,11 +330,6 @@ class ImpactFilter:
         other = sensitivity @ (joint.theta - member.values)
         return joint.propagated(s, map_._replace(value=map_.value + other), sensitivity)
 
-    def _bounded(self, joint: Joint) -> Joint:
-        """``joint`` with its parameters within their bounds."""
-        inward = self.members.bound_correction(joint.theta, joint.root, joint.of_theta)
-        return joint._replace(z=joint.z + inward)
-
     def _jumped(self, change: ContactChange, joint: Joint) -> GaussianState:
         """The state after the jump, at the instant of ``joint``: saltation."""
         pressed: Contacts = ()
@@ -355,9 +350,11 @@ class ImpactFilter:
             differences[:size] = H.dot(joint.differences[: 1 + size])
         if joint.parameters and pressed:
             whole = leading_triangular(joint.root, joint.of_theta)
-            sensitivity, own = (
-                self._impact_sensitivity(joint, pressed),
-                whole[joint.of_theta, : joint.parameters],
+            own = whole[joint.of_theta, : joint.parameters]
+            sensitivity = Sensitivity.of(
+                lambda theta: self.members.impact(theta, joint.x, pressed),
+                joint.theta,
+                self.members.steps(joint.theta, joint.root[joint.of_theta]),
             )
             columns, curved = sensitivity.added(whole[1 : 1 + size], own)
             moved, noise = H.dot(whole[: 1 + size]), np.hstack([noise, curved])
@@ -376,10 +373,3 @@ class ImpactFilter:
         root[size:, : rest.shape[1]] = rest
         root[:size].flat[last :: last + size + 1] = ROUNDING * self.phases.scales.sizes(x)
         return triangular(root)
-
-    def _impact_sensitivity(self, joint: Joint, pressed: Contacts) -> Sensitivity:
-        """Of the state after an impact to the parameters."""
-        steps = self.members.steps(joint.theta, joint.root[joint.of_theta])
-        return Sensitivity.of(
-            lambda theta: self.members.impact(theta, joint.x, pressed), joint.theta, steps
-        )

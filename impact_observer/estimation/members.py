@@ -4,7 +4,6 @@ Members that differ only by gaps and restitutions share the motion between impac
 """
 
 from functools import cached_property, lru_cache, partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +38,7 @@ class MovingSystem:
         self.phases = Phases(system)
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
-        self.forces = lru_cache(KEPT)(system.forcing.jet(2))
-        """f, df/dt and d2f/dt2 at an instant, shape (3, n)."""
+        self.forces = lru_cache(KEPT)(self._forces_at)
 
     @cached_property
     def newton(self) -> ImpactLaw:
@@ -60,17 +58,9 @@ class MovingSystem:
     def _rates_of(self, closed: Contacts) -> StateRates:
         return StateRates(self.phase(closed))
 
-
-class GuardRows(NamedTuple):
-    """Functions of the state that are zero at an event.
-
-    Attributes:
-        rows: these functions.
-        jet: their expansions in the phase before the event.
-    """
-
-    rows: Measured
-    jet: Jet
+    def _forces_at(self, t: float) -> Matrix:
+        """f, df/dt and d2f/dt2 at an instant, shape (3, n)."""
+        return self.system.forcing.derivatives(np.array([t]), 2)[:, 0]
 
 
 class Member:
@@ -100,11 +90,14 @@ class Member:
         own = self.moving.system is self.system
         return self.moving.phases.projection if own else PositionProjection(self.system)
 
-    def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> GuardRows:
-        """The guards of an event: gaps of contacts that hit, or the load of one that opens."""
+    def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> tuple[Measured, Jet]:
+        """The guards of an event, and their expansions in the phase before it.
+
+        They are gaps of contacts that hit, or the load of one that opens.
+        """
         moving = self.moving
         rows = self.gaps(contacts) if hit else Measured.loads(moving.phase(before), contacts)
-        return GuardRows(rows, rows.along(moving.rates(before)))
+        return rows, rows.along(moving.rates(before))
 
     def _mirror_of(self, pressed: Contacts) -> Mirror:
         return Mirror.of(self.system, self.newton.jump(pressed), pressed)
@@ -158,11 +151,6 @@ class Members:
         """The motion between impacts of the member with ``values``; only these need bounds."""
         return self._moving(tuple(values[: self.moving].tolist()))
 
-    def _with_masses(self, values: Vector) -> MovingSystem:
-        """The model's motion with the masses of the member with ``values``."""
-        heavy = np.where(self._weighs, values, self.family.nominal)
-        return self.motion(heavy)
-
     def estimates_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
         """Whether each of ``contacts`` has a restitution that is estimated, shape (k,)."""
         changes = [each.effect.eps != 0 for each in self.family.parameters]
@@ -170,7 +158,6 @@ class Members:
         return np.asarray(estimated[list(contacts)], dtype=np.bool_)
 
     def _gap_sensitivity(self, contacts: Contacts) -> Matrix:
-        """Of the gaps of ``contacts`` to the parameters, shape (k, p)."""
         return np.asarray(self._gap[:, list(contacts)].T)
 
     def rate_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
@@ -188,7 +175,9 @@ class Members:
 
     def impact(self, values: Vector, x: Vector, pressed: Contacts) -> Map:
         """The mirror of an impact in which ``pressed`` take part; see ``dynamics.Mirror``."""
-        numbers, heavy = self.family.at(values), self._with_masses(values)
+        # The model's motion, but with the masses of this member.
+        heavy = self.motion(np.where(self._weighs, values, self.family.nominal))
+        numbers = self.family.at(values)
         J = heavy.newton.jump(pressed, numbers.eps)
         mirror = Mirror.of(heavy.system, J, pressed, numbers.gap)
         return Map(mirror.J @ x + mirror.offset, mirror.J)

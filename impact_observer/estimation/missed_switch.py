@@ -60,7 +60,7 @@ def posterior_of_missed(
     """
     x, root, member = state.x, state.root, filter_.member(state)
     contacts = change.contacts[:1]
-    jet = member.guard(change.before, contacts, bool(change.hit)).jet
+    _, jet = member.guard(change.before, contacts, bool(change.hit))
     value, H, D, E = jet.expanded(x, member.moving.forces(change.t))
     sensitivity = filter_.measured_sensitivity(member, change, contacts, x, change.t)
     seen = np.hstack([H[:, 1:], sensitivity])

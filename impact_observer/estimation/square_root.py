@@ -1,13 +1,8 @@
 """Linear estimation by square roots of covariances, ``P = S S^T``.
 
-Roots are propagated, never ``P``: stamps of 1 ns let variances fall to 1e-18 of what they were,
-and the difference of two such matrices would be rounding. Every step is one orthogonal
-triangulation (Kailath, Sayed and Hassibi, Linear Estimation, 2000, chapter 12).
-
-A product of two estimated quantities is linearised about the best estimate of both. The remainder
-is noise whose mean and variance follow from theirs: first about the prior of a measurement, then
-once more about its posterior (Garcia-Fernandez, Svensson, Morelande and
-Särkkä, Posterior linearization filter, 2015).
+Roots are propagated, never ``P``: stamps of 1 ns let variances fall to 1e-18 of what they were.
+Every step is one orthogonal triangulation (Kailath, Sayed and Hassibi, Linear Estimation, 2000,
+chapter 12).
 """
 
 import math
@@ -102,6 +97,9 @@ def correction(
 
 def product(root: Matrix, D: Matrix, E: Vector) -> tuple[Vector, Matrix]:
     """Mean and a root of the covariance of ``e D x + 1/2 E e^2``, ``(e, x)`` normal about zero.
+
+    It is the remainder of a product that was linearised about its best estimate (Garcia-Fernandez,
+    Svensson, Morelande and Särkkä, Posterior linearization filter, 2015).
 
     Args:
         root: of the covariance of ``(e, x)``, its first row zero but for the first entry,

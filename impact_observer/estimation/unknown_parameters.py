@@ -105,7 +105,6 @@ class UnknownParameters:
 
 
 def _number(text: str, number: str) -> float:
-    """What stands after ``=``."""
     try:
         return float(number)
     except ValueError:

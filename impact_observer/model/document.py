@@ -193,7 +193,6 @@ def _real(matrix: NDArray[np.generic]) -> Matrix:
 
 
 def _shown(value: Value) -> str:
-    """``value`` as error lines show it."""
     if value is None:
         return "nothing"
     shown = repr(value)

@@ -137,7 +137,6 @@ def labels(pairs: Iterable[Value]) -> list[str]:
 
 
 def _forcing(line: _Line, document: Section, folder: Path | None) -> Forcing:
-    """Forces on bodies, or a sampled forcing of all."""
     if "forcing" not in document:
         return _sum(line, document.items("forces"))
     if "forces" in document:
@@ -175,7 +174,6 @@ def _sum(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
 
 
 def _stop(line: _Line, key: str, value: Value) -> Contact:
-    """A stop that limits one body, or one between two bodies."""
     stop = Section(key, value, ("name", "restitution", "body", "limit", "side", "between", "gap"))
     if "between" in stop:
         for name in ("body", "limit", "side"):

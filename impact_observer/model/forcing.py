@@ -1,6 +1,5 @@
 """The forcing ``f(t)`` of a system: constant, harmonics and samples, with bounds on them."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
@@ -81,42 +80,12 @@ class Forcing:
             for k, amplitude in enumerate(self._amplitudes(order)):
                 found[k] += (wave @ amplitude).real
         if self.sampled is not None:
-            self._add_samples(found, t)
+            found[0] += self.sampled.values(t)
+            found[1:2] += self.sampled.slope[self.sampled.index(t)]
         return found
 
-    def _add_samples(self, found: NDArray[np.float64], t: Vector) -> None:
-        """Add what is sampled at ``t``, and its slope, to ``found`` as of ``derivatives``."""
-        assert self.sampled is not None, "nothing is sampled"
-        found[0] += self.sampled.values(t)
-        found[1:2] += self.sampled.slope[self.sampled.index(t)]
-
-    def jet(self, order: int) -> Callable[[float], Matrix]:
-        """``derivatives`` at one instant, as a fast function.
-
-        Args:
-            order: of the highest derivative.
-
-        Returns:
-            A function of ``t``, s since the epoch: shape (order + 1, n). It raises DynamicsError
-            where there is no sample.
-        """
-        frequency: list[float] = self.frequency.tolist()
-        shape, rows = (order + 1, self.constant.size), self.jet_rows(order)
-
-        def at(t: float) -> Matrix:
-            terms = [1.0]
-            for omega in frequency:
-                angle = omega * t
-                terms += math.cos(angle), math.sin(angle)
-            found: Matrix = rows.dot(terms).reshape(shape)
-            if self.sampled is not None:
-                self._add_samples(found[:, None], np.array([t]))
-            return found
-
-        return at
-
     def jet_rows(self, order: int) -> Matrix:
-        """Coefficients of 1 and of each harmonic's cosine and sine in ``jet``.
+        """Coefficients of 1 and of each harmonic's cosine and sine in f and its derivatives.
 
         Args:
             order: of the highest derivative.

@@ -79,7 +79,6 @@ def with_unit(name: str) -> str:
 
 
 def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter]:
-    """Every parameter of ``system``."""
     for i, contact in enumerate(system.contacts):
         unit = np.eye(system.m)[i]
         effect = Coefficients.change(system, eps=unit)
@@ -104,7 +103,6 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
 
 
 def _of_forcing(system: System) -> Iterator[ModelParameter]:
-    """Those of the harmonics and of the clock."""
     h = system.forcing.frequency.size
     for k in range(h):
         unit = np.eye(h)[k]

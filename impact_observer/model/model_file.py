@@ -112,7 +112,6 @@ _Representer.add_representer(str, _Representer.represent_str)
 
 
 def _forcing_of(system: System) -> Value:
-    """The ``forcing`` of a model file."""
     forcing, samples = system.forcing, system.forcing.sampled
     if samples is not None:
         table = sampled_files.table_of(samples, system.coordinates)

@@ -76,7 +76,6 @@ def _column(key: str, value: Value) -> Matrix:
 
 
 def _lines(key: str, relative: str, folder: Path | None) -> list[str]:
-    """The lines of a file beside the model."""
     path = file_beside(key, relative, folder)
     try:
         return path.read_text(encoding="utf-8-sig").splitlines(keepends=True)

@@ -5,10 +5,10 @@ from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
 from impact_observer.events import Contacts
 from impact_observer.observer.belief import Belief, Prediction
-from impact_observer.observer.initial_state import initial_state
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.make_observer import (
     COMPILING,
+    initial_state,
     make_observer,
     needs_compiling,
     options_of_laws,

@@ -79,7 +79,6 @@ def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
 
 
 def _latest(events: Sequence[ImpactEvent]) -> list[ImpactEvent]:
-    """Events of the latest epoch and, in that, of the latest episode."""
     epoch = max((e.epoch for e in events), default=0)
     of_epoch = [e for e in events if e.epoch in {0, epoch}]
     episode = max((e.episode for e in of_epoch), default=0)

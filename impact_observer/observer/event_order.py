@@ -87,11 +87,6 @@ def interpret(
         neighbours: events that follow it at the same stamp, in order; where it has no number,
             all other events of that stamp. See ``neighbours_of``.
     """
-    is_stale = False  # a higher number has switched one of its contacts
-    for contact, _ in event.switches:
-        is_stale |= 0 < event.sequence < latest.get(contact, 0)
-    if not (neighbours or is_stale):  # the usual case
-        return Interpretation(event.switches, _after(event, event.switches, latest))
     applied, overruled = [], []
     for contact, kind in event.switches:
         found = _overruled(event.sequence, (contact, kind), closed, latest, neighbours)

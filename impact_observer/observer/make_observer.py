@@ -3,15 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from impact_observer.errors import UsageError
 from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.elements import Element
-from impact_observer.observer.initial_state import initial_state
 from impact_observer.observer.laws import law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
+from impact_observer.states import Vector
 
 COMPILING = "compiling the update of minimum-variance: half a minute, once"
 """What users read while something is compiled."""
@@ -59,7 +61,6 @@ def make_observer(
 def _unknown_parameters(
     system: System, options: Options, elements: Sequence[Element]
 ) -> UnknownParameters | None:
-    """The parameters that are estimated with the state; None for none."""
     if not options.estimate_parameters:
         if options.parameter_drift:
             raise UsageError(
@@ -75,6 +76,45 @@ def _unknown_parameters(
             " minimum-variance, or leave them out"
         )
     return unknowns
+
+
+def initial_state(text: str, system: System) -> tuple[Vector, Vector]:
+    """Read ``q1,..,qn,u1,..,un``, ``random:SEED`` or ``zero``.
+
+    ``random:SEED`` is ``numpy.random.default_rng(SEED).normal(size=2n)``, q then u.
+
+    Returns:
+        Position and velocity, shape (n,) each.
+
+    Raises:
+        UsageError: naming what was found and what is expected.
+    """
+    n = system.n
+    kind, _, seed = text.strip().partition(":")
+    if kind == "zero" and not seed:
+        x = np.zeros(2 * n)
+    elif kind == "random":
+        if not (seed.isascii() and seed.isdigit()):
+            raise UsageError(f"initial state {text!r}: expected random:SEED, SEED a whole number")
+        x = np.random.default_rng(int(seed)).normal(size=2 * n)
+    else:
+        x = _numbers(text, n)
+    return system.checked_state(x[:n], x[n:])
+
+
+def _numbers(text: str, n: int) -> Vector:
+    try:
+        values = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        raise UsageError(
+            f"initial state {text!r}: expected zero, random:SEED or {2 * n} numbers"
+            " q1,..,qn,u1,..,un"
+        ) from None
+    if values.size != 2 * n:
+        raise UsageError(
+            f"initial state {text!r}: {values.size} numbers, expected {2 * n}: q1,..,qn,u1,..,un"
+        )
+    return values
 
 
 def needs_compiling(options: Options) -> bool:

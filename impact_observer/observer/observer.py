@@ -243,7 +243,7 @@ class Observer:
             stamp = max(stamp, self._timeline.start.stamp)
             now = self._timeline.at(stamp)
             first = self._entry_about(x, root, stamp, now.closed, now.latest)
-            self._timeline.restart_after(first)
+            self._timeline.restart(first, after=True)
             self._is_state_given = True
 
     @property
@@ -273,7 +273,6 @@ class Observer:
         return self.remarks[Remark.EPISODE] + self.remarks[Remark.EPOCH]
 
     def _first_entry(self, stamp: int) -> Entry:
-        """The initial state at ``stamp`` (ns), before any event."""
         return self._entry_about(self._initial, self._root, stamp)
 
     def _entry_about(
@@ -365,7 +364,6 @@ class Observer:
     def _refuse(
         self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark
     ) -> tuple[Verdict, ...]:
-        """The verdict on a whole event that is not applied."""
         self.remarks[remark] += 1
         return self._with_notices((_verdict(event, ruling, reason),))
 
@@ -399,12 +397,10 @@ class Observer:
 
 
 def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
-    """A verdict on a whole event."""
     return Verdict(event.stamp, ruling, event.sequence, reason=reason)
 
 
 def _misplaced(key: EventKey, timeline: Timeline) -> tuple[Ruling, str, Remark] | None:
-    """Why an event cannot be put in its place; None if it can."""
     if not timeline.accepts(key):
         reason = f"older than {text(timeline.start.stamp)} s, where the known past begins"
         return Ruling.TOO_LATE, reason, Remark.TOO_LATE

@@ -94,7 +94,6 @@ def _in_order_of_sending(events: Sequence[ImpactEvent]) -> list[_Pending]:
 
 
 def _was_sent_before(event: ImpactEvent, other: ImpactEvent) -> bool:
-    """Whether ``event``, which has the later stamp, was sent before ``other``."""
     near = event.stamp - other.stamp <= _DISORDER
     return near and _is_same_run(event, other) and 0 < event.sequence < other.sequence
 

@@ -1,9 +1,7 @@
 """Convergence without ground truth: whether replicas with different initial states agree.
 
-Replicas under the same events approach each other, and the plant behaves like one of them. So
-their largest mutual distance indicates how far the estimate may be from the plant. The estimate's
-own gap at an impact, where the plant's gap is zero, gives a lower bound of that. Events that
-contradict the declared uncertainty end the agreement.
+Replicas under the same events approach each other, and the plant behaves like one of them. The
+estimate's own gap at an impact gives a lower bound of its error.
 """
 
 from functools import cached_property

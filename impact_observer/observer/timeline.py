@@ -1,8 +1,6 @@
 """The observer's past: every event in its place, and the belief after each.
 
-An estimate is a function of the events ordered by stamp and sequence, and of the stamp asked
-for; never of when an event arrived or which estimates were asked for in between. So a late event
-is put in its place, and the events after it are applied again.
+A late event is put in its place, and the events after it are applied again (``docs/events.md``).
 """
 
 from bisect import bisect_right
@@ -137,7 +135,6 @@ class Timeline:
         return Insertion(entries[at - first], overrules, entries[at - first + 1 :])
 
     def _applied(self, previous: Entry, events: Sequence[EventKey]) -> list[Entry]:
-        """An entry for each of ``events``, one after the other."""
         entries = []
         for i, event in enumerate(events):
             previous = self._update(previous, event, neighbours_of(i, events))
@@ -159,7 +156,6 @@ class Timeline:
         return at > 0 and self.entries[at - 1].key == key
 
     def _place(self, key: EventKey) -> int:
-        """The index of an event that is to be inserted."""
         return bisect_right(self.entries, key, key=lambda entry: entry.key)
 
     def at(self, stamp: int) -> Entry:
@@ -175,15 +171,16 @@ class Timeline:
         following = self.entries[after].key.stamp if after < len(self.entries) else None
         return self.entries[after - 1], following
 
-    def restart(self, first: Entry) -> None:
-        """Start with another ``initial_entry``, and apply the events after it again."""
-        events = [entry.key for entry in self.entries[1:] if entry.key > first.key]
-        self.entries = [first, *self._applied(first, events)]
+    def restart(self, first: Entry, *, after: bool = False) -> None:
+        """Start with another ``initial_entry``, and apply the events after it again.
 
-    def restart_after(self, first: Entry) -> None:
-        """``restart`` with a belief that holds after all events of its own stamp."""
-        at = bisect_right(self.entries, first.key.stamp, key=_stamp)
-        events = [entry.key for entry in self.entries[at:]]
+        Args:
+            first: the entry.
+            after: whether it holds after all events of its own stamp.
+        """
+        stamp = first.key.stamp
+        keys = [entry.key for entry in self.entries[1:]]
+        events = [each for each in keys if each.stamp > stamp or (not after and each > first.key)]
         self.entries = [first, *self._applied(first, events)]
 
     def forget_before(self, stamp: int) -> bool:

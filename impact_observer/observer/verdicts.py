@@ -73,7 +73,12 @@ class IssuedVerdicts:
         for subject, note in outdated.items():
             del self._issued[subject]
             if subject.inserted:
-                verdicts.append(_withdrawal(note, self._names))
+                reason, name = (
+                    f"{SECOND_THOUGHT}nothing was missed here",
+                    self._names[note.contact],
+                )
+                verdict = Verdict(note.stamp, Ruling.REJECTED, 0, name, reason, revises=True)
+                verdicts.append(verdict)
         return notes, tuple(verdicts)
 
     def _changed(
@@ -132,14 +137,12 @@ def with_reasons(verdict: Verdict, reasons: Iterable[str]) -> Verdict:
 
 
 def _overruled(each: OverruledSwitch) -> str:
-    """The reason of a switch whose effect another event changes."""
     if each.is_superseded:
         return f"superseded by the CLOSE of {_event(each.by)}"
     return f"stamped after event {each.by}, which follows it: {each.effect}"
 
 
 def _overrules(key: EventKey, each: OverruledSwitch) -> str:
-    """The reason of a switch that changes the effect of one of the event ``key``."""
     if each.is_superseded:
         return f"supersedes the IMPACT of {_event(key.sequence)}"
     return f"event {key.sequence}, which it follows, is stamped after it: {each.effect}"
@@ -150,7 +153,6 @@ def _event(sequence: int) -> str:
 
 
 def _notes(entry: Entry) -> tuple[Note, ...]:
-    """The notes of the likeliest hypothesis after an event."""
     hypotheses = entry.belief.hypotheses
     return hypotheses[0].notes if hypotheses else ()
 
@@ -185,7 +187,6 @@ def _by_subject(notes: Sequence[Note]) -> dict[Subject, Note]:
 
 
 def _verdict(note: Note, names: Sequence[str], *, revises: bool) -> Verdict:
-    """The verdict that a note is."""
     reason = note.reason
     if revises:
         reason = f"{SECOND_THOUGHT}{reason or 'as reported'}"
@@ -199,9 +200,3 @@ def _verdict(note: Note, names: Sequence[str], *, revises: bool) -> Verdict:
         note.innovation,
         revises=revises,
     )
-
-
-def _withdrawal(note: Note, names: Sequence[str]) -> Verdict:
-    """The verdict on an inserted impact that the likeliest hypothesis no longer contains."""
-    reason = f"{SECOND_THOUGHT}nothing was missed here"
-    return Verdict(note.stamp, Ruling.REJECTED, 0, names[note.contact], reason, revises=True)

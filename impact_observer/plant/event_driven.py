@@ -101,7 +101,6 @@ class Plant:
     def _begin(
         self, instant: Instant, x: Vector, closed: tuple[int, ...], held: tuple[int, ...]
     ) -> None:
-        """Begin a phase at ``instant`` from state ``x``."""
         self._start = instant
         self.closed = closed
         self._open = tuple(i for i in range(self.system.m) if i not in closed)
@@ -113,7 +112,6 @@ class Plant:
         self._next = None
 
     def _time(self, instant: Instant) -> float:
-        """Seconds since the epoch."""
         return seconds_between(self.epoch, instant.stamp) + instant.remainder
 
     def _search_of(self, phase: Phase, open_contacts: tuple[int, ...]) -> Search:
@@ -122,7 +120,6 @@ class Plant:
         return Search(phase, gaps.and_also(Watched.loads(phase)), self._phases.scales.window)
 
     def _ended(self, crossing: Crossing) -> Switching:
-        """What ends the present phase."""
         instant = self._start.after(crossing.s)
         x = self._motion.state(crossing.s)
         hit = [self._open[i] for i in crossing.which if i < len(self._open)]
@@ -165,7 +162,6 @@ class Plant:
         return self._switched(instant, x, after, contacts, resting)
 
     def _energy(self, u: Vector) -> float:
-        """Kinetic energy of velocities ``u``, J."""
         return float(u.dot(self._phases.inertia(u))) / 2
 
     def _switched(

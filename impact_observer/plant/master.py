@@ -1,39 +1,16 @@
 """A plant, and the choice of how it is integrated."""
 
-from typing import Protocol
+from typing import TypeAlias
 
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU
 from impact_observer.model import System
 from impact_observer.plant.event_driven import Plant
-from impact_observer.plant.switching import Switching
 from impact_observer.plant.time_stepping import TimeSteppingPlant
-from impact_observer.states import Stamps, Vector
+from impact_observer.states import Vector
 
-
-class Master(Protocol):
-    """A plant, however it is integrated; see ``Plant``."""
-
-    @property
-    def system(self) -> System:
-        """What moves."""
-
-    @property
-    def epoch(self) -> int:
-        """Stamp of ``t = 0``, ns."""
-
-    @property
-    def closed(self) -> tuple[int, ...]:
-        """Indices of the contacts that are closed in the present phase."""
-
-    def next_switching(self, limit: int) -> Switching | None:
-        """What the contacts do next, if its stamp is not after ``limit`` (ns)."""
-
-    def cross(self, switching: Switching) -> None:
-        """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
-
-    def states(self, stamps: Stamps) -> Vector:
-        """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n)."""
+Master: TypeAlias = Plant | TimeSteppingPlant
+"""A plant, however it is integrated."""
 
 
 def make_plant(

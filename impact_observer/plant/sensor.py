@@ -1,35 +1,12 @@
 """A simulated sensor of impacts: latency, jitter, missed, spurious and mislabelled impacts.
 
-What happens to a switching of the plant, in this order:
-
-1. *Detection*, contact by contact. An IMPACT or CLOSE below ``threshold`` is not detected; any
-   other is ``missed`` with a probability; none is detected within ``dead_time`` after the last one
-   detected at the same contact. An undetected impact begins no dead time. ``spurious`` impacts
-   begin a dead time and are lost in one like true impacts.
-2. *Labelling*. A detected impact is ``mislabelled`` with a probability: it is reported for another
-   contact, all others being equally likely. The dead time is that of the contact that was hit.
-   A spurious impact is at a random contact anyway.
-3. *Persistent contact*. A CLOSE is detected like an IMPACT; where it is missed the contact stays
-   closed unreported. An OPEN is reported if and only if its CLOSE was, under the same contact's
-   name, whatever the dead time. With ``impacts_only`` a CLOSE is reported as IMPACT, an OPEN
-   never.
-4. *Numbering*. All that is reported of one instant is one event. Sequence numbers count events in
-   the order of their instants. An event without any switch is not sent and has no number, so a
-   missed impact leaves no gap in the sequence.
-5. *Stamping*. The stamp is the instant plus ``delay`` plus a normal ``jitter``, read on a clock
-   that is ``clock_offset`` ahead at the epoch and gains ``clock_drift`` per second, rounded to a
-   multiple of ``quantisation``. Stamps may be in another order than sequence numbers. The epoch in
-   an event is the plant's own.
-6. *Transport*. An event arrives ``delay`` plus an exponential time of mean ``transport`` after its
-   instant, whatever its stamp. Arrivals may be in yet another order.
-
-Each fault draws from a random stream of its own, and draws whether or not the number is used:
-switching one fault on changes no draw of another.
+How the faults act, and in which order: ``docs/events.md``. Each draws from a random stream of its
+own, whether or not the number is used: one fault changes no draw of another.
 """
 
 import heapq
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from typing import NamedTuple
 
@@ -48,7 +25,7 @@ _STREAMS = 7
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """The faults of a sensor of impacts; none by default. The module says how they act.
+    """The faults of a sensor of impacts; none by default.
 
     Attributes:
         delay: latency of detection, part of stamp and arrival, s.
@@ -169,8 +146,7 @@ class SensorSimulation:
         root = np.random.SeedSequence(seed, spawn_key=(episode,))
         draws = [np.random.Generator(np.random.PCG64(child)) for child in root.spawn(_STREAMS)]
         self._missed_draws, self._label_draws, self._spurious_draws = draws[:3]
-        self._true_timing = _TimingDraws(*draws[3:5])
-        self._spurious_timing = _TimingDraws(*draws[5:])
+        self._true_timing, self._spurious_timing = draws[3:5], draws[5:]
         self._sequence = 0
         self._last_detected: dict[int, int] = {}
         self._reported_closed: dict[int, str] = {}
@@ -195,7 +171,7 @@ class SensorSimulation:
         stamp = switching.instant.stamp
         self._send_spurious(stamp - 1)
         approach = -self._system.contact_speed(switching.before[self._system.n :])
-        timing = self._true_timing.draw()
+        timing = _drawn_timing(self._true_timing)
         reported = []
         for switch in switching.switches:
             i = self._index[switch.contact]
@@ -217,7 +193,6 @@ class SensorSimulation:
         return arrived
 
     def _reported(self, stamp: int, i: int, kind: Kind, approach: float) -> Switch | None:
-        """What is reported of contact ``i`` that switches with the speed ``approach``, m/s."""
         persistent = not self._sensor.impacts_only
         if kind is Kind.OPEN:
             name = self._reported_closed.pop(i, None)
@@ -232,7 +207,6 @@ class SensorSimulation:
         return Switch(name, kind if persistent else Kind.IMPACT)
 
     def _label(self, i: int) -> str:
-        """The contact that is reported where ``i`` is hit."""
         names = self._system.contact_names
         wrong, other = self._label_draws.random(2)
         if wrong < self._sensor.mislabelled:
@@ -240,13 +214,11 @@ class SensorSimulation:
         return names[i]
 
     def _is_dead(self, i: int, stamp: int) -> bool:
-        """Whether contact ``i`` is in its dead time at ``stamp``."""
         return i in self._last_detected and stamp - self._last_detected[i] < self._dead_time
 
     def _send_spurious(self, until: int) -> None:
-        """Send the spurious impacts up to the stamp ``until``."""
         while self._next_spurious <= until:
-            stamp, timing = int(self._next_spurious), self._spurious_timing.draw()
+            stamp, timing = int(self._next_spurious), _drawn_timing(self._spurious_timing)
             i = int(self._spurious_draws.random() * self._system.m)
             if not self._is_dead(i, stamp):
                 self._last_detected[i] = stamp
@@ -262,7 +234,6 @@ class SensorSimulation:
         return stamp if stamp <= self._last else math.inf
 
     def _send(self, stamp: int, switches: tuple[Switch, ...], timing: tuple[float, float]) -> None:
-        """Send an event of the instant ``stamp``."""
         jitter, transport = timing
         self._sequence += 1
         shown = self._clock(
@@ -280,16 +251,10 @@ class SensorSimulation:
         return min(max(shown // self._tick, 1), latest) * self._tick
 
 
-class _TimingDraws:
-    """Random numbers for the timing of one message after the other."""
-
-    def __init__(self, jitter: np.random.Generator, transport: np.random.Generator) -> None:
-        self._jitter = jitter
-        self._transport = transport
-
-    def draw(self) -> tuple[float, float]:
-        """A standard normal number for the jitter, a standard exponential one for transport."""
-        return self._jitter.standard_normal(), self._transport.standard_exponential()
+def _drawn_timing(draws: Sequence[np.random.Generator]) -> tuple[float, float]:
+    """Of a message: a standard normal number for jitter, an exponential one for transport."""
+    jitter, transport = draws
+    return jitter.standard_normal(), transport.standard_exponential()
 
 
 def simulate_sensor(

@@ -1,19 +1,6 @@
 """The plant by time stepping: a second integrator, independent of the first.
 
-Moreau's scheme (``dynamics/contact/moreau.py``) does not look for impacts; what switches is read
-from its steps. A contact is closed in a step in which it is hit or held. The rule at the end of
-each step needs the next step too and is never revised:
-
-- closed in this step and not in the next: ``IMPACT``;
-- closed in this step and in the next: ``CLOSE``. With restitution that may be a bounce whose
-  flight is shorter than about two steps: the scheme cannot distinguish it from persistent contact;
-- persistent until now and not closed in the next step: ``OPEN``. Where another contact is hit in
-  the next step the impact opens it, so it opens at the end of that step.
-
-Stamps are the ends of steps. The scheme acts on a contact that is to close within half a step, so
-the first stamp of a run is half a step to one and a half late, and all are of first order in the
-step. Impacts within less than a step are one. Accumulating impacts (Zeno) cost nothing: they end
-in ``CLOSE``.
+``docs/method.md`` says how the steps of Moreau's scheme become events.
 """
 
 import math
@@ -87,7 +74,9 @@ class TimeSteppingPlant:
         q, u = system.checked_start(position, velocity)
         self.system = system
         self.epoch = epoch
-        self.step = _nanoseconds(step)
+        if not math.isfinite(step) or round(step * NS_PER_S) < 1:
+            raise UsageError(f"step: is {step:g} s; expected at least 1e-09 s")
+        self.step = round(step * NS_PER_S)
         self.closed = ()
         self._scheme = MoreauScheme(system, self.step / NS_PER_S)
         nothing = TimeStep(q, u, u, np.zeros(system.m), ())
@@ -129,24 +118,19 @@ class TimeSteppingPlant:
         ascending = np.argsort(steps, kind="stable")
         numbers, first = np.unique(steps[ascending], return_index=True)
         for k, at in zip(numbers.tolist(), np.split(ascending, first[1:]), strict=False):
-            self._step_to(k)
+            if self._behind.k > k:
+                self._behind = self._start
+            while self._behind.k < k:
+                self._behind = self._behind.next(self._scheme)
             states[at] = self._within(self._behind, inside[at])
         return states
 
     def _begin(self, place: _Place) -> None:
-        """Begin a phase at ``place``."""
         self._start = self._behind = self._ahead = place
         self._next = None
 
     def _stamp(self, k: int) -> int:
         return self.epoch + k * self.step
-
-    def _step_to(self, k: int) -> None:
-        """Go to where ``k`` steps are done, to sample the next one."""
-        if self._behind.k > k:
-            self._behind = self._start
-        while self._behind.k < k:
-            self._behind = self._behind.next(self._scheme)
 
     def _within(self, place: _Place, part: Vector) -> Vector:
         """States after each ``part``, in [0, 1), of the step that begins at ``place``."""
@@ -158,7 +142,7 @@ class TimeSteppingPlant:
         return np.hstack([q + part * (end.q - q), u + part * (end.free - u)])
 
     def _switching(self, place: _Place) -> Switching | None:
-        """What switches at ``place``, by the rule of the module."""
+        """What switches at ``place``, by the rule in ``docs/method.md``."""
         done, coming, was_closed = place.done, place.coming, set(self.closed)
         closing = was_closed.union(done.closed)
         hit, hit_next = closing > was_closed, not closing.issuperset(coming.closed)
@@ -176,10 +160,3 @@ class TimeSteppingPlant:
             after=np.concatenate([done.q, done.u]),
             switches=switches(self.system, self.closed, contacts, closed),
         )
-
-
-def _nanoseconds(step: float) -> int:
-    """``step`` (s) in whole nanoseconds."""
-    if not math.isfinite(step) or round(step * NS_PER_S) < 1:
-        raise UsageError(f"step: is {step:g} s; expected at least 1e-09 s")
-    return round(step * NS_PER_S)

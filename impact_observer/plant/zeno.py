@@ -1,21 +1,6 @@
 """Zeno behaviour: where impacts accumulate the contact is closed before their accumulation point.
 
-A contact that is pressed on its stop with an acceleration ``a`` and leaves it with ``gamma`` comes
-back after ``2 gamma / a``, from a height of ``gamma^2 / (2 a)``. With a restitution below one such
-flights get shorter without end (Zeno). A contact counts as resting when its next flight is
-
-- shorter than ``SHORT`` of the model's time scale (its fastest rate's inverse, at most 1 s), or
-- lower than ``LOW`` times the magnitude that its gap is rounded against: no event location could
-  find its end.
-
-Until the accumulation point, ``2 gamma / (a (1 - eps))`` later, the error is at most ``gamma`` in
-the contact's speed and ``gamma^2 / (2 a)`` in its gap. From then on the contact is at its stop, as
-it should be; the rest of the system has received the same impulses, earlier by that time.
-
-With ``eps = 1`` nothing accumulates: where damping alone shortens the flights their number is
-finite, but may be huge. Contacts may also accumulate impacts among each other without any load
-(the inelastic collapse of a row of beads): when a contact has been hit more than ``OFTEN`` times
-within ``SHORT``, and the energy left in that is ``NEGLIGIBLE``, the next impact is plastic.
+``docs/method.md`` says when, and how large the error is until that point.
 """
 
 from collections import deque
@@ -67,7 +52,9 @@ class ZenoCutoff:
         q, u = x[: system.n], x[system.n :]
         gamma = system.contact_speed(u)
         rounding = self._phases.speed_tolerance(before)
-        lowest = LOW * self._scale(q, u)
+        # What gaps are rounded against: the sum of all modes' magnitudes.
+        moved = self._mode_sizes @ self._phases.scales.reach(q, u)
+        lowest = LOW * (np.abs(system.q_r) + moved + _TINY)
         law = self._phases.unloaded()
         free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q))
 
@@ -108,11 +95,6 @@ class ZenoCutoff:
         time, height = 2 * speed / fall, speed**2 / (2 * fall)
         flight = np.minimum(time / self.shortest, height / lowest)
         return np.where(returns, flight, np.inf)
-
-    def _scale(self, q: Vector, u: Vector) -> Vector:
-        """What gaps are rounded against, m, shape (m,): the sum of all modes' magnitudes."""
-        moved = self._mode_sizes @ self._phases.scales.reach(q, u)
-        return np.asarray(np.abs(self._phases.system.q_r) + moved + _TINY)
 
     def _fall(self, free: Vector, contacts: list[int]) -> Vector:
         """Acceleration with which each contact would come back if the others were held, m/s2.

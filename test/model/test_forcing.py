@@ -57,19 +57,6 @@ def test_samples_are_held_or_joined_by_lines() -> None:
     assert joined(0.25).tolist() == [1.0, -1.0]
 
 
-@examples(20)
-@given(st.data())
-def test_forcing_at_one_instant_is_that_at_many(data: st.DataObject) -> None:
-    """With all its derivatives, of harmonics and of samples."""
-    f = data.draw(any_forcing(2))
-    for t in (-1.0 + share * (f.end + 1.0) for share in (0.0, 0.3, 0.9)):
-        found, expected = f.jet(2)(t), f.derivatives(np.array([t]), 2)[:, 0]
-        size = 1 + np.max(np.abs(expected))
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * size)
-    with pytest.raises(DynamicsError, match="forcing"):
-        f.jet(2)(-1.5)
-
-
 @pytest.mark.parametrize("hold", ["previous", "linear"])
 def test_knot_that_was_rounded_is_the_knot(hold: str) -> None:
     """A phase's start plus the seconds to a sample may be just below it: the sample counts."""

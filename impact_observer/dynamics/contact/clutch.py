@@ -127,7 +127,6 @@ class Piecewise(Motion):
         return found
 
     def _extend(self, until: float) -> None:
-        """Find all phases that begin before ``until``, s, in whole windows from each start."""
         window = self._clutches.window
         while self._parts[-1].start + self._searched <= until:
             part, least = self._parts[-1], self._least()
@@ -195,7 +194,6 @@ class _ClutchMotion(Piecewise):
         )
 
     def _begun(self, start: float, x: Vector, persistent: PersistentContacts) -> Part:
-        """The phase from ``start`` on with ``persistent`` contacts."""
         phase = self._clutches.phases.phase(persistent.held, self._fixed)
         slipping = tuple(i for i in self._closed if i not in persistent.closed)
         return Part(start, phase, phase.start(self.t + start, x), slipping)

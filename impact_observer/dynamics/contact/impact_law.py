@@ -47,7 +47,7 @@ class ImpactLaw:
         self._rows: list[Vector] = list(np.ascontiguousarray(system.W.T))
         kicks = self._Minv_W * ((1.0 + self._eps) / np.sum(self._B**2, axis=0))
         self._kicks: list[Vector] = list(np.ascontiguousarray(kicks.T))
-        self._nonexpansive = lru_cache(KEPT)(self._is_nonexpansive)
+        self.is_nonexpansive = lru_cache(KEPT)(self._is_nonexpansive)
 
     @cached_property
     def plastic(self) -> "ImpactLaw":
@@ -157,11 +157,8 @@ class ImpactLaw:
         share = linalg.lstsq(B.T @ B, np.diag(rebound) @ W.T)[0] if P else W.T
         return np.asarray(np.eye(len(W)) - self._Minv_W[:, P] @ share)
 
-    def is_nonexpansive(self, active: Contacts) -> bool:
-        """Whether ``G - E G E >= 0`` on ``active``: then neither they nor some of them raise V."""
-        return self._nonexpansive(active)
-
     def _is_nonexpansive(self, active: Contacts) -> bool:
+        """Whether ``G - E G E >= 0`` on ``active``: then neither they nor some of them raise V."""
         A = list(active)
         B, eps = self._B[:, A] / np.linalg.norm(self._B[:, A], axis=0), self._eps[A]
         if np.all(eps == eps[:1]):
@@ -185,7 +182,6 @@ class ImpactLaw:
         return self._impulses(active, gamma)
 
     def _impulses(self, active: list[int], gamma: Vector) -> Vector:
-        """The impulses for contact speeds ``gamma``, shape (len(active),)."""
         impulses = complementary(self._B[:, active], (1.0 + self._eps[active]) * gamma)
         if impulses is None:
             names = [self._system.contact_names[i] for i in active]

@@ -1,37 +1,16 @@
 """Moreau's time-stepping scheme with theta = 1/2: impacts without looking for their instants.
 
-Over a step of length ``h``, with ``u_theta = (u + u+) / 2`` and ``q_theta = q + h u_theta / 2``
-(Jean, The non-smooth contact dynamics method, 1999; Moreau, Unilateral contact and dry friction in
-finite freedom dynamics, 1988; Acary and Brogliato, Numerical Methods for Nonsmooth Dynamical
-Systems, 2008, chapter 10)::
+Over a step of length ``h``, with ``u_theta = (u + u+) / 2`` and ``q_theta = q + h u_theta / 2``::
 
     M (u+ - u) + h C u_theta + h K q_theta - h f_theta = W P,    q+ = q + h u_theta
     0 <= gamma+ + eps gamma  _|_  P >= 0    on contacts with    g + h gamma / 2 <= 0
 
-It shares neither flow nor event location nor impact law with the event-driven plant, and so checks
-them. Accumulating impacts (Zeno) cost nothing. It is of first order with contacts, of
-second order without, and lets a body penetrate its stop by up to ``h`` times its speed.
-
-Every step satisfies, up to rounding, the balance of energy ``T = u^T M u / 2 + q^T K q / 2``::
-
-    T+ - T = -h u_theta^T C u_theta + h u_theta^T f_theta + gamma_theta^T P
-
-The last term is negative at an impact, ``-(1 - eps) |gamma| P / 2``. It is positive, of order
-``h^2``, where a load brings a contact back within the step in which it opens.
-
-The impulses solve a linear complementarity problem in ``A = W^T Mhat^-1 W``, with
-``Mhat = M + h C / 2 + h^2 K / 4``, which is not symmetric when ``C`` has a gyroscopic part. It
-says that ``u+`` solves a variational inequality on ``{gamma+ >= -eps gamma}``. With the symmetric
-part ``S = L L^T`` of ``Mhat`` and ``L^-1 Mhat L^-T = I + R`` its operator is strongly monotone, so
-the projection method with steps of ``1 / (1 + |R|^2)`` converges from anywhere, by a factor of
-``|R| / sqrt(1 + |R|^2)`` (Facchinei and Pang, Finite-Dimensional Variational Inequalities and
-Complementarity Problems, 2003, section 12.1). Without a gyroscopic part ``R`` is zero, and the
-first projection is the solution. Each is a least distance problem (Lawson and Hanson, Solving
-Least Squares Problems, 1974, chapter 23), and does not mind contacts that depend on each other.
+Balance of energy, solution for the impulses ``P`` and sources: ``docs/method.md``.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +83,8 @@ class MoreauScheme:
         )
         self._A = system.W.T @ self._response
         self._reach, self._distance = abs(system.W).T, abs(system.q_r)
-        self._forces: dict[float, Vector] = {}
+        # The end of a step is most often the start of the next.
+        self._force = lru_cache(maxsize=2)(system.forcing)
         self._last = system.forcing.end
         lower = linalg.cholesky((iteration + iteration.T) / 2, lower=True)
         turning = h / 4 * (system.C - system.C.T)
@@ -148,14 +128,6 @@ class MoreauScheme:
         closed = (gamma < -rounding) | (spare <= 2 * rounding)
         which = tuple(active[closed[active]].tolist())
         return TimeStep(q + h / 2 * (u + after), after, free, impulses, which)
-
-    def _force(self, t: float) -> Vector:
-        """``f(t)``; the end of a step is most often the start of the next."""
-        if t not in self._forces:
-            if len(self._forces) > 2:
-                self._forces.clear()
-            self._forces[t] = self.system.forcing(t)
-        return self._forces[t]
 
     def _impulses(self, k: int, gamma: Vector, active: Indices, lacking: Vector) -> Vector:
         """``P`` of the active contacts: ``0 <= A P - lacking _|_ P >= 0``."""

@@ -62,7 +62,7 @@ def persistent_contacts(
         terms = phases.white(
             np.stack([f[k], -unloaded.damped(motion[-1]), -unloaded.sprung(motion[-2])], axis=1)
         )
-        basis = _basis(phases.B[:, pressing])
+        basis = np.linalg.qr(phases.B[:, pressing])[0]
         directions = _without(basis, phases.B[:, undecided])
         free = _without(basis, terms.sum(axis=1))
         # Rounding is relative to the terms of the sum, those of the force included.
@@ -100,11 +100,6 @@ def _least(
                 " are their directions almost the same?"
             ) from None
     return pushed, free + directions @ pushed
-
-
-def _basis(directions: Matrix) -> Matrix:
-    """An orthonormal basis of independent ``directions``."""
-    return np.asarray(np.linalg.qr(directions)[0])
 
 
 def _without(basis: Matrix, vectors: Matrix) -> Matrix:

@@ -79,41 +79,22 @@ class PositionProjection:
         self._softest = float(np.min(stiffness[elastic], initial=np.inf))
         self._M = linalg.cho_factor(system.M)
         self._jumps = lru_cache(KEPT)(self._solve)
-        self._reactions = lru_cache(KEPT)(self._reactions_of)
-        self._single = lru_cache(KEPT)(self._of_one)
+        self.reactions = lru_cache(KEPT)(self._reactions_of)
 
     def jump(self, active: tuple[int, ...]) -> Matrix:
         """``Z``, the position jump per unit of gap, shape (n, len(active))."""
         return self._jumps(active).Z
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
-        """``q+``, shape (n,): the closest position with ``g = 0`` on the active contacts."""
+        """``q+``, shape (..., n): the closest positions with ``g = 0`` on the active contacts."""
         W, q_r, Z, _ = self._jumps(active)
-        return np.asarray(q - Z.dot(W.dot(q) + q_r))
-
-    def positions_after(self, Q: Matrix, active: tuple[int, ...]) -> Matrix:
-        """The same of many positions ``Q``, shape (positions, n) like what is returned."""
-        W, q_r, Z, _ = self._jumps(active)
-        return np.asarray(Q - (Q @ W.T + q_r) @ Z.T)
+        return np.asarray(q - (q.dot(W.T) + q_r).dot(Z.T))
 
     def strain(self, q: Vector, active: tuple[int, ...]) -> float:
         """Elastic energy of the jump from ``q``, shape (n,), J: ``1/2 g_A^T L^-1 g_A``."""
-        if len(active) == 1:  # as at nearly every event
-            w, rest, stiffness = self._single(active[0])
-            one = float(w.dot(q)) + rest
-            return stiffness * one * one / 2
         W, q_r, _, strain = self._jumps(active)
         gap = W.dot(q) + q_r
         return float(gap.dot(strain.dot(gap))) / 2
-
-    def reactions(self, active: tuple[int, ...]) -> Matrix:
-        """``R`` of ``sigma = -R g_A``, what the stops do in the jump, shape (|A|, |A|).
-
-        ``K dq = W_A sigma``, so ``R = L^-1`` for ``K > 0``. A contact that rigid motions close
-        without any spring has none; its row is that of the tie-break in ``M``, ``M dq = W_A
-        sigma``: signs are those of ``K + delta M`` as ``delta`` vanishes.
-        """
-        return self._reactions(active)
 
     def directions(self) -> Matrix:
         """``D`` of ``D^T D = W^T K^-1 W``, shape (n, m), rigid motions being cheap, not free."""
@@ -128,12 +109,13 @@ class PositionProjection:
             frozen(system.W[:, A].T), system.q_r[A], Z, frozen(Z.T @ system.K @ Z)
         )
 
-    def _of_one(self, contact: int) -> tuple[Vector, float, float]:
-        """Direction, gap in the rest position and ``z^T K z`` of a single contact."""
-        W, q_r, _, strain = self._jumps((contact,))
-        return W[0], float(q_r[0]), float(strain[0, 0])
-
     def _reactions_of(self, active: tuple[int, ...]) -> Matrix:
+        """``R`` of ``sigma = -R g_A``, what the stops do in the jump, shape (|A|, |A|).
+
+        ``K dq = W_A sigma``, so ``R = L^-1`` for ``K > 0``. A contact that rigid motions close
+        without any spring has none; its row is that of the tie-break in ``M``, ``M dq = W_A
+        sigma``: signs are those of ``K + delta M`` as ``delta`` vanishes.
+        """
         parts = self._split(active)
         elastic, rigid = parts.elastic.T @ parts.elastic, parts.inverse.T @ parts.rigid
         sprung = np.linalg.norm(parts.beyond, axis=1) > _SPRUNG

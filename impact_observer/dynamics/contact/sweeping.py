@@ -5,12 +5,7 @@ Leine). Where the gap of another contact would become negative, that contact sto
 
     dq/dt = u + K^-1 W sigma,    sigma_A of any sign,    0 <= dg_i/dt  _|_  sigma_i >= 0
 
-on those others with ``g_i = 0``. ``dq/dt`` is the velocity nearest to ``u``, in the metric of
-``K``, that closes no gap further; ``u`` itself is not changed. While the same contacts stop their
-gaps, these are fixed like those of ``A``. The motion is then one linear phase (``phase.py``) until
-a ``sigma_i`` falls to zero, or another gap does.
-
-For singular ``K`` rigid motions come first, as in ``projection.py``.
+on those others with ``g_i = 0``; ``u`` is not changed (``docs/method.md``).
 """
 
 from functools import lru_cache
@@ -224,7 +219,6 @@ class _SweepingMotion(Piecewise):
     def _begun(
         self, start: float, x: Vector, persistent: PersistentContacts, stopped: tuple[int, ...]
     ) -> Part:
-        """The phase from ``start`` on with ``persistent`` contacts and ``stopped`` gaps."""
         phase = self._clutches.phases.phase(persistent.held, (*self._closed, *stopped))
         slipping = tuple(i for i in self._closed if i not in persistent.closed)
         return Part(start, phase, phase.start(self.t + start, x), slipping, stopped)

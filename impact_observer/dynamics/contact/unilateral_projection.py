@@ -32,19 +32,6 @@ class _Support(NamedTuple):
     stopping: tuple[int, ...]
 
 
-class _Independent(NamedTuple):
-    """Contacts that are independent of the active ones.
-
-    Attributes:
-        contacts: indices.
-        directions: the part of each that is orthogonal to the active ones, a column each, in the
-            metric of the position jump, shape (n, contacts).
-    """
-
-    contacts: tuple[int, ...]
-    directions: Matrix
-
-
 class UnilateralProjection:
     """The nearest position, in the metric of ``K``, with ``g_A = 0`` and no gap negative.
 
@@ -59,15 +46,11 @@ class UnilateralProjection:
         self._projection = phases.projection
         self._directions = phases.projection.directions()
         self._independent = lru_cache(KEPT)(self._independent_of)
-        self._possible = lru_cache(KEPT)(self._has_position)
+        self.is_possible = lru_cache(KEPT)(self._is_possible)
 
     def rounding(self, q: Vector) -> Vector:
         """What the gaps of positions as large as ``q`` are rounded against, m, shape (m,)."""
         return np.asarray(np.abs(self._system.q_r) + np.abs(q) @ np.abs(self._system.W))
-
-    def is_possible(self, active: tuple[int, ...]) -> bool:
-        """Whether some position has ``g = 0`` on ``active`` and no gap negative."""
-        return self._possible(active)
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
         """``q+``, shape (n,).
@@ -89,13 +72,12 @@ class UnilateralProjection:
         gaps = self._system.gap(q)
         support = self.support(gaps, least, active, others)
         if support is None:  # contacts that are almost the same: by exchanges only
-            support = self._checked(
-                gaps, least, active, (), self._independent(active, others).contacts
-            )
+            free, _ = self._independent(active, others)
+            support = self._checked(gaps, least, active, (), free)
         return self._projection.position_after(q, (*active, *support.stopping))
 
-    def _has_position(self, active: tuple[int, ...]) -> bool:
-        """Whether the rest position has a projection."""
+    def _is_possible(self, active: tuple[int, ...]) -> bool:
+        """Whether some position has ``g = 0`` on ``active`` and no gap negative."""
         q_r, A = self._system.q_r, list(active)
         others = tuple(i for i in range(self._system.m) if i not in active)
         least = np.full(q_r.size, _IMPOSSIBLE * float(np.max(np.abs(q_r), initial=0.0)))
@@ -122,30 +104,35 @@ class UnilateralProjection:
         Returns:
             None where they cannot.
         """
-        free = self._independent(active, others)
-        A = list(active)
+        free, directions = self._independent(active, others)
+        A, contacts = list(active), list(free)
         W = self._system.W
         left = values - W.T @ (self._projection.jump(active) @ values[A]) if A else values
-        contacts = list(free.contacts)
-        fixed = [i for i in others if i not in free.contacts]
+        fixed = [i for i in others if i not in free]
         if np.any(left[fixed] < -1e3 * rounding[fixed]):
             return None
         pressed: tuple[int, ...] = ()
         if np.any(left[contacts] < -rounding[contacts]):
-            reactions = complementary(free.directions, left[contacts])
+            reactions = complementary(directions, left[contacts])
             if reactions is None:
                 return None
-            pressed = tuple(i for i, r in zip(contacts, reactions, strict=True) if r > 0)
-        return self._checked(values, rounding, active, pressed, free.contacts)
+            pressed = tuple(i for i, r in zip(free, reactions, strict=True) if r > 0)
+        return self._checked(values, rounding, active, pressed, free)
 
-    def _independent_of(self, active: tuple[int, ...], others: tuple[int, ...]) -> _Independent:
-        """Those of ``others`` that do not depend on the ``active`` ones."""
+    def _independent_of(
+        self, active: tuple[int, ...], others: tuple[int, ...]
+    ) -> tuple[tuple[int, ...], Matrix]:
+        """Those of ``others`` that do not depend on the ``active`` ones, and their directions.
+
+        A direction, one a column, is the part that is orthogonal to the active ones in the metric
+        of the position jump, shape (n, contacts).
+        """
         D = self._directions
         basis = linalg.qr(D[:, list(self._phases.independent(active))], mode="economic")[0]
         contacts = [i for i in others if self._is_independent(active, i)]
         directions = D[:, contacts] - basis @ (basis.T @ D[:, contacts])
         directions -= basis @ (basis.T @ directions)
-        return _Independent(tuple(contacts), frozen(directions))
+        return tuple(contacts), frozen(directions)
 
     def _is_independent(self, active: tuple[int, ...], i: int) -> bool:
         return len(self._phases.independent((*active, i))) > len(self._phases.independent(active))

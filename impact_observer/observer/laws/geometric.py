@@ -70,7 +70,6 @@ class Geometric(ReplicaLaw):
         self._jump = cache(self._jump_of)
 
     def _jump_of(self, contact: int) -> _SingleJump:
-        """The jump at one contact."""
         z = self._projection.jump((contact,))[:, 0]
         return _SingleJump(self.system, contact, z, self._newton.kick(contact))
 
@@ -87,9 +86,9 @@ class Geometric(ReplicaLaw):
     def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
         """Of many replicas at once."""
         n = self.system.n
-        positions = self._projection.positions_after(replicas[:, :n], active)
+        positions = self._projection.position_after(replicas[:, :n], active)
         if closed and closed != active:
-            positions = self._projection.positions_after(positions, closed)
+            positions = self._projection.position_after(positions, closed)
         velocities = self._newton.velocities_held(replicas[:, n:], active, closed)
         return np.concatenate([positions, velocities], axis=1)
 

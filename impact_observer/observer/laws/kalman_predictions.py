@@ -138,7 +138,6 @@ class MissedSwitchPrediction(Prediction):
         return self._prior(s)
 
     def _stretch(self, s: float) -> _Stretch:
-        """The stretch that holds after ``s`` seconds."""
         while self._searched < s:
             self._search()
         return next(each for each in reversed(self._stretches) if each.since <= s)
@@ -149,7 +148,6 @@ class MissedSwitchPrediction(Prediction):
         return [self._begun(0.0, 0.0, self._hypotheses[0].state, root)]
 
     def _begun(self, since: float, start: float, state: GaussianState, root: Matrix) -> _Stretch:
-        """A stretch from ``start`` on."""
         t = self._t + start
         spread = self._bank.filter.predict(t, state._replace(root=root))
         return _Stretch(since, start, self._bank.forecast(t, state), state.closed, spread)

@@ -49,7 +49,6 @@ class ReplicaLaw(Law):
 
     @cached_property
     def _free(self) -> Phase:
-        """Free flight."""
         return self._clutches.phases.phase()
 
     @abstractmethod
