@@ -32,12 +32,7 @@ def shared(relative: str) -> Path:
 
 
 def read_file_or_sample(source: str | Path, folder: str, wanted: str) -> tuple[Path, str]:
-    """Path and text of a file, or of a sample by its name.
-
-    Args:
-        source: the file, or the name.
-        folder: of the samples, such as ``config``.
-        wanted: what is expected, for the error line.
+    """Path and text of a file, or of a sample in ``folder`` by its name; ``wanted`` is expected.
 
     Raises:
         UsageError: there is no such file, or it is no text.

@@ -47,17 +47,10 @@ def seconds_between(start: int, stop: int) -> float:
 
 
 def grid(start: int, stop: int, rate: float) -> NDArray[np.int64]:
-    """Stamps ``start + k / rate`` up to and including ``stop``.
+    """Stamps ``start + k / rate`` up to and including ``stop``, ns, for ``rate`` in Hz.
 
-    Every stamp is rounded from its own product, never summed up.
-
-    Args:
-        start: first stamp, ns.
-        stop: last stamp allowed, ns.
-        rate: samples per second, Hz.
-
-    Returns:
-        Stamps, shape (samples,), ns; empty when ``stop < start``.
+    Every stamp is rounded from its own product, never summed up. Shape (samples,); empty when
+    ``stop < start``.
 
     Raises:
         UsageError: more samples than memory holds, or stamps that no message can carry.

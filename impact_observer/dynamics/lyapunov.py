@@ -15,17 +15,9 @@ def is_seminorm(system: System) -> bool:
 
 
 def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> Vector:
-    """``V = 1/2 du^T M du + 1/2 dq^T K dq``, J.
+    """``V = 1/2 du^T M du + 1/2 dq^T K dq``, J, of differences ``q`` and ``u``, shape (..., n).
 
-    A seminorm where ``K`` is singular: it is zero for rigid-body displacements.
-
-    Args:
-        system: gives M and K.
-        q: differences of coordinates, shape (..., n).
-        u: differences of velocities, shape (..., n).
-
-    Returns:
-        Shape (...).
+    A seminorm where ``K`` is singular: it is zero for rigid-body displacements. Shape (...).
     """
     kinetic = np.einsum("...i,...i->...", u @ system.M, u)
     potential = np.einsum("...i,...i->...", q @ system.K, q)

@@ -38,15 +38,10 @@ class ContactChange(NamedTuple):
         stamp: int = 0,
         sequence: int = 0,
     ) -> "ContactChange":
-        """What an event at ``t`` means while the contacts ``before`` are closed.
+        """What ``switches`` of contacts at ``t`` mean while the contacts ``before`` are closed.
 
-        Args:
-            t: s since the epoch.
-            before: contacts with ``chi = 1`` until now.
-            switches: contacts and how they switch. A contact that was closed and hits without
-                ``CLOSE`` is open afterwards: an ``OPEN`` was missed.
-            stamp: of the event, ns; 0 where it is not needed.
-            sequence: of the event.
+        A contact that was closed and hits without ``CLOSE`` is open afterwards: an ``OPEN`` was
+        missed.
         """
         if not before and len(switches) == 1:
             ((contact, kind),) = switches
@@ -85,11 +80,8 @@ class ContactChange(NamedTuple):
     def informative(self, held: Contacts, forcing: Forcing) -> Contacts:
         """The contacts whose guard is measured: those that hit, or one alone that opens.
 
-        The load of one that opens has come down to zero, unless the force jumps.
-
-        Args:
-            held: contacts that carried the loads until now.
-            forcing: of the system.
+        The load of one that opens, among the ``held`` ones, has come down to zero, unless the
+        force jumps.
         """
         if self.hit:
             return self.hit
@@ -100,9 +92,7 @@ class ContactChange(NamedTuple):
     def pressed(self, newton: ImpactLaw, gamma: Vector) -> Contacts:
         """The contacts that take an impulse; those that stay closed have no speed afterwards.
 
-        Args:
-            newton: the impact law.
-            gamma: speeds of those hit, shape (len(hit),), m/s; see ``ImpactLaw.pressed``.
+        ``gamma`` are the speeds of those hit, shape (len(hit),), m/s; see ``ImpactLaw.pressed``.
 
         Raises:
             ImpactLawError: the law has no solution on these contacts.

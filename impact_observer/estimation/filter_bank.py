@@ -80,13 +80,7 @@ class FilterBank:
     def __init__(
         self, filter_: ImpactFilter, uncertainty: Uncertainty, clocks: Sequence[float] = ()
     ) -> None:
-        """A bank that doubts events as far as is declared.
-
-        Args:
-            filter_: predicts and corrects the state of each hypothesis.
-            uncertainty: what is declared.
-            clocks: possible standard deviations of a stamp, s, ascending.
-        """
+        """A bank for the ``uncertainty`` declared; ``clocks``: deviations of a stamp, s."""
         self.filter = filter_
         self._next_clocks = {
             clock: (*clocks[max(i - 1, 0) : i], *clocks[i + 1 : i + 2])
@@ -106,13 +100,7 @@ class FilterBank:
     def correct(
         self, change: ContactChange, hypotheses: Sequence[Hypothesis], restarts: Restarts
     ) -> tuple[Hypothesis, ...]:
-        """``hypotheses`` after an event, the likeliest first; their probabilities add up to one.
-
-        Args:
-            change: the event.
-            hypotheses: just before it.
-            restarts: makes the hypotheses of a restart.
-        """
+        """``hypotheses`` after an event, the likeliest first, normalised."""
         leading = max(each.penalised_weight for each in hypotheses) + LEADING
         branches = [
             branch
@@ -238,13 +226,9 @@ class FilterBank:
         return tuple(sorted(likely, key=lambda each: each.penalised_weight, reverse=True))
 
     def _paths(self, h: Hypothesis, t: float, left: float, enough: float) -> Iterator[Hypothesis]:
-        """``h`` without missed switches, then with one, two and so on.
+        """``h`` ``left`` seconds later, without missed switches, then with one, two and so on.
 
-        Args:
-            h: a hypothesis.
-            t: s since the epoch.
-            left: seconds to predict.
-            enough: logarithm of a probability below which no more are inserted.
+        No more are inserted below ``enough``, the logarithm of a probability.
         """
         while True:
             forecast = self.forecast(t, h.state)

@@ -36,10 +36,7 @@ class GaussianState(NamedTuple):
     def of(cls, replicas: Matrix, root: Matrix, closed: Contacts = ()) -> "GaussianState":
         """A state without parameters; with an offset of 0 where ``root`` has a row for it.
 
-        Args:
-            replicas: states (q, u), shape (N, 2n), the estimate first.
-            root: see ``GaussianState``.
-            closed: contacts that are closed.
+        The ``replicas`` (q, u) have shape (N, 2n), the estimate first.
         """
         size = replicas.shape[1]
         differences = np.zeros((len(root), len(replicas) - 1))
@@ -72,12 +69,9 @@ class GaussianState(NamedTuple):
     def propagated(
         self, x: Vector, map_: Matrix, sensitivity: Matrix | None = None
     ) -> "GaussianState":
-        """The estimate is ``x``; ``map_`` propagates covariance and differences.
+        """The estimate is ``x``; ``map_``, shape (2n, 2n), propagates covariance and differences.
 
-        Args:
-            x: the estimate (q, u) afterwards, shape (2n,).
-            map_: shape (2n, 2n).
-            sensitivity: of the state to the parameters, shape (2n, p); None where it is zero.
+        ``sensitivity`` of the state to the parameters has shape (2n, p); None where it is zero.
         """
         root = propagate_errors(self.root, 0, map_, sensitivity)
         differences = propagate_errors(self.differences, 0, map_, sensitivity)

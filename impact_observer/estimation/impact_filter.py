@@ -69,13 +69,7 @@ class ImpactFilter:
         model_error: float = 0.0,
         unknowns: UnknownParameters | None = None,
     ) -> None:
-        """Prepare impact law and phases.
-
-        Args:
-            system: the system.
-            model_error: of the accelerations, as white noise, m/s^1.5.
-            unknowns: parameters of ``system`` that are estimated; None for none.
-        """
+        """Prepare law and phases; ``model_error`` is white noise of accelerations, m/s^1.5."""
         self.system = system
         unknowns = unknowns or UnknownParameters(ParametricFamily(system, ()), np.empty(0))
         self._unknowns = unknowns
@@ -118,13 +112,8 @@ class ImpactFilter:
         """The likelihood of an event, and a function that returns the posterior state.
 
         Nearly every event is an impact of one contact, while none is closed, near its predicted
-        instant: ``single`` does it at once. Any other event goes through a joint normal vector
-        of instant and state.
-
-        Args:
-            change: the event, from the contacts that ``state`` has closed.
-            state: the prior at the stamp.
-            clock: standard deviation of the stamp, s.
+        instant: ``single`` does it at once. Any other event goes through a joint normal vector of
+        instant and state. ``clock`` is the standard deviation of the stamp, s.
         """
         alone = len(change.hit) == 1 and not (change.before or change.closed)
         if self._near and alone and not state.constants.size:
@@ -154,13 +143,7 @@ class ImpactFilter:
         return forces, (gap.now, H, D, rest), (jump.now, jump.maps), scale, self._near
 
     def joint_prior(self, change: ContactChange, state: GaussianState, clock: float) -> Joint:
-        """The prior of the event's instant and the state then.
-
-        Args:
-            change: the event, from the contacts that ``state`` has closed.
-            state: the prior at the stamp.
-            clock: standard deviation of the stamp, s.
-        """
+        """The prior of the event's instant and the state then; ``clock`` is a deviation, s."""
         d, columns = state.root.shape
         root = np.zeros((1 + d, 1 + columns))
         root[0, 0], root[1:, 1:] = clock, state.root
@@ -190,13 +173,9 @@ class ImpactFilter:
     ) -> Joint:
         """Instant and state just before the event, corrected by it.
 
-        An iterated filter: the measurement is linearised about its own posterior, at the
-        estimated instant, until that changes next to nothing.
-
-        Args:
-            change: the event.
-            prior: of its instant and the state.
-            likelihood: of the event, whose linearisation is used first; None to find it.
+        An iterated filter: the measurement is linearised about its own posterior, at the estimated
+        instant, until that changes next to nothing. The linearisation of ``likelihood`` is used
+        first.
         """
         contacts = self._measured_contacts(change)
         found, member = prior, self.member(prior)
@@ -222,12 +201,9 @@ class ImpactFilter:
     def posterior(
         self, change: ContactChange, joint: Joint, leftover: float = 0.0
     ) -> GaussianState:
-        """The state after the event, at its stamp.
+        """The state after the event, at its stamp; ``joint`` is just before it.
 
-        Args:
-            change: the event.
-            joint: instant and state just before it.
-            leftover: speed that a contact which closes may neglect before it rested, m/s.
+        A contact that closes may neglect the speed ``leftover`` before it rested, m/s.
         """
         after, member = self._jumped(change, joint), self.member(joint)
         if change.closed:

@@ -61,12 +61,8 @@ def likelihood_of_single(
 ) -> Likelihood:
     """The likelihood of an impact of one contact.
 
-    Args:
-        contact: index.
-        white: innovation of its gap, in standard deviations.
-        deviation: standard deviation of the gap, of either sign, m.
-        slope: of the gap, m/s.
-        spread: standard deviation of the slope, m/s.
+    Its gap has the innovation ``white``, in standard deviations, the standard ``deviation`` of
+    either sign, m, and a ``slope``, m/s, with the standard deviation ``spread``.
     """
     density = _density(white, deviation, slope, spread) + _from_above(slope, spread)
     return Likelihood(density, {contact: abs(float(white))})
@@ -86,13 +82,9 @@ def _from_above(slope: float, spread: float) -> float:
 def outlier_likelihood(
     contacts: Contacts, expected: Expected, prior: Joint, rate: Callable[[], Vector]
 ) -> Likelihood | None:
-    """The likelihood of an impact that is clearly an outlier; None for any other.
+    """The likelihood of an impact of ``contacts`` that is clearly an outlier; None for any other.
 
-    Args:
-        contacts: that hit.
-        expected: the predicted measurement.
-        prior: before the impact.
-        rate: finds ``dx/dt`` at the estimate, shape (2n,).
+    ``rate`` finds ``dx/dt`` at the estimate, shape (2n,).
     """
     value, H, D, _ = expected.expansion
     seen = H[:, 1:].dot(prior.own[1:])

@@ -183,16 +183,10 @@ class Members:
         return Map(mirror.J @ x + mirror.offset, mirror.J)
 
     def steps(self, theta: Vector, root: Matrix) -> Vector:
-        """Steps of finite differences by the parameters: about their standard deviations.
+        """Steps of finite differences by the first q parameters: about their standard deviations.
 
         They are powers of two, so that hypotheses of similar covariance share the same members.
-
-        Args:
-            theta: parameters, shape (p,).
-            root: a square root of the covariance of the first of them, shape (q, any).
-
-        Returns:
-            Shape (q,).
+        ``root`` is a square root of the covariance, shape (q, any). Shape (q,).
         """
         q = len(root)
         low, high = self.family.bounds
@@ -203,18 +197,11 @@ class Members:
         return np.asarray(np.exp2(np.floor(np.log2(np.minimum(wanted, room)))))
 
     def bound_correction(self, theta: Vector, root: Matrix, rows: slice) -> Vector:
-        """The correction that takes parameters beyond their bounds back to them.
+        """The correction, shape (d,), that takes parameters beyond their bounds back to them.
 
-        All else moves to its conditional mean given those bounds (Simon and Chia, Kalman
-        filtering with state equality constraints, 2002).
-
-        Args:
-            theta: parameters, shape (p,).
-            root: a square root of the whole covariance, shape (d, any).
-            rows: of ``root`` for ``theta``.
-
-        Returns:
-            Shape (d,).
+        All else moves to its conditional mean given those bounds (Simon and Chia, Kalman filtering
+        with state equality constraints, 2002). ``root`` is a square root of the whole covariance,
+        shape (d, any); its ``rows`` are those of ``theta``.
         """
         change = np.zeros(len(root))
         for j, row in enumerate(root[rows]):

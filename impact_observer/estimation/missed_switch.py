@@ -21,15 +21,10 @@ time scale."""
 def insert_switch(
     filter_: ImpactFilter, t: float, state: GaussianState, dip: Dip
 ) -> tuple[GaussianState, Kind]:
-    """The state after the switch that a dip predicts, and how the contact switches.
+    """The state after the switch that a ``dip`` predicts, and how the contact switches.
 
-    A contact that would leave its stop by less than the deviation of its gap rests on it.
-
-    Args:
-        filter_: of the system.
-        t: where the dip begins, s since the epoch.
-        state: then.
-        dip: of a gap or a load.
+    The dip begins at ``t``, s since the epoch, with ``state``. A contact that would leave its stop
+    by less than the deviation of its gap rests on it.
     """
     closed = state.closed
     if dip.kind is Kind.OPEN:
@@ -49,14 +44,8 @@ def posterior_of_missed(
 ) -> GaussianState:
     """The state after a missed event, at the instant of ``change``.
 
-    The instant is the root of the estimate's own guard. It measures nothing, and its error
-    follows from that of the state.
-
-    Args:
-        filter_: of the system.
-        change: the missed event.
-        state: then.
-        leftover: speed that a contact which closes may neglect before it rested, m/s.
+    The instant is the root of the estimate's own guard. It measures nothing, and its error follows
+    from that of the state. A contact that closes may neglect the speed ``leftover``, m/s.
     """
     x, root, member = state.x, state.root, filter_.member(state)
     contacts = change.contacts[:1]

@@ -52,15 +52,10 @@ class Sensitivity(NamedTuple):
 
     @classmethod
     def of(cls, at: Callable[[Vector], Map], theta: Vector, steps: Vector) -> "Sensitivity":
-        """Central differences of a map about ``theta``.
+        """Central differences of a map ``at`` given parameters about ``theta``, shape (p,).
 
-        They are taken on a grid of parameters, so that calls with parameters nearby share the
-        members that were prepared.
-
-        Args:
-            at: the map for given parameters, evaluated at one state.
-            theta: the estimate of the parameters, shape (p,).
-            steps: width of the grid, shape (p,), positive.
+        They are taken on a grid of parameters, ``steps`` wide, so that calls with parameters
+        nearby share the members that were prepared.
         """
         p, near = theta.size, steps * np.round(theta / steps)
         centre, aside = at(near), np.diag(steps)

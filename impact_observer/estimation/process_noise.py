@@ -30,10 +30,7 @@ class ProcessNoise(NamedTuple):
     def added_to(self, root: Matrix, phase: Phase, s: float) -> Matrix:
         """A covariance's root with the process noise of ``s`` seconds of ``phase``.
 
-        Args:
-            root: of (q, u), or of (q, u, constants), shape (2n or more, any).
-            phase: in which the system moves.
-            s: seconds.
+        It is that of (q, u), or of (q, u, constants), shape (2n or more, any).
         """
         size, columns = 2 * phase.equations.n, [root]
         if self.model_error and s > 0:
@@ -46,19 +43,12 @@ class ProcessNoise(NamedTuple):
 
 
 def diffusion(phase: Phase, s: float, intensity: float) -> Matrix:
-    """A square root of the covariance that white accelerations add in ``s`` seconds.
+    """A square root, shape (2n, 2n), of what white accelerations add in ``s`` >= 0 seconds.
 
     ``Q(s)``, the integral of ``Phi(r) B B^T Phi(r)^T`` for r from 0 to s, by quadrature over a
     step shorter than the fastest rate's inverse, and then by ``Q(2h) = Phi(h) Q(h) Phi(h)^T +
-    Q(h)``. Only motion forward in time is needed, which never overflows.
-
-    Args:
-        phase: in which the system moves; contacts that are held get no noise.
-        s: seconds, not negative.
-        intensity: of the noise on every velocity, m/s^1.5.
-
-    Returns:
-        Shape (2n, 2n).
+    Q(h)``. Only motion forward in time is needed, which never overflows. The noise on every
+    velocity has ``intensity``, m/s^1.5; contacts that are held get none.
     """
     n = phase.equations.n
     if not (intensity and s):

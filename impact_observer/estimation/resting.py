@@ -16,11 +16,8 @@ def rested(
 ) -> GaussianState:
     """``state`` corrected by ``g = 0`` and ``gamma = 0`` on its closed contacts.
 
-    Args:
-        members: the family of the system.
-        state: when the contacts close.
-        new: closed contacts that were open before: these are measured.
-        leftover: speeds that a plant may neglect before these rest, shape (len(new),), m/s.
+    Only contacts that are ``new``, closed just now, are measured; a plant may neglect their
+    ``leftover`` speeds, shape (len(new),), m/s.
     """
     if not state.closed:
         return state

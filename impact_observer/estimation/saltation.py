@@ -91,10 +91,8 @@ class Jet(NamedTuple):
     def expanded(self, y: Vector, forces: Matrix, e: float = 0.0) -> Expansion:
         """The expansion about ``(e, y)``, which is itself of second order in ``e``.
 
-        Args:
-            y: shape (2n,).
-            forces: f and its first two derivatives at the instant of ``y``, shape (3, n).
-            e: how much earlier the jump is, s.
+        ``forces`` are f and its first two derivatives at the instant of ``y``, shape (3, n); the
+        jump is ``e`` seconds earlier.
         """
         now = self.now.dot(np.concatenate([_ONE, y, forces.ravel()])).reshape(3, -1)
         (_, k, d), maps, E = self.maps.shape, self.maps, now[2]
@@ -187,11 +185,7 @@ class Mirror(NamedTuple):
     ) -> "Mirror":
         """The mirror of ``u+ = J u-`` in which ``pressed`` take part.
 
-        Args:
-            system: the system.
-            J: shape (n, n).
-            pressed: indices of contacts.
-            gaps: in the rest position, to use instead of the system's, shape (m,), m.
+        ``gaps`` in the rest position replace the system's, shape (m,), m.
         """
         n, P = system.n, list(pressed)
         q_r, offset = (system.q_r if gaps is None else gaps)[P], np.zeros(2 * n)

@@ -141,15 +141,7 @@ def spread(x: Vector, root: Matrix, count: int) -> Matrix:
 
     A normal draw of so few has directions in which all lie close together. So the draw is centred
     and whitened: the mean of the others is ``x`` and, from ``2n + 2`` replicas on, their
-    covariance is the declared one.
-
-    Args:
-        x: state (q, u), shape (2n,).
-        root: a square root of the covariance, shape (2n, 2n).
-        count: of replicas, at least one.
-
-    Returns:
-        Shape (count, 2n).
+    covariance ``root root^T`` is the declared one. Shape (count, 2n).
     """
     found, others = np.tile(x, (count, 1)), count - 1
     drawn = np.random.default_rng(_SEED).normal(size=(others, x.size))

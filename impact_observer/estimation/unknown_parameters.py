@@ -71,16 +71,11 @@ class UnknownParameters:
     ) -> "UnknownParameters":
         """The parameters that users name.
 
-        Args:
-            system: with the parameters of the model.
-            wanted: names as of ``identify --free``, such as ``restitution`` or ``gap.stop``, each
-                perhaps with a standard deviation, as in ``restitution=0.05``.
-            elements: of which the system was assembled.
-            drift: see ``UnknownParameters``.
+        ``wanted`` are names as of ``identify --free``, such as ``restitution`` or ``gap.stop``,
+        each perhaps with a standard deviation, as in ``restitution=0.05``.
 
         Raises:
-            UsageError: an unknown name, a name that comes twice, or a deviation that is no
-                number.
+            UsageError: an unknown name, a name that comes twice, or a deviation that is no number.
         """
         declared: dict[str, float] = {}
         names = []

@@ -77,10 +77,7 @@ def assembled_system(
 ) -> tuple[System, tuple[Element, ...]]:
     """The system called ``name`` that a model file assembles, and its elements.
 
-    Args:
-        name: of the system.
-        document: the whole file.
-        folder: where the CSV file of a sampled forcing lies.
+    ``folder`` is where the CSV file of a sampled forcing lies.
 
     Raises:
         ModelError: naming the element's key.

@@ -61,14 +61,9 @@ class Forcing:
         return np.asarray(self.derivatives(np.array([t]), 0)[0, 0])
 
     def derivatives(self, t: Vector, order: int) -> NDArray[np.float64]:
-        """``f`` and its time derivatives, from the right where they jump.
+        """``f`` and its time derivatives up to ``order``, from the right where they jump.
 
-        Args:
-            t: s since the epoch, shape (samples,).
-            order: of the highest derivative.
-
-        Returns:
-            Shape (order + 1, samples, n).
+        At ``t``, s since the epoch, shape (samples,). Shape (order + 1, samples, n).
 
         Raises:
             DynamicsError: there is no sample at some ``t``.
@@ -87,11 +82,7 @@ class Forcing:
     def jet_rows(self, order: int) -> Matrix:
         """Coefficients of 1 and of each harmonic's cosine and sine in f and its derivatives.
 
-        Args:
-            order: of the highest derivative.
-
-        Returns:
-            Shape ((order + 1) n, 1 + 2h).
+        Up to derivative ``order``: shape ((order + 1) n, 1 + 2h).
         """
         h = self.frequency.size
         parts = np.zeros((order + 1, self.constant.size, 1 + 2 * h))
@@ -108,10 +99,7 @@ class Forcing:
             amplitude = amplitude * (1j * self.frequency[:, None])
 
     def bound(self, X: Matrix) -> Callable[[int, Vector], Vector]:
-        """A bound on the size of ``f`` and its derivatives, as a fast function.
-
-        Args:
-            X: symmetric positive semidefinite, shape (n, n).
+        """A bound on the size of ``f`` and its derivatives in the metric ``X`` >= 0, shape (n, n).
 
         Returns:
             A function of ``k`` and ``t``, s since the epoch, shape (samples,): an upper bound of

@@ -41,11 +41,8 @@ def parametric_family(
 ) -> ParametricFamily:
     """The family of systems that differ from ``system`` in the ``wanted`` parameters.
 
-    Args:
-        system: the nominal one.
-        wanted: names such as ``restitution``, which is that of every contact, or ``gap.stop``.
-        elements: from which the system was assembled: each can be free.
-        clock: whether the offset of the sensor's clock can be free, too.
+    A name such as ``restitution`` is that of every contact, ``gap.stop`` that of one. The values
+    of ``elements`` can be free, too, and with ``clock`` the offset of the sensor's clock.
 
     Raises:
         UsageError: a name is unknown, given twice, or does not go with another.

@@ -61,8 +61,7 @@ class Model:
     def text(self, provenance: Mapping[str, Value] | None = None) -> str:
         """The model as a file in matrix form that reads back to equal numbers.
 
-        Args:
-            provenance: who makes it, such as package, version and seed.
+        ``provenance`` says who makes it, such as package, version and seed.
         """
         s = self.system
         document: dict[str, Value] = {
@@ -165,12 +164,7 @@ def read_model(source: str | Path) -> Model:
 
 
 def parse_model(text: str, source: str, folder: Path | None = None) -> Model:
-    """Read a model from its text.
-
-    Args:
-        text: the YAML.
-        source: what to call it in errors, such as the file's path.
-        folder: where matrix files lie; without it a model may not name any.
+    """Read a model from its ``text``; the arguments are those of ``ModelText``.
 
     Raises:
         ModelError: one line that names ``source``, the key and what is wanted.
@@ -198,11 +192,9 @@ def load_yaml(text: str) -> Value:
 
 
 def edited(text: str, changes: Mapping[tuple[str | int, ...], Value]) -> str:
-    """A model file with some values changed, and all else kept, comments too.
+    """A model file with ``changes`` of values, and all else kept, comments too.
 
-    Args:
-        text: the YAML of a valid model.
-        changes: new values by their path in the file, such as ``("stops", 0, "limit")``.
+    Values are found by their path in the file, such as ``("stops", 0, "limit")``.
     """
     yaml = YAML()
     yaml.width = 1_000_000  # or ruamel breaks lines

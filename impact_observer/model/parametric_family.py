@@ -132,12 +132,7 @@ class ParametricFamily:
         return found
 
     def force_changes(self, values: Vector, t: float) -> Matrix:
-        """Derivative of the force with respect to each parameter, shape (p, n).
-
-        Args:
-            values: of the parameters, shape (p,).
-            t: s since the epoch.
-        """
+        """Derivative of the force at ``t``, s since the epoch, by each parameter, shape (p, n)."""
         coefficients, forcing = self.at(values), self.system.forcing
         wave = np.exp(1j * (forcing.frequency * t + coefficients.phase))
         found = np.zeros((self.size, self.system.n))

@@ -28,12 +28,9 @@ _TIME = "time"
 def sampled_forcing(
     section: Section, coordinates: Sequence[str], folder: Path | None
 ) -> Forcing | None:
-    """The forcing of a section ``{sampled, hold}``; None where it is not sampled.
+    """The forcing of a ``section`` {sampled, hold}; None where it is not sampled.
 
-    Args:
-        section: ``forcing`` of a model file.
-        coordinates: names of the coordinates, in order.
-        folder: where CSV files lie; without it the section may not name any.
+    Forces are in the order of ``coordinates``; CSV files lie in ``folder``.
 
     Raises:
         ModelError: naming the key, or the file with its line and column.

@@ -76,16 +76,14 @@ class Interpretation(NamedTuple):
 def interpret(
     event: EventKey, closed: Contacts, latest: LatestSequences, neighbours: Sequence[EventKey] = ()
 ) -> Interpretation:
-    """Interpret ``event`` after those before it.
-
-    Events without a number are ordered by their stamp alone.
+    """Interpret ``event`` after those before it; one without a number is ordered by its stamp.
 
     Args:
         event: the event.
         closed: contacts with ``chi = 1`` before it.
         latest: sequence numbers before it.
-        neighbours: events that follow it at the same stamp, in order; where it has no number,
-            all other events of that stamp. See ``neighbours_of``.
+        neighbours: see ``neighbours_of``: events that follow it at the same stamp, in order; where
+            it has no number, all other events of that stamp.
     """
     applied, overruled = [], []
     for contact, kind in event.switches:
@@ -153,8 +151,7 @@ def deduplicated(events: Iterable[EventKey]) -> list[EventKey]:
 def interpretations(events: Sequence[EventKey]) -> Iterator[tuple[Contacts, Interpretation]]:
     """The contacts closed before each of ``events``, and its interpretation; all open at first.
 
-    Args:
-        events: in order, each once.
+    The events are in order, each once.
     """
     closed: Contacts = ()
     latest: LatestSequences = {}
@@ -167,8 +164,7 @@ def interpretations(events: Sequence[EventKey]) -> Iterator[tuple[Contacts, Inte
 def impacts_of(events: Iterable[ImpactEvent]) -> Iterator[tuple[int, str, Kind]]:
     """Impacts and closings as applied: stamp (ns), contact and kind, in order of stamps.
 
-    Args:
-        events: of one sender, in any order; each episode counts by itself.
+    ``events`` are of one sender, in any order; each episode counts by itself.
     """
 
     def run(event: ImpactEvent) -> tuple[int, int]:

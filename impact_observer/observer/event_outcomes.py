@@ -39,12 +39,7 @@ class EventOutcomes:
 def outcomes_of(
     events: Iterable[ImpactEvent], verdicts: Iterable[Verdict] | None
 ) -> EventOutcomes:
-    """The outcomes of ``events``.
-
-    Args:
-        events: all events of the recording.
-        verdicts: all verdicts of the observer; None where it published none.
-    """
+    """The outcomes of all ``events``; ``verdicts`` are None where none were published."""
     every = [*events]
     impacts = sorted({(stamp, contact) for stamp, contact, _ in impacts_of(every)})
     stamps = np.unique(np.array([event.stamp for event in every], dtype=np.int64))

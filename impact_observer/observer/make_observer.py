@@ -24,10 +24,8 @@ def make_observer(
 ) -> Observer:
     """An observer of ``system`` that has received no event yet.
 
-    Args:
-        system: the model that plant and replicas share.
-        options: everything else; None for the defaults.
-        elements: what the system was assembled of: their parameters can be estimated one by one.
+    ``options`` are None for the defaults. The system was assembled of ``elements``: their
+    parameters can be estimated one by one.
 
     Raises:
         UsageError: an option cannot be used, by its name; or numba is not installed.

@@ -70,12 +70,10 @@ class Observer:
             epoch: stamp of ``t = 0`` of the forcing, ns; 0 to take it from the events.
             history: how late an event may be and still be applied, s.
             ensemble: how many replicas are run together, at least one.
-            agreed: V distance at which they count as synchronized, relative to the energy of the
-                estimated motion.
+            agreed: V distance at which they count as synchronized, relative to the energy.
 
         Raises:
-            UsageError: a state of the wrong size, or a ``history``, ``ensemble`` or ``agreed``
-                that is not positive.
+            UsageError: a wrong state, or a number that is not positive.
         """
         for name, value in (("history", history), ("agreed", agreed), ("ensemble", ensemble)):
             if not value > 0:
@@ -96,11 +94,7 @@ class Observer:
         self.restart()
 
     def restart(self, reason: str = "") -> None:
-        """Forget everything, as if just made: for a clock that jumped back, or a new plant.
-
-        Args:
-            reason: why, for the next verdict.
-        """
+        """Forget everything, as if just made; the next verdict names the ``reason``, if any."""
         if reason:
             self._notices = [*self._notices, f"{reason}: everything begins again"]
         self._update = EventUpdate(self.law, self._test, self._given_epoch)
@@ -191,10 +185,9 @@ class Observer:
         )
 
     def estimates(self, stamps: Stamps) -> Iterator[Estimates]:
-        """``estimate`` at each of ``stamps``, equal in every bit, many at a time.
+        """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
 
-        Args:
-            stamps: ns, ascending, shape (samples,).
+        They are equal in every bit.
 
         Raises:
             UsageError: as ``estimate``.
@@ -221,15 +214,9 @@ class Observer:
     ) -> None:
         """Forget the past: from ``stamp`` (ns) on the replica moves from the given state.
 
-        The state holds after the events received with this stamp; later ones act on it. Before
-        any event or epoch is received, it becomes the initial state.
-
-        Args:
-            stamp: ns.
-            position: coordinates, shape (n,), m or rad.
-            velocity: velocities, shape (n,).
-            covariance: of the state, shape (2n, 2n) or its rows one after the other; None for the
-                initial one.
+        The state, shape (n,) each, holds after the events received with this stamp; later ones act
+        on it. Before any event or epoch is received, it becomes the initial state. The
+        ``covariance`` has shape (2n, 2n), or is a list of its rows; None for the initial one.
 
         Raises:
             UsageError: a state or covariance of the wrong size or one that is not finite.

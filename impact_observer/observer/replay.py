@@ -21,19 +21,15 @@ jitter of a sensor, less than any history, so that no event becomes too late by 
 def replay(
     observer: Observer, events: Sequence[ImpactEvent], stamps: Stamps
 ) -> Iterator[Estimate | Verdict]:
-    """Estimates at ``stamps``, each after all events at or before it, with all verdicts.
+    """Verdicts, and estimates at ``stamps``, each after all events at or before it.
 
-    Events are received in the order of their stamps, but of their numbers where these disagree.
-    So a verdict says the same of a misplaced stamp as it does live, and reports only real gaps.
+    Events are received in the order of their stamps, but of their numbers where these disagree. So
+    a verdict says the same of a misplaced stamp as it does live, and reports only real gaps.
 
     Args:
         observer: has received nothing yet.
         events: in order of episode, stamp and sequence.
-        stamps: of the estimates, ns, ascending, shape (samples,). Those before the observer can
-            give one are skipped.
-
-    Yields:
-        Verdicts and estimates, in the order in which they come about.
+        stamps: ns, ascending, shape (samples,); those before the first estimate are skipped.
 
     Raises:
         ImpactLawError, UsageError: as ``Observer.receive``.

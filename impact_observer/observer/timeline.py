@@ -174,9 +174,7 @@ class Timeline:
     def restart(self, first: Entry, *, after: bool = False) -> None:
         """Start with another ``initial_entry``, and apply the events after it again.
 
-        Args:
-            first: the entry.
-            after: whether it holds after all events of its own stamp.
+        With ``after`` it holds after all events of its own stamp.
         """
         stamp = first.key.stamp
         keys = [entry.key for entry in self.entries[1:]]

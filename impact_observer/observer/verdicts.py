@@ -34,15 +34,10 @@ class IssuedVerdicts:
     def complete(
         self, verdicts: tuple[Verdict, ...], insertion: Insertion, start: int
     ) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
-        """The verdicts on an inserted event, and those that change with it.
+        """The ``verdicts`` on the switches of an inserted event with their outcome, and others.
 
-        Args:
-            verdicts: on the switches of the event, without their outcome.
-            insertion: of the event.
-            start: stamp of the start of the past, ns; older verdicts are final.
-
-        Returns:
-            ``verdicts`` with their outcome; verdicts on inserted impacts and on earlier events.
+        The others are on inserted impacts and earlier events; before ``start`` (ns) they are
+        final.
         """
         entry, belief = insertion.entry, insertion.entry.belief
         notes: dict[Subject, Note] = {}
@@ -73,10 +68,8 @@ class IssuedVerdicts:
         for subject, note in outdated.items():
             del self._issued[subject]
             if subject.inserted:
-                reason, name = (
-                    f"{SECOND_THOUGHT}nothing was missed here",
-                    self._names[note.contact],
-                )
+                reason = f"{SECOND_THOUGHT}nothing was missed here"
+                name = self._names[note.contact]
                 verdict = Verdict(note.stamp, Ruling.REJECTED, 0, name, reason, revises=True)
                 verdicts.append(verdict)
         return notes, tuple(verdicts)
@@ -106,11 +99,7 @@ def _with_outcome(
 ) -> Verdict:
     """``verdict`` with its ruling, its innovation, and the effect of other events.
 
-    Args:
-        verdict: on a switch.
-        contact: index of its contact; -1 for none.
-        insertion: of its event.
-        notes: of the likeliest hypothesis.
+    ``contact`` is its index, -1 for none; ``notes`` are those of the likeliest hypothesis.
     """
     entry = insertion.entry
     ruling, reason = verdict.ruling, verdict.reason

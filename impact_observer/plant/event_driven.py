@@ -172,15 +172,7 @@ class Plant:
         contacts: tuple[int, ...],
         resting: tuple[int, ...],
     ) -> Switching:
-        """The switching in which the ``resting`` contacts stay closed or open.
-
-        Args:
-            instant: when.
-            before: state (q, u-), shape (2n,).
-            after: state (q, u+), shape (2n,).
-            contacts: indices of those that take part in an impact; none without one.
-            resting: indices of those with ``gamma = 0`` after it.
-        """
+        """The switching in which ``resting`` contacts, with ``gamma = 0``, stay closed or open."""
         if resting:
             after = self._phases.stopped(after, resting)
         persistent = persistent_contacts(self._phases, (), self._time(instant), after, resting)

@@ -22,15 +22,9 @@ def make_plant(
     integrator: str = EVENT_DRIVEN,
     step: float = DEFAULT_STEP,
 ) -> Master:
-    """A plant at ``epoch`` (ns).
+    """A plant at ``epoch`` (ns), from ``position`` and ``velocity``, shape (n,) each.
 
-    Args:
-        system: what moves.
-        position: coordinates at the epoch, shape (n,).
-        velocity: velocities at the epoch, shape (n,).
-        epoch: stamp of ``t = 0``, ns.
-        integrator: one of ``INTEGRATORS``.
-        step: length of the steps of ``moreau``, s.
+    ``integrator`` is one of ``INTEGRATORS``; ``step`` is the length of the steps of ``moreau``, s.
 
     Raises:
         UsageError: a state or step that cannot be used, or an unknown integrator.

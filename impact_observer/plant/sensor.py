@@ -116,15 +116,10 @@ class SensorSimulation:
         seed: int = 0,
         episode: int = 0,
     ) -> None:
-        """Begin at ``epoch``.
+        """Begin at ``epoch``, the stamp of ``t = 0``, ns.
 
-        Args:
-            sensor: its faults.
-            system: whose contacts it observes.
-            epoch: stamp of ``t = 0``, ns.
-            last: stamp after which no impact is spurious, ns; None for no end.
-            seed: of all random draws, not negative.
-            episode: of the plant; each has its own draws.
+        After ``last`` (ns; None for no end) no impact is spurious. All draws follow from ``seed``,
+        not negative, and from the ``episode`` of the plant.
 
         Raises:
             UsageError: the sensor cannot be one of ``system``.
@@ -267,16 +262,9 @@ def simulate_sensor(
     seed: int = 0,
     episode: int = 0,
 ) -> tuple[SensorMessage, ...]:
-    """The messages that ``sensor`` sends of a whole run.
+    """The messages that ``sensor`` sends of a whole run that ends at ``last`` (ns).
 
-    Args:
-        sensor: its faults.
-        system: whose contacts it observes.
-        switchings: of the plant, in their order.
-        epoch: stamp of ``t = 0``, ns.
-        last: stamp of the run's end, ns: nothing is spurious after it, messages may arrive later.
-        seed: of all random draws, not negative.
-        episode: of the plant; each has its own draws.
+    Arguments as of ``SensorSimulation``. Messages may arrive after the end.
 
     Returns:
         Every message, in the order of arrival; with an ideal sensor that of the instants.

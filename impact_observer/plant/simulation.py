@@ -38,12 +38,9 @@ class Run:
 def simulate(
     plant: Master, stamps: Stamps, *, progress: Callable[[int], None] = lambda _: None
 ) -> Run:
-    """Run ``plant`` from its present phase through all ``stamps``.
+    """Run ``plant`` from its present phase through all ``stamps``, ns, ascending, (samples,).
 
-    Args:
-        plant: is advanced.
-        stamps: where to sample, ns, ascending, shape (samples,).
-        progress: called with the stamp of every switching, ns.
+    ``progress`` is called with the stamp of every switching, ns.
 
     Raises:
         ImpactLawError: the impact law has no solution.

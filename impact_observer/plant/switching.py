@@ -38,13 +38,9 @@ def switches(
     contacts: tuple[int, ...],
     closed: tuple[int, ...],
 ) -> tuple[Switch, ...]:
-    """How ``chi`` switches, in the order of the contacts.
+    """How ``chi`` switches, in the order of the contacts, given as indices.
 
-    Args:
-        system: names the contacts.
-        was_closed: contacts that were closed before the instant.
-        contacts: contacts that take part in an impact.
-        closed: contacts that are closed after it.
+    Contacts ``was_closed`` before, ``contacts`` impact, and ``closed`` are closed afterwards.
     """
     found = []
     for i in sorted({*was_closed, *contacts}):

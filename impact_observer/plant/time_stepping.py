@@ -59,16 +59,11 @@ class TimeSteppingPlant:
     ) -> None:
         """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
 
-        Args:
-            system: what moves.
-            position: coordinates at the epoch, shape (n,), m.
-            velocity: velocities at the epoch, shape (n,), m/s.
-            epoch: stamp of ``t = 0``, ns.
-            step: length of the steps, s; rounded to whole nanoseconds.
+        The ``step`` (s) is rounded to whole nanoseconds.
 
         Raises:
-            UsageError: a state of the wrong size, not finite, or inside a stop; a step that is
-                not finite or shorter than 1 ns.
+            UsageError: a state of the wrong size, not finite, or inside a stop; a step that is not
+                finite or shorter than 1 ns.
             ImpactLawError: the law has no solution in the first step.
         """
         q, u = system.checked_start(position, velocity)

@@ -83,12 +83,10 @@ class ZenoCutoff:
         )
 
     def _flights(self, speed: Vector, fall: Vector, lowest: Vector) -> Vector:
-        """Next flights, relative to the longest that counts as none.
+        """Next flights, relative to the longest that counts as none, shape (k,).
 
-        Args:
-            speed: with which contacts leave their stops, shape (k,), m/s.
-            fall: acceleration back, shape (k,), m/s2; zero for contacts that do not return.
-            lowest: height that counts as none, shape (k,), m.
+        A flight begins with ``speed``, m/s, and ``fall`` is the acceleration back, m/s2, zero for
+        contacts that do not return. The height ``lowest`` counts as none, m.
         """
         returns = fall > 0
         fall = np.where(returns, fall, 1.0)
@@ -99,11 +97,8 @@ class ZenoCutoff:
     def _fall(self, free: Vector, contacts: list[int]) -> Vector:
         """Acceleration with which each contact would come back if the others were held, m/s2.
 
-        Zero where a contact is not pressed on its stop.
-
-        Args:
-            free: acceleration without loads, as ``Phases.white`` gives it, shape (n,).
-            contacts: indices.
+        Zero where a contact is not pressed on its stop. ``free`` is the acceleration without
+        loads, as ``Phases.white`` gives it, shape (n,).
         """
         size = float(np.linalg.norm(free)) or 1.0
         length = self._length[contacts]

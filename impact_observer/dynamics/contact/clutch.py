@@ -46,13 +46,10 @@ class Clutches:
         self.search = lru_cache(KEPT)(self._search)
 
     def motion(self, t: float, x: Vector, closed: tuple[int, ...], *, fix: bool) -> Motion:
-        """The motion through ``x`` at ``t`` while the contacts ``closed`` have ``chi = 1``.
+        """The motion through ``x`` at ``t`` (s since the epoch) while ``closed`` have ``chi = 1``.
 
-        Args:
-            t: s since the epoch.
-            x: state (q, u), shape (2n,), with ``gamma >= 0`` on ``closed``.
-            closed: indices of contacts.
-            fix: whether their gaps stay closed too: the geometric law.
+        The state (q, u), shape (2n,), has ``gamma >= 0`` on them; with ``fix`` their gaps stay
+        closed too, as in the geometric law.
         """
         if not closed:
             return self.phases.phase().start(t, x)

@@ -32,12 +32,7 @@ class ImpactLaw:
     """Newton's impact law of one system."""
 
     def __init__(self, system: System, restitution: Vector | None = None) -> None:
-        """Factorise the mass matrix and prepare ``M^-1 W``, ``G`` and ``B``.
-
-        Args:
-            system: gives M, W and eps.
-            restitution: to use instead of the system's, shape (m,).
-        """
+        """Prepare the law; ``restitution``, shape (m,), is used instead of the system's."""
         factor = linalg.cholesky(system.M, lower=True)
         self._system = system
         self._eps = system.eps if restitution is None else restitution
@@ -55,14 +50,9 @@ class ImpactLaw:
         return ImpactLaw(self._system, np.zeros(self._system.m))
 
     def velocity_after(self, u: Vector, active: Sequence[int]) -> Vector:
-        """Velocities ``u+`` after an impact on the ``active`` contacts.
+        """Velocities ``u+`` after an impact on the ``active`` contacts, shape (n,), m/s.
 
-        Args:
-            u: velocities ``u-``, shape (n,), m/s.
-            active: indices of all contacts that are closed at this instant.
-
-        Returns:
-            Shape (n,), m/s; equal to ``u`` when all active contacts separate anyway.
+        They are equal to ``u`` when all active contacts separate anyway.
 
         Raises:
             ImpactLawError: the law has no solution on these contacts.
@@ -74,17 +64,12 @@ class ImpactLaw:
         return np.asarray(u + self._Minv_W[:, list(active)] @ self.impulses(u, active))
 
     def velocity_held(self, u: Vector, active: Sequence[int], closed: Sequence[int]) -> Vector:
-        """The same where the contacts ``closed`` stay closed: none of them may close further.
+        """The same where the contacts ``closed``, a part of ``active``, stay closed.
 
         Newton's law allows ``gamma+ < 0`` where ``gamma- > 0`` (a replica's contact that was
-        separating): such a contact hits again, at once. Repetitions that do not end are ended by
-        a plastic impact. Every repetition is the impact law, which leaves velocities unchanged
-        that need no impulse, so what is proved of one impact holds for all of them.
-
-        Args:
-            u: velocities ``u-``, shape (n,), m/s.
-            active: indices of all contacts that are closed at this instant.
-            closed: indices of those that stay closed, a part of ``active``.
+        separating): such a contact hits again, at once. Repetitions that do not end are ended by a
+        plastic impact. Every repetition is the impact law, so what is proved of one impact holds
+        for all of them.
 
         Returns:
             Shape (n,), m/s, with ``gamma+ >= 0`` on ``closed`` but for rounding.
@@ -118,14 +103,9 @@ class ImpactLaw:
     def pressed(self, active: Sequence[int], hit: Sequence[int], gamma: Vector) -> Contacts:
         """The contacts that take an impulse in an impact of the plant, as sorted indices.
 
-        The plant closed the contacts ``hit``, whatever an estimate says of their speeds, and
-        those of ``active`` that were closed before had none.
-
-        Args:
-            active: indices of all contacts that are closed at this instant.
-            hit: indices of those that close at it.
-            gamma: estimated contact speeds of those hit, shape (len(hit),), m/s; of a wrong sign
-                they count as if they had the other.
+        The plant closed the contacts ``hit`` of all ``active`` ones, whatever an estimate says of
+        their speeds ``gamma``, shape (len(hit),), m/s: of a wrong sign they count as if they had
+        the other. Those of ``active`` that were closed before had none.
 
         Raises:
             ImpactLawError: the law has no solution on these contacts.
@@ -145,11 +125,8 @@ class ImpactLaw:
     def jump(self, pressed: Sequence[int], restitution: Vector | None = None) -> Matrix:
         """``J`` of ``u+ = J u-``, shape (n, n), where exactly the contacts ``pressed`` take part.
 
-        Of contacts that depend on each other the least impulses are taken.
-
-        Args:
-            pressed: indices of contacts.
-            restitution: to use instead of the law's, of any size, shape (m,).
+        Of contacts that depend on each other the least impulses are taken. ``restitution``, shape
+        (m,), of any size, is used instead of the law's.
         """
         P = list(pressed)
         B, W = self._B[:, P], self._system.W[:, P]

@@ -66,12 +66,7 @@ class MoreauScheme:
     """
 
     def __init__(self, system: System, h: float) -> None:
-        """Factorise the iteration matrix.
-
-        Args:
-            system: what moves.
-            h: length of the steps, s, positive.
-        """
+        """Factorise the iteration matrix for steps of ``h`` > 0 seconds."""
         self.system = system
         self.h = h
         iteration = system.M + h / 2 * system.C + h**2 / 4 * system.K
@@ -96,10 +91,7 @@ class MoreauScheme:
     def step(self, k: int, q: Vector, u: Vector) -> TimeStep:
         """Step number ``k``, from ``k h`` to ``(k + 1) h`` seconds since the epoch.
 
-        Args:
-            k: counts from 0.
-            q: coordinates at its start, shape (n,), m.
-            u: velocities at its start, shape (n,), m/s.
+        It begins with ``q`` (m) and ``u`` (m/s), shape (n,) each.
 
         Raises:
             ImpactLawError: the law has no solution on the active contacts.

@@ -37,14 +37,10 @@ class PersistentContacts(NamedTuple):
 def persistent_contacts(
     phases: Phases, fixed: tuple[int, ...], t: float, x: Vector, contacts: tuple[int, ...]
 ) -> PersistentContacts:
-    """Decide which of ``contacts`` stay closed.
+    """Decide which of ``contacts`` stay closed at ``t``, s since the epoch.
 
-    Args:
-        phases: of the system.
-        fixed: contacts whose gaps stay closed whether they are held or not; see ``phase.py``.
-        t: s since the epoch.
-        x: state (p, u), shape (2n,), with ``gamma = 0`` on ``contacts``.
-        contacts: indices.
+    The state ``x`` (p, u), shape (2n,), has ``gamma = 0`` on them. The gaps of ``fixed`` contacts
+    stay closed whether they are held or not; see ``phase.py``.
 
     Raises:
         DynamicsError: the loads cannot be found.

@@ -67,9 +67,7 @@ class PositionProjection:
     def __init__(self, system: System, modes: tuple[Vector, Matrix] | None = None) -> None:
         """Prepare the modes of ``K`` with respect to ``M``.
 
-        Args:
-            system: whose contacts jump.
-            modes: ``omega^2``, shape (n,), ascending, and shapes, (n, n), if available.
+        ``modes``, if available, are ``omega^2``, shape (n,), ascending, and shapes, (n, n).
         """
         self._system = system
         stiffness, shapes = modes or linalg.eigh(system.K, system.M)

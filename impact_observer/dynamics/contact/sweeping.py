@@ -46,16 +46,11 @@ class SweepingProcess:
         self.opened = lru_cache(KEPT)(self._open)
 
     def motion(self, t: float, x: Vector, closed: tuple[int, ...]) -> Motion:
-        """The motion through ``x`` at ``t`` while the contacts ``closed`` have ``chi = 1``.
+        """The motion through ``x`` at ``t`` (s since the epoch) while ``closed`` have ``chi = 1``.
 
-        Where no position has ``g = 0`` on ``closed`` and no gap negative, no plant can have this
-        ``chi``: then the other gaps may become negative.
-
-        Args:
-            t: s since the epoch.
-            x: state (q, u), shape (2n,), with ``g = 0`` and ``gamma >= 0`` on ``closed``, and no
-                gap negative.
-            closed: indices of contacts.
+        The state (q, u), shape (2n,), has ``g = 0`` and ``gamma >= 0`` on them, and no gap
+        negative. Where no position has that, no plant can have this ``chi``: then the other gaps
+        may become negative.
         """
         return _SweepingMotion(self, t, x, closed)
 
@@ -70,14 +65,9 @@ class SweepingProcess:
     ) -> tuple[int, ...]:
         """Those of the contacts ``at_stop``, with ``g = 0``, that stop their gaps now.
 
-        Where reaction and rate are both zero the next derivatives decide, and so on.
-
-        Args:
-            t: s since the epoch.
-            x: state (q, u), shape (2n,).
-            phase: one whose contacts take the loads, its gaps ``closed`` ones fixed.
-            closed: indices of the contacts with ``chi = 1``.
-            at_stop: indices of others.
+        Where reaction and rate are both zero the next derivatives decide, and so on. The contacts
+        of ``phase`` take the loads; its gaps ``closed`` ones fixed. ``x`` is (q, u), shape (2n,),
+        at ``t``.
         """
         phases, n = self.clutches.phases, len(x) // 2
         system, at = phases.system, np.array([t])
@@ -124,11 +114,9 @@ class SweepingProcess:
     def _search(
         self, part: tuple[Phase, tuple[int, ...], tuple[int, ...]], opened: tuple[int, ...]
     ) -> Search:
-        """The search for the end of a phase: loads, speeds of slipping contacts, reactions, gaps.
+        """The search for the end of a ``part``: its phase, slipping contacts and stopped ones.
 
-        Args:
-            part: phase, contacts that slip and contacts that are stopped, as indices.
-            opened: contacts whose gaps may close.
+        Watched are loads, speeds of slipping contacts, reactions, and gaps of ``opened``.
         """
         phase, slipping, stopped = part
         system, clutches = self.clutches.system, self.clutches
@@ -198,14 +186,7 @@ class _SweepingMotion(Piecewise):
     def _part(
         self, start: float, x: Vector, slow: tuple[int, ...], at_stop: tuple[int, ...]
     ) -> Part:
-        """The phase from ``start`` on.
-
-        Args:
-            start: s since the start of the motion.
-            x: state (q, u) then, shape (2n,).
-            slow: closed contacts with ``gamma = 0``, as indices.
-            at_stop: open ones with ``g = 0``.
-        """
+        """The phase from ``start`` on: ``slow`` with ``gamma = 0``, ``at_stop`` with ``g = 0``."""
         phases, t, closed = self._clutches.phases, self.t + start, self._closed
         persistent = persistent_contacts(phases, closed, t, x, slow)
         stopped: tuple[int, ...] = ()

@@ -53,14 +53,10 @@ class UnilateralProjection:
         return np.asarray(np.abs(self._system.q_r) + np.abs(q) @ np.abs(self._system.W))
 
     def position_after(self, q: Vector, active: tuple[int, ...]) -> Vector:
-        """``q+``, shape (n,).
+        """``q+``, shape (n,): ``g = 0`` on the ``active`` contacts and no gap negative.
 
         Where there is no such position, no plant can have this ``chi``: then only ``g = 0`` on
         ``active`` holds, and other gaps may be negative.
-
-        Args:
-            q: shape (n,).
-            active: indices of the contacts with ``chi = 1``.
         """
         after = self._projection.position_after(q, active)
         # One coordinate is rounded against the others that move with it.

@@ -50,12 +50,10 @@ class Law(ABC):
 
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
-        """The belief before any event.
+        """The belief before any event; it satisfies the constraints of the ``closed`` contacts.
 
-        Args:
-            replicas: states (q, u), shape (N, 2n), the estimate first.
-            root: a square root of the estimate's covariance, shape (2n, 2n).
-            closed: contacts with ``chi = 1``; the belief satisfies their constraints.
+        The ``replicas`` (q, u) have shape (N, 2n), the estimate first; ``root`` is a square root
+        of its covariance, shape (2n, 2n).
 
         Raises:
             ImpactLawError: the impact law has no solution on these contacts.
@@ -63,11 +61,7 @@ class Law(ABC):
 
     @abstractmethod
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
-        """The posterior just after an event.
-
-        Args:
-            change: what the plant's contacts do.
-            prior: the belief just before it.
+        """The posterior just after the ``change`` of contacts in an event.
 
         Raises:
             ImpactLawError: the impact law has no solution on these contacts.
@@ -76,10 +70,4 @@ class Law(ABC):
 
     @abstractmethod
     def predict(self, t: float, posterior: Belief, closed: Contacts) -> Prediction:
-        """The prediction until the next event.
-
-        Args:
-            t: s since the epoch.
-            posterior: the belief then.
-            closed: contacts with ``chi = 1`` until the next event.
-        """
+        """The prediction from ``t`` (s since the epoch) on, ``closed`` having ``chi = 1``."""

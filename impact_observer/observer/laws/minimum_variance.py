@@ -199,9 +199,7 @@ class MinimumVariance(Law):
     ) -> tuple[tuple[str, float, float], ...]:
         """Estimated parameters of model and clock: name, value, standard deviation.
 
-        Args:
-            hypotheses: the likeliest first.
-            root: rows of the mixture's root for the constants, shape (k, any).
+        ``root`` has the rows of the mixture's root for the constants, shape (k, any).
         """
         best, deviations = hypotheses[0].state, lengths(root)
         found = list(zip(self._names, best.theta.tolist(), deviations, strict=False))

@@ -70,12 +70,8 @@ class ReplicaLaw(Law):
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """One replica's motion until the next event; by default contacts close as sprag clutches.
 
-        Not used where all replicas move in one ``phase``.
-
-        Args:
-            t: s since the epoch.
-            x: the replica's state (q, u), shape (2n,).
-            closed: indices of the contacts with ``chi = 1`` until the next event, ascending.
+        It begins with ``x``, shape (2n,), at ``t``, s since the epoch; ``closed`` have ``chi =
+        1``. Not used where all replicas move in one ``phase``.
         """
         return self._clutches.motion(t, x, closed, fix=False)
 
@@ -96,12 +92,8 @@ class ReplicaLaw(Law):
     def energy_removed(self, before: Vector, after: Vector, active: Contacts) -> float | None:
         """Energy that an impact certainly removes from V, whatever the plant's state is, J.
 
-        None for laws, or contacts, for which nothing is certain.
-
-        Args:
-            before: the replica's state (q-, u-), shape (2n,).
-            after: (q+, u+), shape (2n,).
-            active: indices of the contacts with ``chi = 1`` at this instant, ascending.
+        None for laws, or contacts, for which nothing is certain. The replica jumps from ``before``
+        to ``after``, shape (2n,) each, while ``active`` contacts have ``chi = 1``.
         """
         del before, after, active
         return None
@@ -137,14 +129,7 @@ class ReplicaLaw(Law):
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
     ) -> Ensemble:
-        """All replicas after their own impacts.
-
-        Args:
-            before: the replicas, at least one besides the estimate.
-            x: the estimate after its impact, shape (2n,).
-            active: contacts with ``chi = 1`` at this instant.
-            closed: those with ``chi = 1`` from now on.
-        """
+        """All replicas, at least two, after their own impacts; ``x`` is the estimate after it."""
         others = self._impacts_if_solvable(before.replicas[1:], active, closed)
         return Ensemble.of(np.concatenate([x[None], others]))
 
