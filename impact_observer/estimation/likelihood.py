@@ -111,11 +111,8 @@ def _deviations(
 ) -> list[float]:
     """Absolute innovations of gaps at an event, in standard deviations.
 
-    Args:
-        parts: of each gap its value (m), its slope (m/s), its deviation and rounding (m).
-        bent: change of those slopes, m/s2.
-        late: offset of the event's stamp, s.
-        clock: standard deviation of the stamp, s.
+    ``parts`` are of each gap its value (m), its slope (m/s), its deviation and rounding (m);
+    ``bent`` is the change of those slopes, m/s2.
     """
     return [
         abs(value + slope * late)

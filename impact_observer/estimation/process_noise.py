@@ -12,8 +12,6 @@ from impact_observer.states import Matrix, Vector
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Of Gauss and Legendre on [-1, 1]: over the inverse of the fastest rate exact to rounding."""
-_MINUTE = 60.0
-"""s"""
 
 
 class ProcessNoise(NamedTuple):
@@ -37,7 +35,7 @@ class ProcessNoise(NamedTuple):
             added = diffusion(phase, s, self.model_error)
             columns.append(np.pad(added, ((0, len(root) - size), (0, 0))))
         if np.any(self.drift) and s > 0 and len(root) > size:
-            added = np.diag(self.drift * math.sqrt(s / _MINUTE))
+            added = np.diag(self.drift * math.sqrt(s / 60.0))
             columns.append(np.pad(added, ((size, len(root) - size - len(added)), (0, 0))))
         return triangular(np.hstack(columns)) if len(columns) > 1 else root
 

@@ -9,6 +9,7 @@ from impact_observer.errors import UsageError
 from impact_observer.model.elements import Element
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
 from impact_observer.model.system import System
+from impact_observer.states import Matrix
 
 OFFSET = "clock-offset"
 UNITS = {
@@ -76,38 +77,29 @@ def with_unit(name: str) -> str:
 
 
 def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter]:
-    for i, contact in enumerate(system.contacts):
-        unit = np.eye(system.m)[i]
-        effect = Coefficients.change(system, eps=unit)
-        name = f"restitution.{contact.name}"
-        yield ModelParameter(name, contact.restitution, 0.0, 1.0, 1.0, "", effect)
-        effect = Coefficients.change(system, gap=unit)
-        size = abs(contact.gap) or 1.0
-        yield ModelParameter(
-            f"gap.{contact.name}", contact.gap, -np.inf, np.inf, size, "m", effect
-        )
+    ratio, free = (1 / _LARGEST_RATIO, _LARGEST_RATIO), (-np.inf, np.inf)
+
+    def parameter(
+        name: str, value: float, bounds: tuple[float, float], size: float, **change: Matrix
+    ) -> ModelParameter:
+        unit, effect = UNITS[name.partition(".")[0]], Coefficients.change(system, **change)
+        return ModelParameter(name, value, *bounds, size, unit, effect)
+
+    for contact, one in zip(system.contacts, np.eye(system.m), strict=True):
+        name, gap = contact.name, contact.gap
+        yield parameter(f"restitution.{name}", contact.restitution, (0.0, 1.0), 1.0, eps=one)
+        yield parameter(f"gap.{name}", gap, free, abs(gap) or 1.0, gap=one)
     for kind, part in _SCALES.items():
         if np.any(whole := getattr(system, part)):
-            effect = Coefficients.change(system, **{part: whole})
-            low, high = 1 / _LARGEST_RATIO, _LARGEST_RATIO
-            yield ModelParameter(f"{kind}-scale", 1.0, low, high, 1.0, "", effect)
+            yield parameter(f"{kind}-scale", 1.0, ratio, 1.0, **{part: whole})
     for each in elements:
-        effect = Coefficients.change(system, **{_SCALES[each.kind]: each.matrix})
-        low, high = (each.value / _LARGEST_RATIO if each.kind == "mass" else 0.0), np.inf
-        name, unit = f"{each.kind}.{each.label}", UNITS[each.kind]
-        yield ModelParameter(name, each.value, low, high, each.value, unit, effect)
-    yield from _of_forcing(system)
-
-
-def _of_forcing(system: System) -> Iterator[ModelParameter]:
-    h = system.forcing.frequency.size
-    for k in range(h):
-        unit = np.eye(h)[k]
-        effect = Coefficients.change(system, amplitude=unit)
-        low, high = 1 / _LARGEST_RATIO, _LARGEST_RATIO
-        yield ModelParameter(f"forcing-amplitude.{k + 1}", 1.0, low, high, 1.0, "", effect)
-        effect = Coefficients.change(system, phase=unit)
-        yield ModelParameter(f"forcing-phase.{k + 1}", 0.0, -np.inf, np.inf, np.pi, "rad", effect)
+        least = each.value / _LARGEST_RATIO if each.kind == "mass" else 0.0
+        effect = {_SCALES[each.kind]: each.matrix}
+        name = f"{each.kind}.{each.label}"
+        yield parameter(name, each.value, (least, np.inf), each.value, **effect)
+    for k, one in enumerate(np.eye(system.forcing.frequency.size), 1):
+        yield parameter(f"forcing-amplitude.{k}", 1.0, ratio, 1.0, amplitude=one)
+        yield parameter(f"forcing-phase.{k}", 0.0, free, np.pi, phase=one)
     # Stamps that are late by an offset are those of a forcing that lags by it.
-    effect = Coefficients.change(system, phase=-system.forcing.frequency)
-    yield ModelParameter(OFFSET, 0.0, -_LONGEST, _LONGEST, _LONGEST, "s", effect)
+    lag = -system.forcing.frequency
+    yield parameter(OFFSET, 0.0, (-_LONGEST, _LONGEST), _LONGEST, phase=lag)

@@ -115,17 +115,11 @@ def _forcing_of(system: System) -> Value:
     if samples is not None:
         table = sampled_files.table_of(samples, system.coordinates)
         return {"sampled": table, "hold": samples.hold}
+    names = ("frequency", "cosine", "sine")
+    harmonics = zip(*(getattr(forcing, name).tolist() for name in names), strict=True)
     return {
         "constant": forcing.constant.tolist(),
-        "harmonics": [
-            {"frequency": w, "cosine": c, "sine": b}
-            for w, c, b in zip(
-                forcing.frequency.tolist(),
-                forcing.cosine.tolist(),
-                forcing.sine.tolist(),
-                strict=True,
-            )
-        ],
+        "harmonics": [dict(zip(names, each, strict=True)) for each in harmonics],
     }
 
 

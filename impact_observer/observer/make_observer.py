@@ -96,23 +96,18 @@ def initial_state(text: str, system: System) -> tuple[Vector, Vector]:
             raise UsageError(f"initial state {text!r}: expected random:SEED, SEED a whole number")
         x = np.random.default_rng(int(seed)).normal(size=2 * n)
     else:
-        x = _numbers(text, n)
+        order = "q1,..,qn,u1,..,un"
+        try:
+            x = np.array([float(part) for part in text.split(",")])
+        except ValueError:
+            raise UsageError(
+                f"initial state {text!r}: expected zero, random:SEED or {2 * n} numbers {order}"
+            ) from None
+        if x.size != 2 * n:
+            raise UsageError(
+                f"initial state {text!r}: {x.size} numbers, expected {2 * n}: {order}"
+            )
     return system.checked_state(x[:n], x[n:])
-
-
-def _numbers(text: str, n: int) -> Vector:
-    try:
-        values = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        raise UsageError(
-            f"initial state {text!r}: expected zero, random:SEED or {2 * n} numbers"
-            " q1,..,qn,u1,..,un"
-        ) from None
-    if values.size != 2 * n:
-        raise UsageError(
-            f"initial state {text!r}: {values.size} numbers, expected {2 * n}: q1,..,qn,u1,..,un"
-        )
-    return values
 
 
 def needs_compiling(options: Options) -> bool:

@@ -10,7 +10,7 @@ from impact_observer.plant.sensor import (
     simulate_sensor,
 )
 from impact_observer.plant.simulation import Run, simulate
-from impact_observer.plant.switching import Switching, event_of
+from impact_observer.plant.switching import Switching
 from impact_observer.plant.time_stepping import TimeSteppingPlant
 
 __all__ = [
@@ -23,7 +23,6 @@ __all__ = [
     "SensorSimulation",
     "Switching",
     "TimeSteppingPlant",
-    "event_of",
     "make_plant",
     "simulate",
     "simulate_sensor",

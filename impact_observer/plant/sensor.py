@@ -19,9 +19,6 @@ from impact_observer.plant.switching import Switching
 from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP, from_seconds, seconds_between
 
-_STREAMS = 7
-"""Random streams of a sensor; a new fault that draws takes one more, at the end."""
-
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
@@ -139,7 +136,8 @@ class SensorSimulation:
         self._dead_time = from_seconds(sensor.dead_time)
         self._tick = max(from_seconds(sensor.quantisation), 1)
         root = np.random.SeedSequence(seed, spawn_key=(episode,))
-        draws = [np.random.Generator(np.random.PCG64(child)) for child in root.spawn(_STREAMS)]
+        # A new fault that draws takes one more stream, at the end.
+        draws = [np.random.Generator(np.random.PCG64(child)) for child in root.spawn(7)]
         self._missed_draws, self._label_draws, self._spurious_draws = draws[:3]
         self._true_timing, self._spurious_timing = draws[3:5], draws[5:]
         self._sequence = 0

@@ -7,7 +7,7 @@ import numpy as np
 
 from impact_observer.events import ImpactEvent
 from impact_observer.plant.master import Master
-from impact_observer.plant.switching import Switching, event_of
+from impact_observer.plant.switching import Switching
 from impact_observer.states import Stamps, Vector
 
 
@@ -52,14 +52,16 @@ def simulate(
     done = 0
     last = int(stamps[-1]) if stamps.size else plant.epoch
     while (switching := plant.next_switching(last)) is not None:
-        upto = int(np.searchsorted(stamps, switching.instant.stamp))
+        stamp = switching.instant.stamp
+        upto = int(np.searchsorted(stamps, stamp))
         states[done:upto] = plant.states(stamps[done:upto])
         done = upto
         plant.cross(switching)
         switchings.append(switching)
         if switching.switches:
-            sequence = len(events) + 1
-            events.append(event_of(switching, sequence=sequence, episode=0, epoch=plant.epoch))
-        progress(switching.instant.stamp)
+            events.append(
+                ImpactEvent(stamp, switching.switches, len(events) + 1, epoch=plant.epoch)
+            )
+        progress(stamp)
     states[done:] = plant.states(stamps[done:])
     return Run(plant.epoch, stamps, states, tuple(switchings), tuple(events))

@@ -1,8 +1,8 @@
-"""What the contacts of a plant do at one instant, and the event that reports it."""
+"""What the contacts of a plant do at one instant."""
 
 from dataclasses import dataclass
 
-from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.events import Kind, Switch
 from impact_observer.model import System
 from impact_observer.stamps import Instant
 from impact_observer.states import Vector
@@ -53,8 +53,3 @@ def switches(
         if kind is not None:
             found.append(Switch(system.contact_names[i], kind))
     return tuple(found)
-
-
-def event_of(switching: Switching, *, sequence: int, episode: int, epoch: int) -> ImpactEvent:
-    """The event of an ideal sensor: contacts, and the instant rounded to 1 ns."""
-    return ImpactEvent(switching.instant.stamp, switching.switches, sequence, episode, epoch)

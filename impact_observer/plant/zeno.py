@@ -6,9 +6,9 @@
 from collections import deque
 
 import numpy as np
-from scipy import optimize
 
 from impact_observer.dynamics import DEPTH, Phases
+from impact_observer.dynamics.contact.complementarity import nonnegative
 from impact_observer.stamps import Instant
 from impact_observer.states import Vector
 
@@ -104,10 +104,10 @@ class ZenoCutoff:
         length = self._length[contacts]
         directions = self._phases.B[:, contacts] / length
         fall = np.zeros(len(contacts))
-        try:
-            pushed = size * optimize.nnls(directions, -free / size)[0]
-        except RuntimeError:  # nnls cycles between almost equal directions
+        loads = nonnegative(directions, -free / size)
+        if loads is None:  # directions are almost equal
             return fall
+        pushed = size * loads
         pressed = np.flatnonzero(pushed > 0)  # independent of each other
         if pressed.size:
             inverse = np.linalg.inv(directions[:, pressed].T @ directions[:, pressed])

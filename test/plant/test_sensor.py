@@ -12,14 +12,13 @@ from sensing import FULL, THREE, impacts, messages, switching
 from systems import EPOCH, forcing, run, sample, system
 
 from impact_observer.errors import UsageError
-from impact_observer.events import Kind, Switch
+from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.options import Option
 from impact_observer.plant import (
     IDEAL,
     SensorMessage,
     SensorModel,
     Switching,
-    event_of,
     make_plant,
     simulate,
     simulate_sensor,
@@ -376,11 +375,11 @@ def test_accumulating_impacts_are_lost_to_a_dead_time_and_a_threshold() -> None:
     assert detected(SensorModel(dead_time=0.2)) == [1.0, 1.5, 1.75, pytest.approx(1.96875)]
 
 
-def test_ideal_event_is_that_of_event_of() -> None:
-    """The same value from both, for whatever switches."""
+def test_ideal_event_is_the_switching_itself() -> None:
+    """Its instant, rounded to 1 ns, and all that switches."""
     for k, each in enumerate(PERSISTENT):
         (message,) = messages(IDEAL, PERSISTENT)[k : k + 1]
-        assert message.event == event_of(each, sequence=k + 1, episode=0, epoch=EPOCH)
+        assert message.event == ImpactEvent(each.instant.stamp, each.switches, k + 1, 0, EPOCH)
 
 
 def test_switching_without_switches_is_not_reported() -> None:

@@ -49,21 +49,23 @@ def _candidates(B: Matrix, b: Vector) -> Iterator[Vector]:
     ``y / (1 + b^T y)``.
     """
     towards = np.asarray(linalg.lstsq(B.T, -b)[0])
-    for y in _nonnegative(B, towards):
+    y = nonnegative(B, towards)
+    if y is not None:
         yield _refined(B, b, y)
         yield y
-    for y in _nonnegative(np.vstack([B, -b]), np.append(np.zeros(B.shape[0]), 1.0)):
+    y = nonnegative(np.vstack([B, -b]), np.append(np.zeros(B.shape[0]), 1.0))
+    if y is not None:
         yield _refined(B, b, y)
         if (residual := 1.0 + b @ y) > 0:
             yield y / residual
 
 
-def _nonnegative(A: Matrix, target: Vector) -> list[Vector]:
-    """The least squares solution ``y >= 0`` of ``A y = target``; none where the method cycles."""
+def nonnegative(A: Matrix, target: Vector) -> Vector | None:
+    """The least squares solution ``y >= 0`` of ``A y = target``; None where the method cycles."""
     try:
-        return [np.asarray(optimize.nnls(A, target)[0])]
+        return np.asarray(optimize.nnls(A, target)[0])
     except RuntimeError:
-        return []
+        return None
 
 
 def _refined(B: Matrix, b: Vector, y: Vector) -> Vector:

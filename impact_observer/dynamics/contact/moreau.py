@@ -14,8 +14,9 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize
+from scipy import linalg
 
+from impact_observer.dynamics.contact.complementarity import nonnegative
 from impact_observer.errors import ImpactLawError
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
@@ -165,9 +166,8 @@ def _least_distance(B: Matrix, e: Vector) -> Vector | None:
     if scale <= 0:
         return np.zeros(e.size)
     target = np.append(np.zeros(len(B)), 1.0)
-    try:
-        y = optimize.nnls(np.vstack([B, e / scale]), target)[0]
-    except RuntimeError:  # the method cycles
+    y = nonnegative(np.vstack([B, e / scale]), target)
+    if y is None:
         return None
     left = 1.0 - float(e @ y) / scale
     return np.asarray(y * (scale / left)) if left > _INFEASIBLE else None

@@ -10,8 +10,8 @@ fall further. A contact on which no derivative decides is closed without load.
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize
 
+from impact_observer.dynamics.contact.complementarity import nonnegative
 from impact_observer.dynamics.flow.phase import RANK, Phases
 from impact_observer.errors import DynamicsError
 from impact_observer.states import Matrix, Vector
@@ -87,14 +87,14 @@ def _least(
     pushed = np.zeros(len(contacts))
     size = float(np.linalg.norm(free))
     if size > 0 and independent.any():
-        try:
-            pushed[independent] = size * optimize.nnls(directions[:, independent], -free / size)[0]
-        except RuntimeError:
+        loads = nonnegative(directions[:, independent], -free / size)
+        if loads is None:
             names = ", ".join(repr(phases.system.contact_names[i]) for i in contacts)
             raise DynamicsError(
                 f"contacts {names}: the loads that hold them cannot be found;"
                 " are their directions almost the same?"
-            ) from None
+            )
+        pushed[independent] = size * loads
     return pushed, free + directions @ pushed
 
 

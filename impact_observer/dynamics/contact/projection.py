@@ -29,22 +29,6 @@ _WAY = 30.0
 """Ratio of the cost of the softest elastic motion to that of a rigid one, in root energy."""
 
 
-class _Parts(NamedTuple):
-    """How a unit gap is closed by elastic and by rigid modes.
-
-    Attributes:
-        elastic: amplitudes, shape (elastic modes, |A|).
-        rigid: amplitudes, shape (rigid modes, |A|).
-        inverse: those of rigid motion alone, shape (rigid modes, |A|).
-        beyond: what rigid motion cannot close, shape (|A|, |A|).
-    """
-
-    elastic: Matrix
-    rigid: Matrix
-    inverse: Matrix
-    beyond: Matrix
-
-
 class _PositionJump(NamedTuple):
     """The position jump on a set of contacts.
 
@@ -101,8 +85,9 @@ class PositionProjection:
         return np.vstack([self._elastic.T @ W, rigid * (self._rigid.T @ W)])
 
     def _solve(self, active: tuple[int, ...]) -> _PositionJump:
-        system, A, parts = self._system, list(active), self._split(active)
-        Z = frozen(self._elastic @ parts.elastic + self._rigid @ parts.rigid)
+        system, A = self._system, list(active)
+        elastic, rigid, _, _ = self._split(active)
+        Z = frozen(self._elastic @ elastic + self._rigid @ rigid)
         return _PositionJump(
             frozen(system.W[:, A].T), system.q_r[A], Z, frozen(Z.T @ system.K @ Z)
         )
@@ -114,13 +99,16 @@ class PositionProjection:
         without any spring has none; its row is that of the tie-break in ``M``, ``M dq = W_A
         sigma``: signs are those of ``K + delta M`` as ``delta`` vanishes.
         """
-        parts = self._split(active)
-        elastic, rigid = parts.elastic.T @ parts.elastic, parts.inverse.T @ parts.rigid
-        sprung = np.linalg.norm(parts.beyond, axis=1) > _SPRUNG
-        return frozen(np.where(sprung[:, None], elastic, rigid))
+        elastic, rigid, inverse, beyond = self._split(active)
+        sprung = np.linalg.norm(beyond, axis=1) > _SPRUNG
+        return frozen(np.where(sprung[:, None], elastic.T @ elastic, inverse.T @ rigid))
 
-    def _split(self, active: tuple[int, ...]) -> _Parts:
-        """Elastic deflection only as far as rigid motion cannot close the gaps."""
+    def _split(self, active: tuple[int, ...]) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+        """How unit gaps are closed: elastic modes only as far as rigid ones cannot close them.
+
+        Amplitudes of elastic and of rigid modes, those of rigid motion alone, each shape
+        (modes, |A|), and what rigid motion cannot close, shape (|A|, |A|).
+        """
         W = self._system.W[:, list(active)]
         rigid, elastic = W.T @ self._rigid, W.T @ self._elastic
         # The shapes are M-orthonormal: no mode moves a gap by more than sqrt(w^T M^-1 w). Rigid
@@ -130,7 +118,7 @@ class PositionProjection:
         beyond = np.eye(W.shape[1]) - rigid @ rigid_inverse
         elastic_part = _inverse(beyond @ elastic, least / np.sqrt(self._softest)) @ beyond
         rigid_part = rigid_inverse @ (np.eye(W.shape[1]) - elastic @ elastic_part)
-        return _Parts(elastic_part, rigid_part, rigid_inverse, beyond)
+        return elastic_part, rigid_part, rigid_inverse, beyond
 
 
 def _inverse(gaps: Matrix, least: float) -> Matrix:

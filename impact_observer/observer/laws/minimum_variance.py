@@ -31,7 +31,6 @@ CLOCK_ERRORS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Standard deviations of a stamp, s: one hypothesis each where none is declared."""
 _STAMP = 1e-9 / math.sqrt(12)
 """Standard deviation of rounding a stamp to 1 ns, s."""
-_NO_CONSTANTS = np.zeros(0)
 
 
 class MinimumVariance(Law):
@@ -102,7 +101,7 @@ class MinimumVariance(Law):
         if self._single:
             assert belief.root is not None, "a belief of another law"
             x, differences = belief.x, belief.ensemble.differences
-            prior = GaussianState(x, _NO_CONSTANTS, belief.root, differences, change.before)
+            prior = GaussianState(x, np.zeros(0), belief.root, differences, change.before)
             likelihood, posterior = self._bank.filter.correct(change, prior, self.clocks[0])
             state = posterior()
             return Belief(state.ensemble, state.root, innovations=likelihood.innovations)
