@@ -100,7 +100,10 @@ class FilterBank:
     def correct(
         self, change: ContactChange, hypotheses: Sequence[Hypothesis], restarts: Restarts
     ) -> tuple[Hypothesis, ...]:
-        """``hypotheses`` after an event, the likeliest first, normalised."""
+        """``hypotheses`` after an event, the likeliest first; their probabilities add to one.
+
+        ``restarts`` makes those of a restart.
+        """
         leading = max(each.penalised_weight for each in hypotheses) + LEADING
         branches = [
             branch

@@ -186,7 +186,10 @@ class Members:
         """Steps of finite differences by the first q parameters: about their standard deviations.
 
         They are powers of two, so that hypotheses of similar covariance share the same members.
-        ``root`` is a square root of the covariance, shape (q, any). Shape (q,).
+        ``root`` is a square root of the covariance, shape (q, any).
+
+        Returns:
+            Shape (q,).
         """
         q = len(root)
         low, high = self.family.bounds

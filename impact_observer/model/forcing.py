@@ -63,7 +63,7 @@ class Forcing:
     def derivatives(self, t: Vector, order: int) -> NDArray[np.float64]:
         """``f`` and its time derivatives up to ``order``, from the right where they jump.
 
-        At ``t``, s since the epoch, shape (samples,). Shape (order + 1, samples, n).
+        At ``t``, s since the epoch, shape (samples,): shape (order + 1, samples, n).
 
         Raises:
             DynamicsError: there is no sample at some ``t``.
