@@ -19,13 +19,14 @@ from rosbags.rosbag2 import ReaderError
 from impact_observer.io.mcap_layout import (
     CHUNK,
     FRAME,
+    LOGGED,
     MESSAGE,
     MESSAGE_OPCODE,
     summary_of,
     uncompressed,
 )
 
-Message: TypeAlias = tuple[int, tuple[int, int], str, bytes]
+Message: TypeAlias = tuple[int, int, str, bytes]
 """Log time (ns), position in the file, topic, bytes."""
 
 
@@ -76,21 +77,21 @@ def messages(
             pending = [] if due is None else pending[due:]
 
 
-def _messages(
-    records: bytes, offset: int, topics: Mapping[int, str], start: int
-) -> Iterator[Message]:
+def _messages(records: bytes, offset: int, topics: Mapping[int, str], start: int) -> list[Message]:
     """The messages of some channels in the ``records`` of the chunk at ``offset``."""
-    size, at = len(records), 0
+    found: list[Message] = []
+    size, at, place = len(records), 0, offset << 32
+    padded = records + bytes(LOGGED.size)  # the last record may be shorter than a message
     while at < size:
-        opcode, length = FRAME.unpack_from(records, at)
-        begin, end = at + FRAME.size, at + FRAME.size + length
-        if end > size:
-            raise ReaderError("A record reaches beyond the end of its chunk.")
-        if opcode == MESSAGE_OPCODE:
-            channel, _, log_time, _ = MESSAGE.unpack_from(records, begin)
-            if channel in topics and log_time >= start:
-                yield log_time, (offset, at), topics[channel], records[begin + MESSAGE.size : end]
+        opcode, length, channel, _, log_time = LOGGED.unpack_from(padded, at)
+        end = at + FRAME.size + length
+        if opcode == MESSAGE_OPCODE and channel in topics and log_time >= start:
+            data = records[at + FRAME.size + MESSAGE.size : end]
+            found.append((log_time, place + at, topics[channel], data))
         at = end
+    if at != size:
+        raise ReaderError("A record reaches beyond the end of its chunk.")
+    return found
 
 
 def _records(file: BinaryIO, chunk: ChunkIndex) -> bytes:

@@ -18,6 +18,8 @@ FRAME = struct.Struct("<BQ")
 """Opcode and length of a record."""
 MESSAGE = struct.Struct("<HIQQ")
 """Channel, sequence, log and publish time of a message, before its bytes."""
+LOGGED = struct.Struct("<BQHIQ")
+"""``FRAME`` and ``MESSAGE`` at once, up to the log time: chunks are read faster."""
 MESSAGE_OPCODE = int(Opcode.MESSAGE)  # an int compares faster than the enumeration
 CHUNK = struct.Struct("<QQQI")
 """First and last log time, uncompressed size, checksum of a chunk, before its records."""

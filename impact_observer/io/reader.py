@@ -360,7 +360,7 @@ class BagReader:
         """The messages in bag order: in bulk if all files have an index, else by ``rosbags``."""
         if not self._indexes:
             read = self._reader.messages(connections, start=start or None)
-            return (((log_time, (0, 0), own.topic, data),) for own, log_time, data in read)
+            return (((log_time, 0, own.topic, data),) for own, log_time, data in read)
         wanted = {(each.topic, each.msgtype) for each in connections}
         return chain.from_iterable(
             messages(file, index, wanted, start) for file, index in self._indexes
