@@ -7,7 +7,6 @@ nothing else.
 import argparse
 import sys
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,7 +94,7 @@ def animate(
         BagError: the bag cannot be read, or there is nothing in it to show.
     """
     from impact_observer.cli.progress import Progress
-    from impact_observer.draw.film_files import write_film, writer_for
+    from impact_observer.draw.film_files import writer_for
     from impact_observer.draw.film_from_bag import read_film
     from impact_observer.draw.scene.animation import FilmPictures
     from impact_observer.io.reader import BagReader
@@ -104,7 +103,7 @@ def animate(
 
     span = LONGEST * speed if duration is None else duration
     _check(speed=speed, fps=fps, start=start, duration=duration or 0.0)
-    writer = writer_for(output, fps)
+    write = writer_for(output, fps)
     with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"reading {bag}")
         system = system_of(reader, model)
@@ -117,8 +116,10 @@ def animate(
                 " with a shorter --duration, a lower --fps or a higher --speed"
             )
         pictures = FilmPictures(film, title=_title(film, speed), speed=speed)
-        show = partial(progress.step, f"drawing {output}")
-        write_film(output, writer, pictures, film.stamps(fps, speed).tolist(), show)
+        with write(output, pictures.size) as add:
+            for done, stamp in enumerate(film.stamps(fps, speed).tolist(), start=1):
+                add(pictures.picture(stamp))
+                progress.step(f"drawing {output}", done, count)
     print(
         f"film: {output}, {count} pictures of {seconds_between(film.start, film.end):.2f} s{rest}"
     )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.draw.scene.film import ContactHistory, Film, Track, scene_of
+from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
 from impact_observer.errors import BagError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates, joined
@@ -73,6 +73,7 @@ def read_film(
         scene=scene_of(system, [*([] if truth is None else [truth]), *estimates]),
         truth=truth,
         estimates=tuple(estimates),
+        distances=tuple(Distance.between(system, truth, each) for each in estimates if truth),
         contacts=ContactHistory.of(system, events),
         epoch=epoch,
         start=max(first, min(int(each.min()) for each in present)),
@@ -81,6 +82,7 @@ def read_film(
 
 
 def _chosen(reader: BagReader, observers: Sequence[str] | None) -> tuple[str, ...]:
+    """Prefixes of the observers that are shown."""
     present = reader.observers()
     chosen = present if observers is None else tuple(f"/{each.lstrip('/')}" for each in observers)
     for each in chosen:
@@ -131,16 +133,23 @@ def _rows(block: JointStates, rows: NDArray[np.bool_]) -> JointStates:
     return replace(block, **arrays)
 
 
+def _law(states: JointStates) -> str:
+    """The law of an estimate; empty if the messages do not name it."""
+    return states.law if isinstance(states, ObserverStates) else ""
+
+
 def _track(label: str, states: JointStates, jumps: set[int]) -> Track:
-    return Track.of(label, getattr(states, "law", ""), (states.stamps, states.q, states.u), jumps)
+    """The track of some states."""
+    return Track.of(label, _law(states), (states.stamps, states.q, states.u), jumps)
 
 
 def _labels(states: Mapping[str, JointStates]) -> dict[str, str]:
     """Each estimate by its law, with the topic's prefix if several have the same law."""
-    laws = {prefix: getattr(each, "law", "") or prefix[1:] for prefix, each in states.items()}
+    laws = {prefix: _law(each) or prefix.lstrip("/") for prefix, each in states.items()}
     count = Counter(laws.values())
     return {
-        prefix: f"{law} ({prefix[1:]})" if count[law] > 1 else law for prefix, law in laws.items()
+        prefix: f"{law} ({prefix.lstrip('/')})" if count[law] > 1 else law
+        for prefix, law in laws.items()
     }
 
 

@@ -52,7 +52,7 @@ def test_film_of_a_bag_has_plant_and_estimates(sample_bag: Path) -> None:
     assert [each.label for each in film.tracks] == ["plant", "geometric"]
     assert film.truth.stamps.size == film.estimates[0].stamps.size == 51
     assert (film.start, film.end, film.epoch) == (EPOCH, EPOCH + NS_PER_S // 2, EPOCH)
-    assert film.distance(film.estimates[0])[1].tolist() == [0.0] * 51
+    assert film.distances[0].V.tolist() == [0.0] * 51
     assert film.contacts.hits[0].size == 11
     assert film.truth.jumps.tolist() == film.contacts.hits[0].tolist()
 
@@ -84,6 +84,7 @@ def test_plant_alone_and_estimate_alone_are_films(tmp_path: Path) -> None:
             film = film_of(reader)
         assert (film.truth is not None) is truth
         assert [each.label for each in film.tracks] == ["plant" if truth else "observer_rig"]
+        assert film.distances == ()
         assert film.epoch == film.start == EPOCH
 
 

@@ -77,6 +77,26 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Distance:
+    """``V`` of an estimate at the stamps that it shares with the truth.
+
+    Attributes:
+        stamps: ns, shape (samples,).
+        V: J, shape (samples,).
+    """
+
+    stamps: Stamps
+    V: Vector
+
+    @classmethod
+    def between(cls, system: System, truth: Track, estimate: Track) -> "Distance":
+        """``V`` of the difference of estimate and truth; empty if they share no stamp."""
+        common, i, j = np.intersect1d(truth.stamps, estimate.stamps, True, return_indices=True)
+        q, u = estimate.q[j] - truth.q[i], estimate.u[j] - truth.u[i]
+        return cls(common, np.asarray(distance(system, q, u)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ContactHistory:
     """Impacts and persistent contact over time.
 
@@ -130,6 +150,7 @@ class Film:
         scene: positions of everything, the same for every track.
         truth: the plant's track; None if there is none.
         estimates: the estimates' tracks.
+        distances: V of each estimate, as many; none without truth.
         contacts: impacts and persistent contact over time.
         epoch: stamp of ``t = 0``, ns.
         start: stamp of the first picture, ns.
@@ -139,6 +160,7 @@ class Film:
     scene: Scene
     truth: Track | None
     estimates: tuple[Track, ...]
+    distances: tuple[Distance, ...]
     contacts: ContactHistory
     epoch: int
     start: int
@@ -162,19 +184,6 @@ class Film:
     def count(self, fps: float, speed: float) -> int:
         """Number of pictures."""
         return int((self.end - self.start) / (NS_PER_S * speed / fps) + 1e-9) + 1
-
-    def distance(self, estimate: Track) -> tuple[Stamps, Vector]:
-        """Stamps that an estimate shares with the truth, ns, and ``V`` at each of them, J.
-
-        Both have the shape (samples,), and are empty without truth.
-        """
-        if self.truth is None:
-            return np.empty(0, np.int64), np.empty(0)
-        stamps, i, j = np.intersect1d(
-            self.truth.stamps, estimate.stamps, True, return_indices=True
-        )
-        q, u = estimate.q[j] - self.truth.q[i], estimate.u[j] - self.truth.u[i]
-        return stamps, np.asarray(distance(self.scene.system, q, u))
 
     def seconds(self, stamps: Stamps) -> Vector:
         """``stamps`` as seconds since the epoch."""

@@ -4,9 +4,11 @@ A stop is vermilion, after Okabe and Ito, during an impact or persistent contact
 darker than the others. A star marks an impact.
 """
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Rectangle
@@ -41,25 +43,34 @@ _LABEL, _BELOW_FLOOR = 0.36, 0.22
 """Room for the label above a row, and for the names of stops below it, inches."""
 
 
+@dataclass(frozen=True, slots=True)
+class DrawStyle:
+    """How a track is drawn.
+
+    Attributes:
+        fill: colour of bodies.
+        line: colour of their edges, which are solid; dashed is the plant behind an estimate.
+        width: of the edges, points.
+    """
+
+    fill: str
+    line: str
+    width: float
+
+
 class SceneRow:
     """One track: bodies, couplings, stops."""
 
-    def __init__(self, axes: Axes, film: Film, track: Track, style: Style) -> None:
-        """Draw what does not move, and make the artists that do.
-
-        Args:
-            axes: of the row.
-            film: what is shown.
-            track: of the row.
-            style: of the bodies.
-        """
+    def __init__(self, axes: Axes, film: Film, track: Track, style: DrawStyle) -> None:
+        """Draw what does not move, and make the artists that do."""
         self.axes, self._film, self._track = axes, film, track
         scene = film.scene
         _prepare(axes, scene)
         self._scene = scene
         _draw_still(axes, scene, track.label)
         width, size = 2 * scene.half, _name_size(axes, scene)
-        self._bodies = [_box(axes, width, **style) for _ in scene.order]
+        line: Style = {"edgecolor": style.line, "linewidth": style.width}
+        self._bodies = [_box(axes, width, facecolor=style.fill, **line) for _ in scene.order]
         self._names = [
             axes.text(0, 0.5, name, ha="center", va="center", size=size[0], rotation=size[1])
             for name in scene.names
@@ -89,9 +100,7 @@ class SceneRow:
             *self._bodies,
             *self._names,
         ]
-        front = [*self._moving, *self._lit, self._bursts, self._absent]
-        for layer, artist in enumerate(front, start=3):  # above all that does not move
-            artist.set_zorder(layer)
+        self.artists: list[Artist] = [*self._moving, *self._lit, self._bursts, self._absent]
 
     def show(self, stamp: int, truth: Vector | None, highlight: int) -> None:
         """Move everything to its position at ``stamp``, ns.
@@ -197,6 +206,7 @@ def _box(axes: Axes, width: float, **style: Any) -> Rectangle:  # noqa: ANN401 (
 
 
 def _lines(axes: Axes, width: float) -> LineCollection:
+    """Lines whose points are set later."""
     lines = LineCollection([], colors="0.15", linewidths=width)
     axes.add_collection(lines)
     return lines
@@ -234,6 +244,7 @@ def _draw_still(axes: Axes, scene: Scene, label: str) -> None:
 
 
 def _hatch(axes: Axes, box: Box) -> None:
+    """Draw a hatched box that does not move."""
     style: Style = {"facecolor": "white", "edgecolor": "0.35", "hatch": "/////", "linewidth": 0.9}
     axes.add_patch(Rectangle((box.left, box.bottom), box.width, box.height, zorder=2, **style))
 

@@ -5,14 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from systems import EPOCH, Array, chain, run, sample, system
 
 from impact_observer.draw.scene import row
 from impact_observer.draw.scene.animation import DPI, FilmPictures
-from impact_observer.draw.scene.film import ContactHistory, Film, Track, scene_of
+from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
 from impact_observer.draw.scene.row import LARGE
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
@@ -40,6 +39,7 @@ def film() -> Film:
         scene=scene_of(model, [truth, *estimates]),
         truth=truth,
         estimates=estimates,
+        distances=tuple(Distance.between(model, truth, each) for each in estimates),
         contacts=ContactHistory.of(model, ran.events),
         epoch=EPOCH,
         start=EPOCH,
@@ -62,20 +62,13 @@ def still(model: System, q: Array, **changes: object) -> Film:
         scene=scene_of(model, [truth]),
         truth=truth,
         estimates=(),
+        distances=(),
         contacts=ContactHistory({}, {}),
         epoch=EPOCH,
         start=EPOCH,
         end=EPOCH + NS_PER_S,
     )
     return replace(made, **changes)  # type: ignore[arg-type]
-
-
-def drawn(moving: FilmPictures, stamp: int) -> Picture:
-    """The picture at a stamp: red, green, blue, opacity."""
-    moving.show(stamp)
-    canvas = FigureCanvasAgg(moving.figure)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    return np.array(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
 
 
 def is_colour(picture: Picture, colour: str) -> NDArray[np.bool_]:
@@ -89,12 +82,21 @@ def lit(picture: Picture) -> int:
     return int(is_colour(picture, row._LIT).sum())
 
 
+def test_pictures_have_an_even_number_of_pixels() -> None:
+    """As encoders of films want them."""
+    moving = pictures()
+    picture = moving.picture(EPOCH)
+    assert picture.shape == (moving.size[1], moving.size[0], 4)
+    assert picture.dtype == np.uint8
+    assert moving.size[0] % 2 == moving.size[1] % 2 == 0
+
+
 def test_a_picture_depends_on_its_stamp_only() -> None:
     """Not on those that were taken before it."""
     moving = pictures()
-    first = drawn(moving, EPOCH + 900 * MS)
-    assert not np.array_equal(drawn(moving, EPOCH + 2500 * MS), first)
-    np.testing.assert_array_equal(drawn(moving, EPOCH + 900 * MS), first)
+    first = moving.picture(EPOCH + 900 * MS)
+    assert not np.array_equal(moving.picture(EPOCH + 2500 * MS), first)
+    np.testing.assert_array_equal(moving.picture(EPOCH + 900 * MS), first)
 
 
 @pytest.mark.parametrize("q", [[0.0, 0.0], [0.2, -0.1], [-0.1, 0.5]])
@@ -106,7 +108,7 @@ def test_plant_is_drawn_where_its_frame_says(q: list[float]) -> None:
     row = moving._rows[0].axes
     edges = [(x - scene.half, x + scene.half) for x in scene.frame(np.array(q)).bodies]
     expected = [round(float(row.transData.transform((x, 0))[0])) for pair in edges for x in pair]
-    blue = is_colour(drawn(moving, EPOCH), "#B9CFE0").sum(axis=0) > 5
+    blue = is_colour(moving.picture(EPOCH), "#B9CFE0").sum(axis=0) > 5
     turns = np.flatnonzero(np.diff(np.concatenate([[0], blue.astype(int), [0]])))
     found = [int(turns[0]), int(turns[-1])]
     np.testing.assert_allclose(found, [expected[0], expected[-1]], atol=2)
@@ -117,13 +119,13 @@ def test_stop_is_highlighted_at_an_impact_and_fades() -> None:
     shown = film()
     moving = pictures()
     hit = int(shown.contacts.hits[0][0])
-    before, at = lit(drawn(moving, hit - 10 * MS)), lit(drawn(moving, hit + MS))
-    after = lit(drawn(moving, hit + 400 * MS))
+    before, at = lit(moving.picture(hit - 10 * MS)), lit(moving.picture(hit + MS))
+    after = lit(moving.picture(hit + 400 * MS))
     assert before == after == 0
     assert at > 300
     slow = FilmPictures(shown, title="", speed=0.1)
-    assert lit(drawn(slow, hit + 60 * MS)) == 0
-    assert lit(drawn(slow, hit + MS // 10)) > 300
+    assert lit(slow.picture(hit + 60 * MS)) == 0
+    assert lit(slow.picture(hit + MS // 10)) > 300
 
 
 def test_stop_is_highlighted_during_persistent_contact() -> None:
@@ -136,7 +138,7 @@ def test_stop_is_highlighted_during_persistent_contact() -> None:
     ]
     shown = still(model, np.array([0.0, 0.5]), contacts=ContactHistory.of(model, events))
     moving = FilmPictures(shown, title="")
-    bright = [lit(drawn(moving, EPOCH + t * MS)) > 100 for t in (50, 110, 700, 790, 810)]
+    bright = [lit(moving.picture(EPOCH + t * MS)) > 100 for t in (50, 110, 700, 790, 810)]
     assert bright == [False, True, True, True, False]
 
 
@@ -157,7 +159,7 @@ def test_axes_of_v_carry_units_and_a_cursor() -> None:
     assert axes.get_xlabel().endswith("[s]")
     assert axes.get_ylabel() == "V [J]"
     assert axes.get_yscale() == "log"
-    drawn(moving, EPOCH + 1500 * MS)
+    moving.picture(EPOCH + 1500 * MS)
     assert np.ravel(below._cursor.get_xdata())[0] == pytest.approx(1.5)
     assert below._veil.get_x() == pytest.approx(1.5)
     assert below._veil.get_x() + below._veil.get_width() == pytest.approx(4.0)
@@ -185,21 +187,21 @@ def test_estimate_without_a_state_says_so() -> None:
     late = Track.of("late", "geometric", (late.stamps[kept], late.q[kept], late.u[kept]), ())
     moving = FilmPictures(replace(shown, estimates=(late, shown.estimates[1])), title="")
     row = moving._rows[1]
-    drawn(moving, EPOCH)
+    moving.picture(EPOCH)
     assert row._absent.get_visible()
     assert not row._bodies[0].get_visible()
-    drawn(moving, EPOCH + 2 * NS_PER_S)
+    moving.picture(EPOCH + 2 * NS_PER_S)
     assert not row._absent.get_visible()
     assert row._bodies[0].get_visible()
 
 
 def test_estimates_alone_make_a_film() -> None:
     """Without truth there is no V and no ghost."""
-    shown = replace(film(), truth=None)
+    shown = replace(film(), truth=None, distances=())
     moving = FilmPictures(shown, title="")
     assert moving._distances is None
     assert len(moving._rows) == len(LAWS)
-    assert drawn(moving, EPOCH).min() == 0
+    assert moving.picture(EPOCH).min() == 0
 
 
 def test_exact_estimate_has_no_distance_to_draw() -> None:
@@ -207,8 +209,9 @@ def test_exact_estimate_has_no_distance_to_draw() -> None:
     shown = film()
     assert shown.truth is not None
     exact = replace(shown.truth, law="geometric", label="geometric")
-    moving = FilmPictures(replace(shown, estimates=(exact,)), title="")
-    drawn(moving, EPOCH + NS_PER_S)
+    zero = Distance(exact.stamps, np.zeros(exact.stamps.size))
+    moving = FilmPictures(replace(shown, estimates=(exact,), distances=(zero,)), title="")
+    moving.picture(EPOCH + NS_PER_S)
     assert moving._distances is not None
     assert np.size(moving._distances._dots.get_xdata()) == 0
 
@@ -230,12 +233,12 @@ def test_other_models_fit_into_the_picture(model: System) -> None:
     """Names stay within their bodies, and what is left out is written."""
     shown = still(model, 0.1 * np.cos(np.arange(model.n)))
     moving = FilmPictures(shown, title=model.name)
-    picture = drawn(moving, EPOCH)
+    picture = moving.picture(EPOCH)
     assert picture.shape[0] < 8 * DPI
     row = moving._rows[0]
     for name, body in zip(row._names, row._bodies, strict=True):
         inside = body.get_window_extent().padded(2)
-        box = name.get_window_extent()
+        box = name.get_window_extent(moving._canvas.get_renderer())
         assert inside.x0 <= box.x0
         assert box.x1 <= inside.x1
         assert float(name.get_fontsize()) <= LARGE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from systems import EPOCH, run, sample
 
-from impact_observer.draw.scene.film import ContactHistory, Film, Track, scene_of
+from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.stamps import NS_PER_S
@@ -89,13 +89,11 @@ def test_distance_is_taken_at_common_stamps() -> None:
     x = np.arange(12.0).reshape(3, 4)
     truth = Track.of("plant", "", (np.array([10, 20, 30]), x[:, :2], x[:, 2:]), ())
     other = Track.of("e", "e", (np.array([20, 25, 30]), 0 * x[:, :2], 0 * x[:, 2:]), ())
-    scene, contacts = scene_of(SYSTEM, [truth]), ContactHistory({}, {})
-    film = Film(scene, truth, (other,), contacts, 0, 10, 30)
-    stamps, V = film.distance(other)
-    assert stamps.tolist() == [20, 30]
-    np.testing.assert_allclose(V, distance(SYSTEM, x[1:, :2], x[1:, 2:]))
+    found = Distance.between(SYSTEM, truth, other)
+    assert found.stamps.tolist() == [20, 30]
+    np.testing.assert_allclose(found.V, distance(SYSTEM, x[1:, :2], x[1:, 2:]))
     late = Track.of("e", "e", (np.array([11]), x[:1, :2], x[:1, 2:]), ())
-    assert film.distance(late)[1].size == 0
+    assert Distance.between(SYSTEM, truth, late).V.size == 0
 
 
 def test_impact_is_highlighted_and_fades() -> None:
@@ -141,7 +139,7 @@ def test_pictures_are_evenly_spaced_and_the_last_one_is_the_end(
     """Rounded to a nanosecond each, so that nothing adds up."""
     moving = track([0, NS_PER_S], [0.0, 1.0])
     model = sample("bouncing_ball").system
-    film = Film(scene_of(model, [moving]), moving, (), ContactHistory({}, {}), 0, 0, NS_PER_S)
+    film = Film(scene_of(model, [moving]), moving, (), (), ContactHistory({}, {}), 0, 0, NS_PER_S)
     stamps = film.stamps(fps, speed)
     assert stamps.size == count
     assert stamps[1] == step
