@@ -19,7 +19,7 @@ from impact_observer.detector.switch import SwitchSensor
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.stamps import MAX_STAMP, from_seconds
 
-_SENSORS: dict[str, type[SwitchSensor] | type[PeakSensor] | type[ArrivalSensor]] = {
+_SENSORS: dict[str, type[Sensor]] = {
     SWITCH: SwitchSensor,
     PEAK: PeakSensor,
     ARRIVAL: ArrivalSensor,
@@ -131,8 +131,7 @@ class Detector:
             self._newest[index] = sample.time.stamp
             sensor = self._sensors[index]
             detections += self._events((switch, index) for switch in sensor.feed(sample))
-            if isinstance(sensor, PeakSensor):
-                counts.largest_signal = max(counts.largest_signal, sensor.largest_signal)
+            counts.largest_signal = max(counts.largest_signal, sensor.largest_signal)
         return detections
 
     def advance(self, now: int) -> list[Detection]:
@@ -161,7 +160,7 @@ class Detector:
             problems.append(f"no message on {source.topic}")
         elif not counts.impacts:
             reason = f"no impact in {counts.messages} messages on {source.topic}"
-            if source.kind == PEAK:
+            if source.threshold is not None:
                 most = f"{counts.largest_signal:.3g}"
                 reason += f", at most {most} of the threshold {source.threshold:g}"
             problems.append(reason)

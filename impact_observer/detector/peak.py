@@ -71,19 +71,15 @@ class PeakSensor(Sensor):
     A peak begins when the signal reaches the threshold after it was below
     ``threshold - hysteresis``. It ends when the signal is below that again, or ``dead_time`` after
     it began. Within ``dead_time`` after the top no other peak begins.
-
-    Attributes:
-        largest_signal: the largest value so far.
     """
 
     def __init__(self, source: Source) -> None:
         """A signal that is above the threshold from its first sample on is no peak."""
-        self._source = source
+        super().__init__(source)
         self._high = source.number("threshold")
         self._low = self._high - source.number("hysteresis")
         self._dead_time = source.number("dead_time")
         self._baseline = source.number("baseline")
-        self.largest_signal = 0.0
         self._mean: tuple[float, ...] = ()
         self._before: Point | None = None
         self._peak: _Peak | None = None

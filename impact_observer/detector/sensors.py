@@ -56,7 +56,16 @@ class DetectedSwitch(NamedTuple):
 
 
 class Sensor:
-    """Detects the switches in one stream of samples, whose stamps never go back."""
+    """Detects the switches in one stream of samples, whose stamps never go back.
+
+    Attributes:
+        largest_signal: of all samples; 0 where no signal is compared with a threshold.
+    """
+
+    def __init__(self, source: Source) -> None:
+        """Detect by what ``source`` declares."""
+        self._source = source
+        self.largest_signal = 0.0
 
     @property
     def due(self) -> int | None:
@@ -91,6 +100,7 @@ class ArrivalSensor(Sensor):
     """
 
     def __init__(self, source: Source) -> None:
+        super().__init__(source)
         self._dead_time = from_seconds(source.number("dead_time"))
         self._dead_until = 0
 

@@ -146,7 +146,7 @@ class Source:
         if not kind:
             wanted = f"expected one of {', '.join(KINDS)}, or a threshold, which makes it a peak"
             raise self.wrong("kind", f"is missing, as {self.topic} is {type_name}; {wanted}")
-        for key in {*_DEFAULTS[SWITCH], *_DEFAULTS[PEAK]} - {*_DEFAULTS[kind]}:
+        for key in set().union(*_DEFAULTS.values()) - {*_DEFAULTS[kind]}:
             if getattr(self, key) is not None:
                 raise self.wrong(key, f"does not go with kind {kind}; leave it out")
         defaults = dict(_DEFAULTS[kind])

@@ -19,7 +19,7 @@ class SwitchSensor(Sensor):
 
     def __init__(self, source: Source) -> None:
         """Before the first sample the contact is assumed to be open."""
-        self._source = source
+        super().__init__(source)
         self._high = source.number("threshold")
         self._low = self._high - source.number("hysteresis")
         self._inverted = bool(source.inverted)

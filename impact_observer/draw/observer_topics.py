@@ -8,12 +8,10 @@ from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Interface
 from impact_observer.io.reader import BagReader
+from impact_observer.observer.laws import BUILT_IN, OpenLoop
+from impact_observer.options import Options
 from impact_observer.stamps import NS_PER_S
 
-_BOUNDED = ("geometric", "unilateral")
-"""Laws that certify a bound of V."""
-_FILTERS = ("minimum-variance",)
-"""Laws that have a covariance and learn the accuracy of the clock."""
 _TAIL = 2 * NS_PER_S
 """The part of a bag, from its end, that is searched for an observer's last state, ns."""
 
@@ -65,9 +63,10 @@ class ObserverTopics:
         if not all(part.isidentifier() and part.isascii() for part in prefix[1:].split("/")):
             raise UsageError(f"observer {name!r}: no name of a node; expected such as observer")
         node = prefix.rpartition("/")[2]
-        law = node.removeprefix("observer").lstrip("_").replace("_", "-") or _BOUNDED[0]
-        filters = law in _FILTERS
-        return cls(prefix, law in _BOUNDED, filters, ("clock_error",) if filters else ())
+        name = node.removeprefix("observer").lstrip("_").replace("_", "-") or Options.law
+        law = BUILT_IN.get(name, OpenLoop)  # of a law of another package nothing is assumed
+        filters = law.has_covariance
+        return cls(prefix, law.has_bound, filters, ("clock_error",) if filters else ())
 
 
 def observers_in(reader: BagReader) -> tuple[ObserverTopics, ...]:

@@ -61,6 +61,7 @@ class Geometric(ReplicaLaw):
     """
 
     name: ClassVar[str] = "geometric"
+    has_bound: ClassVar[bool] = True
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare Newton's law and the projection."""

@@ -20,6 +20,8 @@ class Law(ABC):
         name: what users choose it by.
         uses_events: whether events correct its replicas; only then does their agreement mean
             anything.
+        has_bound: whether it certifies a bound of V.
+        has_covariance: whether it estimates a covariance.
         learns: whether it estimates unknown parameters of the model.
         compiles: whether it has something to compile.
         system: what plant and replicas share.
@@ -28,6 +30,8 @@ class Law(ABC):
 
     name: ClassVar[str]
     uses_events: ClassVar[bool] = True
+    has_bound: ClassVar[bool] = False
+    has_covariance: ClassVar[bool] = False
     learns: ClassVar[bool] = False
     compiles: ClassVar[bool] = False
 

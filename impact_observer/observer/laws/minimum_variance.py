@@ -48,6 +48,7 @@ class MinimumVariance(Law):
     """
 
     name: ClassVar[str] = "minimum-variance"
+    has_covariance: ClassVar[bool] = True
     learns: ClassVar[bool] = True
     compiles: ClassVar[bool] = True
 
