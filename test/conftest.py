@@ -3,6 +3,7 @@
 import gc
 import os
 import shutil
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,13 @@ from benchmarks.domain import free_domain
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.resources import shared
 from impact_observer.states import Estimate
+
+
+def pytest_configure() -> None:
+    """Take Ctrl-C where the tests run in the background of a shell, and forget its width."""
+    os.environ.pop("COLUMNS", None)  # pytest-xdist sets it
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_finish() -> None:

@@ -81,7 +81,7 @@ def value_of(option: Option) -> Callable[[str], Value]:
 
     def value(text: str) -> Value:
         if option.unit == "ns":
-            return stamp(text)
+            return stamp(text) if text != "0" else 0
         try:
             found = parsed(option, text)
             option.check(found)

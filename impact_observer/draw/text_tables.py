@@ -15,8 +15,11 @@ def console(width: int = 140) -> Console:
     Args:
         width: columns to use where the output is no terminal and ``COLUMNS`` is not set.
     """
-    has_width = sys.stdout.isatty() or "COLUMNS" in os.environ
-    return Console(highlight=False, markup=False, emoji=False, width=None if has_width else width)
+    if sys.stdout.isatty():
+        return Console(highlight=False, markup=False, emoji=False)
+    # With a height too rich does not fall back to 80 columns where TERM is dumb.
+    given = None if "COLUMNS" in os.environ else width
+    return Console(highlight=False, markup=False, emoji=False, width=given, height=25)
 
 
 def ruled_table(title: str, *headings: str) -> Table:
