@@ -1,4 +1,4 @@
-"""Know the whole state of an impacting mechanical system from its impact times alone.
+"""Estimate the whole state of an impacting mechanical system from its impact times alone.
 
 Rooms, each importing only from those before it: ``model``, ``dynamics``, ``plant`` and
 ``estimation``, ``observer``, ``io``, then the features ``detector``, ``draw``, ``compare``,
@@ -59,3 +59,8 @@ def __getattr__(name: str) -> object:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    """The public names, for tab completion."""
+    return sorted([*globals(), *_HOME])

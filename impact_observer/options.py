@@ -63,9 +63,17 @@ class Option:
             return "true | false"
         if self.low is None:
             return "required" if self.required else ""
+        low = f"{self.low:g}"
         if self.high is None:
-            return f">= {self.low:g}"
-        return f"{self.low:g} to {self.high:g}"
+            return f">= {low}"
+        return f"{low} to {self.high:d}" if self.type == "int" else f"{low} to {self.high:g}"
+
+    @property
+    def expected(self) -> str:
+        """The type and the values allowed, for error lines."""
+        kinds = {"int": "a whole number, ", "string": "a text", "string[]": "a tuple of texts"}
+        kind = "" if self.choices else kinds.get(self.type, "")
+        return f"{kind}{self.limits} {self.unit}".strip(", ") or "a value"
 
     @property
     def summary(self) -> str:
@@ -97,18 +105,19 @@ class Option:
         if self.required and value == "":
             raise UsageError(f"{kind} {self.name}: is not set; expected {self.meaning}")
         if not self._allows(value):
-            expected = f"{self.limits} {self.unit}".rstrip()
-            raise UsageError(f"{kind} {self.name}: {value} found; expected {expected}")
+            raise UsageError(f"{kind} {self.name}: {value} found; expected {self.expected}")
 
     def _allows(self, value: Value) -> bool:
         """Whether the value is of the right type and within its range."""
         if isinstance(value, bool) or isinstance(self.default, bool):
             return isinstance(value, bool) and isinstance(self.default, bool)
-        if isinstance(value, (int, float)):
+        if isinstance(self.default, (int, float)):
+            if not isinstance(value, int if self.type == "int" else (int, float)):
+                return False
             low = -math.inf if self.low is None else self.low
             high = math.inf if self.high is None else self.high
             return math.isfinite(value) and low <= value <= high
-        return not self.choices or value in self.choices
+        return type(value) is type(self.default) and (not self.choices or value in self.choices)
 
 
 def option(
@@ -136,6 +145,9 @@ class Options:
     """Everything about an observer but its system; ``observer.make_observer`` makes one of it.
 
     Each field is a row of the table ``OBSERVER_OPTIONS``.
+
+    Raises:
+        UsageError: a value is not of its row's type or not in its range.
     """
 
     law: str = option("geometric", "law by which events correct the replicas")
@@ -181,6 +193,7 @@ class Options:
         "m/s^1.5",
         low=0.0,
         high=1e6,
+        metavar="A",
     )
     estimate_parameters: tuple[str, ...] = option(
         (),
@@ -193,6 +206,7 @@ class Options:
         "random walk of these parameters in a minute, as a share of their standard deviations",
         low=0.0,
         high=1e3,
+        metavar="R",
     )
     ensemble: int = option(
         10, "replicas run together; their distances show convergence", low=1, high=1_000_000
@@ -202,8 +216,9 @@ class Options:
         "V distance of the replicas that counts as synchronized, over the energy of the motion",
         low=1e-30,
         high=1.0,
+        metavar="R",
     )
-    epoch: int = option(0, "stamp of t = 0 of the forcing; 0: read from the events", "ns", low=0)
+    epoch: int = option(0, "stamp of t = 0 of the forcing; 0: from the events", "ns", low=0)
     history: float = option(
         10.0, "how late an event may arrive and still be applied", "s", low=0.001
     )
@@ -212,6 +227,11 @@ class Options:
         "minimum-variance: compile the update by numba; takes half a minute once, then a second at"
         " each start",
     )
+
+    def __post_init__(self) -> None:
+        """Check every value."""
+        for row in rows_of(type(self)):
+            row.check(getattr(self, row.name), "option")
 
 
 OBSERVER_OPTIONS = rows_of(Options)

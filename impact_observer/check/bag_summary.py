@@ -246,7 +246,7 @@ def _facts(summary: BagSummary) -> Iterator[tuple[str, str]]:
         if isinstance(faults := summary.model.get("sensor"), Mapping):
             yield "sensor", ", ".join(f"{name} {value}" for name, value in faults.items())
     if summary.episodes:
-        lasting = {name: f" ({n} of them lasting)" for name, n in summary.closings.items()}
+        lasting = {name: f" ({n} of them persistent)" for name, n in summary.closings.items()}
         each = ", ".join(f"{n} at {c}{lasting.get(c, '')}" for c, n in summary.impacts.items())
         yield "impacts", f"{each or 'none'}; episodes: {summary.episodes}"
     for prefix, law in summary.observers.items():

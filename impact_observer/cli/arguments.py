@@ -23,7 +23,9 @@ def add_observer_arguments(
             state is random, and its epoch is 1 s.
         convergence: whether to add the options of ``CONVERGENCE`` too.
     """
-    defaults = {"initial_state": "random, of each run", "epoch": "1 s"} if simulated else {}
+    defaults = {"clock_error": "-1: learned", "epoch": "as in the bag"}
+    if simulated:
+        defaults |= {"initial_state": "random, of each run", "epoch": "1"}
     for each in OBSERVER_OPTIONS:
         if each.name in _ELSEWHERE or (each.name in CONVERGENCE and not convergence):
             continue
@@ -59,12 +61,13 @@ def add_option(
         return
     unit = "s" if option.unit == "ns" else option.unit
     shown = option.default if option.default not in ("", ()) else "none"
+    allowed = f", {option.limits}" if option.high is not None else ""
     parser.add_argument(
         flag,
         dest=option.name,
         metavar=metavar(option),
         type=value_of(option),
-        help=f"{option.meaning}{unit and f' [{unit}]'} (default {default or shown})",
+        help=f"{option.meaning}{unit and f' [{unit}]'}{allowed} (default {default or shown})",
     )
 
 
@@ -86,7 +89,7 @@ def value_of(option: Option) -> Callable[[str], Value]:
             found = parsed(option, text)
             option.check(found)
         except ValueError:
-            expected = f"{option.limits} {option.unit}".rstrip() or option.metavar
+            expected = option.metavar if option.type == "string[]" else option.expected
             raise argparse.ArgumentTypeError(f"{text} found; expected {expected}") from None
         return found
 
@@ -108,6 +111,8 @@ def parsed(option: Option, text: str) -> Value:
         return names(text)
     if option.type == "string":
         return text
+    if option.type == "int" and not (text.isascii() and text.isdigit()):
+        raise ValueError(text)
     return int(text) if option.type == "int" else float(text)
 
 

@@ -64,10 +64,12 @@ def run(args: argparse.Namespace) -> int:
         for line in parameter_lines(observer):
             progress.line(line)
     if rulings and not rulings[Ruling.APPLIED]:
+        none = f"{args.bag}: none of its {sum(rulings.values())} switches was applied"
+        if rulings[Ruling.REJECTED] == sum(rulings.values()):
+            raise BagError(f"{none}: the law rejected all; the verdicts in {args.output} say why")
+        names = ", ".join(read.system.contact_names) or "none"
         raise BagError(
-            f"{args.bag}: none of its {sum(rulings.values())} switches was applied; is it a bag of"
-            f" the model {read.system.name}, with contacts"
-            f" {', '.join(read.system.contact_names) or 'none'}?"
+            f"{none}; is it a bag of the model {read.system.name}, with contacts {names}?"
         )
     return 0
 

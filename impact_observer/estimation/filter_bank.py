@@ -189,7 +189,7 @@ class FilterBank:
         for i in others:
             here = change._replace(before=closed, hit=(i,), closed=closed)
             chance = self._mislabelled - math.log(len(others))
-            reason = f"mislabelled: it was {system.contact_names[i]}"
+            reason = f"mislabelled: it hit {system.contact_names[i]}"
             yield self._true_event(change, h, here, chance, reason)[0]
 
     def _distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:

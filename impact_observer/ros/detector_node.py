@@ -191,7 +191,7 @@ def _figures(source: Source, counts: SensorCounts, messages: int) -> dict[str, o
         "topic": source.topic,
         "kind": source.kind,
         "impacts": counts.impacts,
-        "lasting contacts": counts.closings,
+        "persistent contacts": counts.closings,
         "openings": counts.openings,
         "last event [s]": text(counts.last_event) if counts.last_event else "none",
         "messages": counts.messages,

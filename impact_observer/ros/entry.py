@@ -13,7 +13,7 @@ NODES = {
     "monitor": "MonitorNode",
     "viewer": "ViewerNode",
 }
-"""Class of each node, which is in the module ``NAME_node``; README lists the parameters."""
+"""Class of each node, in the module ``NAME_node``; docs/parameters.md has the parameters."""
 
 
 def plant(args: Sequence[str] | None = None) -> int:

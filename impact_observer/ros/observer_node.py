@@ -165,7 +165,7 @@ class ObserverNode(Node):
         if self._observer.restarts > restarts:
             self._forget_estimates()
             self.get_logger().warning(
-                f"the plant began again: episode {event.episode}, epoch {event.epoch} ns"
+                f"the plant restarted: episode {event.episode}, epoch {event.epoch} ns"
             )
         late = event.stamp <= self._last_stamp
         applied = any(verdict.ruling is Ruling.APPLIED for verdict in verdicts)

@@ -33,7 +33,7 @@ PLANT = (
         choices=INTEGRATORS,
     ),
     Option("step", DEFAULT_STEP, "time step of the integrator moreau", "s", low=1e-9, high=1.0),
-    Option("publish_clock", False, "own the time and publish /clock"),
+    Option("publish_clock", False, "publish /clock as the source of time"),
     Option("clock_rate", 100.0, "of /clock, per simulated second", "Hz", low=0.1, high=1e4),
     Option(
         "realtime_factor",
@@ -45,11 +45,11 @@ PLANT = (
     Option(
         "wait_for_subscribers",
         0,
-        "start when all topics have so many",
+        "subscribers to wait for on each topic",
         low=0,
         high=1000,
     ),
-    Option("seed", 0, "of all random draws; recorded with the model", low=0),
+    Option("seed", 0, "of the random generator; recorded with the model", low=0),
     *(replace(each, name=f"sensor.{each.name}") for each in SENSOR_FAULTS),
 )
 OBSERVER = (

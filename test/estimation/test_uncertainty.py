@@ -59,11 +59,34 @@ def test_options_name_what_cannot_be_used() -> None:
         (Options(law="none"), "law 'none': not installed"),
         (Options(initial_state="1,2"), "initial state '1,2': 2 numbers, expected 4"),
         (Options(initial_deviation="1,2"), "deviation '1,2'"),
-        (Options(ensemble=0), "ensemble: 0 found; expected a positive number"),
-        (Options(agreed=0.0), "agreed: 0 found"),
     ):
         with pytest.raises(UsageError, match=message):
             make_observer(SYSTEM, options)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("ensemble", 0, "a whole number, 1 to 1000000"),
+        ("ensemble", 1.5, "a whole number"),
+        ("ensemble", True, "a whole number"),
+        ("epoch", -1, "a whole number, >= 0 ns"),
+        ("agreed", 0.0, "1e-30 to 1"),
+        ("clock_error", float("nan"), "-1 to 0.1 s"),
+        ("clock_error", "a", "-1 to 0.1 s"),
+        ("initial_deviation", 2.0, "a text"),
+        ("estimate_parameters", "restitution", "a tuple of texts"),
+        ("compiled", "yes", "true | false"),
+    ],
+)
+def test_an_option_of_the_wrong_type_or_out_of_range_is_refused(
+    name: str, value: object, expected: str
+) -> None:
+    """Whoever makes the options."""
+    given: dict[str, Any] = {name: value}
+    with pytest.raises(UsageError, match=f"^option {name}: .* found; expected ") as error:
+        Options(**given)
+    assert expected in str(error.value)
 
 
 def test_covariance_has_a_root() -> None:

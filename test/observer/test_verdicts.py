@@ -157,7 +157,7 @@ def test_mislabelled_impacts_are_named_once_the_estimate_has_converged(seed: int
     rulings.pop(0, None)  # what was inserted at first
     for sequence, verdict in rulings.items():
         assert verdict.ruling is Ruling.APPLIED
-        expected = f"mislabelled: it was {wrong[sequence]}" if sequence in wrong else ""
+        expected = f"mislabelled: it hit {wrong[sequence]}" if sequence in wrong else ""
         assert verdict.reason.removeprefix("on second thought: ").startswith(expected)
 
 

@@ -243,7 +243,7 @@ def test_values_that_a_model_cannot_have_are_refused(
         ({"runs": 10**9}, "cases found; expected 1 to"),
         ({"sensors": (SensorModel(mislabelled=0.1),)}, "sensor mislabelled"),
         ({"sensors": (SensorModel(clock_offset=-3.0),)}, "sensor clock_offset"),
-        ({"options": Options(clock_error=1.0)}, "clock_error"),
+        ({"options": Options(initial_deviation="-1")}, "deviation '-1'"),
         ({"plant": PlantSetup(read_model("two_mass").text(), 0.01, 20.0)}, "one sample found"),
     ],
 )
