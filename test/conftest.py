@@ -17,10 +17,12 @@ from impact_observer.states import Estimate
 
 
 def pytest_configure() -> None:
-    """Take Ctrl-C where the tests run in the background of a shell, and forget its width."""
+    """Forget the shell's width, and that it ignores signals for what it runs in the background."""
     os.environ.pop("COLUMNS", None)  # pytest-xdist sets it
-    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGQUIT: signal.SIG_DFL}
+    for each, handler in usual.items():
+        if signal.getsignal(each) is signal.SIG_IGN:
+            signal.signal(each, handler)
 
 
 def pytest_collection_finish() -> None:
