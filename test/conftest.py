@@ -19,10 +19,10 @@ from impact_observer.states import Estimate
 def pytest_configure() -> None:
     """Forget the shell's width, and that it ignores signals for what it runs in the background."""
     os.environ.pop("COLUMNS", None)  # pytest-xdist sets it
-    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGQUIT: signal.SIG_DFL}
-    for each, handler in usual.items():
-        if signal.getsignal(each) is signal.SIG_IGN:
-            signal.signal(each, handler)
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGQUIT) is signal.SIG_IGN:
+        signal.signal(signal.SIGQUIT, signal.SIG_DFL)
 
 
 def pytest_collection_finish() -> None:
