@@ -28,9 +28,9 @@ EPOCH = 5 * NS_PER_S
 
 
 def examples(count: int) -> settings:
-    """Settings with the same ``count`` examples on every machine; a quarter of them on request."""
+    """Settings with the same ``count`` examples on every machine; an eighth of them on request."""
     if os.environ.get("FEWER_EXAMPLES"):  # as ./dev test --unit sets it
-        count = (count + 3) // 4
+        count = (count + 7) // 8
     return settings(max_examples=count, derandomize=True, deadline=None, database=None)
 
 

@@ -85,7 +85,7 @@ def test_every_room_has_its_place() -> None:
 
 
 @pytest.mark.parametrize("path", modules(), ids=named)
-def test_module_imports_only_rooms_to_its_left(path: Path) -> None:
+def test_module_imports_only_rooms_below_its_own(path: Path) -> None:
     """Data flows one way; plant and observer do not know each other."""
     own = room(path)
     if not own and path.name in ENTRANCE:
@@ -147,12 +147,12 @@ def test_no_class_name_stands_twice() -> None:
     assert [name for name, count in classes.items() if count > 1] == []
 
 
-@pytest.mark.parametrize("path", [*modules(), *sorted(TESTS.rglob("*.py")), *PAGES], ids=named)
-def test_words_are_those_of_the_field(path: Path) -> None:
+def test_words_are_those_of_the_field() -> None:
     """Names and prose are for readers who know ROS, estimation and multibody dynamics."""
-    text = path.read_text(encoding="utf-8").lower().replace("_", " ")
-    if path != Path(__file__).resolve():
-        assert PRIVATE_WORDS & set(re.findall("[a-z]+", text)) == set()
+    for path in {*modules(), *TESTS.rglob("*.py"), *PAGES} - {Path(__file__).resolve()}:
+        text = path.read_text(encoding="utf-8").lower().replace("_", " ")
+        found = PRIVATE_WORDS & set(re.findall("[a-z]+", text))
+        assert found == set(), f"{named(path)}: {', '.join(sorted(found))}"
 
 
 def is_test(node: ast.AST) -> bool:
@@ -199,22 +199,22 @@ def asserts(test: ast.FunctionDef) -> bool:
 FILES = sorted(TESTS.rglob("test_*.py"))
 
 
-@pytest.mark.parametrize("path", FILES, ids=named)
-def test_every_test_asserts_and_says_what(path: Path) -> None:
+def test_every_test_asserts_and_says_what() -> None:
     """A file has tests; a test has a docstring of its own and can fail."""
-    tests = functions_of(path)
-    assert tests, f"{named(path)} has no test"
-    for test in tests:
-        assert asserts(test), f"{named(path)}::{test.name} asserts nothing"
-        assert ast.get_docstring(test), f"{named(path)}::{test.name} has no docstring"
+    for path in FILES:
+        tests = functions_of(path)
+        assert tests, f"{named(path)} has no test"
+        for test in tests:
+            assert asserts(test), f"{named(path)}::{test.name} asserts nothing"
+            assert ast.get_docstring(test), f"{named(path)}::{test.name} has no docstring"
 
 
-@pytest.mark.parametrize("path", FILES, ids=named)
-def test_no_test_is_hidden_by_another_of_its_name(path: Path) -> None:
+def test_no_test_is_hidden_by_another_of_its_name() -> None:
     """Of two functions of one name pytest would see the second only."""
-    for scope in scopes(path):
-        names = [node.name for node in scope.body if is_test(node)]  # type: ignore[attr-defined]
-        assert len(names) == len(set(names))
+    for path in FILES:
+        for scope in scopes(path):
+            names = [node.name for node in scope.body if is_test(node)]  # type: ignore[attr-defined]
+            assert len(names) == len(set(names)), named(path)
 
 
 def test_collecting_tests_has_no_side_effects() -> None:

@@ -53,6 +53,7 @@ def test_gif_has_all_pictures_and_the_right_speed(
     assert [path.name for path in tmp_path.iterdir() if path != sample_bag] == ["film.gif"]
 
 
+@pytest.mark.slow
 def test_page_needs_nothing_else(sample_bag: Path, tmp_path: Path) -> None:
     """All pictures are in it, and no address of anything outside."""
     output = tmp_path / "film.html"

@@ -55,6 +55,7 @@ def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
     assert {e.epoch for e in events} == {EPOCH}
 
 
+@pytest.mark.slow
 def test_observe_writes_the_parameters_that_it_learns(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

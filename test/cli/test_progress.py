@@ -66,6 +66,7 @@ def lines(written: str) -> list[str]:
     return [line.rstrip() for line in re.split(r"[\r\n]+", CONTROL.sub("\r", written))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [60, 160])
 def test_bar_says_what_is_done_its_share_the_rate_and_the_time_left(columns: int) -> None:
     """Within one line of the terminal; and what stays, stays above it."""
@@ -90,6 +91,7 @@ def test_quick_work_shows_nothing() -> None:
     assert "done" in lines(written)
 
 
+@pytest.mark.slow
 def test_an_error_takes_the_bar_away() -> None:
     """What is said of it begins on a clean line, and the cursor was never hidden."""
     code, written = on_terminal(WORK.format(seconds=0.6, end="raise SystemExit('broken')"), 80)

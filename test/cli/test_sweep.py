@@ -144,6 +144,7 @@ class Engine:
             yield case_runs.run_case(case)
 
 
+@pytest.mark.slow
 def test_finished_cases_are_kept_and_not_run_again(
     serial: Path,
     tmp_path: Path,

@@ -105,6 +105,7 @@ def test_restitution_is_estimated_and_costs_little_where_it_was_right(wrong: flo
     assert watcher.estimate(int(true.stamps[-1])).synchronized
 
 
+@pytest.mark.slow
 def test_everything_at_once_is_estimated() -> None:
     """Stiffness, restitution and gap; each within its deviation."""
     model, true = sample("two_mass").system, truth("two_mass")

@@ -71,6 +71,7 @@ def same_as_rosbags(tmp_path: Path, messages: list[Message], sizes: list[int]) -
     return len(one.chunk_indexes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sizes", [[6000], [1, 256, 0, 1000, 4743], [100] * 60])
 def test_chunks_and_messages_are_those_of_rosbags(tmp_path: Path, sizes: list[int]) -> None:
     """However many messages are written at a time, across several chunks."""

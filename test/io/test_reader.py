@@ -83,6 +83,7 @@ def rewritten(source: Path, target: Path, **choices: object) -> Path:
     return target
 
 
+@pytest.mark.slow
 def test_every_storage_gives_the_same_messages(bag: Path, tmp_path: Path) -> None:
     """Directories and bare files, MCAP and sqlite3, plain and compressed."""
     plain = rewritten(bag, tmp_path / "plain")

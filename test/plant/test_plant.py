@@ -46,6 +46,7 @@ def test_energy_is_conserved_without_damping_and_with_full_restitution() -> None
     np.testing.assert_allclose(total, total[0], rtol=1e-11)
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_over_ten_thousand_impacts() -> None:
     """Each impact and each flight changes it by 1e-14 at most: ten thousand by at most 2e-10.
 
