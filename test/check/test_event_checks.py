@@ -232,6 +232,7 @@ def recorded(events: list[ImpactEvent]) -> None:
             writer.write("/impacts", 2 * S + k, MAKE.event(event))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_every_fault_of_events_has_its_line(case: str) -> None:
     """With the message where it is first seen."""

@@ -98,6 +98,7 @@ def chunks(path: Path) -> list[int]:
 REMEDY = "write them to a new bag with `impact-observer check bag --salvage -o NEW`"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
 def test_mcap_that_was_cut_in_a_chunk(whole: Path, compression: str) -> None:
     """Every message before the cut is recovered, those of the open chunk too."""

@@ -100,6 +100,7 @@ def test_an_error_takes_the_bar_away() -> None:
     assert "\x1b[?25l" not in written
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("terminal", [True, False])
 def test_without_a_lively_terminal_only_lines_are_written(terminal: bool) -> None:
     """Neither into a file, nor where a terminal cannot move its cursor."""

@@ -65,6 +65,7 @@ def paths_of(text: str) -> list[str]:
     return paths + [config["topicPath"] for config in configs if "topicPath" in config]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*SHIPPED, "all"])
 def test_every_path_for_foxglove_finds_a_number_in_the_bag(
     name: str, messages: dict[str, list[object]]

@@ -137,6 +137,7 @@ def test_bag_is_whole_after_an_exception(tmp_path: Path) -> None:
         assert [each.stamp for each in reader.events()] == list(range(1, 1001))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("patience", np.linspace(0.01, 0.2, 8).tolist())
 def test_bag_is_whole_wherever_an_interrupt_strikes(
     request: pytest.FixtureRequest, tmp_path: Path, patience: float

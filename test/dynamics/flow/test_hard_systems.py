@@ -101,6 +101,7 @@ DAMPERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("C", DAMPERS.values(), ids=list(DAMPERS))
 @pytest.mark.parametrize("K", STIFF.values(), ids=list(STIFF))
 def test_stiffness_ratio_of_a_hundred_million(K: Array, C: Array) -> None:
