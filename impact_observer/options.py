@@ -230,7 +230,7 @@ class Options:
 
     def __post_init__(self) -> None:
         """Check every value."""
-        for row in rows_of(type(self)):
+        for row in OBSERVER_OPTIONS:
             row.check(getattr(self, row.name), "option")
 
 

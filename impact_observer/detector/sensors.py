@@ -1,5 +1,6 @@
 """What all kinds of sensors have in common, and the simplest kind."""
 
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 from impact_observer.detector.source import Source
@@ -55,7 +56,7 @@ class DetectedSwitch(NamedTuple):
     kind: Kind
 
 
-class Sensor:
+class Sensor(ABC):
     """Detects the switches in one stream of samples, whose stamps never go back.
 
     Attributes:
@@ -73,9 +74,9 @@ class Sensor:
         deadline = self._deadline()
         return None if deadline is None else deadline.received + MAX_DELAY
 
+    @abstractmethod
     def feed(self, sample: Sample) -> list[DetectedSwitch]:
         """The switches that a sample decides, and the time up to it."""
-        raise NotImplementedError
 
     def advance(self, now: int) -> list[DetectedSwitch]:
         """The switches that are decided if no sample is received until ``now``, ns."""
@@ -89,8 +90,8 @@ class Sensor:
         return None
 
     def _on_deadline(self, decided: int) -> list[DetectedSwitch]:
-        """The switches that the deadline decides."""
-        raise NotImplementedError
+        """The switches that the deadline decides; never called without a ``_deadline``."""
+        raise AssertionError(f"deadline at {decided}, but {type(self).__name__} has none")
 
 
 class ArrivalSensor(Sensor):
