@@ -52,7 +52,7 @@ SOURCES = """sources:
 
 @dataclass
 class Rig:
-    """A running detector node and everything a test wants to say and hear."""
+    """A running detector node, publishers of its sensors, and what was received from it."""
 
     spinner: Spinner
     node: DetectorNode
@@ -111,7 +111,7 @@ def rig(ros_environment: dict[str, str], sources: Path) -> Iterator[Rig]:
 
 @pytest.mark.parametrize("quality", [STATES, BEST_EFFORT], ids=["reliable", "best effort"])
 def test_a_switch_is_received_whatever_its_quality_of_service(rig: Rig, quality: Quality) -> None:
-    """A short closure, then one that lasts and says no more until it opens."""
+    """A short closure, then one without messages until it opens."""
     switch = rig.sensor(Bool, "switch", quality)
     before = time.time_ns()
     switch.publish(Bool(data=True))
@@ -142,7 +142,7 @@ def test_a_less_reliable_publisher_that_comes_later_is_received_too(rig: Rig) ->
     assert rig.events[0].switches == (Switch("stop"),)
 
 
-def test_a_latched_switch_that_was_closed_before_the_node_began_is_known(
+def test_a_latched_switch_that_was_closed_before_the_node_started_is_closed(
     ros_environment: dict[str, str], sources: Path
 ) -> None:
     """With the stamp of its closing; a publisher that does not latch later on is received too."""
@@ -184,7 +184,7 @@ def test_stamps_of_headers_are_exact(rig: Rig) -> None:
     assert rig.events[0].stamp == pytest.approx(EPOCH + (3 + top) * MS, abs=0.01 * MS)
 
 
-def test_diagnostics_tell_of_each_sensor(rig: Rig) -> None:
+def test_diagnostics_have_the_state_of_each_sensor(rig: Rig) -> None:
     """Nobody publishes; then messages, rate and events; then what cannot be used."""
     status = rig.diagnosis("wall")
     assert status.level == DiagnosticStatus.WARN
@@ -236,10 +236,10 @@ def test_a_clock_that_jumps_back_is_a_new_episode(
         ]
 
 
-def test_what_the_node_says_is_what_detect_finds_in_a_recording_of_it(
+def test_the_node_publishes_the_events_that_detect_finds_in_a_recording_of_it(
     rig: Rig, sources: Path, tmp_path: Path
 ) -> None:
-    """Stamped sensors, hits and contacts that last: the same events, however they arrive."""
+    """Impacts and persistent contacts: the same events, in any order of arrival."""
     sources.write_text(
         "sources: [{contact: wall, topic: imu, kind: switch, field: linear_acceleration.x,"
         " threshold: 10}]",
@@ -356,7 +356,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
 def test_a_topic_that_is_not_what_was_declared_ends_the_node(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """Once its type is known: one line with the file and the key."""
+    """As soon as the type is discovered: one line with the file and the key."""
     sources = tmp_path / "rig.yaml"
     sources.write_text("sources: [{contact: stop, topic: force}]", encoding="utf-8")
     arguments = ros_arguments({"sources": sources})

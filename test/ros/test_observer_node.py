@@ -67,7 +67,7 @@ def event(stamp: int, sequence: int, contact: str = "stop", **more: int) -> Even
 
 @dataclass
 class Rig:
-    """A running observer node and everything a test wants to say and hear."""
+    """A running observer node, publishers of its inputs, and what was received from it."""
 
     spinner: Spinner
     node: ObserverNode
@@ -78,7 +78,7 @@ class Rig:
     diagnostics: list[DiagnosticStatus] = field(default_factory=list)
 
     def send(self, what: Event) -> None:
-        """Publish an event and wait until the node has said what it made of it."""
+        """Publish an event and wait for its verdict."""
         before = len(self.verdicts)
         self.impacts.publish(ros_messages().event(what))
         self.spinner.until(lambda: len(self.verdicts) > before)
@@ -130,7 +130,7 @@ def rig(ros_environment: dict[str, str]) -> Iterator[Rig]:
 
 @contextmanager
 def rig_with(**parameters: object) -> Iterator[Rig]:
-    """A rig that knows the epoch, whose observer has other parameters too."""
+    """A rig that knows the epoch, with other parameters of the observer."""
     with spinning(ros_arguments({**PARAMETERS, "epoch": EPOCH, **parameters})) as spinner:
         made = make_rig(spinner)
         spinner.until(lambda: made.impacts.get_subscription_count() == 1)
@@ -155,7 +155,7 @@ def assert_same(estimate: Estimate, wanted: Estimate) -> None:
     assert estimate.last_event == wanted.last_event
 
 
-def test_estimates_stand_on_the_grid_of_the_epoch(rig: Rig) -> None:
+def test_stamps_of_estimates_lie_on_the_grid_of_the_epoch(rig: Rig) -> None:
     """Stamps are epoch + k / rate; each state is that of the same observer without ROS."""
     rig.tick(EPOCH + 35_000_000)
     received = rig.estimates()
@@ -164,7 +164,7 @@ def test_estimates_stand_on_the_grid_of_the_epoch(rig: Rig) -> None:
         assert_same(each, replica().estimate(each.stamp))
 
 
-def test_parameters_of_the_model_are_learnt_and_published(
+def test_estimated_parameters_of_the_model_are_published(
     ros_environment: dict[str, str],
 ) -> None:
     """Names, values and deviations stand in every state, and in the diagnostics with units."""
@@ -184,9 +184,9 @@ def test_parameters_of_the_model_are_learnt_and_published(
     )
     same = make_observer(SYSTEM, options)
     same.receive(event(EPOCH + 25_000_000, 1))
-    learnt = same.estimate(EPOCH + 30_000_000).parameters
-    assert list(last.parameter) == [value for _, value, _ in learnt]
-    assert list(last.parameter_deviation) == [deviation for _, _, deviation in learnt]
+    learned = same.estimate(EPOCH + 30_000_000).parameters
+    assert list(last.parameter) == [value for _, value, _ in learned]
+    assert list(last.parameter_deviation) == [deviation for _, _, deviation in learned]
     assert figures["gap.stop [m]"].startswith("0.5")
     assert "+-" in figures["restitution.stop"]
 
@@ -204,7 +204,7 @@ def test_a_late_event_corrects_the_last_estimate_at_once(rig: Rig) -> None:
 
 
 def test_every_switch_gets_a_verdict_with_its_latency(rig: Rig) -> None:
-    """Applied, duplicate, unknown contact and too late are told apart on the topic."""
+    """The rulings are applied, duplicate, unknown contact and too late."""
     rig.tick(EPOCH + 50_000_000)
     rig.send(event(EPOCH + 20_000_000, 1))
     rig.send(event(EPOCH + 20_000_000, 1))
@@ -217,8 +217,8 @@ def test_every_switch_gets_a_verdict_with_its_latency(rig: Rig) -> None:
     assert "stop" in rig.verdicts[2].reason
 
 
-def test_a_clock_that_jumps_back_begins_again(rig: Rig) -> None:
-    """After a bag loop the replica is what it was at the start."""
+def test_a_clock_that_jumps_back_resets_the_observer(rig: Rig) -> None:
+    """As in a bag loop: the estimates are those of a new observer."""
     rig.tick(EPOCH + 10_000_000)
     rig.send(event(EPOCH + 5_000_000, 1))
     rig.tick(EPOCH + 20_000_000)
@@ -231,8 +231,8 @@ def test_a_clock_that_jumps_back_begins_again(rig: Rig) -> None:
         assert_same(each, replica().estimate(each.stamp))
 
 
-def test_a_new_episode_begins_again_at_its_epoch(rig: Rig) -> None:
-    """A reset of the plant moves the epoch; the replica follows."""
+def test_a_new_episode_resets_the_observer_to_its_epoch(rig: Rig) -> None:
+    """A reset of the plant moves the epoch."""
     rig.tick(EPOCH + 10_000_000)
     moved = EPOCH + 500_000_000
     again = event(moved + 3_000_000, 1, episode=1, epoch=moved)
@@ -244,8 +244,8 @@ def test_a_new_episode_begins_again_at_its_epoch(rig: Rig) -> None:
     assert_same(last, replica(again).estimate(last.stamp))
 
 
-def test_a_plant_started_again_is_followed_and_its_past_is_not(rig: Rig) -> None:
-    """The later epoch wins, though episodes count from 0 again; what is older is refused."""
+def test_the_observer_follows_a_restarted_plant_and_rejects_its_earlier_events(rig: Rig) -> None:
+    """The later epoch counts, though episodes count from 0 again."""
     rig.tick(EPOCH + 10_000_000)
     rig.send(event(EPOCH + 5_000_000, 1, episode=3))
     moved = EPOCH + 100_000_000
@@ -272,7 +272,7 @@ def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
 
 
 def test_an_epoch_from_the_future_is_rejected(rig: Rig) -> None:
-    """All true events would be of a past that is over."""
+    """It would make every true event one of an earlier episode."""
     rig.tick(EPOCH + 50_000_000)
     rig.send(event(EPOCH + 10_000_000, 1, epoch=EPOCH + 3_600_000_000_000))
     assert "its epoch is 3599.950 s after the clock" in rig.verdicts[-1].reason
@@ -281,8 +281,8 @@ def test_an_epoch_from_the_future_is_rejected(rig: Rig) -> None:
     assert rig.figures()["from the future"] == "1"
 
 
-def test_bytes_that_are_no_event_are_left_out(rig: Rig) -> None:
-    """A header alone, and more switches than there are bytes: counted, and the node goes on."""
+def test_bytes_that_are_no_event_are_counted_and_ignored(rig: Rig) -> None:
+    """A header alone, and a message that ends before its switches do."""
     rig.tick(EPOCH + 50_000_000)
     whole = serialize_message(ros_messages().event(event(EPOCH + 10_000_000, 1)))
     for data in (whole[:4], whole[:-20] + b"\xff" * 20):
@@ -314,8 +314,8 @@ def test_services_do_not_wait_for_a_queue_of_events(
     rig.spinner.until(lambda: len(rig.verdicts) >= 40)
 
 
-def test_estimates_before_the_epoch_are_told_once(rig: Rig) -> None:
-    """The known past may begin before the forcing does, as far as a clock may be ahead."""
+def test_each_estimate_before_the_epoch_is_published_once(rig: Rig) -> None:
+    """Estimates may begin before the epoch, by as much as a clock may be ahead."""
     rig.tick(EPOCH - 500_000_000)
     rig.send(event(EPOCH - 600_000_000, 3))
     for k in range(1, 4):
@@ -345,7 +345,7 @@ def test_how_far_ahead_a_stamp_may_be_is_a_parameter(ros_environment: dict[str, 
 def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
     ros_environment: dict[str, str],
 ) -> None:
-    """What comes later than that is repaired, told and counted."""
+    """A later event corrects the last estimate, is named in the verdict and counted."""
     assert ros_environment
     with rig_with(lag=0.03) as rig:
         rig.tick(EPOCH + 29_000_000)
@@ -368,15 +368,15 @@ def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
         assert rig.figures()["estimates corrected"] == "1"
 
 
-def test_a_state_set_behind_a_lag_obeys_events_that_are_known_already(
+def test_events_received_before_a_state_was_set_behind_a_lag_act_on_it(
     ros_environment: dict[str, str],
 ) -> None:
-    """It holds from the last estimate on; the event after that acts on it."""
+    """The state holds from the last estimate on; the event has a later stamp."""
     assert ros_environment
     with rig_with(lag=0.03) as rig:
         rig.tick(EPOCH + 50_000_000)
-        known = event(EPOCH + 45_000_000, 1)
-        rig.send(known)
+        later = event(EPOCH + 45_000_000, 1)
+        rig.send(later)
         probe, spinner = rig.spinner.probe, rig.spinner
         client = probe.create_client(SetState, "observer/set_state")
         spinner.until(client.service_is_ready)
@@ -386,7 +386,7 @@ def test_a_state_set_behind_a_lag_obeys_events_that_are_known_already(
         rig.tick(EPOCH + 90_000_000)
         wanted = replica()
         wanted.set_state(EPOCH + 20_000_000, [0.1, 0.2], [0.3, 0.4])
-        wanted.receive(known)
+        wanted.receive(later)
         received = rig.estimates()
         assert [each.stamp - EPOCH for each in received] == [k * 10_000_000 for k in range(7)]
         for each in received[3:]:
@@ -395,7 +395,7 @@ def test_a_state_set_behind_a_lag_obeys_events_that_are_known_already(
 
 
 def test_a_lag_beyond_the_history_is_refused(ros_environment: dict[str, str]) -> None:
-    """There is no state so long ago."""
+    """The observer keeps no state from before the history."""
     assert ros_environment
     wanted = "parameter lag: 3 found; expected at most history, 2"
     with (
@@ -405,8 +405,8 @@ def test_a_lag_beyond_the_history_is_refused(ros_environment: dict[str, str]) ->
         ObserverNode()
 
 
-def test_every_trouble_is_told_and_counted(rig: Rig) -> None:
-    """On the verdicts by its reason, in the diagnostics by its name."""
+def test_every_fault_of_the_events_is_reported_and_counted(rig: Rig) -> None:
+    """Reported by the reason of a verdict, counted in the diagnostics."""
     rig.tick(EPOCH + 90_000_000)
     closing = Event(EPOCH + 10_000_000, (Switch("stop", Kind.CLOSE),), 5, epoch=EPOCH)
     for each in (
@@ -484,7 +484,7 @@ def test_services_set_and_reset_the_state(rig: Rig) -> None:
 def test_a_publisher_that_is_not_durable_enough_is_an_error_diagnostic(
     ros_environment: dict[str, str],
 ) -> None:
-    """Who asks for transient_local never receives a volatile publisher; it is told so."""
+    """A subscription that requests transient_local does not match a volatile publisher."""
     assert ros_environment
     wanted = {**PARAMETERS, "events_durability": "transient_local"}
     with spinning(ros_arguments(wanted)) as spinner:
@@ -493,7 +493,7 @@ def test_a_publisher_that_is_not_durable_enough_is_an_error_diagnostic(
         assert "events_durability" in rig.diagnostics[-1].message
 
 
-def test_the_epoch_is_learnt_from_the_first_event(ros_environment: dict[str, str]) -> None:
+def test_the_epoch_is_that_of_the_first_event(ros_environment: dict[str, str]) -> None:
     """Without it nothing is published; with it the replica started at the epoch."""
     assert ros_environment
     with spinning(ros_arguments(PARAMETERS)) as spinner:
@@ -507,7 +507,7 @@ def test_the_epoch_is_learnt_from_the_first_event(ros_environment: dict[str, str
         assert_same(rig.estimates()[-1], replica(first).estimate(EPOCH + 60_000_000))
 
 
-def test_contact_that_stays_closed_is_told_until_it_opens(
+def test_persistent_contact_is_in_the_estimates_until_it_opens(
     ros_environment: dict[str, str],
 ) -> None:
     """CLOSE and OPEN travel as events; the estimates are the replica's to the last bit."""
@@ -525,8 +525,8 @@ def test_contact_that_stays_closed_is_told_until_it_opens(
         rig.send(opening)
         rig.tick(EPOCH + 60_000_000)
         assert rig.states[-1].closed == []
-        told = replica(closing, opening).estimate(EPOCH + 60_000_000)
-        assert_same(rig.estimates()[-1], told)
+        wanted = replica(closing, opening).estimate(EPOCH + 60_000_000)
+        assert_same(rig.estimates()[-1], wanted)
 
 
 def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str, str]) -> None:
@@ -554,7 +554,7 @@ def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str
 def test_events_that_contradict_what_was_declared_are_a_warning(
     ros_environment: dict[str, str],
 ) -> None:
-    """A start that was declared to be certain, and is not: it is said."""
+    """The initial state is wrong and has a declared deviation of 0."""
     assert ros_environment
     declared = {"epoch": EPOCH, "initial_deviation": "'0'"}
     with spinning(ros_arguments({**PARAMETERS, **declared})) as spinner:
@@ -572,7 +572,7 @@ def test_events_that_contradict_what_was_declared_are_a_warning(
 
 
 def logged(parameters: Mapping[str, object], monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What a node says while it is made."""
+    """What a node logs while it is made."""
     found = list[str]()
     with spinning(ros_arguments({**PARAMETERS, **parameters})) as spinner:
         with monkeypatch.context() as patch:
@@ -582,10 +582,10 @@ def logged(parameters: Mapping[str, object], monkeypatch: pytest.MonkeyPatch) ->
     return found
 
 
-def test_a_node_that_compiles_says_so_before_and_how_long_it_took(
+def test_a_node_logs_that_it_compiles_and_how_long_it_took(
     ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing of the time where it was soon done; nothing at all of laws without machine code."""
+    """A short time is not logged; laws that are not compiled log nothing."""
     assert ros_environment
     clock, taken = [100.0], [0.5]
 
@@ -607,7 +607,7 @@ def test_a_node_that_compiles_says_so_before_and_how_long_it_took(
 
 
 def refused(parameters: Mapping[str, object]) -> str:
-    """Why there can be no node."""
+    """The error of a node that cannot start."""
     with spinning(ros_arguments({**parameters})), pytest.raises(UsageError) as error:
         ObserverNode()
     return str(error.value)
@@ -620,14 +620,14 @@ def test_a_node_without_the_compiler_ends_in_one_line(
     assert ros_environment
     monkeypatch.setitem(sys.modules, "numba", None)
     monkeypatch.setattr(impact_filter, "compiled_single", compiled_single.__wrapped__)
-    told = refused({**PARAMETERS, "law": "minimum-variance", "compiled": True})
+    line = refused({**PARAMETERS, "law": "minimum-variance", "compiled": True})
     gc.collect()  # the error held the node, and that its subscription to the clock
-    assert told.startswith("compiled needs numba")
-    assert "impact_observer[compiled]" in told
+    assert line.startswith("compiled needs numba")
+    assert "impact_observer[compiled]" in line
 
 
-def test_a_node_that_wakes_late_tells_where_it_began(rig: Rig) -> None:
-    """Estimates older than the backlog are passed over, and counted; the first one never is."""
+def test_a_node_that_falls_behind_skips_estimates_but_not_the_first(rig: Rig) -> None:
+    """Estimates older than the backlog are skipped and counted."""
     rig.tick(EPOCH + 3_000_000_000)
     rig.spinner.until(lambda: len(rig.states) >= 21)
     stamps = [each.stamp for each in rig.estimates()]

@@ -29,10 +29,10 @@ def stamp_of(time: object) -> int:
     return time.sec * NS_PER_S + time.nanosec  # type: ignore[attr-defined, no-any-return]
 
 
-def test_plant_node_tells_what_sense_tells_when_it_arrives(
+def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
     ros_environment: dict[str, str],
 ) -> None:
-    """Every event, in the order of arrival, and those too that are under way at the end."""
+    """Every event, in the order of arrival, also those that arrive after the end."""
     parameters = {
         "model": "three_mass",
         "publish_clock": True,
@@ -71,14 +71,14 @@ def test_plant_node_tells_what_sense_tells_when_it_arrives(
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, last, 1.0))
     sensor = SensorModel(**TROUBLED)  # type: ignore[arg-type]
-    told = simulate_sensor(sensor, model.system, run.switchings, epoch=EPOCH, last=last, seed=5)
+    wanted = simulate_sensor(sensor, model.system, run.switchings, epoch=EPOCH, last=last, seed=5)
     assert [(stamp_of(e.header.stamp), e.sequence) for e in events] == [
-        (each.event.stamp, each.event.sequence) for each in told
+        (each.event.stamp, each.event.sequence) for each in wanted
     ]
     assert [[s.contact for s in e.switches] for e in events] == [
-        [s.contact for s in each.event.switches] for each in told
+        [s.contact for s in each.event.switches] for each in wanted
     ]
-    assert told[-1].arrival > last, "something was under way at the end"
+    assert wanted[-1].arrival > last, "a message arrives after the end"
     assert max(truth) == last
     assert max(shown) >= last
     assert parse_model(models[0].data, "model").provenance["sensor"] == TROUBLED

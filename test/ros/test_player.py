@@ -61,15 +61,15 @@ def listening(*topics: str) -> Iterator[list[Received]]:
     done = threading.Event()
     with ros_node("listener") as (node, executor):
         for topic in topics:
-            known = interfaces.interface(topic)
-            assert known is not None
+            described = interfaces.interface(topic)
+            assert described is not None
             node.create_subscription(
-                message_class(known.type),
+                message_class(described.type),
                 topic,
                 lambda message, topic=topic: received.append(
                     Received(topic, time.monotonic(), message)
                 ),
-                qos_profile(known.quality),
+                qos_profile(described.quality),
             )
 
         def spin() -> None:
@@ -143,7 +143,7 @@ def test_clock_shows_the_time_of_every_message_and_ticks_between(
 def test_loop_begins_again_and_the_clock_jumps_back(
     sample_bag: Path, ros_environment: dict[str, str]
 ) -> None:
-    """Until it is told to end."""
+    """Until it is interrupted."""
     assert ros_environment
     with listening("/impacts", "/clock") as received:
         with BagReader(sample_bag) as reader, ros_node("player") as (node, _):
@@ -253,10 +253,10 @@ def test_absent_topic_is_named(sample_bag: Path, ros_environment: dict[str, str]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signal_ends_a_loop_well(
+def test_signal_ends_a_loop_with_exit_code_0(
     sample_bag: Path, ros_environment: dict[str, str], number: signal.Signals
 ) -> None:
-    """Exit code 0 and a line that says how far it got."""
+    """The command says how many messages were played."""
     command = [sys.executable, "-c", PLAY, str(sample_bag), "--loop", "--clock"]
     with (
         listening("/impacts") as received,
@@ -282,21 +282,21 @@ def player_of(bag: Path, how: Playing) -> Iterator[Player]:
 
 
 class Script:
-    """What one who watches does, each thing as soon as something is so."""
+    """Actions of a user, each as soon as its condition holds."""
 
     def __init__(self, player: Player, *acts: tuple[Callable[[], bool], Control]) -> None:
         self._player = player
         self._acts = list(acts)
 
     def __call__(self) -> bool:
-        """Act; never an end."""
+        """Do the next action if it is due; playing never ends by this."""
         if self._acts and self._acts[0][0]():
             self._player.control(self._acts.pop(0)[1])
         return True
 
 
 def after(seconds: float) -> Callable[[], bool]:
-    """A while after this is asked first."""
+    """A condition that holds ``seconds`` after it was first evaluated."""
     begun: list[float] = []
 
     def passed() -> bool:

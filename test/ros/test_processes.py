@@ -81,10 +81,10 @@ def test_plant_and_observer_processes_converge_on_the_topic(
     assert np.abs(last.position_error).max() < 0.05
 
 
-def test_a_body_at_rest_on_its_stop_is_told_as_closed(
+def test_a_body_at_rest_on_its_stop_is_published_as_closed(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """The plant's process says CLOSE at the epoch, and an observer's holds the contact."""
+    """The plant publishes CLOSE at the epoch, and the observer holds the contact."""
     model = tmp_path / "resting.yaml"
     model.write_text(
         "name: resting\nbodies: [{name: z, mass: 1}]\nforces: [{body: z, constant: -9.81}]\n"
@@ -94,11 +94,11 @@ def test_a_body_at_rest_on_its_stop_is_told_as_closed(
     )
     arguments = {"model": str(model), "epoch": 3_000_000_000}
     simulated = {"publish_clock": True, "duration": 2.0, "wait_for_subscribers": 1}
-    told = {"use_sim_time": True, "initial_state": "'0.3,1.0'"}
+    options = {"use_sim_time": True, "initial_state": "'0.3,1.0'"}
     events: list[ImpactEvent] = []
     states: list[ObserverState] = []
     truth: list[JointState] = []
-    observer = ros_arguments({**arguments, **told, "events_durability": "transient_local"})
+    observer = ros_arguments({**arguments, **options, "events_durability": "transient_local"})
     with (
         running_node("observer", observer, ros_environment),
         spinning() as spinner,
@@ -166,7 +166,7 @@ def test_a_signal_ends_a_node_with_exit_code_0(
 def test_a_signal_ends_a_node_that_compiles(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    """Nobody waits half a minute for what is not wanted any more."""
+    """At once, although compiling takes half a minute."""
     pytest.importorskip("numba")
     wanted = {"model": "two_mass", "law": "minimum-variance", "compiled": True}
     environment = ros_environment | {"NUMBA_CACHE_DIR": str(tmp_path)}
@@ -215,7 +215,7 @@ def test_a_wrong_parameter_is_one_line_and_exit_code_2(
     assert expected in line
 
 
-def test_misspelt_parameters_are_warned_of(
+def test_misspelt_parameters_give_a_warning(
     ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
     """ROS itself ignores them, on the command line and in files, also beside an empty list."""

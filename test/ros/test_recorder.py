@@ -47,10 +47,10 @@ sys.exit(record.run(parser.parse_args()))
 
 def advertise(node: "Node", topic: str, quality: Quality | None = None) -> "Publisher":
     """A publisher of one of our topics."""
-    known = interfaces.interface(topic)
-    assert known is not None
-    profile = qos_profile(quality or known.quality)
-    return node.create_publisher(message_class(known.type), topic, profile)
+    described = interfaces.interface(topic)
+    assert described is not None
+    profile = qos_profile(quality or described.quality)
+    return node.create_publisher(message_class(described.type), topic, profile)
 
 
 def event(stamp: int) -> object:
@@ -216,7 +216,7 @@ def test_topics_are_left_out_by_name_or_pattern(
 def test_a_signal_amid_a_burst_leaves_a_whole_bag(
     tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
-    """Compressed too: nothing is missing between the first and the last, and all is told."""
+    """The compressed bag has every message up to its last; the counts are printed."""
     command = [sys.executable, "-c", RECORD, "-o", str(tmp_path / "bag")]
     command += ["--topics", "/impacts", "/absent", "/plant/model", "--compression", "zstd"]
     with (
@@ -353,8 +353,8 @@ def test_later_publisher_of_less_quality_is_warned_of_once(
     assert capfd.readouterr().err.count("/impacts has a new publisher that is less reliable") == 1
 
 
-def test_wrong_use_is_told_before_anything_is_made(tmp_path: Path) -> None:
-    """A duration or a topic that is none; a bag that is there."""
+def test_wrong_use_is_an_error_before_anything_is_written(tmp_path: Path) -> None:
+    """An invalid duration or topic, or a bag that exists already."""
     with pytest.raises(UsageError, match=r"duration is 0\.0; expected a positive number"):
         record(tmp_path / "bag", duration=0.0)
     with pytest.raises(

@@ -176,7 +176,7 @@ def markers(scene: Scene, q: Vector, place: int = 0, lit: tuple[int, ...] = ()) 
 
 
 def test_rows_stand_side_by_side() -> None:
-    """Equal but for their place: bodies of neighbours do not touch."""
+    """They are equal except for their offset, and do not overlap."""
     one, two = (markers(SCENE, np.zeros(2), place) for place in (0, 1))
     for first, second in zip(one, two, strict=True):
         if first.type == Marker.LINE_LIST:

@@ -29,8 +29,8 @@ def at(seconds: float) -> int:
     return EPOCH + round(seconds * NS_PER_S)
 
 
-def course(*values: float) -> EstimateHistory:
-    """The last half of a minute."""
+def history(*values: float) -> EstimateHistory:
+    """The values of the last half of a minute."""
     return EstimateHistory(values[-1], (*[None] * len(values), *values), 60.0)
 
 
@@ -44,9 +44,9 @@ GEOMETRIC = ObserverSnapshot(
         StateLine("x1", "m/s", 12345.678, 12345.0),
         StateLine("x2", "m/s", 0.0, -0.25),
     ),
-    distance=course(40.0, 3.0, 0.5, 0.02),
+    distance=history(40.0, 3.0, 0.5, 0.02),
     source="monitor",
-    convergence=course(100.0, 10.0, 1.0),
+    convergence=history(100.0, 10.0, 1.0),
     synchronized=False,
     bound=436.4,
     closed=("stop",),
@@ -73,7 +73,7 @@ FILTER = ObserverSnapshot(
         StateLine("x1", "m/s", 1.0, 1.0, 3e-9),
         StateLine("x2", "m/s", 0.0, 0.0, 4e-9),
     ),
-    distance=course(1e-3, 1e-12, 1e-19),
+    distance=history(1e-3, 1e-12, 1e-19),
     source="here",
     convergence=EstimateHistory(-1.0),
     synchronized=True,
@@ -221,8 +221,8 @@ def test_the_screen_to_the_letter(width: int, height: int, wanted: str) -> None:
     assert max(map(cell_len, found.splitlines())) <= width
 
 
-def test_nobody_is_said_in_words() -> None:
-    """Never an empty frame; with a plant its figures stay."""
+def test_a_screen_without_observers_says_so() -> None:
+    """With a plant its figures are still shown."""
     assert printed(Snapshot(0), ScreenStyle(60, 30)) == NOBODY.rstrip("\n")
     found = printed(replace(both(), observers=()), ScreenStyle(60, 30))
     assert "8 impacts, last 0.3 s ago (stop)" in found
@@ -255,7 +255,7 @@ def test_nobody_is_said_in_words() -> None:
 def test_what_is_not_there_is_said(
     observer: ObserverSnapshot, snapshot: dict[str, object], words: str
 ) -> None:
-    """In words that tell what is missing, or what to do."""
+    """It names what is missing, or what to do."""
     shown = replace(both(), observers=(observer,), **snapshot)  # type: ignore[arg-type]
     assert words in printed(shown, ScreenStyle(100, 40))
 
@@ -287,7 +287,7 @@ def test_it_fits_whatever_the_system(coordinates: int, width: int, height: int) 
 @pytest.mark.parametrize("several", [1, 2, 3, 5])
 @pytest.mark.parametrize(("width", "height"), [(40, 12), (60, 16), (80, 24), (120, 24), (200, 60)])
 def test_observers_without_room_are_named(several: int, width: int, height: int) -> None:
-    """The last row tells that the picture is frozen, and the one above who else there is."""
+    """The last row says that the screen is frozen, the one above names the other observers."""
     observers = tuple(replace(GEOMETRIC, name=f"/rig{i}/observer") for i in range(several))
     shown = replace(both(), observers=observers)
     found = printed(shown, ScreenStyle(width, height, keys=True, frozen=True)).splitlines()
@@ -325,7 +325,7 @@ def test_charts_are_ascii_where_nothing_else_can_be_printed() -> None:
     assert not set("▁▂▃▄▅▆▇█") & set(found)
 
 
-def test_one_line_tells_the_same() -> None:
+def test_one_line_has_the_same_figures() -> None:
     """For a file: V, convergence, whether the replicas agree, and what is wrong."""
     assert line(both()) == (
         "t = 12.35 s, 8 impacts, last 0.3 s ago (stop);"

@@ -81,37 +81,38 @@ def test_estimates_are_shown_against_the_truth_of_their_stamp(bag: Path) -> None
     assert (seen.model, seen.truth, seen.epoch, seen.simulated) == ("two_mass", True, EPOCH, False)
 
 
-def test_v_is_the_monitors_or_computed_alike(bag: Path) -> None:
-    """Where no monitor tells it: by the plant's model, or by one that was named."""
-    told = received(bag, TopicListener()).observers[0]
+def test_v_is_that_of_the_monitor_or_computed_to_the_same_value(bag: Path) -> None:
+    """Without a monitor it is computed with the model of the plant, or with a given one."""
+    published = received(bag, TopicListener()).observers[0]
     monitors = ["/monitor/error", "/monitor_minimum_variance/error"]
     computed = received(bag, TopicListener(), monitors).observers[0]
     system = read_model("two_mass").system
     model = [*monitors, "/plant/model"]
     named = received(bag, TopicListener(system=system), model).observers[0]
-    assert (told.source, computed.source, named.source) == ("monitor", "here", "here")
+    assert (published.source, computed.source, named.source) == ("monitor", "here", "here")
     q, u = (
-        np.array([e.estimate - (e.truth or 0.0) for e in told.lines[k : k + 2]]) for k in (0, 2)
+        np.array([e.estimate - (e.truth or 0.0) for e in published.lines[k : k + 2]])
+        for k in (0, 2)
     )
-    assert told.distance.now == pytest.approx(float(distance(system, q, u)), rel=1e-9)
-    assert computed.distance.now == named.distance.now == pytest.approx(told.distance.now)
+    assert published.distance.now == pytest.approx(float(distance(system, q, u)), rel=1e-9)
+    assert computed.distance.now == named.distance.now == pytest.approx(published.distance.now)
     assert received(bag, TopicListener(), model).observers[0].source == ""
 
 
-def test_v_and_convergence_have_a_course(bag: Path) -> None:
-    """It covers the window, and falls; what was before the first estimate is not known."""
+def test_v_and_convergence_have_a_history(bag: Path) -> None:
+    """It covers the window and falls; before the first estimate it is empty."""
     seen = received(bag, TopicListener(seconds=12.0)).observers[0]
-    for course in (seen.distance, seen.convergence):
-        assert (len(course.values), course.seconds) == (240, 12.0)
-        there = [value for value in course.values if value is not None]
-        assert course.values[0] is None
+    for history in (seen.distance, seen.convergence):
+        assert (len(history.values), history.seconds) == (240, 12.0)
+        there = [value for value in history.values if value is not None]
+        assert history.values[0] is None
         assert 110 < len(there) < 130
-        assert there[-1] == course.now
+        assert there[-1] == history.now
         assert there[-1] < 0.5 * there[0]
 
 
 def test_without_truth_there_are_estimates_only(bag: Path) -> None:
-    """And V is not known to anybody here."""
+    """V cannot be computed."""
     silent = ["/plant/joint_states", "/monitor/error", "/monitor_minimum_variance/error"]
     seen = received(bag, TopicListener(), silent)
     assert not seen.truth
@@ -223,7 +224,7 @@ def test_a_truth_of_other_coordinates_is_none(names: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("topic", ["/impacts", "/plant/joint_states", "/observer/state"])
-def test_bytes_that_are_no_message_are_told_and_passed_over(topic: str) -> None:
+def test_bytes_that_are_no_message_are_reported_and_ignored(topic: str) -> None:
     """Whatever they are; what comes after is received."""
     listener = TopicListener()
     for data in (b"", b"\x00\x01\x00\x00", b"\x00\x01\x00\x00" + bytes([255] * 40)):
@@ -289,15 +290,15 @@ def test_memory_is_constant() -> None:
     assert [len(each) for each in held] == [2000, 240, 64, 64]
 
 
-def test_a_course_holds_a_value_until_the_next() -> None:
+def test_a_history_holds_a_value_until_the_next() -> None:
     """Bins between two values have the first; a time before those kept empties it."""
     trace = HistoryBuffer(240.0)
     assert trace.history().values == ()
     for second, value in ((1000, 4.0), (1003, 2.0), (1003, 1.0)):
         trace.add(second * SECOND, value)
-    course = trace.history()
-    assert course.values[-5:] == (None, 4.0, 4.0, 4.0, 1.0)
-    assert course.now == 1.0
+    history = trace.history()
+    assert history.values[-5:] == (None, 4.0, 4.0, 4.0, 1.0)
+    assert history.now == 1.0
     trace.add(1500 * SECOND, 0.5)
     assert trace.history().values == (*[1.0] * 239, 0.5)
     trace.add(10 * SECOND, 9.0)

@@ -1,4 +1,4 @@
-"""``watch`` on running processes, and what an observer node says of itself."""
+"""``watch`` on running processes, and the diagnostics of an observer node."""
 
 import fcntl
 import json
@@ -141,9 +141,9 @@ def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
             return False
         whole, own = seen[-1], seen[-1].observers[0]
         plant = whole.model and whole.truth and whole.simulated and own.source == "monitor"
-        # Diagnostics may be older than the first estimate of which they tell.
-        told = own.health and b"synchronized" in listener.diagnostics[-1]
-        return bool(plant and told and own.verdicts and own.bound is not None)
+        # Diagnostics may be older than the first estimate.
+        diagnosed = own.health and b"synchronized" in listener.diagnostics[-1]
+        return bool(plant and diagnosed and own.verdicts and own.bound is not None)
 
     with system(ros_environment), ExitStack() as stack:
         lines = stack.enter_context(started([], ros_environment))
@@ -188,7 +188,7 @@ def check_snapshot(seen: Snapshot) -> None:
 
 
 def check_diagnostics(data: list[bytes]) -> None:
-    """What layouts draw of an observer's diagnostics is what a node says, as numbers."""
+    """The diagnostics that layouts draw are published by a node, as numbers."""
     name = "diagnostic_msgs/msg/DiagnosticArray"
     message = deserialize(typestore(), data[-1], name)
     found = curves(read_model("two_mass").system, [ObserverTopics.of_node("observer")])
@@ -203,8 +203,8 @@ def check_diagnostics(data: list[bytes]) -> None:
     assert FIGURES.keys() <= said
 
 
-def test_watching_nobody_says_so(ros_environment: dict[str, str], tmp_path: Path) -> None:
-    """In words, and by exit code 1 where one look was asked for."""
+def test_watch_names_a_missing_observer(ros_environment: dict[str, str], tmp_path: Path) -> None:
+    """In words, and by exit code 1 with --once."""
     done = subprocess.run(
         [*WATCH, "--once", "--duration", "0.5"],
         env=ros_environment,
