@@ -77,7 +77,7 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
         metavar="S",
         help=f"length of the bags to observe and to compare (default {SECONDS:g})",
     )
-    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every metric to FILE")
     given = parser.parse_args(args)
     if unknown := [name for name in given.names if name not in names]:
         parser.error(f"no benchmark {', '.join(unknown)}; there are {', '.join(names)}")

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import Benchmark, Contest, Figures, Goal, new_file
+from benchmarks.harness import Benchmark, Contest, Goal, Metrics, new_file
 from impact_observer.model import Contact, Forcing, System
 from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import from_seconds, grid
@@ -128,7 +128,7 @@ def growth(costs: list[Cost]) -> float:
 def prepare(_: Path) -> Contest:
     """Nothing to prepare: a run of the large bar is too long for a second one."""
 
-    def ours(_: Path) -> Figures:
+    def ours(_: Path) -> Metrics:
         costs = [run(n)[1] for n in SIZES]
         return {"exponent": growth(costs), LARGEST: costs[-1].total}
 
@@ -141,7 +141,7 @@ BENCHMARK = Benchmark(
     "bar",
     "how does a plant's cost grow with its coordinates?",
     prepare,
-    (Goal(1.2, figure="exponent"), Goal(10.0, figure=LARGEST)),
+    (Goal(1.2, metric="exponent"), Goal(10.0, metric=LARGEST)),
     rounds=1,
 )
 
@@ -150,7 +150,7 @@ def main() -> None:
     """Print the cost of each size, and its growth."""
     parser = argparse.ArgumentParser(prog="./dev bench bar", description=__doc__)
     parser.add_argument("sizes", nargs="*", type=int, default=SIZES, metavar="N")
-    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every metric to FILE")
     given = parser.parse_args()
     if any(n < 1 for n in given.sizes):
         parser.error(f"{min(given.sizes)} elements; expected 1 or more")
@@ -158,12 +158,12 @@ def main() -> None:
     for n in given.sizes:
         costs.append(run(n)[1])
         print(costs[-1], flush=True)
-    figures: dict[str, object] = {"bars": [asdict(c) | {"total": c.total} for c in costs]}
+    metrics: dict[str, object] = {"bars": [asdict(c) | {"total": c.total} for c in costs]}
     if len(set(given.sizes)) > 1:
-        figures["growth"] = growth(costs)
-        print(f"a phase grows as n^{figures['growth']:.2f}")
+        metrics["growth"] = growth(costs)
+        print(f"a phase grows as n^{metrics['growth']:.2f}")
     if given.json:
-        given.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        given.json.write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import Benchmark, Contest, DisagreementError, Figures, Goal
+from benchmarks.harness import Benchmark, Contest, DisagreementError, Goal, Metrics
 from benchmarks.impacts import EPOCH, each_received, impacts
 from impact_observer.model import read_model
 from impact_observer.observer import Options, make_observer
@@ -34,10 +34,10 @@ def prepare(_: Path) -> Contest:
             raise DisagreementError("the estimate depends on the other replicas")
     x, phi = np.ones((REPLICAS, 2 * system.n)), np.eye(2 * system.n)
 
-    def ours(_: Path) -> Figures:
+    def ours(_: Path) -> Metrics:
         return {EVENT: statistics.median(each_received(observer, islice(events, TURN)))}
 
-    def product(_: Path) -> Figures:
+    def product(_: Path) -> Metrics:
         taken: list[float] = []
         while len(taken) < TURN:
             begin = time.perf_counter()

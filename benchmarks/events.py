@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from benchmarks.harness import Benchmark, Contest, DisagreementError, Figures, Goal, SkippedError
+from benchmarks.harness import Benchmark, Contest, DisagreementError, Goal, Metrics, SkippedError
 from benchmarks.impacts import each_received, impacts
 from impact_observer.errors import UsageError
 from impact_observer.model import read_model
@@ -43,7 +43,7 @@ def prepare(_: Path, law: str, compiled: bool) -> Contest:
     except UsageError as error:
         raise SkippedError(str(error)) from None
 
-    def ours(_: Path) -> Figures:
+    def ours(_: Path) -> Metrics:
         found = {}
         for name, ensemble in ((ALONE, 1), (TOGETHER, 10)):
             observer = make_observer(system, replace(without_faults, ensemble=ensemble))
@@ -66,12 +66,12 @@ def prepare_late(_: Path) -> Contest:
     if ordered.estimate(last).q.tobytes() != disordered.estimate(last).q.tobytes():
         raise DisagreementError("a late event ends in another estimate than an event in time")
 
-    def ours(_: Path) -> Figures:
+    def ours(_: Path) -> Metrics:
         observer = _observer()
         each_received(observer, (*before, *after))
         return {EVENT: sum(each_received(observer, [late]))}
 
-    def in_order(_: Path) -> Figures:
+    def in_order(_: Path) -> Metrics:
         observer = _observer()
         each_received(observer, (*before, late))
         return {EVENT: sum(each_received(observer, after))}
@@ -84,7 +84,7 @@ def prepare_long(_: Path) -> Contest:
     """Events in order, with the whole history or its last seconds."""
     events = impacts("two_mass", SECONDS)
 
-    def median(_: Path, history: float) -> Figures:
+    def median(_: Path, history: float) -> Metrics:
         observer = _observer(history=history)
         return {EVENT: statistics.median(each_received(observer, events)[-DEEP:])}
 
@@ -99,9 +99,9 @@ def benchmarks() -> tuple[Benchmark, ...]:
     nexts = [
         Benchmark(name, cost, partial(prepare, law=law, compiled=compiled), goals)
         for name, law, compiled, goals in (
-            ("event_geometric", "geometric", False, (Goal(40e-6, figure=ALONE),)),
+            ("event_geometric", "geometric", False, (Goal(40e-6, metric=ALONE),)),
             ("event_minimum_variance", "minimum-variance", False, ()),
-            ("event_compiled", "minimum-variance", True, (Goal(80e-6, figure=ALONE),)),
+            ("event_compiled", "minimum-variance", True, (Goal(80e-6, metric=ALONE),)),
         )
     ]
     late = "does a late event cost more than the events that it makes run again?"

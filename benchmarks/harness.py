@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias, cast
 
-Figures: TypeAlias = Mapping[str, float]
+Metrics: TypeAlias = Mapping[str, float]
 """Measured values, by name."""
 Job: TypeAlias = Callable[[Path], object]
 """Does the work once, in an empty folder that is removed afterwards."""
 TIME = "time"
-"""How long a job takes, s: the figure of jobs that return none."""
+"""How long a job takes, s: the metric of jobs that return none."""
 OURS = "ours"
 
 
@@ -52,7 +52,7 @@ class Contest:
         ours: the package.
         peers: the others, by name.
         absent: why a peer cannot take part here, by name.
-        units: of the figures, by their names. Where there are others than ``TIME``, jobs return
+        units: of the metrics, by their names. Where there are others than ``TIME``, jobs return
             all of them.
     """
 
@@ -65,17 +65,17 @@ class Contest:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """An upper bound of a figure.
+    """An upper bound of a metric.
 
     Attributes:
         most: the largest value that meets the goal.
-        peer: whose figure ours is divided by; empty for our own figure, in its unit.
-        figure: its name.
+        peer: whose metric ours is divided by; empty for our own metric, in its unit.
+        metric: its name.
     """
 
     most: float
     peer: str = ""
-    figure: str = TIME
+    metric: str = TIME
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Benchmark:
         name: on the command line.
         question: that its ratios answer, one line.
         prepare: makes the data in a folder and checks that the results agree.
-        goals: for its figures and ratios.
+        goals: for its metrics and ratios.
         rounds: how many, by default.
     """
 
@@ -99,7 +99,7 @@ class Benchmark:
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """Our figure over a peer's: below 1 we are faster.
+    """Our metric over a peer's: below 1 we are faster.
 
     Attributes:
         median: over the rounds.
@@ -119,21 +119,21 @@ class Result:
     Attributes:
         benchmark: which one.
         contest: its contestants.
-        figures: of each round, by contestant and figure; the package is called ``OURS``.
+        metrics: of each round, by contestant and metric; the package is called ``OURS``.
     """
 
     benchmark: Benchmark
     contest: Contest
-    figures: Mapping[str, Mapping[str, list[float]]]
+    metrics: Mapping[str, Mapping[str, list[float]]]
 
-    def ratio(self, peer: str, figure: str) -> Ratio:
-        """Our figure over the peer's in the same round, so that a slow spell cancels."""
-        ours, theirs = self.figures[OURS][figure], self.figures[peer][figure]
+    def ratio(self, peer: str, metric: str) -> Ratio:
+        """Our metric over the peer's in the same round, so that a slow spell cancels."""
+        ours, theirs = self.metrics[OURS][metric], self.metrics[peer][metric]
         return _spread([a / b for a, b in zip(ours, theirs, strict=True)])
 
-    def own(self, figure: str) -> Ratio:
-        """Our figure."""
-        return _spread(self.figures[OURS][figure])
+    def own(self, metric: str) -> Ratio:
+        """Our metric."""
+        return _spread(self.metrics[OURS][metric])
 
 
 def measure(benchmark: Benchmark, rounds: int | None, show: Callable[[str], None]) -> Result | str:
@@ -159,30 +159,30 @@ def measure(benchmark: Benchmark, rounds: int | None, show: Callable[[str], None
             return str(reason)
         jobs = {OURS: contest.ours, **contest.peers}
         found: dict[str, dict[str, list[float]]] = {
-            name: {figure: [] for figure in contest.units} for name in jobs
+            name: {metric: [] for metric in contest.units} for name in jobs
         }
         names = list(jobs)
         for k in range(turns):
             for name in names[k % len(names) :] + names[: k % len(names)]:
                 show(f"{benchmark.name}: round {k + 1} of {turns}, {name}")
                 measured = _measured(jobs[name], Path(folder), timed=TIME in contest.units)
-                for figure, values in found[name].items():
-                    values.append(measured[figure])
+                for metric, values in found[name].items():
+                    values.append(measured[metric])
     return Result(benchmark, contest, found)
 
 
-def _measured(job: Job, folder: Path, *, timed: bool) -> Figures:
-    """The figures of ``job``, or its time, s: with garbage collected before, not during."""
+def _measured(job: Job, folder: Path, *, timed: bool) -> Metrics:
+    """The metrics of ``job``, or its time, s: with garbage collected before, not during."""
     with tempfile.TemporaryDirectory(dir=folder) as place:
         gc.collect()
         gc.disable()
         try:
             begin = time.perf_counter()
-            figures = job(Path(place))
+            metrics = job(Path(place))
             taken = time.perf_counter() - begin
         finally:
             gc.enable()
-    return {TIME: taken} if timed else cast("Figures", figures)
+    return {TIME: taken} if timed else cast("Metrics", metrics)
 
 
 def _spread(values: list[float]) -> Ratio:

@@ -274,7 +274,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Print the tables."""
     parser = argparse.ArgumentParser(prog="./dev bench identify", description=__doc__)
     parser.add_argument("--seeds", type=int, default=50, metavar="N", help="(default 50)")
-    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every figure to FILE")
+    parser.add_argument("--json", type=new_file, metavar="FILE", help="write every metric to FILE")
     given = parser.parse_args(args)
     tables = {
         "exact stamps": [exact(name) for name in MODELS],

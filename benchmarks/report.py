@@ -73,7 +73,7 @@ def document(results: Sequence[Result], skipped: Mapping[str, str]) -> dict[str,
                 "question": result.benchmark.question,
                 "work": result.contest.work,
                 "units": dict(result.contest.units),
-                "figures": result.figures,
+                "metrics": result.metrics,
                 "ratios": {
                     peer: {f: asdict(result.ratio(peer, f)) for f in result.contest.units}
                     for peer in result.contest.peers
@@ -93,32 +93,32 @@ def _reached(result: Result, goal: Goal) -> dict[str, float | bool | None]:
     """The value and whether it meets a goal; None where the peer is absent."""
     if goal.peer and goal.peer not in result.contest.peers:
         return {"found": None, "met": None}
-    found = result.ratio(goal.peer, goal.figure) if goal.peer else result.own(goal.figure)
+    found = result.ratio(goal.peer, goal.metric) if goal.peer else result.own(goal.metric)
     return {"found": found.median, "met": found.median <= goal.most}
 
 
 def rows(document: Mapping[str, Any]) -> Iterator[Row]:
-    """The table of a document: a row for each goal, and for each other peer and figure."""
+    """The table of a document: a row for each goal, and for each other peer and metric."""
     for each in document["benchmarks"]:
-        left = {(peer, figure) for peer in each["ratios"] for figure in each["units"]}
+        left = {(peer, metric) for peer in each["ratios"] for metric in each["units"]}
         left |= {(peer, next(iter(each["units"]))) for peer in each["skipped"]}
         if not left:
-            left = {("", figure) for figure in each["units"]}
-        goals = {(goal["peer"], goal["figure"]): goal for goal in each["goals"]}
-        for peer, figure in sorted(left | goals.keys(), key=lambda two: (two[1], two[0])):
-            yield _row(each, peer, figure, goals.get((peer, figure)))
+            left = {("", metric) for metric in each["units"]}
+        goals = {(goal["peer"], goal["metric"]): goal for goal in each["goals"]}
+        for peer, metric in sorted(left | goals.keys(), key=lambda two: (two[1], two[0])):
+            yield _row(each, peer, metric, goals.get((peer, metric)))
 
 
-def _row(each: Mapping[str, Any], peer: str, figure: str, goal: Mapping[str, Any] | None) -> Row:
-    unit, figures = each["units"][figure], each["figures"]
-    ours = figures[OURS][figure]
+def _row(each: Mapping[str, Any], peer: str, metric: str, goal: Mapping[str, Any] | None) -> Row:
+    unit, metrics = each["units"][metric], each["metrics"]
+    ours = metrics[OURS][metric]
     theirs = ratio = ""
     spread = f"{shown(min(ours), unit)} to {shown(max(ours), unit)}"
     if peer in each["skipped"]:
         spread = f"skipped: {each['skipped'][peer]}"
     elif peer:
-        theirs = shown(statistics.median(figures[peer][figure]), unit)
-        own = each["ratios"][peer][figure]
+        theirs = shown(statistics.median(metrics[peer][metric]), unit)
+        own = each["ratios"][peer][metric]
         ratio, spread = f"{own['median']:.3g}", f"{own['low']:.3g} to {own['high']:.3g}"
     limit = met = ""
     if goal is not None:
@@ -126,7 +126,7 @@ def _row(each: Mapping[str, Any], peer: str, figure: str, goal: Mapping[str, Any
         met = {True: "yes", False: "no", None: ""}[goal["met"]]
     median = shown(statistics.median(ours), unit)
     wanted = f"<= {limit}" if limit else ""
-    name = each["name"] if len(each["units"]) == 1 else f"{each['name']}, {figure}"
+    name = each["name"] if len(each["units"]) == 1 else f"{each['name']}, {metric}"
     return Row(name, median, peer, theirs, ratio, spread, wanted, met)
 
 

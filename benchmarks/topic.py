@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.domain import free_domain
-from benchmarks.harness import Benchmark, Contest, Figures, Goal, SkippedError
+from benchmarks.harness import Benchmark, Contest, Goal, Metrics, SkippedError
 
 RATE = 1000.0
 EVENTS = 400
@@ -46,9 +46,9 @@ def prepare(_: Path) -> Contest:
         if find_spec(package) is None:
             raise SkippedError(f"no {package} here: source Jazzy, or ./dev setup")
 
-    def measured(_: Path, command: tuple[str, ...]) -> Figures:
+    def measured(_: Path, command: tuple[str, ...]) -> Metrics:
         with take_domain(), _running(command):
-            return _figures()
+            return _metrics()
 
     return Contest(
         f"two_mass, geometric, estimates at {RATE:g} Hz, {EVENTS} events {LATE / 1e6:g} ms late,"
@@ -82,7 +82,7 @@ def _running(command: tuple[str, ...]) -> Iterator[None]:
         process.wait(PATIENCE)
 
 
-def _figures() -> Figures:
+def _metrics() -> Metrics:
     """Send events, and take quantiles of the round trips, s."""
     from benchmarks.driver import driving  # noqa: PLC0415 (only where ROS is)
 

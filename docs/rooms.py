@@ -32,7 +32,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("draw", "pictures, scenes, films, URDF, layouts", "matplotlib"),
     ),
     (
-        Room("compare", "estimates against truth: figures, tables, report, export", "rich"),
+        Room("compare", "estimates against truth: metrics, tables, report, export", "rich"),
         Room("identify", "parameters from impact times", "rich"),
         Room("observability", "what the impacts determine", "rich"),
         Room("check", "models and bags: what is wrong with them, salvage", "rich"),

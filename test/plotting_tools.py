@@ -24,7 +24,7 @@ from impact_observer.stamps import NS_PER_S, grid
 from impact_observer.states import Estimate
 
 EPOCH = 5 * NS_PER_S
-FIGURES = {
+DIAGNOSTICS = {
     "law": "some",
     "events applied": "3",
     "events rejected": "0",
@@ -224,7 +224,7 @@ def diagnostics(name: str, model: str, level: int = 0, message: str = "fine") ->
     types = cast("Any", typestore().types)
     values = [
         types["diagnostic_msgs/msg/KeyValue"](key=key, value=value)
-        for key, value in FIGURES.items()
+        for key, value in DIAGNOSTICS.items()
     ]
     status = types["diagnostic_msgs/msg/DiagnosticStatus"](
         level=level, name=f"{name}: impacts", message=message, hardware_id=model, values=values

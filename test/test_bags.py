@@ -29,8 +29,8 @@ from impact_observer.sensor_faults import SENSOR_FAULTS
 BAGS = shared("bags")
 ROUNDED = 2
 """By how much the stamps of a bag that is made again may differ, ns."""
-FIGURES = YAML(typ="safe").load(shared("bags/expected.yaml"))
-EXPECTED, FAULTY = FIGURES["ideal"], FIGURES["faulty"]
+NUMBERS = YAML(typ="safe").load(shared("bags/expected.yaml"))
+EXPECTED, FAULTY = NUMBERS["ideal"], NUMBERS["faulty"]
 ROWS = re.findall(
     r"^\| `(\w+)` .*?`impact-observer ([^`]*)`", (BAGS / "README.md").read_text(), re.MULTILINE
 )
@@ -206,18 +206,18 @@ def test_estimates_from_a_faulty_sensor_have_the_expected_error(
     name: str, law: str, tmp_path: Path
 ) -> None:
     """V at the end over V at the start, and the number of final verdicts of each kind."""
-    figures = FAULTY[name]
+    numbers = FAULTY[name]
     bag = detected(name, tmp_path / "bag") if name in RIGS else BAGS / name
-    comparison, verdicts = observed(bag, law, figures["observe"], tmp_path / "out")
+    comparison, verdicts = observed(bag, law, numbers["observe"], tmp_path / "out")
     ratio, counts = comparison.ratio, rulings(verdicts)
     if law == "geometric":  # it accepts every event
-        assert ratio == pytest.approx(figures[law], rel=1e-6)
+        assert ratio == pytest.approx(numbers[law], rel=1e-6)
         assert counts == {Ruling.APPLIED: len(verdicts)}
         return
     assert ratio is not None
-    assert 0 < ratio <= figures[law]
+    assert 0 < ratio <= numbers[law]
     assert comparison.V.max() <= 10 * comparison.V[0]
-    expected = {each: figures.get(each.name.lower(), counts[each]) for each in DECIDING}
+    expected = {each: numbers.get(each.name.lower(), counts[each]) for each in DECIDING}
     assert {each: counts[each] for each in DECIDING} == expected
 
 

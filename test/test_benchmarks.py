@@ -15,8 +15,8 @@ from benchmarks.harness import (
     OURS,
     Benchmark,
     Contest,
-    Figures,
     Goal,
+    Metrics,
     Result,
     SkippedError,
     measure,
@@ -39,14 +39,14 @@ def contest(_: Path) -> Contest:
     """Ours is half of the peer's in the first round, twice in the second, thrice in the third."""
     ours, theirs = iter([1.0, 4.0, 9.0]), iter([2.0, 2.0, 3.0])
 
-    def figures(values: Iterator[float]) -> Figures:
+    def metrics(values: Iterator[float]) -> Metrics:
         value = next(values)
         return {"p50": 1e-3 * value, "p99": 1e-3 * value}
 
     return Contest(
         "nothing",
-        lambda _: figures(ours),
-        {"peer": lambda _: figures(theirs)},
+        lambda _: metrics(ours),
+        {"peer": lambda _: metrics(theirs)},
         {"other": "not installed"},
         UNITS,
     )
@@ -75,7 +75,7 @@ def test_each_contestant_starts_a_round_in_turn() -> None:
     assert order == [OURS, "a", "b", "a", "b", OURS, "b", OURS, "a"]
 
 
-def test_a_job_without_figures_is_timed() -> None:
+def test_a_job_without_metrics_is_timed() -> None:
     """From its start to its end, in seconds."""
     found = measure(
         Benchmark("it", "?", lambda _: Contest("", lambda _: time.sleep(0.02))), 1, quiet
@@ -84,9 +84,9 @@ def test_a_job_without_figures_is_timed() -> None:
     assert 0.02 <= found.own("time").median < 10
 
 
-def test_goals_are_met_by_the_median_of_ratios_or_of_our_own_figure() -> None:
+def test_goals_are_met_by_the_median_of_ratios_or_of_our_own_metric() -> None:
     """A goal over an absent peer is neither met nor missed."""
-    goals = (Goal(2.0, "peer", "p50"), Goal(3.9e-3, figure="p99"), Goal(1.0, "other", "p50"))
+    goals = (Goal(2.0, "peer", "p50"), Goal(3.9e-3, metric="p99"), Goal(1.0, "other", "p50"))
     (found,) = report.document([measured(*goals)], {})["benchmarks"]
     assert [goal["met"] for goal in found["goals"]] == [True, False, None]
     assert [goal["found"] for goal in found["goals"]] == [
@@ -96,7 +96,7 @@ def test_goals_are_met_by_the_median_of_ratios_or_of_our_own_figure() -> None:
     ]
 
 
-def test_table_and_markdown_have_figures_goals_and_skipped_peers() -> None:
+def test_table_and_markdown_have_metrics_goals_and_skipped_peers() -> None:
     """A row for each peer and goal; both are made from the document alone."""
     document = report.document([measured(Goal(1.5, "peer", "p50"))], {})
     document = json.loads(json.dumps(document))
@@ -123,7 +123,7 @@ def test_table_and_markdown_have_figures_goals_and_skipped_peers() -> None:
         (1.125, "", "1.12"),
     ],
 )
-def test_figures_are_shown_with_a_fitting_prefix(value: float, unit: str, text: str) -> None:
+def test_metrics_are_shown_with_a_fitting_prefix(value: float, unit: str, text: str) -> None:
     """Three digits."""
     assert report.shown(value, unit) == text
 
@@ -150,11 +150,11 @@ def test_command_measures_the_named_benchmark_and_writes_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One benchmark, one round, one file."""
-    path = tmp_path / "figures.json"
+    path = tmp_path / "metrics.json"
     assert main(["event_in_order", "--rounds", "1", "--json", str(path)]) == 0
     assert "event_in_order" in capsys.readouterr().out
     (found,) = json.loads(path.read_text("utf-8"))["benchmarks"]
-    assert len(found["figures"]["ours"]["event"]) == 1
+    assert len(found["metrics"]["ours"]["event"]) == 1
 
 
 def test_wrong_use_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str]) -> None:

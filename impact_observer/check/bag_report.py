@@ -1,4 +1,4 @@
-"""The result of a bag check: its figures for ``--json``, and its lines of text."""
+"""The result of a bag check: its values for ``--json``, and its lines of text."""
 
 import sys
 from collections import Counter
@@ -35,7 +35,7 @@ class Report:
         """Whether an observer can use the bag."""
         return all(each.severity != ERROR for each in self.findings)
 
-    def figures(self) -> dict[str, object]:
+    def for_json(self) -> dict[str, object]:
         """What ``--json`` prints."""
         return {
             "path": str(self.path),

@@ -1,4 +1,4 @@
-"""A model check as text with tables, and as figures for ``--json``."""
+"""A model check as text with tables, and as values for ``--json``."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from math import tau
@@ -15,7 +15,7 @@ _ENDS = 4
 """Rows shown at either end of a long table."""
 
 
-def figures(checked: ModelCheck) -> dict[str, object]:
+def for_json(checked: ModelCheck) -> dict[str, object]:
     """What ``--json`` prints; SI units, contacts by name, None for what is not decided."""
     system = checked.system
 

@@ -12,8 +12,8 @@ from rich.text import Text
 
 _HIDDEN = 0.5
 """Duration of work before anything is shown, s."""
-_FIGURES = 42
-"""Columns of the terminal that are kept for a bar and its figures."""
+_NUMBERS = 42
+"""Columns of the terminal that are kept for a bar and its numbers."""
 _NARROW, _WIDE = 10, 40
 """Columns of the bar itself."""
 
@@ -28,7 +28,7 @@ class _Console(Console):
 
 
 class _Description(ProgressColumn):
-    """The description, cut to the room beside the figures."""
+    """The description, cut to the room beside the numbers."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(Column(no_wrap=True))
@@ -36,7 +36,7 @@ class _Description(ProgressColumn):
 
     def render(self, task: Task) -> Text:
         text = Text(task.description.replace("\n", " "), no_wrap=True)
-        kept = 1 if task.total is None else _FIGURES
+        kept = 1 if task.total is None else _NUMBERS
         text.truncate(max(self._console.width - kept, _NARROW), overflow="ellipsis")
         return text
 
@@ -48,7 +48,7 @@ class _Bar(BarColumn):
         return Text() if task.total is None else super().render(task)
 
 
-class _Figures(ProgressColumn):
+class _Numbers(ProgressColumn):
     """Amount, share, rate and remaining time."""
 
     max_refresh = _HIDDEN
@@ -99,14 +99,14 @@ class Bars(RichProgress):
     def __init__(self, stream: TextIO) -> None:
         """Draw on a terminal."""
         console = _Console(file=stream, force_terminal=True, highlight=False, markup=False)
-        width = _NARROW if console.width < 2 * _FIGURES else _WIDE
+        width = _NARROW if console.width < 2 * _NUMBERS else _WIDE
         self._visible = time.monotonic() + _HIDDEN
         self._now: TaskID | None = None
         self._what: str | None = None
         super().__init__(
             _Description(console),
             _Bar(bar_width=width),
-            _Figures(),
+            _Numbers(),
             console=console,
             transient=True,
             redirect_stdout=False,

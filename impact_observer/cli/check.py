@@ -62,7 +62,7 @@ def check(bag: Path, *, model: str | None = None, json: bool = False) -> int:
             bag, system, progress=lambda done, total: progress.step("check", done, total)
         )
     if json:
-        print(json_module.dumps(report.figures(), indent=2))
+        print(json_module.dumps(report.for_json(), indent=2))
     else:
         report.print()
     return 0 if report.usable else 1

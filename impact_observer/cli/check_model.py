@@ -8,7 +8,7 @@ from pathlib import Path
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     parser.add_argument("model", metavar="FILE", help="a model file, or a sample: two_mass, ...")
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -30,12 +30,12 @@ def check(model: str | Path, *, json: bool = False) -> int:
         UsageError, ModelError: the model cannot be read, or is not valid.
     """
     from impact_observer.check.model_check import check_model
-    from impact_observer.check.model_report import figures, print_check
+    from impact_observer.check.model_report import for_json, print_check
     from impact_observer.model import read_model
 
     checked = check_model(read_model(model).system)
     if json:
-        print(json_module.dumps(figures(checked), indent=2))
+        print(json_module.dumps(for_json(checked), indent=2))
     else:
         print_check(checked)
     return 0

@@ -55,19 +55,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report",
         metavar="FILE.html",
         type=Path,
-        help="write figures and pictures to one page that needs no network",
+        help="write metrics and pictures to one page that needs no network",
     )
     parser.add_argument(
-        "--csv", metavar="FILE", type=Path, help="write the figures, a line an estimate"
+        "--csv", metavar="FILE", type=Path, help="write the metrics, a line an estimate"
     )
     parser.add_argument(
-        "--threshold",
+        "--settled",
         metavar="RATIO",
         type=positive,
         default=SETTLED,
-        help=f"V/V0 at which an estimate has settled (default {SETTLED:g})",
+        help=f"V/V0 below which an estimate has settled (default {SETTLED:g})",
     )
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--json", action="store_true", help="print the metrics as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         observers=options,
         truth=args.truth,
         estimates=args.estimates,
-        threshold=args.threshold,
+        settled=args.settled,
         namespace=args.namespace,
         plot=args.plot,
         report=args.report,
@@ -116,14 +116,14 @@ def compare(
     observers: "Sequence[Options]" = (),
     truth: str | None = None,
     estimates: Sequence[str] | None = None,
-    threshold: float = SETTLED,
+    settled: float = SETTLED,
     namespace: str = "",
     plot: Path | None = None,
     report: Path | None = None,
     csv: Path | None = None,
     json: bool = False,
 ) -> int:
-    """Compare bags, print the figures, and write the files that are asked for.
+    """Compare bags, print the metrics, and write the files that are asked for.
 
     The arguments are the options. ``observers`` are run on each bag, one a law, without their
     ensemble: no estimate depends on it. Files that exist are replaced.
@@ -139,7 +139,7 @@ def compare(
     from impact_observer.compare.bag_comparison import labelled_by_law
     from impact_observer.compare.error_pictures import distance_picture
     from impact_observer.compare.error_tables import print_tables, write_csv
-    from impact_observer.compare.figures import figures_of
+    from impact_observer.compare.metrics import metrics_of
     from impact_observer.compare.report import write_report
     from impact_observer.draw.pictures import check_output, save
 
@@ -149,11 +149,11 @@ def compare(
         check_output(report, (".html", ".htm"))
     if csv is not None:
         check_output(csv, (".csv",))
-    how = {"truth": truth, "estimates": estimates, "threshold": threshold}
+    how = {"truth": truth, "estimates": estimates, "settled": settled}
     results = [(bag, _compare_one(bag, namespace, model, observers, how)) for bag in bags]
     labelled = labelled_by_law(results)
     if json:
-        print(json_module.dumps({k: figures_of(v) for k, v in labelled.items()}, indent=2))
+        print(json_module.dumps({k: metrics_of(v) for k, v in labelled.items()}, indent=2))
     else:
         print_tables(labelled)
     if csv is not None:
@@ -162,7 +162,7 @@ def compare(
         save(distance_picture(labelled, results), plot)
     if report is not None:
         write_report(report, labelled, results)
-    for what, path in (("figures", csv), ("picture", plot), ("report", report)):
+    for what, path in (("metrics", csv), ("picture", plot), ("report", report)):
         if path is not None and not json:
             print(f"{what}: {path}")
     return 0

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--rate", metavar="HZ", type=positive, default=100.0, help=rate)
     paper = "for a printed column: 88 mm wide, without a title"
     add("--paper", action="store_true", help=paper)
-    add("--json", action="store_true", help="print the figures as JSON")
+    add("--json", action="store_true", help="print the metrics as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -96,7 +96,7 @@ def figure(
     from impact_observer.compare.comparison import impacts_in
     from impact_observer.compare.error_pictures import lyapunov_picture
     from impact_observer.compare.error_tables import print_blindness, table_of_laws
-    from impact_observer.compare.figures import DISTANCE, figures_of
+    from impact_observer.compare.metrics import DISTANCE, metrics_of
     from impact_observer.draw.pictures import check_output, save
     from impact_observer.draw.text_tables import console
     from impact_observer.model import read_model
@@ -122,7 +122,7 @@ def figure(
         drawn = lyapunov_picture(comparisons, impacts, title=about, epoch=EPOCH, paper=paper)
         save(drawn, output, about=about.replace("\n", "; "))
     if json:
-        found = {law: figures_of(each) for law, each in comparisons.items()}
+        found = {law: metrics_of(each) for law, each in comparisons.items()}
         print(json_module.dumps(found, indent=2))
         return 0
     console().print(table_of_laws(DISTANCE, comparisons))

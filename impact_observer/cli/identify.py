@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write the errors of the stamps: PNG, SVG, PDF"
     )
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -128,7 +128,7 @@ def identify(
     checked = check_fit(found)
     good = found.converged and not found.undetermined and (checked.fits or not check)
     if json:
-        print(json_module.dumps(fit_report.figures_of(found, checked), indent=2, allow_nan=False))
+        print(json_module.dumps(fit_report.for_json(found, checked), indent=2, allow_nan=False))
     elif check:
         fit_report.print_check(found, checked)
     else:

@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write singular values over time: PNG, SVG, PDF"
     )
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,7 +73,7 @@ def observe(
     from impact_observer.io.recordings import events_in, system_of
     from impact_observer.observability.rank import TOLERANCE, observability
     from impact_observer.observability.rank_picture import rank_picture
-    from impact_observer.observability.rank_report import figures_of, print_observability
+    from impact_observer.observability.rank_report import for_json, print_observability
 
     if plot is not None:
         check_output(plot)
@@ -90,7 +90,7 @@ def observe(
     except BagError as error:
         raise BagError(f"{bag}: {error}") from None
     if json:
-        print(json_module.dumps(figures_of(found), indent=2, allow_nan=False))
+        print(json_module.dumps(for_json(found), indent=2, allow_nan=False))
     else:
         print_observability(found)
     if plot is not None:

@@ -58,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--duration", metavar="S", type=positive, default=30.0, help=duration)
     rate = "samples, Hz (default 100)"
     add("--rate", metavar="HZ", type=positive, default=100.0, help=rate)
-    settled = f"V/V0 at which an estimate has settled (default {SETTLED:g})"
+    settled = f"V/V0 below which an estimate has settled (default {SETTLED:g})"
     add("--settled", metavar="RATIO", type=positive, default=SETTLED, help=settled)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--jobs", metavar="N", type=count, help="processes (default: all cores)")
@@ -67,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--plot", metavar="FILE", type=Path, help="settling times as PNG, SVG or PDF")
     against = "what the picture has on its axis (default: the first)"
     add("--against", metavar="NAME", help=against)
-    add("--json", action="store_true", help="print the figures as JSON")
+    add("--json", action="store_true", help="print the metrics as JSON")
     _add_swept_arguments(parser)
     group = parser.add_argument_group("observers", "the same for all of them")
     add_observer_arguments(group, simulated=True)
@@ -169,7 +169,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
             runs=args.runs,
             seed=args.seed,
             options=replace(options, initial_state=args.initial_state or RANDOM, law="geometric"),
-            threshold=args.settled,
+            settled=args.settled,
         )
 
 

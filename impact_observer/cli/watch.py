@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="print one screen as soon as it is complete, after 5 s (or --duration) at the latest",
     )
-    parser.add_argument("--json", action="store_true", help="print the figures as lines of JSON")
+    parser.add_argument("--json", action="store_true", help="print the results as lines of JSON")
 
 
 def run(args: argparse.Namespace) -> int:

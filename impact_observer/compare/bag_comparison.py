@@ -52,7 +52,7 @@ def compare_bag(
     *,
     truth: str | None = None,
     estimates: Sequence[str] | None = None,
-    threshold: float = SETTLED,
+    settled: float = SETTLED,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
     """Compare with the plant the observers in a bag, and others that are run on its events.
@@ -65,7 +65,7 @@ def compare_bag(
         observers: to run on the bag, one a law; they have received nothing yet.
         truth: the topic of the plant's true states; None for the only one there is.
         estimates: observers' prefixes, or topics of states; None for every observer.
-        threshold: V over V at the start below which an estimate has settled.
+        settled: V over V at the start below which an estimate has settled.
         progress: receives what is being done, how much of it is done, and how much there is.
 
     Raises:
@@ -85,7 +85,7 @@ def compare_bag(
     recorded = {}
     for name, topic in topics.items():
         outcomes, law = outcomes_in(reader, topic, events), name.rpartition("/")[2]
-        recorded[name] = topic, Comparator(system, outcomes, law, threshold)
+        recorded[name] = topic, Comparator(system, outcomes, law, settled)
     for done, total in compare_recorded(reader, system, true_topic, recorded.values()):
         progress("comparing", done, total)
 
@@ -100,7 +100,7 @@ def compare_bag(
                 observer,
                 events,
                 true_states,
-                threshold=threshold,
+                settled=settled,
                 progress=partial(progress, law),
             )
     except BagError as error:

@@ -2,7 +2,7 @@
 
 A true sample at the stamp of an impact holds after the impact, and so does an estimate that has
 used the event. Two kinds of samples say nothing about the observer, since their distance is the
-size of a jump. They are counted, and left out of all other figures: a live estimate that was
+size of a jump. They are counted, and left out of all other metrics: a live estimate that was
 published before its event arrived is *late*; a sample where the truth has jumped and the estimate
 has not, or the other way round, is a *mismatch*.
 """
@@ -36,7 +36,7 @@ _FLOOR = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """One law's estimate against the truth; ``compare.figures`` has what is printed of it.
+    """One law's estimate against the truth; ``compare.metrics`` has what is printed of it.
 
     Attributes:
         system: the system, whose energy is V.
@@ -52,7 +52,7 @@ class Comparison:
         rms: root mean square error of each state, shape (2n,).
         largest: largest absolute error of each state, shape (2n,).
         largest_rise: largest rise of V from one sample to the next, over V at the start.
-        threshold: V over V at the start below which the estimate has settled.
+        settled: V over V at the start below which the estimate has settled.
         settling_time: seconds from the first sample until it has settled for good, or None.
     """
 
@@ -69,7 +69,7 @@ class Comparison:
     rms: Vector
     largest: Vector
     largest_rise: float
-    threshold: float
+    settled: float
     settling_time: float | None
 
     @property
@@ -123,7 +123,7 @@ class Comparator:
         system: System,
         outcomes: EventOutcomes,
         law: str,
-        threshold: float = SETTLED,
+        settled: float = SETTLED,
         keep: Callable[[ErrorRows], None] | None = None,
     ) -> None:
         """Begin without any block.
@@ -132,12 +132,12 @@ class Comparator:
             system: gives M and K for V.
             outcomes: which events the observer applied, rejected and inserted.
             law: name of the law.
-            threshold: V over V at the start below which the estimate has settled.
+            settled: V over V at the start below which the estimate has settled.
             keep: receives the rows that count, in order; None to keep them for the result.
         """
         self.pairing = Pairing()
         self.law = law
-        self._system, self._outcomes, self._threshold = system, outcomes, threshold
+        self._system, self._outcomes, self._settled = system, outcomes, settled
         self._curve = ErrorCurve()
         self._keep = keep or self._curve.add
         index = {name: c for c, name in enumerate(system.contact_names)}
@@ -152,7 +152,7 @@ class Comparator:
         self._squares, self._largest = np.zeros(2 * system.n), np.zeros(2 * system.n)
         self._first = self._last = -1.0  # V, J
         self._rise = 0.0  # of V from one sample to the next, J
-        self._settled: int | None = None  # stamp from which on V is below the threshold, ns
+        self._settled_since: int | None = None  # stamp from which on V is small enough, ns
 
     def update(self, *, done: bool = False) -> None:
         """Compare as far as the blocks that were added allow.
@@ -225,10 +225,10 @@ class Comparator:
         self._largest = np.maximum(self._largest, np.max(np.abs(error), axis=0))
         self._rise = max(self._rise, float(np.max(np.diff(V, prepend=self._last))))
         self._last = float(V[-1])
-        above = np.flatnonzero(self._threshold * self._first < V)
+        above = np.flatnonzero(self._settled * self._first < V)
         after = int(above[-1]) + 1 if above.size else 0
-        if above.size or self._settled is None:
-            self._settled = int(stamps[after]) if after < stamps.size else None
+        if above.size or self._settled_since is None:
+            self._settled_since = int(stamps[after]) if after < stamps.size else None
         self._keep(rows)
 
     def result(self) -> Comparison:
@@ -249,8 +249,8 @@ class Comparator:
             )
         rows, start = self._curve.rows(), self._first
         settling_time = None
-        if self._settled is not None and (start > 0 or self._rise == 0):
-            settling_time = seconds_between(int(rows["stamp"][0]), self._settled)
+        if self._settled_since is not None and (start > 0 or self._rise == 0):
+            settling_time = seconds_between(int(rows["stamp"][0]), self._settled_since)
         return Comparison(
             system=self._system,
             law=self.law,
@@ -265,7 +265,7 @@ class Comparator:
             rms=np.sqrt(self._squares / self._samples),
             largest=self._largest,
             largest_rise=self._rise / start if start > 0 else 0.0,
-            threshold=self._threshold,
+            settled=self._settled,
             settling_time=settling_time,
         )
 
@@ -276,7 +276,7 @@ def compare_observer(
     truth: Callable[[], Iterable[Samples]],
     *,
     system: System | None = None,
-    threshold: float = SETTLED,
+    settled: float = SETTLED,
     needs_event: bool = True,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Comparison:
@@ -290,7 +290,7 @@ def compare_observer(
         events: in order of episode, stamp and sequence.
         truth: makes the blocks of the plant's states; their stamps are where to estimate.
         system: whose energy V is; None for the observer's.
-        threshold: V over V at the start below which the estimate has settled.
+        settled: V over V at the start below which the estimate has settled.
         needs_event: whether it is an error that the observer could not apply any event.
         progress: receives the number of estimates made, and of all.
 
@@ -319,7 +319,7 @@ def compare_observer(
             raise BagError(f"{law}: no impact was received, so there is no estimate to compare")
         file.seek(0)
         estimates = iter(lambda: file.read(4096 * row.itemsize), b"")
-        comparator = Comparator(system or observer.system, outcomes, law, threshold)
+        comparator = Comparator(system or observer.system, outcomes, law, settled)
         _compare_blocks(comparator, truth(), (np.frombuffer(data, row) for data in estimates))
     return comparator.result()
 

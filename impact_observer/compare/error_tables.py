@@ -1,4 +1,4 @@
-"""The figures of comparisons in printed tables and as CSV."""
+"""The metrics of comparisons in printed tables and as CSV."""
 
 import csv
 from collections.abc import Mapping
@@ -7,14 +7,14 @@ from pathlib import Path
 from rich.table import Table
 
 from impact_observer.compare.comparison import Comparison
-from impact_observer.compare.figures import DISTANCE, ERRORS, FIGURES, IMPACTS, figures_of
+from impact_observer.compare.metrics import DISTANCE, ERRORS, IMPACTS, METRICS, metrics_of
 from impact_observer.draw.text_tables import console, ruled_table, upright
 from impact_observer.dynamics.lyapunov import is_seminorm
 from impact_observer.errors import UsageError
 
 
 def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
-    """Write the figures, a line an estimate; errors have a column a state.
+    """Write the metrics, a line an estimate; errors have a column a state.
 
     Raises:
         UsageError: the file cannot be written.
@@ -22,7 +22,7 @@ def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
     rows = []
     for label, each in labelled.items():
         row: dict[str, object] = {"estimate": label, "system": each.system.name}
-        for key, value in figures_of(each).items():
+        for key, value in metrics_of(each).items():
             if isinstance(value, list):
                 row |= {f"{key}_{s}": v for s, v in zip(each.states, value, strict=True)}
             else:
@@ -43,7 +43,7 @@ def print_tables(labelled: Mapping[str, Comparison]) -> None:
     terminal = console()
     of_laws = [table_of_laws(title, labelled) for title in (DISTANCE, IMPACTS)]
     for table in (*of_laws, errors_table(labelled)):
-        # A narrow terminal would cut figures.
+        # A narrow terminal would cut metrics.
         terminal.print(table if terminal.width >= 80 else upright(table))
     print_blindness(labelled)
 
@@ -57,23 +57,23 @@ def print_blindness(labelled: Mapping[str, Comparison]) -> None:
 
 
 def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> Table:
-    """A row a law with the figures of the table ``DISTANCE`` or ``IMPACTS``."""
-    names, threshold = system_names(labelled), next(iter(labelled.values())).threshold
-    shown = [figure for figure in FIGURES if figure.table == title]
-    headings = [figure.heading.format(threshold=threshold) for figure in shown]
+    """A row a law with the metrics of the table ``DISTANCE`` or ``IMPACTS``."""
+    names, settled = system_names(labelled), next(iter(labelled.values())).settled
+    shown = [metric for metric in METRICS if metric.table == title]
+    headings = [metric.heading.format(settled=settled) for metric in shown]
     table = ruled_table(title.format(names=names), "law", *headings)
     for label, each in labelled.items():
-        table.add_row(label, *(figure.cell(figure.value(each)) for figure in shown))
+        table.add_row(label, *(metric.cell(metric.value(each)) for metric in shown))
     return table
 
 
 def errors_table(labelled: Mapping[str, Comparison]) -> Table:
-    """A row a state with the figures that every state has."""
-    shown = [figure for figure in FIGURES if figure.table == ERRORS]
-    table = ruled_table(ERRORS, "law", "state", *(figure.heading for figure in shown))
+    """A row a state with the metrics that every state has."""
+    shown = [metric for metric in METRICS if metric.table == ERRORS]
+    table = ruled_table(ERRORS, "law", "state", *(metric.heading for metric in shown))
     table.columns[1].justify = "left"
     for label, each in labelled.items():
-        cells = [map(figure.cell, figure.value(each)) for figure in shown]
+        cells = [map(metric.cell, metric.value(each)) for metric in shown]
         for i, (state, *of_state) in enumerate(zip(each.states, *cells, strict=True)):
             table.add_row("" if i else label, state, *of_state)
         table.add_section()

@@ -30,7 +30,7 @@ class Mismatch:
 
     Attributes:
         windows: impacts with such samples.
-        samples: their number; they are left out of all other figures.
+        samples: their number; they are left out of all other metrics.
         longest: the longest window, s.
         V: the largest distance in a window, J.
     """

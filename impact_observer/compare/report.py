@@ -1,4 +1,4 @@
-"""A page of HTML on a comparison: figures and pictures in one file that needs no network."""
+"""A page of HTML on a comparison: metrics and pictures in one file that needs no network."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
@@ -15,7 +15,7 @@ from impact_observer.compare.error_pictures import (
     error_pictures,
 )
 from impact_observer.compare.error_tables import errors_table, system_names, table_of_laws
-from impact_observer.compare.figures import DISTANCE, IMPACTS
+from impact_observer.compare.metrics import DISTANCE, IMPACTS
 from impact_observer.draw.pictures import svg
 from impact_observer.errors import UsageError
 from impact_observer.stamps import seconds_between
@@ -36,13 +36,13 @@ figcaption, p.note { color: #444; font-size: 0.9rem; }
 _ABOUT_V = (
     "V is the energy of the difference between estimate and truth, &frac12; "
     "du<sup>T</sup> M du + &frac12; dq<sup>T</sup> K dq. An estimate has settled when V stays "
-    "below {threshold:g} of its start. The rates are the fall of ln V per second and per impact, "
+    "below {settled:g} of its start. The rates are the fall of ln V per second and per impact, "
     "until V is first within a factor of ten of its end."
 )
 _ABOUT_IMPACTS = (
     "Late samples were published before their event had arrived. Between the jumps: the truth had "
     "jumped at an impact and the estimate had not, or the other way round; number of samples, the "
-    "longest such window and the largest V in one. Neither counts in any other figure."
+    "longest such window and the largest V in one. Neither counts in any other metric."
 )
 _ABOUT_ERRORS = "Estimate minus truth. A gap in a curve means that the estimate is exact there."
 
@@ -68,7 +68,7 @@ def _page(
     labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Iterator[str]:
     title = escape(f"Estimates of {system_names(labelled)}")
-    threshold = next(iter(labelled.values())).threshold
+    settled = next(iter(labelled.values())).settled
     bags = [bag for bag, _ in results]
     yield f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -81,7 +81,7 @@ def _page(
     picture = svg(distance_picture(labelled, results))
     yield _figure(picture, f"V over time, {_listed(bags)}")
     yield _html(table_of_laws(DISTANCE, labelled))
-    yield _note(_ABOUT_V.format(threshold=threshold))
+    yield _note(_ABOUT_V.format(settled=settled))
     yield "<h2>Impacts</h2>"
     yield _html(table_of_laws(IMPACTS, labelled))
     yield _note(_ABOUT_IMPACTS)

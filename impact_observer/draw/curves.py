@@ -259,7 +259,7 @@ def _accuracy(system: System, observer: ObserverTopics) -> Iterator[Curve]:
 
 
 def _events(system: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """Verdicts, latency, innovations; level and figures of the diagnostics."""
+    """Verdicts, latency, innovations; level and values of the diagnostics."""
     for field, interface, plot, is_state in _EVENTS:
         if observer.filters or field != "innovation":
             step, group = FieldStep(field), CurveGroup.EVENTS

@@ -40,7 +40,7 @@ class Note(NamedTuple):
 
     @property
     def decision(self) -> tuple[object, ...]:
-        """The decision without its figures, which follow the colon of the reason."""
+        """The decision without its numbers, which follow the colon of the reason."""
         return self.event, self.contact, self.ruling, self.reason.partition(":")[0]
 
 

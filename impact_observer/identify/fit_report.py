@@ -23,8 +23,8 @@ _SHOWN = 6
 """Most rejected or inserted impacts that are printed."""
 
 
-def figures_of(found: Identification, check: FitCheck) -> dict[str, object]:
-    """All figures by key, as ``--json`` prints them; SI units."""
+def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
+    """What ``--json`` prints; SI units."""
     family, recording = found.family, found.recording
     names = family.system.contact_names
     return {

@@ -15,8 +15,8 @@ _SMALL = 0.005
 """Smallest term of a combination that is printed, relative to the largest, in deviations."""
 
 
-def figures_of(found: Observability) -> dict[str, object]:
-    """All figures by key, as ``--json`` prints them; SI units, None without a meaning."""
+def for_json(found: Observability) -> dict[str, object]:
+    """What ``--json`` prints; SI units, None without a meaning."""
     complete, released = found.complete, found.released.tolist()
     condition = [value if np.isfinite(value) else None for value in found.condition.tolist()]
     return {

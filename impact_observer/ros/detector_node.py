@@ -171,21 +171,21 @@ class DetectorNode(Node):
             level, message = DiagnosticStatus.WARN, self._detector.problem(index)
         if self._unstamped and not self._now():
             level, message = DiagnosticStatus.WARN, "use_sim_time is set, but no /clock has come"
-        return self._status(source, level, message, _figures(source, counts, messages))
+        return self._status(source, level, message, _values(source, counts, messages))
 
     def _status(
-        self, source: Source, level: bytes, message: str, figures: Mapping[str, object]
+        self, source: Source, level: bytes, message: str, values: Mapping[str, object]
     ) -> DiagnosticStatus:
         return DiagnosticStatus(
             level=level,
             name=f"{self.get_fully_qualified_name()}: {source.contact}",
             message=message,
             hardware_id=source.contact,
-            values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
 
 
-def _figures(source: Source, counts: SensorCounts, messages: int) -> dict[str, object]:
+def _values(source: Source, counts: SensorCounts, messages: int) -> dict[str, object]:
     """The values of a sensor's diagnostics; ``messages`` is their number a second ago."""
     return {
         "topic": source.topic,

@@ -44,7 +44,7 @@ class ObserverDiagnostics:
         """The status at the time ``now`` (ns), with the ``last`` estimate, if there is one."""
         level, message = self._health(now, last)
         observer = self._observer
-        figures = {
+        values = {
             "law": observer.law.name,
             "events applied": self.counts["applied"],
             "events rejected": self.counts["rejected"],
@@ -59,14 +59,14 @@ class ObserverDiagnostics:
             "restarts": observer.restarts,
             "largest latency [s]": f"{self._latency:.6f}",
             "surprising events": self.counts["surprising"],
-            **({} if last is None else _estimate_figures(last)),
+            **({} if last is None else _estimate_values(last)),
         }
         return DiagnosticStatus(
             level=level,
             name=f"{self._node}: impacts",
             message=message,
             hardware_id=observer.system.name,
-            values=[KeyValue(key=key, value=str(value)) for key, value in figures.items()],
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
 
     def _health(self, now: int, last: Estimate | None) -> tuple[bytes, str]:
@@ -109,7 +109,7 @@ class ObserverDiagnostics:
         return new
 
 
-def _estimate_figures(last: Estimate) -> dict[str, object]:
+def _estimate_values(last: Estimate) -> dict[str, object]:
     """What an estimate reports of its own error."""
     bound, differences = last.bound, last.convergence
     without = "refuted" if last.inconsistent else "none"

@@ -1,6 +1,6 @@
-"""One case of a sweep: a run of the plant, its sensor, an observer, and figures of its estimate.
+"""One case of a sweep: a run of the plant, its sensor, an observer, and metrics of its estimate.
 
-A new figure is a field of ``Outcome`` with the name that it has in ``compare``; the column of the
+A new metric is a field of ``Outcome`` with the name that it has in ``compare``; the column of the
 file follows.
 """
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 
 from impact_observer.compare.comparison import compare_observer
-from impact_observer.compare.figures import figures_of
+from impact_observer.compare.metrics import metrics_of
 from impact_observer.errors import ImpactObserverError
 from impact_observer.io.pairing import samples_of
 from impact_observer.model import Model, parse_model
@@ -19,11 +19,11 @@ from impact_observer.sweep.plan import Case, PlantSetup
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """The figures of a case; None where they are undefined.
+    """The metrics of a case; None where they are undefined.
 
     Attributes:
         case: number of the case.
-        settling_time: after which V stays below the threshold, s since the epoch; None for never.
+        settling_time: until V stays below ``settled`` times ``V_start``, s; None for never.
         V_start: V at the start, J.
         V_end: V at the end, J.
         V_ratio: V at the end over V at the start; None if plant and estimate start equal.
@@ -34,7 +34,7 @@ class Outcome:
         impacts_used: reported or inserted.
         switches_rejected: of the reported ones.
         impacts_inserted: as missed detections.
-        error: why there are no figures; empty if there are.
+        error: why there are no metrics; empty if there are.
     """
 
     case: int
@@ -84,7 +84,7 @@ def _parsed(text: str) -> Model:
 
 
 def _outcome(case: Case) -> Outcome:
-    """The figures; V is computed with the energy of the plant, also for another model."""
+    """The metrics; V is computed with the energy of the plant, also for another model."""
     run, system = plant_run(case.plant), _parsed(case.plant.text).system
     sensed = simulate_sensor(
         case.sensor,
@@ -100,9 +100,9 @@ def _outcome(case: Case) -> Outcome:
         events,
         lambda: [samples_of(run.stamps, run.states)],
         system=system,
-        threshold=case.threshold,
+        settled=case.settled,
         needs_event=False,
     )
-    figures = figures_of(comparison)
-    shown = {each.name: figures[each.name] for each in fields(Outcome) if each.name in figures}
+    metrics = metrics_of(comparison)
+    shown = {each.name: metrics[each.name] for each in fields(Outcome) if each.name in metrics}
     return Outcome(case=case.number, events=len(events), **shown)

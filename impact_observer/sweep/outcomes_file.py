@@ -1,6 +1,6 @@
 """The outcomes of a sweep in one Parquet file, and the runs that are missing in it.
 
-There is one row a case, in order of their numbers: the labels of the case, then its figures. The
+There is one row a case, in order of their numbers: the labels of the case, then its metrics. The
 metadata describe the sweep. The file is written beside the old one and then replaces it, so it
 is always complete. Equal outcomes make equal files.
 """

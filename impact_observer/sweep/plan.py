@@ -67,7 +67,7 @@ class Case:
         sensor: the sensor with its faults.
         variant: the model of the observer.
         options: of the observer.
-        threshold: V over V at the start below which an estimate has settled.
+        settled: V over V at the start below which an estimate has settled.
     """
 
     number: int
@@ -77,7 +77,7 @@ class Case:
     sensor: SensorModel
     variant: ModelVariant
     options: Options
-    threshold: float = SETTLED
+    settled: float = SETTLED
 
     @property
     def labels(self) -> dict[str, Label]:
@@ -106,7 +106,7 @@ class Sweep:
         runs: number of seeds.
         seed: of the first run; run k has ``seed + k``.
         options: of the observers except the law; ``initial`` may be ``RANDOM``.
-        threshold: V over V at the start below which an estimate has settled.
+        settled: V over V at the start below which an estimate has settled.
     """
 
     plant: PlantSetup
@@ -116,7 +116,7 @@ class Sweep:
     runs: int = 20
     seed: int = 0
     options: Options = Options(initial_state=RANDOM)  # noqa: RUF009 (it is immutable)
-    threshold: float = SETTLED
+    settled: float = SETTLED
 
     def __post_init__(self) -> None:
         """Check what all cases have in common.
@@ -162,7 +162,7 @@ class Sweep:
                 ensemble=1,  # estimates do not depend on it
                 epoch=self.plant.epoch,
             )
-            yield Case(number, run, seed, self.plant, sensor, variant, options, self.threshold)
+            yield Case(number, run, seed, self.plant, sensor, variant, options, self.settled)
 
     @property
     def swept(self) -> dict[str, tuple[Label, ...]]:
@@ -211,7 +211,7 @@ class Sweep:
             "runs": self.runs,
             "seed": self.seed,
             "options": options,
-            "threshold": self.threshold,
+            "settled": self.settled,
         }
 
 

@@ -40,8 +40,8 @@ class CaseGroup:
         law: of the observers.
         labels: values of what is swept besides, by name.
         runs: number of outcomes.
-        failed: number of those without figures, which do not count below.
-        not_settled: share of the runs with figures that have not settled; None if there is none.
+        failed: number of those without metrics, which do not count below.
+        not_settled: share of the runs with metrics that have not settled; None if there is none.
         settling_time: s; infinite for runs that never settle; None without values.
         V_ratio: V at the end over V at the start; None without values.
     """
@@ -94,7 +94,7 @@ def quartiles(values: Sequence[float]) -> Quartiles | None:
 
 
 def document(sweep: Sweep, groups: Sequence[CaseGroup], impacts: int) -> dict[str, object]:
-    """What ``--json`` prints: SI units, None for never and for no figure.
+    """What ``--json`` prints: SI units, None for never and for no metric.
 
     Args:
         sweep: what was run.
@@ -105,7 +105,7 @@ def document(sweep: Sweep, groups: Sequence[CaseGroup], impacts: int) -> dict[st
         "cases": sweep.size,
         "failed": sum(group.failed for group in groups),
         "impacts": impacts,
-        "threshold": sweep.threshold,
+        "settled": sweep.settled,
         "groups": [
             {
                 "law": group.law,
@@ -131,10 +131,15 @@ def _finite(values: Quartiles | None) -> dict[str, float | None] | None:
 
 def print_groups(sweep: Sweep, groups: Sequence[CaseGroup]) -> None:
     """Print a row for each law with each combination of what was swept."""
-    figures = ("runs", f"s to {sweep.threshold:g} V0", "not settled", "V/V0 at the end")
+    metrics = (
+        "runs",
+        "settling time [s]",
+        "not settled",
+        "V/V0 at the end",
+    )
     failed = ["failed"] if any(group.failed for group in groups) else []
-    title = "Medians, and quartiles in brackets, over the runs"
-    table = ruled_table(title, "law", *map(sweep.title, sweep.swept), *figures, *failed)
+    title = f"Medians (quartiles) over the runs; settled while V stays below {sweep.settled:g} V0"
+    table = ruled_table(title, "law", *map(sweep.title, sweep.swept), *metrics, *failed)
     for group in groups:
         share = group.not_settled
         table.add_row(

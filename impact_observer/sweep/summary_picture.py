@@ -58,12 +58,12 @@ def against_of(sweep: Sweep, wanted: str | None) -> str:
 def save_picture(
     sweep: Sweep, groups: Sequence[CaseGroup], path: Path, *, against: str | None = None
 ) -> None:
-    """Draw the settling times into a PNG, SVG or PDF file, as ``sweep_figure``.
+    """Draw the settling times into a PNG, SVG or PDF file, as ``sweep_picture``.
 
     Raises:
         UsageError: as ``against_of``, or the file cannot be written.
     """
-    save(sweep_figure(sweep, groups, against=against), path, about=_title(sweep))
+    save(sweep_picture(sweep, groups, against=against), path, about=_title(sweep))
 
 
 def _title(sweep: Sweep) -> str:
@@ -71,7 +71,7 @@ def _title(sweep: Sweep) -> str:
     return f"{name}: when estimates settle, medians and quartiles of {sweep.runs} runs"
 
 
-def sweep_figure(
+def sweep_picture(
     sweep: Sweep, groups: Sequence[CaseGroup], *, against: str | None = None
 ) -> Figure:
     """Settling times above, the share that has not settled below.
@@ -112,7 +112,7 @@ def sweep_figure(
             )
             lower.set_xlabel("law" if label == LAW else sweep.title(label))
         upper, lower = grid[:, 0]
-        upper.set_ylabel(f"settling time (V < {sweep.threshold:g} V0) [s]")
+        upper.set_ylabel(f"settling time (V < {sweep.settled:g} V0) [s]")
         upper.set_ylim(0, (_ZONE[2] if never else _ZONE[0]) * ceiling)
         lower.set_ylabel("not settled [%]")
         lower.set_ylim(-5, 105)

@@ -47,8 +47,8 @@ def test_json_has_every_part_of_a_finding(capsys: pytest.CaptureFixture[str]) ->
     """And the line, as it would be printed."""
     write(LATER[:1])
     assert main(["check", "bag", "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert figures == {
+    results = json.loads(capsys.readouterr().out)
+    assert results == {
         "path": "bag",
         "usable": True,
         "readable": True,
@@ -114,8 +114,8 @@ def test_salvage_prints_the_messages_of_each_topic(capsys: pytest.CaptureFixture
         "new: 13 messages; now impact-observer check new",
     ]
     assert main(["check", "bag", "--salvage", "-o", "again", "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert figures["topics"] == {"/impacts": 5, "/plant/joint_states": 7, "/plant/model": 1}
-    assert figures["losses"] == []
+    results = json.loads(capsys.readouterr().out)
+    assert results["topics"] == {"/impacts": 5, "/plant/joint_states": 7, "/plant/model": 1}
+    assert results["losses"] == []
     with BagReader("new") as reader:
         assert list(reader.events()) == GOOD

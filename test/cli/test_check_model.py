@@ -107,7 +107,7 @@ def test_warnings_say_what_follows_and_the_model_stays_valid(
     assert "note Without damping: 1 rad/s, 1 rad/s. V need not vanish" in output
 
 
-def test_json_has_all_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_all_results(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And nothing else is printed; contacts are called by their names."""
     assert check_model.run(parsed(written(tmp_path, CORNER), "--json")) == 0
     found = json.loads(capsys.readouterr().out)

@@ -32,7 +32,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return Path(estimates)
 
 
-def figures(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, dict[str, Any]]:
+def metrics(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, dict[str, Any]]:
     """What ``compare --json`` prints."""
     capsys.readouterr()
     assert main(["compare", *arguments, "--json"]) == 0
@@ -82,18 +82,18 @@ def test_the_report_is_one_page_that_needs_no_network(
     assert "url(http" not in text
     assert "@import" not in text
     assert "<script" not in text
-    found = figures(capsys, str(bag))["geometric"]
+    found = metrics(capsys, str(bag))["geometric"]
     for text in (f"{found['V_end']:.3g}", f"{found['V_ratio']:.2e}"):
         assert text in page.cells
     assert str(bag) in page.cells
 
 
-def test_the_csv_has_every_figure_of_the_json(
+def test_the_csv_has_every_metric_of_the_json(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A line an estimate; errors have a column a state."""
-    path = tmp_path / "figures.csv"
-    found = figures(
+    path = tmp_path / "metrics.csv"
+    found = metrics(
         capsys, str(bag), "--laws", "kinematic", "--initial", "zero", "--csv", str(path)
     )
     with path.open(encoding="utf-8", newline="") as file:
@@ -112,7 +112,7 @@ def test_a_late_sensor_does_not_count_as_a_bad_estimate(
     bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two samples of 4 ms lie between the jumps, at each impact."""
-    found = figures(capsys, str(bag))["geometric"]
+    found = metrics(capsys, str(bag))["geometric"]
     assert found["mismatch_windows"] == found["impacts_used"]
     assert found["mismatch_samples"] == 2 * found["impacts_used"]
     assert found["mismatch_longest"] == pytest.approx(0.008)
@@ -136,7 +136,7 @@ def test_a_topic_of_somebody_else_can_be_compared(
             writer.declare(other_name, type_name=kind)
             for message in reader.raw([own]):
                 writer.write_raw(other_name, message.log_time, message.data)
-    found = figures(
+    found = metrics(
         capsys,
         str(other),
         "--truth",

@@ -10,7 +10,7 @@ pytest.importorskip("rosbags")
 
 from impact_observer.cli.main import main
 
-FIGURE = re.compile(r"[+-]?[0-9.]+(e[+-][0-9]+)?")
+NUMBER = re.compile(r"[+-]?[0-9.]+(e[+-][0-9]+)?")
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def observed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "columns", [30, *(pytest.param(each, marks=pytest.mark.slow) for each in (60, 79))]
 )
-def test_narrow_terminals_have_every_figure_of_wide_ones(
+def test_narrow_terminals_have_every_metric_of_wide_ones(
     observed: Path,
     columns: int,
     capsys: pytest.CaptureFixture[str],
@@ -42,9 +42,9 @@ def test_narrow_terminals_have_every_figure_of_wide_ones(
     wide, narrow = printed[200], printed[columns]
     assert "…" not in narrow
     assert max(map(len, narrow.splitlines())) <= columns
-    figures = [word for word in wide.split() if FIGURE.fullmatch(word)]
-    assert len(figures) > 12
-    assert set(figures) <= set(narrow.split())
+    metrics = [word for word in wide.split() if NUMBER.fullmatch(word)]
+    assert len(metrics) > 12
+    assert set(metrics) <= set(narrow.split())
 
 
 def test_names_of_bags_are_printed_literally(

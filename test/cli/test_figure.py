@@ -77,7 +77,7 @@ def test_the_ending_says_the_format(
 
 
 @pytest.mark.slow
-def test_figures_in_json_are_those_of_a_simulated_bag(
+def test_metrics_in_json_are_those_of_a_simulated_bag(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The commands simulate and compare --laws give the same numbers, to the last bit."""

@@ -47,16 +47,16 @@ def test_what_is_learnt_is_printed_and_written(
     assert "exists already" in capsys.readouterr().err
 
 
-def test_json_has_every_figure(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And nothing else on standard output."""
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution", "--json"]
     assert main(words) == 0
-    figures = json.loads(capsys.readouterr().out)
-    learnt = figures["parameters"]["restitution.stop"]
+    results = json.loads(capsys.readouterr().out)
+    learnt = results["parameters"]["restitution.stop"]
     assert learnt["given"] == 0.8
     assert learnt["value"] == pytest.approx(0.7, rel=1e-6)
-    assert figures["converged"]
-    assert len(figures["shifts"]["shift"]) == figures["impacts"]
+    assert results["converged"]
+    assert len(results["shifts"]["shift"]) == results["impacts"]
 
 
 @pytest.mark.slow

@@ -23,14 +23,14 @@ def parsed(*words: str) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def test_json_has_all_figures(sample_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_all_results(sample_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And nothing else is printed."""
     assert info.run(parsed(str(sample_bag), "--json")) == 0
-    figures = json.loads(capsys.readouterr().out)
-    topics = figures.pop("topics")
-    size = figures.pop("size")
-    chunks = figures.pop("chunks")
-    assert figures == {
+    results = json.loads(capsys.readouterr().out)
+    topics = results.pop("topics")
+    size = results.pop("size")
+    chunks = results.pop("chunks")
+    assert results == {
         "path": str(sample_bag),
         "storage": "mcap",
         "start": 1_000_000_000,

@@ -98,7 +98,7 @@ def test_undetermined_combinations_are_named(
     )
 
 
-def test_json_has_all_figures(decoupled: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_all_results(decoupled: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Per impact too; what has no meaning is null."""
     found = json.loads(
         printed(capsys, TWO_MASS, "--json", "--model", decoupled, "--deviation", "0.5")

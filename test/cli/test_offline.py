@@ -161,15 +161,15 @@ def test_compare_orders_the_laws_and_draws_them(
     picture = run_bag.parent / "v.png"
     capsys.readouterr()
     assert main(["compare", *map(str, bags.values()), "--json", "--plot", str(picture)]) == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert list(figures) == list(bags)
-    assert figures["geometric"]["V_ratio"] < figures["kinematic"]["V_ratio"] < 0.1
-    assert figures["open-loop"]["V_ratio"] > 0.1
+    metrics = json.loads(capsys.readouterr().out)
+    assert list(metrics) == list(bags)
+    assert metrics["geometric"]["V_ratio"] < metrics["kinematic"]["V_ratio"] < 0.1
+    assert metrics["open-loop"]["V_ratio"] > 0.1
     for law in ("kinematic", "geometric"):
-        assert figures[law]["V_largest_rise"] <= 1e-9
-        assert figures[law]["late_samples"] == 0
-    assert figures["geometric"]["events_used"] == 10
-    assert figures["geometric"]["settling_time"] == pytest.approx(10.5, abs=0.1)
+        assert metrics[law]["V_largest_rise"] <= 1e-9
+        assert metrics[law]["late_samples"] == 0
+    assert metrics["geometric"]["events_used"] == 10
+    assert metrics["geometric"]["settling_time"] == pytest.approx(10.5, abs=0.1)
     assert picture.read_bytes().startswith(b"\x89PNG")
 
     assert main(["compare", *map(str, bags.values())]) == 0
@@ -186,10 +186,10 @@ def test_equal_starts_leave_ratios_undefined(
     bag = observed(run_bag, "exact", "--initial", "0.1,-0.2,0.5,0")
     capsys.readouterr()
     assert main(["compare", str(bag), "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)["geometric"]
-    assert figures["V_start"] == 0.0
-    assert figures["V_ratio"] is None
-    assert figures["V_end"] < 1e-12
+    metrics = json.loads(capsys.readouterr().out)["geometric"]
+    assert metrics["V_start"] == 0.0
+    assert metrics["V_ratio"] is None
+    assert metrics["V_end"] < 1e-12
     assert main(["compare", str(bag)]) == 0
     assert "undefined" in capsys.readouterr().out
 

@@ -51,7 +51,7 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_rows_have_labels_and_figures_of_the_cases(serial: Path) -> None:
+def test_rows_have_labels_and_metrics_of_the_cases(serial: Path) -> None:
     """In the order of the cases."""
     table = table_of(serial)
     assert table["case"] == [*range(SIZE)]
@@ -228,9 +228,9 @@ def test_a_case_that_fails_is_a_row_and_exit_code_1(
         printed = capsys.readouterr()
         line = "impact-observer: 1 of 5 cases failed, such as case 3: no solution"
         assert printed.err.splitlines()[-1] == line
-        figures = json.loads(printed.out)
-        assert figures["failed"] == figures["groups"][0]["failed"] == 1
-        assert figures["groups"][0]["runs"] == 5
+        metrics = json.loads(printed.out)
+        assert metrics["failed"] == metrics["groups"][0]["failed"] == 1
+        assert metrics["groups"][0]["runs"] == 5
     table = table_of(path)
     assert table["error"] == ["", "", "", "no solution", ""]
     assert [value is None for value in table["V_end"]] == [False, False, False, True, False]
@@ -250,12 +250,12 @@ def test_a_row_is_what_the_other_commands_say_of_its_seed(
     assert main(["observe", str(plant), *law, "-o", str(bag)]) == 0
     capsys.readouterr()
     assert main(["compare", str(bag), "--json"]) == 0
-    (figures,) = json.loads(capsys.readouterr().out).values()
+    (metrics,) = json.loads(capsys.readouterr().out).values()
     table = table_of(path)
     for name in ("V_start", "V_end", "V_ratio", "V_largest_rise", "settling_time"):
-        assert table[name] == [figures[name]], name
+        assert table[name] == [metrics[name]], name
     for name in ("rate_per_second", "rate_per_impact", "impacts_used", "switches_rejected"):
-        assert table[name] == [figures[name]], name
+        assert table[name] == [metrics[name]], name
 
 
 def test_the_summary_is_a_table_and_a_picture(

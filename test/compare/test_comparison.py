@@ -67,7 +67,7 @@ def shifted(delay: int) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("cuts", [(), (1,), (7, 4000, 4001, 12000), tuple(range(100, 20000, 333))])
-def test_figures_do_not_depend_on_the_blocks(cuts: tuple[int, ...]) -> None:
+def test_metrics_do_not_depend_on_the_blocks(cuts: tuple[int, ...]) -> None:
     """They are those of plain formulas on whole arrays."""
     rng = np.random.default_rng(3)
     x = RUN.states + rng.normal(size=RUN.states.shape) * np.exp(-np.arange(20001) / 3000)[:, None]

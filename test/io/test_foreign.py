@@ -46,13 +46,13 @@ def test_every_command_takes_every_form(
     bag = FORMS[form](recording, tmp_path / form)
     assert main(["check", str(bag)]) == 0
     assert capsys.readouterr().out == f"{bag}: an observer can use it (nothing to remark)\n"
-    figures = []
+    results = []
     for each in (recording, bag):
         assert main(["info", str(each), "--json"]) == 0
-        figures.append(json.loads(capsys.readouterr().out))
+        results.append(json.loads(capsys.readouterr().out))
     for key in ("start", "end", "messages", "impacts", "episodes", "model"):
-        assert figures[0][key] == figures[1][key], key
-    assert figures[1]["storage"] == ("mcap" if "mcap" in form else "sqlite3")
+        assert results[0][key] == results[1][key], key
+    assert results[1]["storage"] == ("mcap" if "mcap" in form else "sqlite3")
     assert estimates(bag, tmp_path / "observed") == observed
 
 

@@ -89,7 +89,7 @@ class Rig:
         self.spinner.until(lambda: self.node.get_clock().now().nanoseconds == stamp)
         self.spinner.settle(0.1)
 
-    def figures(self) -> dict[str, str]:
+    def values(self) -> dict[str, str]:
         """The values of the next diagnostics."""
         before = len(self.diagnostics)
         self.spinner.until(lambda: len(self.diagnostics) > before)
@@ -175,7 +175,7 @@ def test_estimated_parameters_of_the_model_are_published(
         rig.send(event(EPOCH + 25_000_000, 1))
         rig.spinner.until(lambda: rig.states[-1].last_sequence == 1)
         first, last = rig.states[0], rig.states[-1]
-        figures = rig.figures()
+        values = rig.values()
     assert list(first.parameter_name[:2]) == ["gap.stop", "restitution.stop"]
     np.testing.assert_allclose(first.parameter[:2], [0.5, 0.7])
     np.testing.assert_allclose(first.parameter_deviation[:2], [0.01, 0.1])
@@ -187,8 +187,8 @@ def test_estimated_parameters_of_the_model_are_published(
     learned = same.estimate(EPOCH + 30_000_000).parameters
     assert list(last.parameter) == [value for _, value, _ in learned]
     assert list(last.parameter_deviation) == [deviation for _, _, deviation in learned]
-    assert figures["gap.stop [m]"].startswith("0.5")
-    assert "+-" in figures["restitution.stop"]
+    assert values["gap.stop [m]"].startswith("0.5")
+    assert "+-" in values["restitution.stop"]
 
 
 def test_a_late_event_corrects_the_last_estimate_at_once(rig: Rig) -> None:
@@ -278,7 +278,7 @@ def test_an_epoch_from_the_future_is_rejected(rig: Rig) -> None:
     assert "its epoch is 3599.950 s after the clock" in rig.verdicts[-1].reason
     rig.send(event(EPOCH + 20_000_000, 2))
     assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
-    assert rig.figures()["from the future"] == "1"
+    assert rig.values()["from the future"] == "1"
 
 
 def test_bytes_that_are_no_event_are_counted_and_ignored(rig: Rig) -> None:
@@ -287,7 +287,7 @@ def test_bytes_that_are_no_event_are_counted_and_ignored(rig: Rig) -> None:
     whole = serialize_message(ros_messages().event(event(EPOCH + 10_000_000, 1)))
     for data in (whole[:4], whole[:-20] + b"\xff" * 20):
         rig.impacts.publish(data)
-    rig.spinner.until(lambda: rig.figures()["invalid messages"] == "2")
+    rig.spinner.until(lambda: rig.values()["invalid messages"] == "2")
     rig.send(event(EPOCH + 20_000_000, 2))
     assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
 
@@ -339,7 +339,7 @@ def test_how_far_ahead_a_stamp_may_be_is_a_parameter(ros_environment: dict[str, 
         assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
         rig.tick(EPOCH + 60_000_000)
         assert_same(rig.estimates()[-1], replica(ahead).estimate(EPOCH + 60_000_000))
-        assert rig.figures()["from the future"] == "1"
+        assert rig.values()["from the future"] == "1"
 
 
 def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
@@ -365,7 +365,7 @@ def test_estimates_behind_a_lag_contain_the_events_of_their_instant(
         rig.spinner.until(lambda: len(rig.states) > len(received))
         last = rig.estimates()[-1]
         assert_same(last, replica(intime, late).estimate(EPOCH + 40_000_000))
-        assert rig.figures()["estimates corrected"] == "1"
+        assert rig.values()["estimates corrected"] == "1"
 
 
 def test_events_received_before_a_state_was_set_behind_a_lag_act_on_it(
@@ -428,12 +428,12 @@ def test_every_fault_of_the_events_is_reported_and_counted(rig: Rig) -> None:
     rig.tick(EPOCH + 50_000_000)
     rig.send(event(EPOCH + 10_000_000, 1))
     assert rig.verdicts[-1].reason == "the clock jumped back: everything begins again"
-    figures = rig.figures()
-    assert {remark.value for remark in Remark} <= set(figures)
-    counted = {name: int(figures[name]) for name in ("sequence gaps", "late events", "duplicates")}
+    values = rig.values()
+    assert {remark.value for remark in Remark} <= set(values)
+    counted = {name: int(values[name]) for name in ("sequence gaps", "late events", "duplicates")}
     assert counted == {"sequence gaps": 1, "late events": 2, "duplicates": 1}
-    assert figures["stamps against sequence"] == figures["superseded impacts"] == "1"
-    assert figures["clock jumps back"] == "1"
+    assert values["stamps against sequence"] == values["superseded impacts"] == "1"
+    assert values["clock jumps back"] == "1"
 
 
 def test_services_set_and_reset_the_state(rig: Rig) -> None:
@@ -634,4 +634,4 @@ def test_a_node_that_falls_behind_skips_estimates_but_not_the_first(rig: Rig) ->
     assert stamps[0] == EPOCH
     assert stamps[1] == EPOCH + 2_810_000_000
     assert stamps[-1] == EPOCH + 3_000_000_000
-    assert rig.figures()["estimates passed over"] == "280"
+    assert rig.values()["estimates passed over"] == "280"

@@ -14,7 +14,7 @@ from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.model_variants import model_variants
 from impact_observer.sweep.plan import PlantSetup, Sweep, sensors_of
 from impact_observer.sweep.summary import groups_of
-from impact_observer.sweep.summary_picture import against_of, sweep_figure
+from impact_observer.sweep.summary_picture import against_of, sweep_picture
 
 LAWS = ("geometric", "unilateral")
 
@@ -34,7 +34,7 @@ def drawn(sweep: Sweep, times: Sequence[float | None], against: str | None = Non
     outcomes = [
         Outcome(k, settling_time=times[k % len(times)], V_ratio=0.1) for k in range(sweep.size)
     ]
-    return sweep_figure(sweep, groups_of(sweep, outcomes), against=against)
+    return sweep_picture(sweep, groups_of(sweep, outcomes), against=against)
 
 
 def test_each_law_is_a_line_with_a_band_over_what_was_swept(tmp_path: Path) -> None:

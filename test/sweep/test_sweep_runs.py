@@ -102,12 +102,12 @@ def test_outcomes_do_not_depend_on_the_order_of_the_cases() -> None:
 
 
 @pytest.mark.parametrize("stiffness", [1.0, 1.02])
-def test_figures_are_those_of_a_single_run(stiffness: float) -> None:
+def test_metrics_are_those_of_a_single_run(stiffness: float) -> None:
     """Plant, sensor and observer put together by hand; V is by the energy of the plant."""
     model = read_model("two_mass")
     system = model.system
     sweep = swept(faults={"missed": [0.4]}, off={"stiffness-scale": [stiffness]}, seconds=9)
-    case = [*replace(sweep, threshold=0.5).cases()][1]
+    case = [*replace(sweep, settled=0.5).cases()][1]
     stamps = grid(EPOCH, EPOCH + 9_000_000_000, 20.0)
     run = simulate(Plant(system, *model.initial_state(), epoch=EPOCH), stamps)
     sensor = SensorModel(missed=0.4)
@@ -264,7 +264,7 @@ def test_the_description_distinguishes_sweeps() -> None:
         replace(sweep, variants=sweep.variants[::-1]),
         replace(sweep, runs=3),
         replace(sweep, seed=3),
-        replace(sweep, threshold=0.1),
+        replace(sweep, settled=0.1),
         replace(sweep, options=Options(initial_state="zero")),
         replace(sweep, options=replace(sweep.options, missed=0.2)),
         *(

@@ -21,7 +21,7 @@ import pytest
 pytest.importorskip("rclpy")
 pytest.importorskip("impact_observer_msgs")
 
-from plotting_tools import FIGURES, message_path, plotjuggler_series, resolved
+from plotting_tools import DIAGNOSTICS, message_path, plotjuggler_series, resolved
 from processes import PATIENCE, ros_arguments, running_node
 
 from impact_observer.draw.curves import CurveGroup, curves
@@ -200,7 +200,7 @@ def check_diagnostics(data: list[bytes]) -> None:
         assert float(value) >= 0  # type: ignore[arg-type]
         assert isinstance(flat[series(curve)], float)
     said = {key.rpartition("/")[2] for key in flat}
-    assert FIGURES.keys() <= said
+    assert DIAGNOSTICS.keys() <= said
 
 
 def test_watch_names_a_missing_observer(ros_environment: dict[str, str], tmp_path: Path) -> None:

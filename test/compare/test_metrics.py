@@ -1,23 +1,23 @@
-"""The table of figures: what docs, tables, JSON and CSV have in common."""
+"""The table of metrics: what docs, tables, JSON and CSV have in common."""
 
 from impact_observer.compare.comparison import SETTLED
-from impact_observer.compare.figures import FIGURES
+from impact_observer.compare.metrics import METRICS
 from impact_observer.resources import shared
 
 
-def test_docs_list_every_figure_with_unit_and_meaning() -> None:
+def test_docs_list_every_metric_with_unit_and_meaning() -> None:
     """The table in docs/comparing.md has these keys and headings, in the same order."""
     lines = (shared("docs") / "comparing.md").read_text("utf-8").splitlines()
     rows = [line.split(" | ") for line in lines if line.startswith("| `")]
     assert [(key, heading.strip()) for key, heading, _, _ in rows] == [
-        (f"| `{each.key}`", each.heading.format(threshold=SETTLED)) for each in FIGURES
+        (f"| `{each.key}`", each.heading.format(settled=SETTLED)) for each in METRICS
     ]
     assert all(meaning.strip(" |") for *_, meaning in rows)
 
 
 def test_keys_and_headings_are_unique() -> None:
-    """A key names one figure, a heading one column of its table."""
-    keys = [each.key for each in FIGURES]
+    """A key names one metric, a heading one column of its table."""
+    keys = [each.key for each in METRICS]
     assert len(set(keys)) == len(keys)
-    columns = [(each.table, each.heading) for each in FIGURES if each.table]
+    columns = [(each.table, each.heading) for each in METRICS if each.table]
     assert len(set(columns)) == len(columns)

@@ -1,0 +1,108 @@
+"""The metrics of a comparison: one table for JSON, CSV, the printed tables and the report.
+
+To add a metric, add a row to ``METRICS``. It appears in ``--json`` and ``--csv`` under its key;
+with a column also in that printed table and in the report. ``docs/comparing.md``
+lists all metrics with unit and meaning; a test holds its keys and headings against ``METRICS``.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from impact_observer.compare.comparison import Comparison
+from impact_observer.events import Ruling
+
+DISTANCE = "Estimates of {names}"
+IMPACTS = "Impacts; samples late, and between the jumps of truth and estimate"
+ERRORS = "Errors, estimate minus truth, SI units"
+"""Titles of the printed tables. A table of errors has a row a state, the others a row a law."""
+
+
+class Metric(NamedTuple):
+    """A number that says how good an estimate is.
+
+    Attributes:
+        key: its name in JSON and CSV.
+        value: computes it: a word, a number, a list with a number a state, or None where the
+            metric has no meaning.
+        table: title of the table in which it is printed; empty for none.
+        heading: of its column; ``{settled}`` is filled in.
+        cell: makes the text of one number.
+    """
+
+    key: str
+    value: Callable[[Comparison], Any]
+    table: str = ""
+    heading: str = ""
+    cell: Callable[[Any], str] = "{}".format
+
+
+def _rate(value: float | None, without: str = "") -> str:
+    return without if value is None else f"{value:.3g}" if value < 1 else f"{value:.2f}"
+
+
+def _count(value: int | None) -> str:
+    return "" if value is None else str(value)
+
+
+def _ratio(value: float | None) -> str:
+    return "undefined" if value is None else f"{value:.2e}"
+
+
+def _switches(comparison: Comparison, ruling: Ruling) -> int | None:
+    rulings = comparison.outcomes.rulings
+    return None if rulings is None else rulings[ruling]
+
+
+METRICS = (
+    Metric("law", lambda c: c.law),
+    Metric("samples", lambda c: c.samples),
+    Metric("events_used", lambda c: c.events),
+    Metric("impacts_used", lambda c: c.outcomes.until(int(c.stamps[-1])), IMPACTS, "used"),
+    Metric(
+        "switches_rejected", lambda c: _switches(c, Ruling.REJECTED), IMPACTS, "rejected", _count
+    ),
+    Metric(
+        "impacts_inserted", lambda c: _switches(c, Ruling.INSERTED), IMPACTS, "inserted", _count
+    ),
+    Metric("late_samples", lambda c: c.late, IMPACTS, "late"),
+    Metric("stale_samples", lambda c: c.stale),
+    Metric("start_stamp_ns", lambda c: int(c.stamps[0])),
+    Metric("end_stamp_ns", lambda c: int(c.stamps[-1])),
+    Metric("V_start", lambda c: float(c.V[0]), DISTANCE, "V0 [J]", "{:.4g}".format),
+    Metric("V_end", lambda c: float(c.V[-1]), DISTANCE, "V end [J]", "{:.3g}".format),
+    Metric("V_ratio", lambda c: c.ratio, DISTANCE, "V/V0", _ratio),
+    Metric("V_largest_rise", lambda c: c.largest_rise),
+    Metric(
+        "settling_time",
+        lambda c: c.settling_time,
+        DISTANCE,
+        "settling time to {settled:g} V0 [s]",
+        lambda seconds: _rate(seconds, "never"),
+    ),
+    Metric("rate_per_second", lambda c: c.rate_per_second, DISTANCE, "rate [1/s]", _rate),
+    Metric("rate_per_impact", lambda c: c.rate_per_impact, DISTANCE, "rate [1/impact]", _rate),
+    Metric("mismatch_windows", lambda c: c.mismatch.windows),
+    Metric("mismatch_samples", lambda c: c.mismatch.samples, IMPACTS, "between"),
+    Metric(
+        "mismatch_longest",
+        lambda c: c.mismatch.longest,
+        IMPACTS,
+        "longest",
+        lambda seconds: f"{1e3 * seconds:.4g} ms" if seconds else "",
+    ),
+    Metric(
+        "mismatch_V_largest",
+        lambda c: c.mismatch.V,
+        IMPACTS,
+        "V",
+        lambda V: f"{V:.2e} J" if V else "",
+    ),
+    Metric("rms", lambda c: c.rms.tolist(), ERRORS, "rms", "{:.3e}".format),
+    Metric("max", lambda c: c.largest.tolist(), ERRORS, "largest", "{:.3e}".format),
+    Metric("final", lambda c: c.error[-1].tolist(), ERRORS, "final", "{:+.3e}".format),
+)
+
+
+def metrics_of(comparison: Comparison) -> dict[str, Any]:
+    """All metrics of a comparison by key, as ``--json`` prints them."""
+    return {metric.key: metric.value(comparison) for metric in METRICS}
