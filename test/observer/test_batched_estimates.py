@@ -19,7 +19,7 @@ from impact_observer.states import Estimate
 
 
 def bits(estimate: Estimate) -> tuple[object, ...]:
-    """Everything that an estimate says."""
+    """All fields of an estimate, floats by their bits."""
     arrays = (estimate.q, estimate.u, estimate.covariance)
     others = (estimate.stamp, estimate.law, estimate.closed, estimate.convergence)
     more = (estimate.synchronized, estimate.bound, estimate.inconsistent, estimate.parameters)
@@ -41,7 +41,7 @@ def checked(watcher: Observer, stamps: NDArray[np.int64]) -> list[int]:
 
 @pytest.mark.parametrize("law", law_names())
 def test_estimates_are_those_of_each_stamp_alone(law: str) -> None:
-    """Between events, at their very stamps, and where the known past begins."""
+    """Between events, at their stamps, and at the earliest stamp with an estimate."""
     model = sample("three_mass")
     truth = run(model.system, *model.initial_state(), seconds=3.0)
     start = [0.2, -0.1, 0.1, 0.3, 0.0, -0.2]
@@ -64,7 +64,7 @@ def test_estimates_are_those_of_each_stamp_alone(law: str) -> None:
         pytest.param("unilateral", marks=pytest.mark.slow),
     ],
 )
-def test_estimates_during_lasting_contact_are_those_of_each_stamp_alone(law: str) -> None:
+def test_estimates_in_persistent_contact_are_those_of_each_stamp_alone(law: str) -> None:
     """Phase after phase, while the stop stays closed."""
     model = sample("two_mass").system
     watcher = observer(model, law, [0.3, 0.4, 1.0, 2.0], epoch=EPOCH)
@@ -74,8 +74,8 @@ def test_estimates_during_lasting_contact_are_those_of_each_stamp_alone(law: str
     assert len(together) == 2
 
 
-def test_estimates_before_the_known_past_are_refused() -> None:
-    """As one alone is."""
+def test_estimates_before_the_kept_history_are_refused() -> None:
+    """With the error of a single estimate."""
     watcher = observer(sample("two_mass").system, "geometric", [0.0] * 4, epoch=EPOCH)
     with pytest.raises(UsageError, match="the known past begins at 5"):
         list(watcher.estimates(np.array([EPOCH - 1, EPOCH])))

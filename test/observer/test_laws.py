@@ -1,4 +1,4 @@
-"""The laws: what the theory proves of them, and how they are found by name."""
+"""The laws: their proved properties, and how they are found by name."""
 
 import sys
 from importlib.metadata import EntryPoint, EntryPoints
@@ -141,7 +141,7 @@ def test_distance_of_a_replica_to_its_plant_never_rises(
 
 
 @CORRECTING
-def test_true_state_is_left_alone(law: type[ReplicaLaw]) -> None:
+def test_true_state_stays_true_at_an_impact(law: type[ReplicaLaw]) -> None:
     """A replica in the plant's state jumps as the plant does."""
     for name in ("two_mass", "three_mass", "bouncing_ball"):
         model = sample(name)
@@ -176,7 +176,7 @@ def test_geometric_law_also_closes_the_gap() -> None:
 
 
 @CORRECTING
-def test_law_does_not_change_what_it_is_given(law: type[ReplicaLaw]) -> None:
+def test_law_does_not_write_to_its_argument(law: type[ReplicaLaw]) -> None:
     """The state before the impact is not written to."""
     x = np.array([0.1, 0.2, 1.0, 2.0])
     kept = x.copy()
@@ -190,7 +190,7 @@ class Mirror(ReplicaLaw):
     name: ClassVar[str] = "mirror"
 
     def impact(self, x: Array, active: tuple[int, ...], closed: tuple[int, ...]) -> Array:
-        """Everything turned round."""
+        """Reverse the state."""
         del active, closed
         return -x
 
@@ -199,7 +199,7 @@ class Later(Geometric):
     """A law that redefines ``motion``."""
 
     def motion(self, t: float, x: Array, closed: tuple[int, ...]) -> Motion:
-        """As if the forcing had begun a second later."""
+        """The motion with the forcing of one second later."""
         return super().motion(t - 1.0, x, closed)
 
 
@@ -217,12 +217,12 @@ class Halfway(Geometric):
     """A law that redefines ``impact``."""
 
     def impact(self, x: Array, active: tuple[int, ...], closed: tuple[int, ...]) -> Array:
-        """Half of it."""
+        """Half of the state."""
         return (x + super().impact(x, active, closed)) / 2
 
 
 def test_law_that_redefines_impact_does_not_inherit_the_bound() -> None:
-    """The energy that a geometric impact removes is not that of another impact."""
+    """The certified bound of geometric holds for its own impact only."""
     model, replicas = sample("two_mass").system, np.ones((1, 4))
     bounds = [law(model).begin(replicas, np.eye(4), ()).bound for law in (Geometric, Halfway)]
     assert bounds[0] is not None

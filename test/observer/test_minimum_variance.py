@@ -1,4 +1,4 @@
-"""The minimum-variance law: how fast its error falls, and that its covariance is honest."""
+"""The minimum-variance law: how fast its error falls, and whether its covariance is consistent."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -108,7 +108,7 @@ def root(watcher: Observer, stamp: int) -> Array:
     return found
 
 
-def surprise(watcher: Observer, stamp: int, error: Array) -> float:
+def nees(watcher: Observer, stamp: int, error: Array) -> float:
     """Normalised estimation error squared, over 2n."""
     found = np.linalg.lstsq(root(watcher, stamp), error, rcond=None)[0]
     return float(found @ found) / error.size
@@ -141,25 +141,23 @@ def test_error_is_rounding_after_twice_as_many_impacts_as_coordinates(name: str)
 
 @pytest.mark.slow
 @BOTH
-def test_covariance_is_honest(name: str) -> None:
-    """Stamps wrong by 1 ms, initial errors as declared: NEES and innovations are as they should.
+def test_covariance_is_consistent_with_the_errors(name: str) -> None:
+    """NEES and innovations for stamp errors of 1 ms and initial errors as declared.
 
-    Just after three impacts, the 2n-th the first, mean of 40: as near to 1 as 40 runs can
+    Means of 40 runs just after the 2n-th and two later impacts, as near to 1 as 40 runs can
     show. ``benchmarks/covariance.py`` has the figures of 500 random runs.
     """
     (model, start), events = case(name), truth(name, 30.0).events
     stamps = [after(events, k) for k in (2 * model.n, 2 * model.n + 5, 15)]
-    surprises, innovations = [], []
+    squares, innovations = [], []
     for seed in range(40):
         rng = np.random.default_rng(seed)
         watcher = watching(model, start + rng.normal(size=2 * model.n), clock=JITTER)
         for each in jittered(events[:15], rng):
             innovations += [verdict.innovation for verdict in watcher.receive(each)]
         wrong = errors(name, watcher, *stamps)
-        surprises.append(
-            [surprise(watcher, s, each) for s, each in zip(stamps, wrong, strict=True)]
-        )
-    for mean in np.mean(surprises, axis=0):  # of 2n squares of normal numbers each
+        squares.append([nees(watcher, s, each) for s, each in zip(stamps, wrong, strict=True)])
+    for mean in np.mean(squares, axis=0):  # of 2n squares of normal numbers each
         assert 0.4 <= mean <= 1.4
     assert 0.8 <= np.mean(np.square(innovations)) <= 1.2
     assert np.max(innovations) < 5
@@ -167,8 +165,8 @@ def test_covariance_is_honest(name: str) -> None:
 
 @pytest.mark.slow
 @BOTH
-def test_jitter_costs_it_far_less_than_the_geometric_law(name: str) -> None:
-    """1 ms, 30 s, median of 8: more than a hundred times less in V, whether declared or not."""
+def test_error_under_jitter_is_far_below_that_of_geometric(name: str) -> None:
+    """Stamps with jitter of 1 ms; the median V of 8 runs is less than a hundredth."""
     (model, start), whole = case(name), truth(name, 30.0)
     found: dict[tuple[str, float], list[float]] = {}
     for seed in range(8):
@@ -186,7 +184,7 @@ def test_jitter_costs_it_far_less_than_the_geometric_law(name: str) -> None:
 
 
 def followed(model: System, law: MinimumVariance, x: Array, switchings: list[Switching]) -> Belief:
-    """The belief just after the last of some impacts, at their own instants, not at stamps."""
+    """The belief just after the last impact, with exact instants instead of stamps."""
     belief, t = law.begin(x[None], law.uncertainty.root(model.n), ()), 0.0
     for each in switchings:
         now = -each.instant.until(EPOCH)
@@ -199,8 +197,8 @@ def followed(model: System, law: MinimumVariance, x: Array, switchings: list[Swi
 def test_filter_is_batch_least_squares_over_all_events(count: int) -> None:
     """Exact instants: the rows ``w^T Phi .. J .. Phi`` stacked, and the start nearest to them.
 
-    What is left unknown is the projection onto their null space. The oracle flies the states and
-    knows of no filter; positions are thrown back with the speeds.
+    The remaining error is its projection onto their null space. The oracle propagates states and
+    has no filter; it also reflects positions at an impact.
     """
     model, phase = sample("three_mass").system, Phases(sample("three_mass").system).phase()
     n, law = model.n, MinimumVariance(model, without_faults())
@@ -226,8 +224,8 @@ def test_filter_is_batch_least_squares_over_all_events(count: int) -> None:
     np.testing.assert_allclose(belief.root @ belief.root.T, unknown, atol=2e-8)
 
 
-def test_other_replicas_are_corrected_as_the_estimate_s_own_error() -> None:
-    """The plant as a replica: it stays the plant, to what stamps allow."""
+def test_corrections_move_other_replicas_as_they_move_the_true_state() -> None:
+    """A replica that starts in the true state follows the plant, to the rounding of stamps."""
     model, start = case("two_mass")
     law, switchings = (
         MinimumVariance(model, without_faults()),
@@ -245,7 +243,7 @@ def test_other_replicas_are_corrected_as_the_estimate_s_own_error() -> None:
 
 
 def test_estimate_does_not_depend_on_how_many_replicas_there_are() -> None:
-    """Not in a bit: alone, with two, with twenty; through lasting contact."""
+    """Bit for bit with one, two and twenty replicas, also in persistent contact."""
     stamps = truth("pressed", 4.0).stamps
     found = []
     for ensemble in (1, 2, 20):
@@ -277,8 +275,8 @@ def test_any_order_of_arrival_gives_equal_bits() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("clock", [0.0, JITTER])
-def test_estimate_locks_on_in_lasting_contact_and_stays(clock: float) -> None:
-    """CLOSE, OPEN and all between; P is zero along what is closed, and nothing is NaN."""
+def test_estimate_converges_through_persistent_contact(clock: float) -> None:
+    """P is zero along closed contacts, and nothing is NaN."""
     whole = truth("pressed", 11.5)
     for seed in range(2):
         rng = np.random.default_rng(seed)
@@ -296,8 +294,8 @@ def test_estimate_locks_on_in_lasting_contact_and_stays(clock: float) -> None:
 
 
 @pytest.mark.slow
-def test_ball_is_followed_through_accumulation_to_rest() -> None:
-    """K = 0 and 170 impacts within eight seconds: after the second its error is tiny."""
+def test_estimate_of_a_ball_converges_through_accumulation_to_rest() -> None:
+    """K = 0 and 170 impacts within eight seconds; two of them determine the state."""
     model, whole = sample("bouncing_ball").system, truth("bouncing_ball", 10.0)
     watcher = watching(model, np.array([1.7, 0.4]), ensemble=3)
     for each in whole.events:
@@ -311,8 +309,8 @@ def test_ball_is_followed_through_accumulation_to_rest() -> None:
 
 
 @pytest.mark.parametrize("clock", [0.0, JITTER])
-def test_free_floating_hammer_is_located(clock: float) -> None:
-    """K singular: its position is right too, which V does not measure."""
+def test_position_of_a_free_body_is_estimated(clock: float) -> None:
+    """K is singular: V does not measure the position, the impacts do."""
     whole, start = truth("hammer", 20.0), case("hammer")[1]
     rng = np.random.default_rng(1)
     watcher = watching(HAMMER, start + rng.normal(size=4), clock=clock)
@@ -321,7 +319,7 @@ def test_free_floating_hammer_is_located(clock: float) -> None:
     stamp = int(whole.stamps[-1])
     wrong = errors("hammer", watcher, stamp)[0]
     assert np.max(np.abs(wrong)) < (1e-3 if clock else 1e-9)
-    assert surprise(watcher, stamp, wrong) < 3
+    assert nees(watcher, stamp, wrong) < 3
 
 
 def test_release_measures_that_the_load_was_zero() -> None:
@@ -374,7 +372,7 @@ def test_contacts_closed_at_the_start_hold_at_once() -> None:
 
 @pytest.mark.slow
 def test_model_error_lets_covariance_grow_and_leaves_the_estimate() -> None:
-    """By ``w^2 t`` in the velocity of a free ball; nothing when it is 0."""
+    """The variance of a free ball's velocity grows by ``w^2 t``; not at all for w = 0."""
     model, x = sample("bouncing_ball").system, np.array([1.0, 0.5])
     exact, doubting = watching(model, x), watching(model, x, model_error=0.2)
     stamp = EPOCH + 2 * NS_PER_S
@@ -392,8 +390,8 @@ def test_model_error_lets_covariance_grow_and_leaves_the_estimate() -> None:
     assert not end.covariance.any()
 
 
-def test_exact_start_without_deviation_is_kept() -> None:
-    """Deviation 0: no covariance, no NaN; it follows the plant to what stamps allow."""
+def test_true_start_with_deviation_zero_follows_the_plant() -> None:
+    """No covariance and no NaN; the error is that of the rounding of stamps."""
     (model, start), whole = case("two_mass"), truth("two_mass", 30.0)
     watcher = watching(model, start, deviation=0.0)
     for each in whole.events:
@@ -402,8 +400,8 @@ def test_exact_start_without_deviation_is_kept() -> None:
 
 
 @pytest.mark.parametrize("damping", [1e3, 1e6, 1e9])
-def test_stiff_damping_is_not_followed_back_into_overflow(damping: float) -> None:
-    """A clock wrong by a hundredth of a second, in which motions fade ten million times."""
+def test_stiff_damping_does_not_overflow_backwards_in_time(damping: float) -> None:
+    """Motions fade by a factor of ten million within the clock error of 0.01 s."""
     model = chain(2, damping=damping, contacts=[([0, -1], 0.1, 0.5)])
     watcher = watching(model, np.array([0.2, 0.3, 1, 1]), clock=0.01, ensemble=3)
     for k in range(1, 6):
@@ -415,7 +413,7 @@ def test_stiff_damping_is_not_followed_back_into_overflow(damping: float) -> Non
 
 
 def test_instant_stays_within_the_samples_of_the_force() -> None:
-    """Impacts just after the first and just before the last sample, with a clock that is wrong."""
+    """Impacts just after the first and just before the last sample, with a clock error."""
     samples = Samples(np.array([0.0, 1.0]), np.array([[-1.0], [1.0]]), "linear")
     model = system(1, 0.1, 1, contacts=[([1], 0.5, 0.5)], force=Forcing.of_samples(samples))
     for gap in (-0.2, 0.2):
@@ -428,7 +426,7 @@ def test_instant_stays_within_the_samples_of_the_force() -> None:
 
 @pytest.mark.parametrize("speed", [-1e-9, 0.0, 1e-9, 3.0])
 def test_grazing_impact_divides_by_nothing(speed: float) -> None:
-    """Contact speed zero or of the wrong sign; one that leads away is thrown back all the same."""
+    """Contact speed zero or positive; a separating speed is reversed as well."""
     model = sample("two_mass").system
     law = MinimumVariance(model, without_faults(clock_error=JITTER))
     x = np.array([[0.1, 0.5, 0.0, -speed]])
@@ -441,7 +439,7 @@ def test_grazing_impact_divides_by_nothing(speed: float) -> None:
 
 
 def test_contacts_that_hit_together_share_one_instant() -> None:
-    """Two beads and a wall: both gaps are corrected, and the stamp's error by both."""
+    """Two beads and a wall: both gaps correct the state and the stamp's error."""
     beads = system(
         np.eye(2),
         np.zeros((2, 2)),
@@ -475,7 +473,7 @@ def test_same_stop_given_twice_is_one_stop() -> None:
     np.testing.assert_allclose(found[0], found[1], atol=1e-2)
 
 
-def test_impact_of_a_closed_contact_means_a_missed_release() -> None:
+def test_impact_of_a_closed_contact_implies_a_missed_opening() -> None:
     """It is applied, and nothing is NaN."""
     watcher = watching(PRESSED, np.zeros(4))
     for k, kind in enumerate((Kind.CLOSE, Kind.IMPACT, Kind.IMPACT)):

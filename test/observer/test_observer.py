@@ -31,7 +31,7 @@ def true_run(name: str, seconds: float, rate: float = 100.0) -> Run:
 
 
 def random_start(n: int, seed: int) -> Array:
-    """What ``random:SEED`` means."""
+    """The initial state ``random:SEED``."""
     return np.random.default_rng(seed).normal(size=2 * n)
 
 
@@ -57,7 +57,7 @@ def state(watcher: Observer, seconds: float) -> list[float]:
     "law", ["kinematic", "geometric", pytest.param("unilateral", marks=pytest.mark.slow)]
 )
 def test_distance_to_the_plant_never_rises(name: str, law: str) -> None:
-    """The paper's theorem on its kind of examples, through events rounded to 1 ns."""
+    """The theorem of the paper, with events rounded to 1 ns."""
     model, truth = sample(name).system, true_run(name, 30.0, rate=20.0)
     for seed in range(5):
         watcher = observer(model, law, random_start(model.n, seed), epoch=EPOCH, history=100.0)
@@ -84,7 +84,7 @@ def test_geometric_law_ends_closer_than_kinematic(name: str) -> None:
 
 
 def test_open_loop_is_the_flow_without_contact() -> None:
-    """Whatever events it receives."""
+    """Events have no effect."""
     x, truth = random_start(2, 3), true_run("two_mass", 8.0)
     watcher = observer(TWO_MASS, "open-loop", x)
     rulings_of(watcher, truth)
@@ -98,7 +98,7 @@ def test_open_loop_is_the_flow_without_contact() -> None:
     "name", ["two_mass", pytest.param("three_mass", marks=pytest.mark.slow), "bouncing_ball"]
 )
 def test_observer_that_starts_in_the_true_state_stays_there(name: str, law: str) -> None:
-    """To what stamps of 1 ns allow."""
+    """To the rounding of stamps to 1 ns."""
     model, truth = sample(name), true_run(name, 5.0)
     watcher = observer(model.system, law, np.concatenate(model.initial_state()))
     rulings_of(watcher, truth)
@@ -205,7 +205,7 @@ def test_initial_state_holds_at_the_first_stamp_of_a_late_observer() -> None:
 
 
 def test_given_epoch_allows_estimates_before_the_first_event() -> None:
-    """A first event with a higher number then moves the start, as the contract says."""
+    """A first event with a higher sequence number then moves the start."""
     x = random_start(2, 1)
     watcher = observer(TWO_MASS, "open-loop", x, epoch=EPOCH)
     assert state(watcher, 0.0) == pytest.approx(x.tolist(), abs=1e-12)
@@ -259,7 +259,7 @@ def test_event_with_unknown_contacts_only_is_not_missing() -> None:
     assert watcher.last_event == EPOCH + 2 * NS_PER_S
 
 
-def test_event_before_the_kept_past_is_too_late() -> None:
+def test_event_before_the_kept_history_is_too_late() -> None:
     """Beyond the history, or before the epoch; the reason says where the past begins."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH, history=2.0)
     assert watcher.receive(event(-1.0, "stop"))[0].ruling is Ruling.TOO_LATE
@@ -288,7 +288,7 @@ def test_event_of_an_old_episode_is_rejected() -> None:
     "change", [{"episode": 1, "epoch": EPOCH + 9}, {"episode": 0, "epoch": EPOCH + 9}]
 )
 def test_new_episode_or_epoch_restarts_the_observer(change: dict[str, int]) -> None:
-    """It estimates like a new one; the sequence numbers start again."""
+    """The estimates are those of a new observer; sequence numbers start again."""
     x = random_start(2, 1)
     used, fresh = observer(TWO_MASS, "geometric", x), observer(TWO_MASS, "geometric", x)
     used.receive(event(1.0, "stop", sequence=1))
@@ -383,7 +383,7 @@ def test_estimate_names_its_stamp_law_and_last_event() -> None:
     assert watcher.last_event == EPOCH + 2 * NS_PER_S
 
 
-def test_estimate_outside_the_kept_past_is_one_line() -> None:
+def test_estimate_outside_the_kept_history_is_an_error() -> None:
     """Before the first event is received, and before the start of the past."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1))
     with pytest.raises(UsageError, match=r"estimate at 5\.000000000 s: no event has come"):
@@ -393,7 +393,7 @@ def test_estimate_outside_the_kept_past_is_one_line() -> None:
         watcher.estimate(EPOCH - 1)
 
 
-def test_given_state_replaces_the_past() -> None:
+def test_set_state_replaces_the_history() -> None:
     """From its stamp on; later events are applied, earlier ones are too late."""
     watcher = observer(TWO_MASS, "geometric", random_start(2, 1), epoch=EPOCH)
     watcher.receive(event(1.0, "stop", sequence=1))
@@ -414,8 +414,8 @@ def test_state_given_before_any_event_is_the_initial_state() -> None:
     assert state(watcher, 0.0) == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-12)
 
 
-def test_restart_forgets_everything() -> None:
-    """As for a clock that jumped back: the observer estimates like a new one."""
+def test_restart_clears_all_events() -> None:
+    """The estimates are those of a new observer."""
     x = random_start(2, 1)
     used, fresh = (observer(TWO_MASS, "geometric", x, epoch=EPOCH) for _ in range(2))
     used.receive(event(5.0, "stop", sequence=4))
@@ -428,12 +428,12 @@ def test_restart_forgets_everything() -> None:
 
 @pytest.mark.parametrize("history", [0.0, -1.0, float("nan")])
 def test_history_must_be_positive(history: float) -> None:
-    """It is named with what was found."""
+    """The error has the value."""
     with pytest.raises(UsageError, match=r"history: .* expected a positive number"):
         observer(TWO_MASS, "geometric", np.zeros(4), history=history)
 
 
 def test_initial_state_must_fit_the_system() -> None:
-    """The same check as everywhere."""
+    """A state of another size is refused."""
     with pytest.raises(UsageError, match="velocity: 1 values, expected 2"):
         observer(TWO_MASS, "geometric", np.zeros(3))

@@ -1,4 +1,4 @@
-"""A published observer of impact times, with its published figures, and what is better.
+"""A published observer of impact times: its published figures, and those of our laws.
 
 P. Bernard and R. Sanfelice, on observers for hybrid systems with linear maps and known jump times
 (2018 and later): a bouncing ball with drag, of which only the impacts are measured.
@@ -21,7 +21,7 @@ from impact_observer.plant import Run
 Array = NDArray[np.float64]
 
 BALL = system(1, 0.1, 0, contacts=[([1], 0.0, 0.8)], force=forcing(1, -9.81))
-"""``x'' = -9.81 - 0.1 x'``, thrown back with 0.8 of its speed."""
+"""``x'' = -9.81 - 0.1 x'``, restitution 0.8."""
 JUMP = np.diag([-1.0, -0.8])
 PUBLISHED_AFTER = (1, 4, 8, 12)
 
@@ -81,12 +81,12 @@ def test_published_errors_are_reproduced(
 
 
 def test_geometric_law_is_the_position_reset() -> None:
-    """With ``K = 0`` and one coordinate there is one way to close a gap."""
+    """With ``K = 0`` and one coordinate."""
     np.testing.assert_allclose(velocity_errors(Geometric), velocity_errors(PositionReset))
 
 
 def test_minimum_variance_beats_the_published_gain() -> None:
-    """Two impacts determine the state of a ball; only the rounding of the stamps is left."""
+    """Two impacts determine the state of a ball to the rounding of stamps."""
     ours, theirs = np.abs(velocity_errors(MinimumVariance)), np.abs(velocity_errors(HybridGain))
     assert np.all(ours[1:] < 1e-6 * theirs[1:])
     assert np.max(ours[1:]) < 1e-7

@@ -40,8 +40,8 @@ def bits(estimate: Estimate) -> tuple[bytes, bytes, int]:
     return estimate.q.tobytes(), estimate.u.tobytes(), estimate.stamp
 
 
-def test_verdicts_name_no_gap_that_the_recording_closes() -> None:
-    """A jittering stamp, and a CLOSE with the stamp of an edge before another event."""
+def test_verdicts_name_no_missing_event_that_the_recording_contains() -> None:
+    """With jittered stamps, and with a CLOSE that has the stamp of an earlier edge."""
     events = [
         event(0.500, "c1", sequence=1),
         event(1.003, "c2", sequence=2),
@@ -64,8 +64,8 @@ def test_verdicts_name_no_gap_that_the_recording_closes() -> None:
     assert estimates[-1].closed == ("c2",)
 
 
-def test_gap_that_stays_is_named() -> None:
-    """By the event after it."""
+def test_event_missing_from_the_recording_is_named() -> None:
+    """In the verdict on the next event."""
     found, _, verdicts = replayed([event(0.1 * k, "c1", sequence=k) for k in (1, 2, 5, 6)])
     assert [v.reason for v in verdicts] == ["", "", "events 3 to 4 before it are missing", ""]
     assert found.missing == 2
@@ -98,7 +98,7 @@ def test_every_estimate_contains_all_events_at_or_before_it(
 
 
 def test_stamp_from_far_ahead_moves_no_estimate() -> None:
-    """It is received at its own stamp, however low its number: the past would be forgotten."""
+    """It is received at its own stamp, whatever its sequence number, so the history is kept."""
     events = [event(0.1 * k, "c1", sequence=k) for k in range(1, 10)]
     ahead = replace(events[4], stamp=EPOCH + 1000 * NS_PER_S)
     found, estimates, _ = replayed([*events[:4], ahead, *events[5:]])

@@ -50,7 +50,7 @@ def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
 def reported(
     name: str, seconds: float, sensor: SensorModel, seed: int = 0
 ) -> tuple[SensorMessage, ...]:
-    """The events that a sensor reports of it."""
+    """The events that a sensor with faults reports."""
     model, _, whole = truth(name, seconds)
     last = int(whole.stamps[-1])
     return simulate_sensor(sensor, model, whole.switchings, epoch=EPOCH, last=last, seed=seed)
@@ -70,7 +70,7 @@ def squared(model: System, error: Array) -> float:
 
 
 def beside(whole: Run, seconds: float) -> list[int]:
-    """Indices of samples that are farther than that from any impact."""
+    """Indices of samples that are farther than ``seconds`` from any impact."""
     impacts = np.array([each.instant.stamp for each in whole.impacts])
     near = np.min(np.abs(whole.stamps[:, None] - impacts), axis=1)
     return [int(k) for k in np.flatnonzero(near > seconds * NS_PER_S)]
@@ -79,7 +79,7 @@ def beside(whole: Run, seconds: float) -> list[int]:
 def left(
     name: str, seconds: float, sensor: SensorModel, declared: dict[str, Any], seed: int
 ) -> float:
-    """V at the end over V at first."""
+    """V at the end over V at the start."""
     model, start, whole = truth(name, seconds)
     x = start + np.random.default_rng(seed).normal(size=start.size)
     watcher = watching(model, x, declared)
@@ -123,8 +123,8 @@ def closed_at(whole: Run, stamp: int) -> tuple[str, ...]:
 
 
 @pytest.mark.slow
-def test_persistent_contact_that_is_not_reported_is_found() -> None:
-    """Impacts only: every CLOSE and OPEN is inserted, and the estimate is right throughout."""
+def test_unreported_persistent_contact_is_inserted() -> None:
+    """The sensor reports impacts only: every CLOSE and OPEN is inserted."""
     model, _, whole = truth("pressed", 7.0)
     kinds = {switch.kind for each in whole.events for switch in each.switches}
     assert kinds == set(Kind)
@@ -154,13 +154,13 @@ WORST = {
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
 @pytest.mark.parametrize("fault", WORST)
 def test_faulty_sensor_costs_little_in_any_run(name: str, fault: str) -> None:
-    """60 s and three seeds: what ``benchmarks/troubles.py`` aims at for the worst of 40."""
+    """60 s and three seeds, with the goals of ``benchmarks/troubles.py`` for the worst of 40."""
     sensor, declared, bound = WORST[fault]
     assert max(left(name, 60.0, sensor, declared, seed) for seed in range(3)) < bound
 
 
 def locked(count: int, *spurious: float) -> Observer:
-    """Of two_mass, after ``count`` impacts, and events at which nothing has happened."""
+    """An observer of two_mass after ``count`` impacts and some spurious events."""
     model, start, whole = truth("two_mass", 30.0)
     watcher = watching(model, start + np.random.default_rng(0).normal(size=4), EXACT)
     for each in whole.events[:count]:
@@ -174,10 +174,10 @@ def locked(count: int, *spurious: float) -> Observer:
 @pytest.mark.parametrize(
     "spurious",
     [(), pytest.param((17.829,), marks=pytest.mark.slow)],
-    ids=["silence", "after an spurious one"],
+    ids=["no event", "after a spurious one"],
 )
 def test_missed_impact_is_inserted_before_the_next_event(spurious: tuple[float, ...]) -> None:
-    """The impacts of 18.2 and 20.1 s: right 1 ms later, and half a second later."""
+    """The impacts at 18.2 s and 20.1 s; V is small 1 ms and half a second later."""
     model, _, whole = truth("two_mass", 30.0)
     watcher, missed = locked(13, *spurious), [each.stamp for each in whole.events[13:15]]
     plant = run(model, *sample("two_mass").initial_state(), seconds=20.5, rate=1000.0)
@@ -192,8 +192,8 @@ def test_missed_impact_is_inserted_before_the_next_event(spurious: tuple[float, 
             assert np.max(deviations) < 1e-7
 
 
-def test_estimate_is_a_function_of_the_events_and_the_stamp() -> None:
-    """Through impacts that are inserted: asked in any order or once, not a bit differs."""
+def test_estimates_do_not_depend_on_the_stamps_of_earlier_estimates() -> None:
+    """Bit for bit, also where missed impacts are inserted."""
     stamps = (EPOCH + np.arange(17_700, 22_000, 157) * 1_000_000).astype(np.int64)
     found = estimates(locked(13), stamps)
     order = np.random.default_rng(1).permutation(stamps.size)
@@ -202,7 +202,7 @@ def test_estimate_is_a_function_of_the_events_and_the_stamp() -> None:
 
 
 def recovered(watcher: Observer, whole: Run, events: Sequence[ImpactEvent]) -> list[Verdict]:
-    """The verdicts until the estimate is right again, which it must be after 2n + 2 events."""
+    """The verdicts up to a correct estimate, which must come within 2n + 2 events."""
     verdicts: list[Verdict] = []
     for each in events[: 2 * watcher.system.n + 2]:
         verdicts += watcher.receive(each)
@@ -214,14 +214,14 @@ def recovered(watcher: Observer, whole: Run, events: Sequence[ImpactEvent]) -> l
 
 
 def explained(verdicts: Sequence[Verdict]) -> bool:
-    """Whether one says that the covariance was widened or the filter restarted."""
+    """Whether a reason names a widened covariance or a restarted filter."""
     words = ("accepted: the covariance is made", "restart: the estimate before it is rejected")
     return any(word in each.reason for each in verdicts for word in words)
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_wrong_start_of_tiny_deviation_is_left(seed: int) -> None:
-    """Wrong by 1 with a declared deviation of 1e-6: right after a few impacts, with a reason."""
+def test_wrong_start_with_tiny_deviation_is_corrected(seed: int) -> None:
+    """An error of 1 with a declared deviation of 1e-6; a verdict has the reason."""
     model, start, whole = truth("two_mass", 30.0)
     x = start + np.random.default_rng(seed).normal(size=4)
     watcher = watching(model, x, {**EXACT, "deviation": 1e-6})
@@ -229,8 +229,8 @@ def test_wrong_start_of_tiny_deviation_is_left(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_kicked_plant_is_found_again(seed: int) -> None:
-    """Locked on; then it goes on from another state, as if somebody had pushed it."""
+def test_estimate_converges_again_after_the_plant_was_disturbed(seed: int) -> None:
+    """The state of the plant jumps after the estimate has converged."""
     model, start, whole = truth("two_mass", 30.0)
     state = np.random.default_rng(seed).normal(size=(2, 2)) * [[0.3], [2.0]]
     kicked = run(model, *state, seconds=16.0, rate=20.0)
@@ -247,8 +247,8 @@ def test_kicked_plant_is_found_again(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-def test_wrong_set_state_of_tiny_deviation_is_left(seed: int) -> None:
-    """By ``set_state`` with a deviation of 1e-6 while locked on."""
+def test_wrong_set_state_with_tiny_deviation_is_corrected(seed: int) -> None:
+    """``set_state`` with a deviation of 1e-6 after the estimate has converged."""
     _, _, whole = truth("two_mass", 30.0)
     watcher = locked(10)
     position, velocity = 0.7 * np.random.default_rng(seed).normal(size=(2, 2))
@@ -268,8 +268,8 @@ def learning(sensor: SensorModel, declared: dict[str, Any], seed: int = 0) -> tu
 
 @pytest.mark.slow
 @pytest.mark.parametrize("error", [1e-6, 3e-3])
-def test_error_of_the_clock_is_estimated(error: float) -> None:
-    """Within a factor of 3.5 of what it is."""
+def test_clock_error_is_estimated(error: float) -> None:
+    """Within a factor of 3.5."""
     watcher, end = learning(SensorModel(jitter=error), UNDECLARED, seed=1)
     ((name, found, deviation),) = watcher.estimate(end).parameters
     assert name == "clock_error"
@@ -279,8 +279,8 @@ def test_error_of_the_clock_is_estimated(error: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-def test_error_of_the_clock_is_estimated_in_any_run(name: str) -> None:
-    """60 s and two seeds; within the same factor."""
+def test_clock_error_is_estimated_in_any_run(name: str) -> None:
+    """The same in 60 s, for two seeds."""
     model, start, whole = truth(name, 60.0)
     for error in (1e-6, 1e-5, 1e-4, 1e-3):
         for seed in range(2):
@@ -302,8 +302,8 @@ def test_error_of_the_clock_is_estimated_in_any_run(name: str) -> None:
         ),
     ],
 )
-def test_offset_of_the_clock_is_estimated(delay: float, jitter: float, seed: int) -> None:
-    """Within four of its deviations, which are small; and it survives a message."""
+def test_clock_offset_is_estimated(delay: float, jitter: float, seed: int) -> None:
+    """Within four of its small deviations; its message has the same value."""
     pytest.importorskip("rosbags")
     from impact_observer.io.messages import bag_messages, read_estimate
 
@@ -329,7 +329,7 @@ def test_offset_is_refused_where_no_force_depends_on_time() -> None:
 
 
 def never_wrong(name: str, sensor: SensorModel, declared: dict[str, Any], seed: int) -> int:
-    """How often ``synchronized`` was true, live; asserts that V was below its threshold then."""
+    """How often ``synchronized`` was true; asserts that V was below its threshold each time."""
     model, start, whole = truth(name, 24.0)
     x = start + np.random.default_rng(seed).normal(size=start.size)
     events = reported(name, 24.0, sensor, seed)
@@ -361,7 +361,7 @@ def never_wrong(name: str, sensor: SensorModel, declared: dict[str, Any], seed: 
     ids=["both", "jitter", "late"],
 )
 def test_synchronized_is_never_wrong(sensor: SensorModel, declared: dict[str, Any]) -> None:
-    """While events come that are wrong, late or missed."""
+    """With missed, spurious, late and jittered events."""
     assert never_wrong("two_mass", sensor, declared, seed=1) > 0
 
 
@@ -375,8 +375,8 @@ def test_synchronized_is_never_wrong_in_any_run(name: str, fault: str) -> None:
     assert len(counts) == 2
 
 
-def test_clean_run_has_no_second_thoughts_once_locked() -> None:
-    """A right sensor: nothing is rejected, inserted or revised after the first 2n + 2."""
+def test_ideal_sensor_causes_no_revision_after_convergence() -> None:
+    """Nothing is rejected, inserted or revised after the first 2n + 2 events."""
     watcher = locked(6)
     before = watcher.remarks[Remark.SECOND_THOUGHT]
     for each in truth("two_mass", 30.0)[2].events[6:]:

@@ -1,4 +1,4 @@
-"""Streams as real sensors give them: late, twice, with gaps, with stamps against their numbers."""
+"""Faulty event streams: late, duplicate, missing, and stamps that contradict sequence numbers."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -99,12 +99,12 @@ def arrivals(draw: st.DrawFn, events: list[ImpactEvent]) -> list[ImpactEvent]:
 
 
 def consistent(events: list[ImpactEvent]) -> list[ImpactEvent]:
-    """The stream without contradictions that ``events``, all numbered, mean."""
+    """The stream without contradictions that has the effect of ``events``, all numbered."""
     ordered = sorted(events, key=lambda e: (e.stamp, e.sequence))
     first = min(each.sequence for each in events)
     plain: list[ImpactEvent] = []
     for i, each in enumerate(ordered):
-        kinds = [meant(ordered[: i + 1], switch, ordered[i + 1 :]) for switch in each.switches]
+        kinds = [effect_of(ordered[: i + 1], switch, ordered[i + 1 :]) for switch in each.switches]
         switches = tuple(
             Switch(switch.contact, kind)
             for switch, kind in zip(each.switches, kinds, strict=True)
@@ -115,8 +115,8 @@ def consistent(events: list[ImpactEvent]) -> list[ImpactEvent]:
     return plain
 
 
-def meant(upto: list[ImpactEvent], switch: Switch, later: list[ImpactEvent]) -> Kind | None:
-    """How a switch of the last of ``upto`` acts, by the rules of docs/events.md."""
+def effect_of(upto: list[ImpactEvent], switch: Switch, later: list[ImpactEvent]) -> Kind | None:
+    """The effect of a switch of the last of ``upto``, by the rules of docs/events.md."""
     closing = Switch(switch.contact, Kind.CLOSE)
     if switch.kind is Kind.IMPACT and any(
         e.stamp == upto[-1].stamp and closing in e.switches for e in later
@@ -172,9 +172,7 @@ def test_estimates_in_between_change_no_bit(law: str, data: st.DataObject) -> No
 @UNILATERAL_SLOW
 @examples(4)
 @given(data=st.data())
-def test_contradictory_stream_acts_like_the_consistent_one_it_means(
-    law: str, data: st.DataObject
-) -> None:
+def test_contradictory_stream_acts_as_its_consistent_one(law: str, data: st.DataObject) -> None:
     """Equal in every bit: superseded switches have no effect, stale ones another kind."""
     events = data.draw(streams())
     plain = watcher_of(law, consistent(events))
@@ -183,17 +181,17 @@ def test_contradictory_stream_acts_like_the_consistent_one_it_means(
 
 @examples(20)
 @given(data=st.data())
-def test_chi_is_what_the_event_with_the_highest_number_has_set(data: st.DataObject) -> None:
+def test_chi_is_set_by_the_event_with_the_highest_sequence_number(data: st.DataObject) -> None:
     """At every instant, and long after the last event."""
     events = data.draw(streams())
     watcher = watcher_of("open-loop", data.draw(arrivals(events)), ensemble=1)
     stamps = [*STAMPS.tolist(), EPOCH + 100 * NS_PER_S]
     for stamp in [each for each in stamps if each >= (watcher.start or 0)]:
-        said = {"c1": (0, Kind.OPEN), "c2": (0, Kind.OPEN)}
+        latest = {"c1": (0, Kind.OPEN), "c2": (0, Kind.OPEN)}
         for each in events:
             for switch in each.switches if each.stamp <= stamp else ():
-                said[switch.contact] = max(said[switch.contact], (each.sequence, switch.kind))
-        closed = tuple(contact for contact, (_, kind) in said.items() if kind is Kind.CLOSE)
+                latest[switch.contact] = max(latest[switch.contact], (each.sequence, switch.kind))
+        closed = tuple(contact for contact, (_, kind) in latest.items() if kind is Kind.CLOSE)
         assert watcher.estimate(stamp).closed == closed
 
 
@@ -232,10 +230,10 @@ def reasons(verdicts: Sequence[Verdict]) -> list[tuple[Ruling, str]]:
         (Kind.CLOSE, Kind.OPEN, "its OPEN does nothing", None),
     ],
 )
-def test_verdict_names_stamps_against_numbers_in_either_order_of_arrival(
+def test_verdict_names_stamps_that_contradict_sequence_numbers(
     early: Kind, late: Kind, effect: str, acts: Kind | None
 ) -> None:
-    """The event that arrives second; numbers 8 and 9, stamped the other way round."""
+    """Events 8 and 9 with stamps in the other order; the one that arrives second says so."""
     eight = switching(("c1", late), seconds=1.001, sequence=8)
     nine = switching(("c1", early), seconds=1.0, sequence=9)
     before = switching(("c2", Kind.OPEN), seconds=0.0, sequence=1)
@@ -261,8 +259,8 @@ def test_verdict_names_stamps_against_numbers_in_either_order_of_arrival(
     assert forth.remarks[Remark.DISORDER] == back.remarks[Remark.DISORDER] == 1
 
 
-def test_events_without_a_number_go_by_their_stamps() -> None:
-    """Nothing is stale, not even beside events that are numbered."""
+def test_events_without_sequence_numbers_are_ordered_by_stamp() -> None:
+    """None of them is stale, also among events with numbers."""
     watcher = watcher_of("geometric", [switching(("c1", Kind.CLOSE), seconds=1.0, sequence=1)])
     assert reasons(watcher.receive(switching(("c1", Kind.OPEN), seconds=1.5))) == [
         (Ruling.APPLIED, "")
@@ -276,7 +274,7 @@ def test_events_without_a_number_go_by_their_stamps() -> None:
 @LAWS
 @pytest.mark.parametrize("numbered", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_close_supersedes_the_impact_of_its_stamp(law: str, *, numbered: bool) -> None:
-    """In either order, as if there had been no IMPACT; another of that stamp is left."""
+    """In either order of arrival; an IMPACT of another contact is left."""
     first = switching(("c1", Kind.IMPACT), seconds=0.5, sequence=1 * numbered)
     edge = switching(("c1", Kind.IMPACT), ("c2", Kind.IMPACT), seconds=1.0, sequence=2 * numbered)
     between = switching(("c1", Kind.IMPACT), seconds=1.3, sequence=3 * numbered)
@@ -308,7 +306,7 @@ def test_close_of_several_contacts_supersedes_without_numbers_too(*, turned: boo
 
 
 def test_superseding_the_latest_event_is_not_late() -> None:
-    """The two messages in a row, as also of a plant that rounds both to one stamp."""
+    """IMPACT and CLOSE in a row, with one stamp."""
     watcher = watcher_of("geometric", [event(1.0, "c1", sequence=5)], epoch=0)
     closing = switching(("c1", Kind.CLOSE), seconds=1.0, sequence=6)
     wanted = [(Ruling.APPLIED, "supersedes the IMPACT of event 5")]
@@ -317,8 +315,8 @@ def test_superseding_the_latest_event_is_not_late() -> None:
     assert not watcher.remarks[Remark.LATE]
 
 
-def test_forgotten_impact_cannot_be_superseded() -> None:
-    """Its CLOSE is too late: the state before the IMPACT is gone."""
+def test_impact_older_than_the_history_cannot_be_superseded() -> None:
+    """The CLOSE is too late: the state before the IMPACT is not kept."""
     watcher = watcher_of("geometric", history=1.0)
     for k, seconds in enumerate((0.5, 1.0, 2.1)):
         watcher.receive(event(seconds, "c1", sequence=k + 1))
@@ -328,8 +326,8 @@ def test_forgotten_impact_cannot_be_superseded() -> None:
     assert bits(watcher, [EPOCH + 3 * NS_PER_S]) == before
 
 
-def test_verdict_names_the_gap_in_front_of_its_event() -> None:
-    """And the verdict on a late event says how many events were run again."""
+def test_verdict_names_missing_events_before_its_own() -> None:
+    """The verdict on a late event has the number of events that were applied again."""
     watcher = watcher_of("geometric", [event(0.6, "c1", sequence=6)])
     found = []
     for sequence in (9, 8, 11, 3, 12):
@@ -365,8 +363,8 @@ def test_every_refused_event_is_counted() -> None:
     assert watcher.missing == 0
 
 
-def test_first_verdict_after_a_restart_says_why() -> None:
-    """Of a new episode, a new epoch and a clock that went back; once each."""
+def test_first_verdict_after_a_restart_has_the_reason() -> None:
+    """A new episode, a new epoch, or a clock that jumped back; once each."""
     watcher = watcher_of("geometric", [event(1.0, "c1", sequence=1)])
     again = event(2.0, "wall", "c1", sequence=1, episode=1, epoch=EPOCH + 5)
     unknown = "the model's contacts are c1, c2"
@@ -385,7 +383,7 @@ def test_first_verdict_after_a_restart_says_why() -> None:
     assert watcher.restarts == 2
 
 
-def test_gap_before_a_failing_event_is_not_named_later() -> None:
+def test_missing_events_before_a_failing_event_are_named_once() -> None:
     """The verdict on the next event does not repeat it."""
     jammed = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
     watcher = observer(jammed, "geometric", [0.0, -1.0], epoch=EPOCH)
@@ -398,8 +396,8 @@ def test_gap_before_a_failing_event_is_not_named_later() -> None:
 
 
 @LAWS
-def test_given_state_holds_while_later_events_act_on_it(law: str) -> None:
-    """Those received before and after it; chi and its sequence numbers are kept."""
+def test_events_after_a_set_state_act_on_it(law: str) -> None:
+    """Whether received before or after it; chi and the sequence numbers are kept."""
     early = switching(("c1", Kind.CLOSE), seconds=0.5, sequence=3)
     later = switching(("c2", Kind.IMPACT), seconds=1.5, sequence=4)
     stale = switching(("c1", Kind.OPEN), seconds=1.2, sequence=2)
@@ -446,8 +444,8 @@ def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
     assert shuffled.missing == ordered.missing == 0
 
 
-def test_forgotten_sequence_numbers_are_neither_new_nor_missing() -> None:
-    """Whether they come again or not."""
+def test_sequence_numbers_beyond_the_history_are_neither_new_nor_missing() -> None:
+    """Whether the events arrive again or not."""
     numbers = SequenceNumbers()
     for k in (*range(1, 80), 81):
         numbers.add(k, 10 * k)
@@ -462,10 +460,10 @@ def test_forgotten_sequence_numbers_are_neither_new_nor_missing() -> None:
     assert numbers.gap(301) == "event 300 before it is missing"
 
 
-def test_numbers_of_events_with_unknown_contacts_are_forgotten(
+def test_numbers_of_events_with_unknown_contacts_are_kept_for_the_history_only(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A sensor of contacts that the model does not have may send any number of events."""
+    """Memory stays bounded for a sensor of contacts that the model does not have."""
     monkeypatch.setattr(observer_module, "MOST_NUMBERS", 100)
     watcher = watcher_of("geometric", history=1.0, ensemble=1)
     for k in range(1, 1000):
@@ -478,7 +476,7 @@ def test_numbers_of_events_with_unknown_contacts_are_forgotten(
 
 
 def test_event_that_is_not_applied_does_not_shorten_the_past() -> None:
-    """However late its stamp: duplicates of earlier events are recognised."""
+    """Whatever its stamp: duplicates of earlier events are still recognised."""
     watcher = watcher_of("geometric", history=100.0, ensemble=1)
     events = [switching(("c1", Kind.IMPACT), seconds=0.1 * k, sequence=k) for k in range(1, 101)]
     for each in (*events[:89], *events[90:]):
@@ -492,6 +490,6 @@ def test_event_that_is_not_applied_does_not_shorten_the_past() -> None:
 
 
 def test_page_of_events_names_everything_that_is_counted() -> None:
-    """docs/events.md names every remark."""
+    """docs/events.md lists every remark."""
     page = (Path(__file__).parents[2] / "docs" / "events.md").read_text()
     assert [remark.value for remark in Remark if f"`{remark.value}`" not in page] == []

@@ -33,7 +33,7 @@ ALIKE = pytest.mark.parametrize("law", [law for law in BUILT_IN if law != "minim
 """Laws in which every replica is corrected by itself."""
 CERTIFIED = pytest.mark.parametrize("law", ["geometric", "unilateral"])
 LONG = 1000.0
-"""A history that forgets nothing, s."""
+"""A history that keeps all events, s."""
 THREE_MASS = sample("three_mass")
 TRUTH = run(THREE_MASS.system, *THREE_MASS.initial_state(), seconds=30.0, rate=10.0)
 
@@ -155,7 +155,7 @@ def test_convergence_never_rises() -> None:
     assert found[-1] < 1e-2 * found[0]
 
 
-def test_replicas_must_agree_for_several_events() -> None:
+def test_replicas_must_agree_for_several_events_before_synchronization() -> None:
     """Replicas that begin together are synchronized after so many events, not before."""
     watcher = started(THREE_MASS.system, "geometric", TRUTH.states[0], deviation=1e-6)
     for count, each in enumerate(TRUTH.events[: 2 * REQUIRED_EVENTS], start=1):
@@ -172,8 +172,8 @@ def test_law_without_events_is_never_synchronized() -> None:
     assert not last.synchronized
 
 
-def test_impact_far_from_all_replicas_ends_the_agreement() -> None:
-    """An impact is reported at a stop from which all replicas are far: all are wrong."""
+def test_impact_far_from_all_replicas_ends_synchronization() -> None:
+    """An impact is reported at a stop from which all replicas are far."""
     watcher = started(THREE_MASS.system, "geometric", TRUTH.states[0], deviation=1e-9)
     distances(watcher)
     stamp = int(TRUTH.stamps[-1])
@@ -189,7 +189,7 @@ def test_impact_far_from_all_replicas_ends_the_agreement() -> None:
     "seed", [0, *(pytest.param(each, marks=pytest.mark.slow) for each in (1, 2, 3))]
 )
 def test_certified_bound_holds(law: str, seed: int) -> None:
-    """It begins above V, falls, and V stays below it."""
+    """It starts above V and falls, and V stays below it."""
     start = random_start(seed)
     watcher = observer(THREE_MASS.system, law, start, epoch=EPOCH, history=LONG, ensemble=1)
     found = distances(watcher)
@@ -280,19 +280,19 @@ def test_ball_at_rest_is_synchronized() -> None:
     assert last.synchronized
 
 
-def test_large_innovations_end_the_agreement() -> None:
-    """A stiffness off by 3 %: replicas agree, but impacts come at unexplained times."""
+def test_large_innovations_end_synchronization() -> None:
+    """The stiffness is off by 3 %: replicas agree, but innovations are large."""
     stiffer = replace(THREE_MASS.system, K=1.03 * THREE_MASS.system.K)
     watcher = observer(stiffer, "minimum-variance", random_start(1), epoch=EPOCH, history=LONG)
-    surprises = []
+    large = []
     for each in TRUTH.events:
-        surprises += [verdict.innovation > LARGEST_INNOVATION for verdict in watcher.receive(each)]
-        if surprises[-1]:
+        large += [verdict.innovation > LARGEST_INNOVATION for verdict in watcher.receive(each)]
+        if large[-1]:
             assert not watcher.estimate(each.stamp).synchronized
-    assert sum(surprises) > 5
+    assert sum(large) > 5
 
 
-def test_refuted_bound_ends_the_agreement() -> None:
+def test_refuted_bound_ends_synchronization() -> None:
     """Replicas with too small a spread agree at once, but not with the plant."""
     watcher = started(THREE_MASS.system, "geometric", random_start(5), deviation=1e-6)
     distances(watcher)

@@ -1,4 +1,4 @@
-"""The observer's past: events in order, and no more of them than needed."""
+"""The timeline: events in order, kept as long as they are needed."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ def first(stamp: int, x: float) -> Entry:
 
 
 def update(previous: Entry, event: EventKey, neighbours: Sequence[EventKey]) -> Entry:
-    """A state whose digits are the stamps of all events before it."""
+    """A state whose digits are the stamps of all earlier events."""
     del neighbours
     belief = Belief(Ensemble.of(previous.belief.replicas * 10 + event.stamp))
     return Entry(event, event.stamp, belief, NONE)
@@ -75,16 +75,16 @@ def test_event_at_the_start_comes_after_the_initial_state() -> None:
     assert timeline.at(0).key.switches == ((0, Kind.IMPACT),)
 
 
-def test_event_that_was_inserted_is_recognised() -> None:
-    """Only the very same one."""
+def test_timeline_recognises_its_events() -> None:
+    """Equal stamps with another sequence number or contact are new events."""
     timeline = filled(key(2, 1))
     assert key(2, 1) in timeline
     assert key(2, 2) not in timeline
     assert key(2, 1, 1) not in timeline
 
 
-def test_past_is_forgotten_up_to_the_state_that_is_needed() -> None:
-    """What is asked for after the cut has the same answer as before it."""
+def test_cut_keeps_the_states_after_it() -> None:
+    """States after the cut are the same as before."""
     timeline = filled(key(1), key(2), key(4))
     was_complete = [timeline.is_complete]
     timeline.forget_before(3)
@@ -103,7 +103,7 @@ def test_restart_applies_the_later_events_again() -> None:
     assert states(timeline) == [5, 53, 534]
 
 
-def test_update_that_fails_leaves_the_past_as_it_was() -> None:
+def test_update_that_fails_leaves_the_timeline_unchanged() -> None:
     """The event is not in it, nor is any state changed."""
 
     def failing(previous: Entry, event: EventKey, neighbours: Sequence[EventKey]) -> Entry:

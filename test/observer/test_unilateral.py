@@ -97,7 +97,7 @@ def test_impact_leaves_no_contact_separating_before_newtons_law(data: st.DataObj
             assert push @ (other - found) <= 1e-7 * size**2
 
 
-def test_contact_that_separates_stops_and_one_that_closes_is_thrown_back() -> None:
+def test_separating_contact_stops_and_closing_contact_bounces() -> None:
     """By hand for two_mass: gamma = -u2, restitution 0.7."""
     law = Unilateral(sample("two_mass").system)
     hit = ContactChange(0.0, (), (0,), ())
@@ -108,7 +108,7 @@ def test_contact_that_separates_stops_and_one_that_closes_is_thrown_back() -> No
 
 
 def test_of_contacts_that_hit_together_one_may_separate() -> None:
-    """A plant that is thrown from one stop into the other, at one instant, is not corrected."""
+    """The jump is then that of geometric."""
     corner = [([1, 0], 0.0, 0.5), ([1, 3], 0.0, 0.5)]
     model = system(np.eye(2), np.zeros((2, 2)), np.eye(2), contacts=corner)
     x = np.array([0.0, 0.0, -1.0, 0.5])  # c1 closes, c2 was hit just before
@@ -119,7 +119,7 @@ def test_of_contacts_that_hit_together_one_may_separate() -> None:
 
 
 def test_replica_away_from_other_stops_equals_the_geometric_one() -> None:
-    """The plant's own state, and one that stays away from the other stop."""
+    """From the true state, and from one that stays away from the other stop."""
     model = chain(2, contacts=[([0, -1], 0.2, 0.6), ([1, 0], 50.0, 0.5)])
     x, t = np.array([0.1, 0.0, 0.3, 0.2]), 0.0
     closed: tuple[int, ...] = ()

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 NEAR = 2
 """How near to its true stamp a missed impact is inserted in the end, ns."""
 MOVED = 2000
-"""By which an inserted impact may move unsaid, ns."""
+"""By which an inserted impact may move without a revised verdict, ns."""
 Rulings = dict[tuple[int, int, str], Ruling]
 
 
@@ -92,7 +92,7 @@ def likeliest(watcher: Observer) -> Rulings:
 
 
 LOCKED = {"two_mass": 12.0, "three_mass": 14.0}
-"""From then on the events before suffice to judge the others, s."""
+"""When the estimate has converged, s."""
 
 
 @pytest.mark.parametrize(
@@ -163,10 +163,10 @@ def test_mislabelled_impacts_are_named_once_the_estimate_has_converged(seed: int
 
 def assert_same(one: Rulings, other: Rulings) -> None:
     """The same rulings; stamps of inserted impacts may differ a little."""
-    for found, meant in zip(sorted(one.items()), sorted(other.items()), strict=True):
+    for found, wanted in zip(sorted(one.items()), sorted(other.items()), strict=True):
         (stamp, *rest), ruling = found
-        assert (*rest, ruling) == (*meant[0][1:], meant[1])
-        assert abs(stamp - meant[0][0]) <= (0 if rest[0] else MOVED)
+        assert (*rest, ruling) == (*wanted[0][1:], wanted[1])
+        assert abs(stamp - wanted[0][0]) <= (0 if rest[0] else MOVED)
 
 
 @cache
@@ -199,7 +199,7 @@ def test_final_rulings_do_not_depend_on_the_order_of_arrival() -> None:
 
 @pytest.mark.slow
 def test_revised_verdict_says_so_and_is_counted() -> None:
-    """By ``revises`` and the reason; each revises an earlier one; ``remarks`` counts them."""
+    """By ``revises`` and its reason; ``remarks`` counts revisions."""
     count = 0
     for seed in range(3):
         watcher, _, verdicts = run_of(seed)

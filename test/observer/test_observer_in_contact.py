@@ -33,7 +33,7 @@ LAWS = pytest.mark.parametrize("law", ["kinematic", "geometric"])
 TABLE = system(
     1, 0, 0, contacts=[([1], 0.0, 0.3)], force=forcing(1, -9.81, [Harmonic(10.0, [15.0], [0.0])])
 )
-"""A body on a table that shakes hard enough to throw it, seen from the table."""
+"""A body on a shaking table that throws it, in the frame of the table."""
 PRESSED = chain(
     2,
     damping=0.3,
@@ -55,8 +55,8 @@ def gap_and_speed(model: System, states: Array) -> tuple[Array, Array]:
     return q @ model.W + model.q_r, u @ model.W
 
 
-def test_sample_runs_contain_closing_lasting_and_opening_contacts() -> None:
-    """Both contacts close, stay and open, several times, also together."""
+def test_sample_run_closes_and_opens_both_contacts() -> None:
+    """Several times, also together."""
     kinds = [(s.contact, s.kind) for each in pressed().events for s in each.switches]
     for contact in ("c1", "c2"):
         assert kinds.count((contact, Kind.CLOSE)) >= 2
@@ -68,7 +68,7 @@ def test_sample_runs_contain_closing_lasting_and_opening_contacts() -> None:
 @LAWS
 @pytest.mark.parametrize(("model", "start"), [(TABLE, [0.0, 0.0]), (PRESSED, [0.0] * 4)])
 def test_observer_in_the_true_state_stays_there(law: str, model: System, start: Array) -> None:
-    """Through accumulation, rest and release, to what stamps of 1 ns allow."""
+    """Through accumulation, rest and release, to the rounding of stamps."""
     truth = run(model, *np.split(np.array(start), 2), seconds=6.0)
     watcher = observer(model, law, start, epoch=EPOCH, history=100.0)
     for each in truth.events:
@@ -81,8 +81,8 @@ def test_observer_in_the_true_state_stays_there(law: str, model: System, start: 
 
 @pytest.mark.slow
 @LAWS
-def test_distance_to_the_plant_never_rises_in_contact_either(law: str) -> None:
-    """Pulses and intervals, from six wrong states; it ends far below its start."""
+def test_distance_to_the_plant_never_rises_in_persistent_contact(law: str) -> None:
+    """From six wrong initial states; V ends far below its start."""
     truth = pressed()
     for seed in range(6):
         x = np.random.default_rng(seed).normal(size=4)
@@ -123,7 +123,7 @@ def test_kinematic_replica_keeps_its_gap_once_its_clutch_holds() -> None:
 @pytest.mark.slow
 @LAWS
 def test_any_order_of_arrival_gives_equal_bits(law: str) -> None:
-    """CLOSE, IMPACT of another, OPEN, CLOSE: each is inserted at its stamp."""
+    """Late CLOSE, IMPACT and OPEN events are inserted at their stamps."""
     events = [
         switching(("c1", Kind.CLOSE), seconds=0.3, sequence=1),
         switching(("c2", Kind.IMPACT), seconds=0.7, sequence=2),
@@ -143,7 +143,7 @@ def test_any_order_of_arrival_gives_equal_bits(law: str) -> None:
 
 
 def test_estimate_names_the_closed_contacts() -> None:
-    """From the CLOSE to the OPEN; by name, in the model's order."""
+    """From the CLOSE to the OPEN, in the order of the model."""
     watcher = observer(PRESSED, "geometric", np.zeros(4), epoch=EPOCH)
     watcher.receive(switching(("c2", Kind.CLOSE), seconds=1.0, sequence=1))
     watcher.receive(switching(("c1", Kind.CLOSE), seconds=2.0, sequence=2))
@@ -210,7 +210,7 @@ def test_state_set_from_outside_leaves_contacts_closed(law: str) -> None:
 
 
 def test_failing_event_counts_as_missing() -> None:
-    """Sent again it fails again; it is no duplicate."""
+    """The same event fails again; it is not a duplicate."""
     jammed = system(1, 0, 1, contacts=[([1], 0.0, 0.8), ([-1], 0.0, 0.5)])
     watcher = observer(jammed, "geometric", [0.0, -1.0], epoch=EPOCH)
     watcher.receive(switching(("c1", Kind.IMPACT), seconds=0.5, sequence=1))
@@ -231,7 +231,7 @@ def test_new_episode_begins_with_all_contacts_open() -> None:
 
 
 def test_open_loop_has_no_contacts_to_close() -> None:
-    """It moves as without any event."""
+    """Its motion is that without events."""
     open_loop, silent = (observer(PRESSED, "open-loop", np.ones(4), epoch=EPOCH) for _ in range(2))
     open_loop.receive(switching(("c1", Kind.CLOSE), seconds=0.5, sequence=1))
     stamps = EPOCH + np.arange(0, 2_000_000_000, 100_000_000)
