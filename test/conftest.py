@@ -32,6 +32,12 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture
+def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make ``tmp_path`` the working folder, so that messages name files in it briefly."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
 def ros_environment(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, str]]:
     """An environment with a ROS domain of its own, which this process gets too."""
     pytest.importorskip("rclpy")

@@ -132,6 +132,11 @@ def seconds(switching: Switching) -> float:
     return -switching.instant.until(EPOCH)
 
 
+def approach(model: System, impact: Switching) -> float:
+    """``gamma-`` of the first contact."""
+    return float(model.contact_speed(impact.before[model.n :])[impact.contacts[0]])
+
+
 def kinds(switching: Switching) -> set[Kind]:
     """Kinds of its switches."""
     return {switch.kind for switch in switching.switches}

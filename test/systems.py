@@ -108,7 +108,15 @@ PRESSED = chain(
     contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
     force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
 )
-"""Two masses that are pressed against a stop each, and let go, by turns."""
+"""Two masses, each pressed against a stop and released in turn."""
+
+LAPLACIAN = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+"""Stiffness of three bodies joined by two springs; it has a rigid mode."""
+
+
+def delassus(model: System) -> Array:
+    """``G = W^T M^-1 W``."""
+    return np.asarray(model.W.T @ np.linalg.solve(model.M, model.W))
 
 
 def numbers(low: float = -2.0, high: float = 2.0) -> st.SearchStrategy[float]:

@@ -16,11 +16,7 @@ from impact_observer.model import read_model
 TYPES = cast("dict[str, Callable[..., object]]", typestore().types)
 
 
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Bags lie in the working folder: lines name them in short."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def lines(*, usable: bool, name: str | None = None) -> list[str]:

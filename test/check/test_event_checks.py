@@ -15,12 +15,7 @@ from impact_observer.io.observed_bag import observe_bag
 from impact_observer.io.recordings import system_of
 from impact_observer.observer import Options, make_observer
 
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Bags lie in the working folder: lines name them in short."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def lines(*, usable: bool) -> list[str]:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import optimize
-from systems import chain, examples, sample, system, systems
+from systems import chain, delassus, examples, sample, system, systems
 
 from impact_observer.check import closing_sets, impact_expansion
 from impact_observer.check.closing_sets import ClosingSets, SearchResult
@@ -20,11 +20,6 @@ from impact_observer.model import System
 
 Array = NDArray[np.float64]
 TOL = 1e-7
-
-
-def delassus(model: System) -> Array:
-    """``G = W^T M^-1 W``."""
-    return np.asarray(model.W.T @ np.linalg.solve(model.M, model.W))
 
 
 def subsets(m: int) -> list[list[int]]:

@@ -20,11 +20,7 @@ LATER = [ImpactEvent(event.stamp, STOP, event.sequence + 1, 1, S) for event in G
 NOT_FIRST = "the first sequence number is 2: what was before is not here"
 
 
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Bags lie in the working folder: lines name them in short."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
 def test_a_good_bag_has_nothing_to_remark(capsys: pytest.CaptureFixture[str]) -> None:

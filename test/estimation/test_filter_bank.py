@@ -12,12 +12,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from systems import (
     EPOCH,
-    Harmonic,
-    chain,
+    PRESSED,
     estimates,
     event,
     examples,
-    forcing,
     observer,
     run,
     sample,
@@ -41,13 +39,6 @@ from impact_observer.stamps import NS_PER_S, seconds_between
 
 Array = NDArray[np.float64]
 FAULTY = Uncertainty(clock_error=0.0)
-PRESSED = chain(
-    2,
-    damping=0.3,
-    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
-    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
-)
-"""Two masses that are pressed against a stop each, and let go, by turns."""
 
 
 @cache

@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from systems import (
     EPOCH,
+    PRESSED,
     Harmonic,
-    chain,
     estimates,
     forcing,
     observer,
@@ -34,13 +34,6 @@ TABLE = system(
     1, 0, 0, contacts=[([1], 0.0, 0.3)], force=forcing(1, -9.81, [Harmonic(10.0, [15.0], [0.0])])
 )
 """A body on a shaking table that throws it, in the frame of the table."""
-PRESSED = chain(
-    2,
-    damping=0.3,
-    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
-    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
-)
-"""Two masses that are pressed against a stop each, and let go, by turns."""
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, Harmonic, chain, estimates, event, forcing, observer, run, sample
+from systems import EPOCH, PRESSED, estimates, event, observer, run, sample
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
@@ -22,13 +22,6 @@ from impact_observer.plant import Run, SensorMessage, SensorModel, simulate_sens
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
-PRESSED = chain(
-    2,
-    damping=0.3,
-    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
-    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
-)
-"""Two masses that are pressed against a stop each, and let go, by turns."""
 PERIODS = round(8 * 2 * np.pi / 2.5 * NS_PER_S)
 """Eight periods of the force on two_mass, ns."""
 EXACT: dict[str, Any] = {"clock_error": 0.0}

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from systems import EPOCH, Harmonic, chain, event, examples, forcing, observer, switching, system
+from systems import EPOCH, PRESSED, event, examples, observer, switching, system
 
 from impact_observer.compare.comparison import impacts_in
 from impact_observer.errors import ImpactLawError
@@ -27,12 +27,6 @@ UNILATERAL_SLOW = pytest.mark.parametrize(
     "law",
     [pytest.param(law, marks=pytest.mark.slow if law == "unilateral" else ()) for law in BUILT_IN],
 )
-MODEL = chain(
-    2,
-    damping=0.3,
-    contacts=[([0, -1], 0.1, 0.5), ([1, 0], 0.2, 0.3)],
-    force=forcing(2, [-3.0, 3.0], [Harmonic(1.3, [-4.0, 5.0], [1.0, 0])]),
-)
 START = [0.3, -0.4, 1.0, -2.0]
 TICK = NS_PER_S // 64
 SPAN = 2 * 64
@@ -41,9 +35,9 @@ STAMPS = EPOCH + np.arange(0, SPAN + 40, 12) * TICK + 1
 
 
 def watcher_of(law: str, events: Iterable[ImpactEvent] = (), **options: object) -> Observer:
-    """An observer of ``MODEL`` that has received ``events``, in that order."""
+    """An observer of ``PRESSED`` that has received ``events``, in that order."""
     given: dict[str, object] = {"ensemble": 2, "history": 60.0, "epoch": EPOCH, **options}
-    watcher = observer(MODEL, law, START, **given)
+    watcher = observer(PRESSED, law, START, **given)
     for each in events:
         watcher.receive(each)
     return watcher

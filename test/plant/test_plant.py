@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from contact_cases import seconds
+from contact_cases import approach, seconds
 from numpy.typing import NDArray
 from scipy import linalg
 from systems import EPOCH, chain, forcing, run, sample, started, system
@@ -10,15 +10,10 @@ from systems import EPOCH, chain, forcing, run, sample, started, system
 from impact_observer.errors import ImpactLawError, UsageError
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.model import System
-from impact_observer.plant import Plant, Switching, simulate
+from impact_observer.plant import Plant, simulate
 from impact_observer.stamps import NS_PER_S, Instant, grid
 
 Array = NDArray[np.float64]
-
-
-def approach(model: System, impact: Switching) -> float:
-    """``gamma-`` of the first contact."""
-    return float(model.contact_speed(impact.before[model.n :])[impact.contacts[0]])
 
 
 def test_impact_without_restitution_goes_on_where_the_load_pulls() -> None:

@@ -8,12 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from contact_cases import seconds
+from contact_cases import approach, seconds
 from systems import EPOCH, Harmonic, forcing, sample, started, system
 
 from impact_observer.dynamics import flow_of
 from impact_observer.events import Kind
-from impact_observer.model import System
 from impact_observer.plant import Plant, Switching
 from impact_observer.stamps import NS_PER_S
 
@@ -28,11 +27,6 @@ def crossed(plant: Plant, count: int) -> list[Switching]:
         plant.cross(switching)
         found.append(switching)
     return found
-
-
-def approach(model: System, impact: Switching) -> float:
-    """``gamma-`` of the first contact."""
-    return float(model.contact_speed(impact.before[model.n :])[impact.contacts[0]])
 
 
 def test_ball_bounces_at_the_published_times() -> None:

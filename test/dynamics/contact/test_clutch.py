@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from quadrature import NODES, integral
 from scipy import optimize
 from systems import (
     Harmonic,
@@ -26,7 +27,6 @@ from impact_observer.model.force_samples import Samples
 
 Array = NDArray[np.float64]
 BOTH = pytest.mark.parametrize("fix", [False, True], ids=["kinematic", "geometric"])
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 PIECES = 24
 """Pieces that a motion is looked at in."""
 
@@ -64,12 +64,6 @@ def unexplained(W: Array, push: Array) -> float:
     if not W.shape[1]:
         return float(np.linalg.norm(push))
     return float(optimize.nnls(W / np.linalg.norm(W, axis=0), push)[1])
-
-
-def integral(values: Array, ends: Array) -> Array:
-    """Integrals over intervals with ``ends``, of values at their nodes."""
-    pieces = values.reshape(ends.size - 1, NODES.size, -1)
-    return np.asarray(np.einsum("g,pgi,p->pi", WEIGHTS, pieces, np.diff(ends) / 2))
 
 
 def assert_is_a_motion(closed: Closed, seconds: float) -> None:

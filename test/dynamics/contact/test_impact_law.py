@@ -9,18 +9,13 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg
-from systems import chain, examples, system, systems, vectors
+from systems import chain, delassus, examples, system, systems, vectors
 
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.errors import ImpactLawError
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
-
-
-def delassus(model: System) -> Array:
-    """``G = W^T M^-1 W``."""
-    return np.asarray(model.W.T @ np.linalg.solve(model.M, model.W))
 
 
 def enumerated(model: System, u: Array) -> list[Array]:

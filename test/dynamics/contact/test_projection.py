@@ -6,13 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import linalg
-from systems import chain, examples, sample, system, systems, vectors
+from systems import LAPLACIAN, chain, examples, sample, system, systems, vectors
 
 from impact_observer.dynamics import PositionProjection
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
-LAPLACIAN = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
 
 
 def column(model: System, active: tuple[int, ...], i: int) -> Array:

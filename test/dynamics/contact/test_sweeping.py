@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from quadrature import NODES, integral
 from scipy import linalg, optimize
 from systems import (
     Harmonic,
@@ -28,7 +29,6 @@ from impact_observer.dynamics.contact.unilateral_projection import UnilateralPro
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 PIECES = 24
 """Pieces that a motion is looked at in."""
 SPRING = np.array([[4.0, -4.0], [-4.0, 4.0]])
@@ -186,12 +186,6 @@ def drawn(data: st.DataObject, model: System) -> Held | None:
     if data.draw(st.booleans()):
         x[model.n :] = 0.0
     return started(model, data.draw(numbers(0, 3)), x, tuple(sorted(some)))
-
-
-def integral(values: Array, ends: Array) -> Array:
-    """Integrals over intervals with ``ends``, of values at their nodes."""
-    pieces = values.reshape(ends.size - 1, NODES.size, -1)
-    return np.asarray(np.einsum("g,pgi,p->pi", WEIGHTS, pieces, np.diff(ends) / 2))
 
 
 def unexplained(push: Array, one_way: Array, both_ways: Array) -> float:

@@ -7,7 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import integrate, linalg
-from systems import Harmonic, chain, examples, forcing, numbers, sample, system, systems, vectors
+from systems import (
+    LAPLACIAN,
+    Harmonic,
+    chain,
+    examples,
+    forcing,
+    numbers,
+    sample,
+    system,
+    systems,
+    vectors,
+)
 
 from impact_observer.dynamics import Flow, flow_of
 from impact_observer.dynamics.flow.dense import DenseFlow
@@ -43,7 +54,6 @@ def push(frequency: float) -> Harmonic:
     return Harmonic(frequency, [1.0], [0.5])
 
 
-LAPLACIAN = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
 TWO = [Harmonic(2.7, [3, 0, 1], [0, 0, 2]), Harmonic(0.4, [0, 1, 0], [0, 1, 1])]
 NOT_PROPORTIONAL = np.array([[0.3, 0, 0], [0, 0, 0], [0, 0, 0.7]])
 SKEW = np.array([[0, 2.0, 0], [-2, 0, 1], [0, -1, 0]])

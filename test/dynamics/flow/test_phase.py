@@ -6,7 +6,17 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import integrate, linalg
-from systems import Harmonic, chain, examples, forcing, numbers, system, systems, vectors
+from systems import (
+    LAPLACIAN,
+    Harmonic,
+    chain,
+    examples,
+    forcing,
+    numbers,
+    system,
+    systems,
+    vectors,
+)
 
 from impact_observer.dynamics import Phase, Phases, PositionProjection, Watched
 from impact_observer.model import System
@@ -136,7 +146,6 @@ def test_phase_is_the_integrated_one(fix: bool, rigid: bool, data: st.DataObject
 PUSHED = forcing(3, [1, -2, 0.5], [Harmonic(2.3, [3, 0, 1], [0, 1, 2])])
 SKEW = np.array([[0.2, 2.0, 0], [-2, 0.1, 1], [0, -1, 0.3]])
 CONTACTS = [([1, 0, 0], 0.25, 0.5), ([-1, 1, 0], 0.5, 0.5), ([0, 0, -1], 0.75, 0.5)]
-LAPLACIAN = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
 
 
 @pytest.mark.parametrize(

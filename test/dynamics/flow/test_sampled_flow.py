@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from scipy import integrate
-from systems import chain, examples, forcing, numbers, sample, system, systems, vectors
+from systems import LAPLACIAN, chain, examples, forcing, numbers, sample, system, systems, vectors
 
 from impact_observer.dynamics import Flow, flow_of
 from impact_observer.dynamics.flow.dense import DenseFlow
@@ -27,7 +27,6 @@ HOLDS = ("previous", "linear")
 UNEVEN = np.array([-0.5, -0.2, 0.3, 0.35, 1.1, 3.0])
 EVEN = np.linspace(-0.3, 2.7, 11)
 FINE = np.linspace(-0.05, 1.95, 41)
-LAPLACIAN = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
 WITHOUT = {
     "three_mass": sample("three_mass").system,
     "ball": sample("bouncing_ball").system,
