@@ -82,7 +82,7 @@ def thrown_beads() -> Case:
 
 
 def resting_beads() -> Case:
-    """Ten beads: nine lie on the wall and on each other, the tenth falls on them."""
+    """Ten beads: nine rest on the wall and on each other, the tenth falls on them."""
     gaps = np.append(np.zeros(9), 0.5)
     return Case(*beads(gaps, np.zeros(10), eps=np.full(10, 0.5), load=-9.81), 0.9)
 

@@ -36,7 +36,7 @@ DIAGNOSTICS = {
     "surprising events": "0",
     "synchronized": "False",
 }
-"""What an observer node says of itself; that it does is asked of one in test_watching."""
+"""Diagnostics of an observer node; test_watch_session compares them with a running one."""
 
 _TOPIC = re.compile(r"[/A-Za-z0-9_-]+")
 _NAME = re.compile(r"\.([A-Za-z0-9_-]+)")

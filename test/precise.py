@@ -42,7 +42,7 @@ def _times(matrix: Rows, vector: Vector) -> Vector:
 
 
 def _series(matrix: Rows, start: Vector, s: Decimal) -> Vector:
-    """``exp(s matrix) start``, term by term; noughts of the matrix, most of it, are left out."""
+    """``exp(s matrix) start``, term by term, without the zeros of the matrix."""
     rows = [[(i, value) for i, value in enumerate(row) if value] for row in matrix]
     total = term = start
     k = 0

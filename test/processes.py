@@ -84,7 +84,7 @@ class Spinner:
     """Nodes of this process on one executor."""
 
     def __init__(self) -> None:
-        """Make a probe node that keeps to itself what the test's arguments say."""
+        """Make a probe node that ignores the arguments of the test."""
         self.executor = SingleThreadedExecutor()
         self.probe = Node("probe", use_global_arguments=False)
         self.executor.add_node(self.probe)

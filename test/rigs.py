@@ -26,7 +26,7 @@ _CHATTER = ((0, True), (300 * _US, False), (800 * _US, True), (5_000 * _US, Fals
 _PULSE = 0.008
 """Duration of the half-sine that an accelerometer measures at an impact, s."""
 _SAMPLE, _WINDOW = 1_000 * _US, 10
-"""Samples of an accelerometer, ns apart, and how many are recorded before and after an impact."""
+"""Sampling interval of an accelerometer, ns, and samples recorded before and after an impact."""
 _NOISE = 1.0
 """Standard deviation of an acceleration, m/s^2."""
 _GRAVITY = np.array([0.0, 3.0, -9.34])
@@ -39,9 +39,9 @@ def switch_bag(path: Path) -> Path:
     model, run = _run()
     hits = [event.stamp for event in run.events]
     messages = (
-        (hit + after + _LATE, "/switch", _TYPES[BOOL](data=says))
+        (hit + after + _LATE, "/switch", _TYPES[BOOL](data=closed))
         for hit in hits
-        for after, says in _CHATTER
+        for after, closed in _CHATTER
     )
     return _written(path, {"/switch": BOOL}, messages, model, run)
 

@@ -1,4 +1,4 @@
-"""Signals of sensors for tests, and what a detector makes of them."""
+"""Signals of sensors for tests, and the events that a detector finds in them."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -75,15 +75,15 @@ def peak(threshold: float, **given: object) -> Source:
 def detections(
     source: Source, samples: Iterable[tuple[int, float]], end: int | None = None
 ) -> list[Detection]:
-    """What a source tells of stamps and values, and of silence until ``end``, ns."""
+    """Detections from samples (stamp, value), with time advanced to ``end``, ns, at last."""
     detector = Detector([source])
-    told = [d for stamp, value in samples for d in detector.feed(0, Scalar(value), stamp)]
-    return told + ([] if end is None else detector.advance(end))
+    found = [d for stamp, value in samples for d in detector.feed(0, Scalar(value), stamp)]
+    return found + ([] if end is None else detector.advance(end))
 
 
-def events(told: Iterable[Detection]) -> list[tuple[int, Kind]]:
+def events(found: Iterable[Detection]) -> list[tuple[int, Kind]]:
     """Stamps and kinds."""
-    return [(d.event.stamp, d.event.switches[0].kind) for d in told]
+    return [(d.event.stamp, d.event.switches[0].kind) for d in found]
 
 
 def sampled(stamps: Stamps, values: Vector) -> list[tuple[int, float]]:

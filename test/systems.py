@@ -206,7 +206,7 @@ def systems(
 
 @st.composite
 def whole_numbers(draw: st.DrawFn) -> tuple[System, Array]:
-    """A system and a state of noughts and ones: whatever can vanish or coincide does."""
+    """A system and a state of zeros and ones, in which many quantities vanish or coincide."""
     n, m = draw(st.integers(1, 4)), draw(st.integers(1, 4))
     whole = st.lists(st.integers(-1, 1), min_size=n, max_size=n)
     W = [draw(whole) for _ in range(m)]

@@ -82,7 +82,7 @@ def test_a_demonstration_shows_records_and_judges(demo: Run) -> None:
 
 
 def assert_live_is_offline(bag: Path, law: str) -> None:
-    """What the node published is what ``observe`` says, wherever it had the same events."""
+    """The node's estimates equal those of ``observe`` wherever it had the same events."""
     output = bag.parent / f"offline_{law}"
     arguments = ["observe", str(bag), "--law", law, "--initial", "random:1", "-o", str(output)]
     assert main(arguments) == 0

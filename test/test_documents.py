@@ -1,4 +1,4 @@
-"""What the README and the docs say is so."""
+"""README and docs agree with the code."""
 
 import ast
 import re

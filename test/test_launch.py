@@ -80,7 +80,7 @@ def started(executable: str, arguments: Sequence[str]) -> Started:
 
 @dataclass
 class Launcher:
-    """The real launch, which starts no process but tells what it would start."""
+    """The real launch; it returns what it would start, and starts no process."""
 
     launch: ModuleType
     nodes: list[Started]
@@ -153,7 +153,7 @@ def test_parameter_file_holds_the_whole_table_at_its_defaults(path: Path) -> Non
     (parameters,) = load_yaml(path.read_text(encoding="utf-8")).values()
     values = parameters["ros__parameters"]
     for name, value in values.items():
-        if isinstance(value, list):  # of which ROS knows no empty one
+        if isinstance(value, list):  # ROS parameters have no empty list
             values[name] = tuple(filter(None, value))
     assert values.pop("use_sim_time", False) is False
     assert list(values) == [each.name for each in TABLES[path.stem]]
@@ -187,7 +187,7 @@ def seen(probe: Any, name: str) -> bool:  # noqa: ANN401 (rclpy has no types)
 
 @pytest.mark.parametrize("name", ARGUMENTS)
 def test_launch_file_declares_its_arguments(launcher: Launcher, name: str) -> None:
-    """Each with a description and a default, as ``--show-args`` tells them."""
+    """Each with a description and a default, as ``--show-args`` prints them."""
     arguments = launcher.load(name).get_launch_arguments()
     assert {argument.name for argument in arguments} == ARGUMENTS[name]
     assert all(argument.description for argument in arguments)
@@ -198,7 +198,7 @@ def test_launch_file_declares_its_arguments(launcher: Launcher, name: str) -> No
 def test_demo_launch_starts_the_nodes_of_the_demo_command(
     launcher: Launcher, duration: float
 ) -> None:
-    """The same executables, names, parameters and remappings; but nobody records."""
+    """The same executables, names, parameters and remappings, without the recorder."""
     launched = launcher.run(
         "demo",
         model="three_mass",
@@ -222,7 +222,7 @@ def test_demo_launch_starts_the_nodes_of_the_demo_command(
 def test_demo_launch_has_the_defaults_of_the_demo_command(
     launcher: Launcher, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What ``impact-observer demo --help`` says."""
+    """Those of ``impact-observer demo --help``."""
     with pytest.raises(SystemExit):
         main(["demo", "--help"])
     text = " ".join(capsys.readouterr().out.split())
@@ -287,7 +287,7 @@ def test_detector_launch_passes_the_sensors_and_the_topic(launcher: Launcher) ->
 
 
 def test_observer_launch_starts_a_monitor_on_request(launcher: Launcher) -> None:
-    """It listens to that observer and has the parameters that it knows."""
+    """It subscribes to that observer and is given its own parameters only."""
     observer, monitor = launcher.run(
         "observer",
         model="rig.yaml",

@@ -120,7 +120,7 @@ def test_jumps_at_the_same_sample_are_no_mismatch() -> None:
 
 
 def test_a_jump_of_the_estimate_at_the_next_impact_belongs_to_that_one() -> None:
-    """It hardly jumps at the first of two impacts 80 ms apart: nothing lies between there."""
+    """The estimate hardly jumps at the first of two impacts, so no sample is a mismatch there."""
     stamps = np.arange(1, 301) * 1_000_000
     first, second = int(stamps[100]), int(stamps[180])
     falling = -np.arange(300) / 40.0
@@ -222,7 +222,7 @@ def test_an_estimate_without_its_event_is_late() -> None:
 
 
 def test_a_missed_impact_makes_no_estimate_late() -> None:
-    """No event was on its way: until it is inserted the estimate is wrong, and that counts."""
+    """No event arrives late: until the impact is inserted the estimate has an error."""
     stamps, missed, later = RUN.stamps, RUN.events[4], 60
     instants = np.array([e.stamp for e in RUN.events])
     last_event = np.concatenate([[0], instants])[np.searchsorted(instants, stamps, side="right")]
@@ -243,8 +243,8 @@ def test_a_missed_impact_makes_no_estimate_late() -> None:
     assert found.outcomes.until(int(stamps[-1])) == len(RUN.events)
 
 
-def test_an_insertion_that_was_taken_back_is_no_rejected_event() -> None:
-    """There is no event at its stamp that could be rejected."""
+def test_a_withdrawn_insertion_is_no_rejected_event() -> None:
+    """There is no event at its stamp."""
     events = [ImpactEvent(2 * NS_PER_S, (Switch("stop"),), 1)]
     verdicts = [
         Verdict(2 * NS_PER_S, Ruling.APPLIED, 1, "stop"),

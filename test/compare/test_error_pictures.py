@@ -147,7 +147,7 @@ def test_twenty_decades_stay_readable() -> None:
 
 
 def test_markers_of_different_curves_stand_beside_each_other() -> None:
-    """Curves that lie on each other are seen to be two."""
+    """Equal curves are seen to be two."""
     figure = picture({"unilateral": 3.0, "minimum-variance": 3.0}, contacts=0)
     one, two = (line.get_markevery() for line in figure.axes[0].lines)
     assert isinstance(one, tuple)

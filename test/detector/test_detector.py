@@ -1,4 +1,4 @@
-"""All sensors together: numbering, stamps, latency, what is passed over; and their declaration."""
+"""All sensors together: numbering, stamps, latency, ignored messages; and their declaration."""
 
 import pickle
 from collections.abc import Callable
@@ -35,7 +35,7 @@ def two_switches(epoch: int = 0) -> Detector:
     return Detector([each.complete(BOOL) for each in declared], epoch=epoch)
 
 
-def test_events_of_all_sensors_are_numbered_in_one_row() -> None:
+def test_events_of_all_sensors_share_one_sequence() -> None:
     """Persistent contacts have sequence numbers in the order in which they were decided."""
     detector = two_switches(epoch=7)
     detected = detector.feed(0, Scalar(1.0), START)
@@ -85,7 +85,7 @@ def test_stamps_are_those_of_headers_by_default() -> None:
         Detector([source]).feed(0, Stamped(header(0)), START)
 
 
-def test_late_messages_of_a_switch_are_judged_by_their_own_stamps() -> None:
+def test_late_messages_of_a_switch_count_by_their_own_stamps() -> None:
     """A closure of 10 ms whose end comes 60 ms later is short, one of 60 ms is not."""
     source = Source("stop", "/s", kind="switch", field="data[0]").complete("x/msg/Y")
 
@@ -115,7 +115,7 @@ def test_invalid_messages_are_counted_and_reported() -> None:
     assert stamped.problem(0) == "stop: 1 stamps out of order"
 
 
-def test_an_array_that_is_too_short_now_and_then_is_passed_over() -> None:
+def test_an_array_that_is_sometimes_too_short_is_ignored() -> None:
     """It is an error of the file only if no message had the member."""
     source = Source("stop", "/t", field="data[1]", threshold=1.0).complete("x/msg/Y")
     detector = Detector([source])

@@ -105,7 +105,7 @@ def test_a_saturated_peak_has_the_stamp_of_its_middle() -> None:
     assert detected[0][0] == pytest.approx(START + 100.3 * MS, abs=0.5 * MS)
 
 
-def test_a_signal_that_trembles_about_the_threshold_is_one_peak() -> None:
+def test_a_signal_with_noise_about_the_threshold_is_one_peak() -> None:
     """It has to fall by the hysteresis before another one can begin."""
     signal = np.array([0, 9.9, 10.1, 9.9, 10.2, 9.8, 10.1, 6.0, 4.9, 0, 12, 0.0])
     stamps = every(MS, signal.size)
@@ -165,7 +165,7 @@ def test_gravity_is_removed_in_any_orientation() -> None:
 
 
 def test_a_vector_has_no_direction() -> None:
-    """Nor is it open or closed: the line says to name one of its numbers."""
+    """Nor is it open or closed: the error asks for one of its components."""
     up = Source("stop", "/t", field="force", threshold=1.0, direction="up")
     for source in (up, Source("stop", "/t", field="force", kind="switch")):
         detector = Detector([source.complete("x/msg/Y")])

@@ -50,7 +50,7 @@ def test_a_long_closure_is_closed_since_its_edge_until_it_opens() -> None:
     assert detected[1].decided == at(60)
 
 
-def test_a_switch_that_falls_silent_while_closed_is_a_contact_that_lasts() -> None:
+def test_a_switch_without_messages_while_closed_is_a_persistent_contact() -> None:
     """Messages on change only: the deadline is over when no message can be on its way any more."""
     detector = Detector([switch()])
     assert len(detector.feed(0, Scalar(1.0), at(10))) == 1
@@ -132,7 +132,7 @@ def test_a_switch_that_closes_for_milliseconds_at_each_impact_gives_impacts_only
     signal = sorted(
         [(s, 1.0) for s in impacts.tolist()] + [(s + 5 * MS, 0.0) for s in impacts.tolist()]
     )
-    if rate:  # at 100 Hz a closure of 5 ms is seen half of the time
+    if rate:  # at 100 Hz half of the closures of 5 ms fall between two samples
         stamps = grid(START, START + 31_000 * MS, rate)
         before = np.searchsorted(impacts, stamps, side="right") - 1
         closed = (before >= 0) & (stamps < impacts[before] + 5 * MS)
@@ -188,8 +188,8 @@ def test_detections_do_not_depend_on_when_time_is_advanced(
 
 @examples(50)
 @given(CHANGES, st.integers(0, 20))
-def test_edges_are_at_least_the_dead_time_apart(signal: Changes, dead_time: int) -> None:
-    """And every detected edge is one of the signal."""
+def test_detected_edges_have_the_dead_time_between_them(signal: Changes, dead_time: int) -> None:
+    """Every detected edge is an edge of the signal."""
     source = switch(dead_time=dead_time / 1000, min_contact_duration=0.0)
     detected = events(detections(source, signal, signal[-1][0] + 1000 * MS))
     assert all(kind == (Kind.CLOSE, Kind.OPEN)[k % 2] for k, (_, kind) in enumerate(detected))

@@ -1,4 +1,4 @@
-"""What an observer makes of a switch: as good as an ideal sensor, to the last bit."""
+"""Estimates from the detected events of a switch equal those from an ideal sensor."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def signal_of(events: tuple[ImpactEvent, ...]) -> list[tuple[int, float]]:
     ("eps", "law"),
     [(0.0, "kinematic"), (0.0, "geometric"), (0.0, "minimum-variance"), (0.6, "geometric")],
 )
-def test_a_switch_is_as_good_as_an_ideal_sensor(eps: float, law: str) -> None:
+def test_estimates_from_a_switch_are_those_from_an_ideal_sensor(eps: float, law: str) -> None:
     """Impacts, and contacts that close and open: superseded impacts have no effect."""
     force = forcing(2, np.array([0.0, 1.0]), [Harmonic(2.0, [0.0, 6.0], [0.0, 0.0])])
     model = system(

@@ -27,7 +27,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_topics_by_name_are_those_that_the_law_publishes(bag: Path) -> None:
-    """Bounds, covariance and learnt parameters: of the name as found in the bag."""
+    """Topics of bounds, covariance and estimated parameters are those of the bag."""
     with BagReader(bag) as reader:
         found = {each.prefix: each for each in observers_in(reader)}
     assert found == {f"/{name}": ObserverTopics.of_node(name) for name in LAWS}

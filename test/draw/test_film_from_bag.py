@@ -101,8 +101,8 @@ def test_bag_without_states_is_one_line(tmp_path: Path) -> None:
         film_of(reader)
 
 
-def test_observers_of_one_law_are_told_apart_by_their_topics(tmp_path: Path) -> None:
-    """And only those that are asked for are shown, with or without a slash."""
+def test_observers_of_one_law_are_named_by_their_topics(tmp_path: Path) -> None:
+    """Only those that are asked for are shown, with or without a slash."""
     make, names = bag_messages(), SYSTEM.coordinates
     several = {"observer_a": "geometric", "observer_b": "geometric", "observer_c": "kinematic"}
 
@@ -176,8 +176,8 @@ def test_inserted_impact_makes_no_earlier_estimate_late(tmp_path: Path) -> None:
     assert track.jumps.tolist() == [received, EPOCH + 197_000_000]
 
 
-def test_estimates_that_came_before_their_event_are_left_out(tmp_path: Path) -> None:
-    """A live observer may receive an event late; its earlier estimates lack the jump."""
+def test_estimates_published_before_their_event_arrived_are_left_out(tmp_path: Path) -> None:
+    """A node may receive an event late; its earlier estimates lack the jump."""
     make, names = bag_messages(), SYSTEM.coordinates
     hit, received = EPOCH + 195_000_000, EPOCH + 230_000_000
 

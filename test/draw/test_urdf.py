@@ -18,7 +18,7 @@ def numbers(element: ET.Element | None, key: str) -> list[float]:
 
 
 def places(robot: ET.Element, joints: dict[str, float], root: str = "world") -> dict[str, float]:
-    """Where each link is along the line: what robot_state_publisher would say."""
+    """Positions of the links along the line, as robot_state_publisher computes them."""
     found = {root: 0.0}
     for joint in robot.findall("joint"):
         parent, child = joint.find("parent"), joint.find("child")

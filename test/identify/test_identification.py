@@ -57,7 +57,7 @@ def wrong(model: System, stiffness: float = 1.03) -> System:
 
 
 def truth(found: Identification, model: System, stiffness: float = 1.03) -> Array:
-    """The true values of the learnt parameters."""
+    """The true values of the estimated parameters."""
     true = {f"restitution.{each.name}": each.restitution for each in model.contacts}
     true |= {f"gap.{each.name}": each.gap for each in model.contacts}
     true |= {"stiffness-scale": 1 / stiffness}
@@ -111,7 +111,7 @@ def test_spurious_impacts_are_rejected() -> None:
 
 
 def test_parameters_that_move_no_impact_are_named() -> None:
-    """Mass, damping and stiffness go together where no force is known."""
+    """Mass, damping and stiffness have a common scale where no force is given."""
     free_fall = system(
         np.eye(1), [[0.1]], [[4.0]], contacts=[([1.0], -0.2, 0.9)], force=forcing(1, 0.0)
     )
@@ -143,7 +143,7 @@ def test_a_clock_offset_beside_a_phase_is_undetermined() -> None:
         identify(family, sensed("two_mass"))
 
 
-def test_clock_offset_and_amplitude_are_learnt() -> None:
+def test_clock_offset_and_amplitude_are_estimated() -> None:
     """The stamps of a clock that is 20 ms ahead."""
     model = sample("three_mass").system
     family = parametric_family(model, ["clock-offset", "forcing-amplitude.2"])
@@ -158,8 +158,8 @@ def test_too_few_impacts_are_refused() -> None:
         identify(parametric_family(model, FREE), sensed("two_mass")[:3])
 
 
-def test_check_rejects_a_wrong_model_and_no_right_one() -> None:
-    """By the declared clock error, or by shifts that are like their neighbours."""
+def test_check_rejects_a_wrong_model_and_accepts_the_right_one() -> None:
+    """By the declared clock error, or by correlated shifts of successive impacts."""
     model = sample("three_mass").system
     events = sensed("three_mass", jitter=1e-3)
     right = check_fit(
@@ -218,7 +218,7 @@ contacts: [{name: stop, direction: [0, -1], gap: 0.5, restitution: 0.7}]   # the
         (MATRICES, ("forcing-amplitude", "forcing-phase")),
     ],
 )
-def test_a_written_model_reads_as_what_was_learnt(text: str, free: tuple[str, ...]) -> None:
+def test_a_written_model_reads_as_the_identified_one(text: str, free: tuple[str, ...]) -> None:
     """In its own form, with its comments."""
     document = load_yaml(text)
     assert isinstance(document, dict)
@@ -256,7 +256,7 @@ def test_persistent_contacts_are_part_of_the_motion() -> None:
 
 @pytest.mark.slow
 def test_impacts_that_accumulate_are_part_of_the_recording() -> None:
-    """A ball until it rests: 174 events, the last ones microseconds apart."""
+    """A ball until it rests: 174 events, the last ones within microseconds."""
     model = sample("bouncing_ball")
     made = run(model.system, *model.initial_state(), seconds=12.0, rate=1.0)
     ball = replace(model.system.contacts[0], restitution=0.8)
@@ -284,7 +284,7 @@ def test_stamps_without_an_epoch_begin_with_the_first() -> None:
 
 
 def test_a_sampled_forcing_is_refused() -> None:
-    """Its derivatives are not there; the line says what is expected."""
+    """It has no derivatives; the error has what is expected."""
     model = sample("two_mass").system
     time = np.linspace(0.0, 70.0, 701)
     values = np.column_stack([np.zeros(time.size), 4 * np.cos(2.5 * time)])
@@ -294,7 +294,7 @@ def test_a_sampled_forcing_is_refused() -> None:
 
 
 def test_weakly_determined_parameters_are_named_after_the_fit() -> None:
-    """A value with a standard error of its own size is none; the others stay."""
+    """Their standard error is as large as their value; the others are kept."""
     model = sample("two_mass").system
     family = parametric_family(model, ["restitution", "damping-scale"])
     found = identify(family, sensed("two_mass")[:12], clock=0.3, trust_events=True)
@@ -308,7 +308,7 @@ def test_weakly_determined_parameters_are_named_after_the_fit() -> None:
 
 @pytest.mark.slow
 def test_a_parameter_at_its_bound_ends_there() -> None:
-    """It is held, the others are fitted, and that is a fit."""
+    """It is held at its bound and the others are fitted."""
     force = forcing(1, 0.0, [Harmonic(1.3, [3.0], [0.0])])
     model = system(1.0, 0.2, 4.0, contacts=[([1.0], 0.3, 1.0)], force=force)
     made = run(model, [0.5], [0.0], seconds=40.0, rate=1.0)

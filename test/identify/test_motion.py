@@ -102,7 +102,7 @@ def test_gaps_of_the_true_motion_vanish(name: str) -> None:
     np.testing.assert_allclose(shot.gaps, 0.0, atol=1e-12)
 
 
-def test_gaps_of_a_motion_with_lasting_contact_vanish() -> None:
+def test_gaps_of_a_motion_with_persistent_contact_vanish() -> None:
     """A mass that is pressed against its stop again and again."""
     push = forcing(1, 0.0, [Harmonic(2.0, [6.0], [0.0])])
     model = system(1.0, 0.5, 4.0, contacts=[([-1.0], 0.5, 0.0)], force=push)
@@ -136,7 +136,7 @@ def test_bouncing_ball_answers_as_the_closed_form() -> None:
 
 
 def test_a_family_has_the_given_system_and_others() -> None:
-    """Each parameter changes what it is named after."""
+    """Each parameter changes the quantity of its name."""
     model = sample("three_mass").system
     family = parametric_family(model, [*EVERYTHING, *OF_FORCING[:2]])
     same = family.system_at(family.nominal)
@@ -166,7 +166,7 @@ def test_what_cannot_be_free_is_refused_by_name() -> None:
 
 
 def test_an_effect_has_the_shapes_of_the_system() -> None:
-    """And is nothing but what is named."""
+    """It is nonzero for the named parameter only."""
     model = replace(chain(2), name="chain")
     change = Coefficients.change(model, K=np.eye(2))
     assert change.M.shape == (2, 2)

@@ -311,15 +311,15 @@ def test_text_that_is_no_model_is_one_line(text: str, line: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("written", "meant"),
+    ("written", "value"),
     [("1e-3", 1e-3), ("1.0e-3", 1e-3), ("1E+2", 100.0), ("3", 3.0), (".5", 0.5), ("-0.0", 0.0)],
 )
-def test_numbers_are_read_in_every_notation(written: str, meant: float) -> None:
+def test_numbers_are_read_in_every_notation(written: str, value: float) -> None:
     """Also 1e-3, which YAML 1.1 would take for a string."""
     contact = parse_model(mistaken(MATRICES, "gap: 0.5", f"gap: {written}"), "m").system.contacts[
         0
     ]
-    assert contact.gap == meant
+    assert contact.gap == value
 
 
 def test_gyroscopic_damping_is_accepted() -> None:

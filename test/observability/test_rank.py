@@ -226,8 +226,8 @@ def test_ball_is_determined_by_two_impacts() -> None:
 def test_orbit_whose_impacts_all_add_the_same_row() -> None:
     """``x'' + x = cos 2t``, x <= 0, eps 0.8: one impact a half period of the free oscillator.
 
-    The rank stays 1 for ever, and a plant that starts elsewhere along the undetermined direction
-    hits at the same instants, at other speeds.
+    The rank stays 1, and a plant that starts elsewhere along the undetermined direction
+    hits at the same instants, with other speeds.
     """
     model = system(
         1, 0, 1, contacts=[([-1], 0.0, 0.8)], force=forcing(1, 0, [Harmonic(2.0, [1.0], [0.0])])

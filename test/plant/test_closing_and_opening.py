@@ -1,4 +1,4 @@
-"""Contacts that close, stay closed, pass on their loads, and open again."""
+"""Contacts that close, stay closed, share their loads, and open again."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 GRAVITY = 9.81
 
 
-def test_ball_that_lies_on_the_floor_is_closed_at_the_epoch() -> None:
+def test_ball_at_rest_on_the_floor_is_closed_at_the_epoch() -> None:
     """CLOSE is reported at the epoch, and nothing else happens."""
     model = free(1, contacts=[([1], 1.0, 0.9)], force=forcing(1, -GRAVITY))
     found = run(model, [-1.0], [0.0], seconds=100.0, rate=1.0)
@@ -59,7 +59,7 @@ def test_pressed_mass_opens_where_its_load_vanishes() -> None:
 
 
 @pytest.mark.parametrize("press", [0.5, 2.0, 2.9])
-def test_mass_opens_where_a_second_one_pulls_it_off(press: float) -> None:
+def test_contact_opens_where_a_second_mass_pulls_the_first_off(press: float) -> None:
     """The second swings as ``0.1 sin(w t)`` on its spring: ``lambda = press - 3 sin(w t)``."""
     k, mass = 30.0, 0.7
     omega = np.sqrt(k / mass)
@@ -83,7 +83,7 @@ def alternates(switchings: Sequence[Switching], contact: str) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("eps", [0.0, 0.5])
-def test_vibrating_table_throws_and_catches_for_many_cycles(eps: float) -> None:
+def test_vibrating_table_throws_and_catches_its_body_for_many_cycles(eps: float) -> None:
     """``f = -g + A cos wt`` in the table's frame: take-off where ``A cos wt = g``, rest, again."""
     amplitude, omega = 1.3 * GRAVITY, 4 * np.pi
     model = free(
@@ -161,7 +161,7 @@ def test_graze_shallower_than_rounding_is_none(depth: float) -> None:
 
 @pytest.mark.parametrize("K", [0.0, 1.0])
 def test_body_at_rest_on_its_stop_without_load_is_closed_and_costs_nothing(K: float) -> None:
-    """It rests there for ever; the search costs at most two evaluations per window."""
+    """It never opens; the search costs at most two evaluations per window."""
     model = system(1, 0.1, K, contacts=[([1], 0.0, 0.5)])
     plant = started(model, [0.0], [0.0])
     closed = plant.next_switching(EPOCH)
@@ -313,8 +313,8 @@ def test_heavy_body_does_not_hide_the_impacts_of_a_light_one() -> None:
 
 
 @pytest.mark.slow
-def test_chain_of_three_hundred_sticks_and_flies_and_its_observer_follows() -> None:
-    """Two stops close and open: no gap is ever negative; a replica that starts true stays so."""
+def test_chain_of_three_hundred_closes_and_opens_two_contacts_and_an_observer_follows() -> None:
+    """No gap is ever negative; a replica that starts in the true state follows the plant."""
     n = 300
     left, middle = -np.eye(n)[0], np.eye(n)[n // 2 - 1]
     pushed = [Harmonic(1.3, np.eye(n)[0].tolist(), [0.0] * n)]
@@ -333,5 +333,5 @@ def test_chain_of_three_hundred_sticks_and_flies_and_its_observer_follows() -> N
     for each in plant.events:
         watcher.receive(each)
     found = watcher.estimate(int(plant.stamps[-1]))
-    # Impact times of 1 ns leave so much.
+    # The error of impact times rounded to 1 ns.
     np.testing.assert_allclose(np.r_[found.q, found.u], plant.states[-1], atol=1e-8)

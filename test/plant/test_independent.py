@@ -24,7 +24,7 @@ Function = Callable[[float, Array], float]
 _AT_STOP = 1e-9
 """A gap that is closed, m."""
 _RESTS = 1e-6
-"""Contact speed of a closed contact that has come to rest, m/s; a flight from it lasts some us."""
+"""Contact speed below which a closed contact is at rest, m/s; a flight at it takes some us."""
 
 
 class Found(NamedTuple):
@@ -183,7 +183,7 @@ def test_simultaneous_impacts_are_those_of_an_enumeration(
     assert max(agreement(*pair, given.system.n) for pair in zip(ours, other, strict=True)) < 1e-8
 
 
-def test_some_of_the_simultaneous_contacts_take_no_impulse() -> None:
+def test_some_simultaneous_contacts_take_no_impulse() -> None:
     """Its first impact needs the complementarity: Newton's equations alone are not enough."""
     first = Other(cases.thrown_beads()).run()[0]
     model = cases.thrown_beads().system
@@ -222,7 +222,7 @@ def test_sticking_and_release_are_those_of_another_integrator(
     closes = [cases.seconds(one) for one in ours if Kind.CLOSE in cases.kinds(one)]
     opens = [cases.seconds(one) for one in ours if Kind.OPEN in cases.kinds(one)]
     others = [one.seconds for one in other if one.contacts and one.closed]
-    tolerance = 1e-5 if eps else 1e-9  # both cut short the impacts that accumulate
+    tolerance = 1e-5 if eps else 1e-9  # both leave out the last impacts of an accumulation
     np.testing.assert_allclose(closes, others, rtol=0, atol=tolerance)
     others = [one.seconds for one in other if not one.contacts]
     np.testing.assert_allclose(opens, others, rtol=0, atol=tolerance)

@@ -16,8 +16,8 @@ from impact_observer.stamps import NS_PER_S, Instant, grid
 Array = NDArray[np.float64]
 
 
-def test_impact_without_restitution_goes_on_where_the_load_pulls() -> None:
-    """A body that is stopped where its spring pulls it away leaves again."""
+def test_impact_without_restitution_separates_where_a_spring_pulls() -> None:
+    """A body with zero speed after the impact leaves its stop at once."""
     model = system(1, 0, 1, contacts=[([1], 0.5, 0.0)])
     impacts = run(model, [1.0], [0.0], seconds=10.0).impacts
     assert len(impacts) == 1

@@ -35,7 +35,7 @@ FLAGS = {"impacts_only"}
 
 
 def errors(sensor: SensorModel, switchings: Sequence[Switching]) -> np.ndarray:
-    """By how much the stamps of impacts are late, s, where none is lost or spurious."""
+    """Errors of the stamps, s, of a sensor without missed and spurious impacts."""
     found = messages(sensor, switchings)
     return np.array(
         [
@@ -105,7 +105,7 @@ def test_sensor_that_needs_more_contacts_is_refused(sensor: SensorModel, contact
 
 
 def test_delay_makes_stamp_and_arrival_late() -> None:
-    """Both by the same time; nothing else changes."""
+    """By the same time; nothing else changes."""
     switchings = impacts(5)
     found = messages(SensorModel(delay=0.02), switchings)
     assert [each.event.switches for each in found] == [each.switches for each in switchings]
@@ -116,7 +116,7 @@ def test_delay_makes_stamp_and_arrival_late() -> None:
     assert all(each.arrival == each.event.stamp for each in found)
 
 
-def test_jitter_is_normal_and_leaves_the_arrival() -> None:
+def test_jitter_is_normal_and_does_not_change_the_arrival() -> None:
     """With the given standard deviation, without bias."""
     switchings = impacts(MANY)
     found = errors(SensorModel(jitter=0.003), switchings)
@@ -146,8 +146,8 @@ def test_quantised_stamps_are_the_nearest_multiples() -> None:
     assert stats.kstest(error / 0.001 + 0.5, "uniform").pvalue > LEAST
 
 
-def test_clock_is_ahead_and_too_fast() -> None:
-    """By an offset at the epoch, and by the drift for every second since."""
+def test_clock_has_an_offset_and_a_drift() -> None:
+    """The offset at the epoch, plus the drift for every second since."""
     error = errors(SensorModel(clock_offset=-0.5, clock_drift=1e-3), impacts(1000))
     np.testing.assert_allclose(error, -0.5 + 1e-3 * np.arange(1, 1001), rtol=0, atol=1e-9)
 
@@ -158,8 +158,8 @@ def test_the_epoch_of_an_event_is_the_plants() -> None:
     assert {each.event.epoch for each in found} == {EPOCH}
 
 
-def test_clock_that_would_show_less_than_zero_is_refused() -> None:
-    """At the epoch already; the line names a later epoch as the remedy."""
+def test_clock_with_negative_stamps_is_refused() -> None:
+    """The error names a later epoch as the remedy."""
     sensor = SensorModel(clock_offset=-EPOCH / NS_PER_S)
     with pytest.raises(UsageError, match=r"clock_offset: .* stamps start above zero"):
         simulate_sensor(sensor, THREE, impacts(1), epoch=EPOCH, last=EPOCH + NS_PER_S)
@@ -265,7 +265,7 @@ def test_contacts_reported_under_one_name_are_one_switch() -> None:
     assert all(len(set(each.event.switches)) == len(each.event.switches) for each in found)
 
 
-def test_threshold_keeps_faster_impacts() -> None:
+def test_threshold_removes_slower_impacts() -> None:
     """An approach exactly as fast as the threshold is detected."""
     speeds = np.linspace(0, 2, 201)
     switchings = [switching(k + 1, [(0, Kind.IMPACT)], v) for k, v in enumerate(speeds)]
@@ -281,7 +281,7 @@ def test_threshold_of_zero_detects_a_contact_that_does_not_approach() -> None:
     assert messages(SensorModel(threshold=1e-9), switchings) == []
 
 
-def test_transport_is_exponential_and_leaves_the_stamp() -> None:
+def test_transport_is_exponential_and_does_not_change_the_stamp() -> None:
     """Messages overtake each other, as sequence numbers show."""
     switchings = impacts(MANY)
     sensor = SensorModel(transport=0.6)
@@ -323,7 +323,7 @@ def test_sensor_of_impacts_only_never_reports_persistent_contact() -> None:
 
 @pytest.mark.parametrize("sensor", [SensorModel(missed=1.0), SensorModel(threshold=2.0)])
 def test_contact_whose_close_is_missed_is_not_reported_open(sensor: SensorModel) -> None:
-    """Nothing is reported."""
+    """Neither CLOSE nor OPEN is reported."""
     assert messages(sensor, PERSISTENT) == []
 
 
@@ -344,7 +344,7 @@ def test_close_in_the_dead_time_is_lost_and_open_in_it_is_not() -> None:
 
 
 def test_open_is_reported_under_the_name_of_its_close() -> None:
-    """Otherwise the mislabelled contact would stay closed for ever."""
+    """Otherwise the mislabelled contact would never open."""
     switchings = [
         switching(k + 1, [(k // 2 % 3, Kind.OPEN if k % 2 else Kind.CLOSE)]) for k in range(600)
     ]

@@ -98,8 +98,8 @@ def test_events_are_consistent_for_every_sensor(
         assert not (sensor.impacts_only and change)
 
 
-def said(each: SensorMessage) -> tuple[int, tuple[Switch, ...], int]:
-    """A message but for its number."""
+def content(each: SensorMessage) -> tuple[int, tuple[Switch, ...], int]:
+    """A message without its sequence number."""
     return each.event.stamp, each.event.switches, each.arrival
 
 
@@ -168,7 +168,7 @@ CHANGES: dict[str, Callable[[list[SensorMessage], list[SensorMessage]], bool]] =
     "dead_time": fewer,
     "missed": fewer,
     "threshold": fewer,
-    "spurious": lambda without, with_it: set(map(said, without)) <= set(map(said, with_it)),
+    "spurious": lambda without, with_it: set(map(content, without)) <= set(map(content, with_it)),
 }
 """What each fault leaves unchanged, whatever the other faults."""
 
@@ -179,7 +179,7 @@ CHANGES: dict[str, Callable[[list[SensorMessage], list[SensorMessage]], bool]] =
 def test_a_fault_changes_no_draw_of_another(
     name: str, switchings: list[Switching], sensor: SensorModel, seed: int
 ) -> None:
-    """Switched on, it has its own effect only; dead time is excluded, as it couples faults."""
+    """Each fault has its own effect only; dead time is left out, as it couples faults."""
     off: dict[str, Any] = {"dead_time": 0.0, name: getattr(IDEAL, name)}
     without = dataclasses.replace(sensor, **off)
     with_it = dataclasses.replace(without, **{name: FULL[name]})
@@ -195,7 +195,7 @@ def test_a_fault_changes_no_draw_of_another(
 
 
 def test_every_episode_has_its_own_draws() -> None:
-    """So has every seed; the same seed and episode repeat theirs."""
+    """So has every seed; equal seeds and episodes have equal draws."""
     switchings = impacts(20)
     last = switchings[-1].instant.stamp
 

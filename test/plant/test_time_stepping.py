@@ -34,7 +34,7 @@ def started(
 
 
 def crossed(plant: TimeSteppingPlant | Plant, seconds: float, most: int = 1000) -> list[Switching]:
-    """All that switches in ``seconds``, up to the ``most``."""
+    """The switchings in ``seconds``, at most ``most``."""
     found: list[Switching] = []
     last = plant.epoch + round(seconds * NS_PER_S)
     while len(found) < most and (switching := plant.next_switching(last)) is not None:
@@ -44,7 +44,7 @@ def crossed(plant: TimeSteppingPlant | Plant, seconds: float, most: int = 1000) 
 
 
 def times(switchings: Sequence[Switching]) -> Array:
-    """When, s since the epoch."""
+    """Instants of switchings, s since the epoch."""
     return np.array([-each.instant.until(EPOCH) for each in switchings])
 
 
@@ -234,7 +234,7 @@ def test_held_contact_takes_part_in_an_impact_without_a_switch() -> None:
 
 
 def test_bodies_at_rest_on_each_other_stay_so() -> None:
-    """Nine beads lie on a wall while a tenth bounces on them: no contact opens by rounding."""
+    """Nine beads rest on a wall while a tenth bounces on them: no contact opens by rounding."""
     case = resting_beads()
     found = crossed(started(*case[:3], 1e-3), case.seconds)
     assert {kind for _, kind in kinds(found[:1])[0]} == {Kind.CLOSE}
@@ -295,7 +295,7 @@ def test_states_within_a_step_are_of_second_order() -> None:
 
 @pytest.mark.slow
 def test_states_do_not_depend_on_when_they_are_requested() -> None:
-    """One by one, backwards or all at once, and looked ahead or not: the same bits."""
+    """One by one, backwards or all at once, with or without a prediction: the same bits."""
     model, start = sample("three_mass").system, sample("three_mass").initial_state()
     stamps = grid(EPOCH, EPOCH + NS_PER_S, 333.0)
     plant = TimeSteppingPlant(model, *start, epoch=EPOCH, step=1e-3)
@@ -362,7 +362,7 @@ def test_invalid_start_is_one_line(
 
 
 @pytest.mark.parametrize("step", [1e-2, 3e-3])
-def test_run_goes_to_the_end_of_a_recorded_force_and_no_further(step: float) -> None:
+def test_run_ends_with_its_recorded_force(step: float) -> None:
     """A force that is recorded for a second: its last step may end after it, none begins there."""
     samples = Samples(np.array([0.0, 0.5, 1.0]), np.array([[1.0], [0.0], [2.0]]), "linear")
     model = system(1, 0.1, 1, contacts=[([1], 5.0, 0.5)], force=Forcing.of_samples(samples))

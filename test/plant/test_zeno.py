@@ -44,7 +44,7 @@ class Ball:
     "eps", [0.0, 0.2, 0.5, *(pytest.param(each, marks=pytest.mark.slow) for each in (0.9, 0.99))]
 )
 def test_ball_comes_to_rest_within_its_bound(eps: float, floor: float) -> None:
-    """Few impacts, the instant and the errors are as ``plant/zeno.py`` says; then exact rest."""
+    """Number of impacts, instant and errors are within the bounds of ``plant/zeno.py``."""
     ball = Ball(eps)
     model = free(1, contacts=[([1], -floor, eps)], force=forcing(1, -GRAVITY))
     plant = started(model, [floor + 1.0], [0.0])
@@ -100,7 +100,7 @@ def test_errors_of_a_ball_that_rests_are_below_their_bound(eps: float, floor: fl
 
 
 def test_contacts_close_at_once() -> None:
-    """Equal balls on equal floors in one event; so do beads that lie on each other."""
+    """Equal balls on equal floors in one event, and beads that rest on each other."""
     contacts = [([1, 0], 0.0, 0.5), ([0, 1], 0.0, 0.5)]
     model = free(2, contacts=contacts, force=forcing(2, -GRAVITY))
     found = run(model, [1.0, 1.0], [0.0, 0.0], seconds=2.0)
@@ -128,7 +128,7 @@ def test_row_of_beads_without_load_collapses_in_few_impacts(eps: float) -> None:
 
 
 @pytest.mark.slow
-def test_light_body_between_a_heavy_one_and_a_wall_keeps_all_energy() -> None:
+def test_light_body_between_a_heavy_one_and_a_wall_conserves_energy() -> None:
     """Galperin's billiard: 314 collisions for a mass ratio of 10^4, many within one instant."""
     wall, between = ([1, 0], 0.0, 1.0), ([-1, 1], 0.0, 1.0)
     model = system(

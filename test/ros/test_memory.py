@@ -20,13 +20,13 @@ MOST = 20.0
 
 
 def held() -> int:
-    """Bytes that Python has in hand, without what nobody can reach any more."""
+    """Bytes that Python has allocated, without garbage."""
     gc.collect()
     return tracemalloc.get_traced_memory()[0]
 
 
 def test_memory_of_a_node_does_not_grow_with_its_events(ros_environment: dict[str, str]) -> None:
-    """What Python has in hand after some events is as much after as many more.
+    """Python has no more memory allocated after twice as many events.
 
     What is kept is kept each time; caches that happen to grow do not grow twice.
     """

@@ -13,7 +13,7 @@ from impact_observer.ros.node_process import run_node
 def test_small_matrices_have_one_thread_unless_somebody_wants_more(
     monkeypatch: pytest.MonkeyPatch, given: str | None, wanted: str
 ) -> None:
-    """It is said before the node's module is imported, and numpy with it."""
+    """The variable is set before the node's module, and with it numpy, is imported."""
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", given or "")
     if given is None:
         monkeypatch.delenv("OPENBLAS_NUM_THREADS")

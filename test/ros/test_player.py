@@ -373,7 +373,7 @@ def test_next_is_for_pauses_only_and_rates_have_limits(
 
 
 def test_only_a_part_is_played(sample_bag: Path, ros_environment: dict[str, str]) -> None:
-    """From the start, as long as was said; again and again if wanted."""
+    """From the start for the duration, once or in a loop."""
     assert ros_environment
     how = Playing(["/impacts"], start=0.1, duration=0.22, loop=True)
     with listening("/impacts") as received, player_of(sample_bag, how) as player:

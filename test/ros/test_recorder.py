@@ -290,7 +290,7 @@ def test_log_times_follow_the_simulated_clock_and_never_go_back(
 def test_foreign_type_is_recorded_with_its_installed_definition(
     tmp_path: Path, ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Here ``std_msgs/String`` plays the foreigner."""
+    """``std_msgs/String`` stands for a type of another package."""
     assert ros_environment
     definitions = []
 

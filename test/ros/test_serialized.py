@@ -1,4 +1,4 @@
-"""Estimates as bytes: what ROS reads in them is what the messages say."""
+"""Estimates as bytes: ROS deserializes them to the messages."""
 
 import math
 from collections.abc import Callable
@@ -54,14 +54,14 @@ def estimates(draw: st.DrawFn) -> tuple[tuple[str, ...], Estimate]:
 
 @given(estimates())
 @examples(100)
-def test_bytes_say_what_the_messages_say(case: tuple[tuple[str, ...], Estimate]) -> None:
+def test_bytes_deserialize_to_the_messages(case: tuple[tuple[str, ...], Estimate]) -> None:
     """Whatever its shape, and however large its numbers."""
     names, estimate = case
     state, joints = EstimateSerializer(names).messages(estimate)
     make = ros_messages()
-    known = JointState(estimate.stamp, names, estimate.q, estimate.u)
+    joint_state = JointState(estimate.stamp, names, estimate.q, estimate.u)
     assert deserialize_message(state, ObserverState) == make.estimate(estimate, names)
-    assert deserialize_message(joints, JointStateMessage) == make.joint_state(known)
+    assert deserialize_message(joints, JointStateMessage) == make.joint_state(joint_state)
 
 
 def test_nothing_of_an_estimate_stays_in_the_next() -> None:

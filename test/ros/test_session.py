@@ -27,7 +27,7 @@ def test_a_signal_within_a_long_computation_raises() -> None:
 
 
 def test_a_signal_just_before_a_long_computation_raises_too() -> None:
-    """Otherwise nobody would notice it before the end."""
+    """It does not wait for the end of the computation."""
     with Stop():
         signal.raise_signal(signal.SIGTERM)
         with pytest.raises(KeyboardInterrupt), interruptible():

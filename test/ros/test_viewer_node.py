@@ -58,7 +58,7 @@ class Rig:
     impacts: Publisher
     received: list[MarkerArray] = field(default_factory=list)
 
-    def say(self, owner: str, stamp: int, q: list[float]) -> None:
+    def publish_state(self, owner: str, stamp: int, q: list[float]) -> None:
         """Publish a state."""
         state = JointState(stamp, ("x1", "x2"), np.array(q), np.zeros(2))
         self.states[owner].publish(ros_messages().joint_state(state))
@@ -107,12 +107,12 @@ def test_viewer_shows_what_comes_and_removes_what_was_there(rig: Rig) -> None:
     rig.spinner.until(lambda: rig.received)
     assert [each.action for each in rig.received[0].markers] == [Marker.DELETEALL]
     assert all(len(each.markers) == 1 for each in rig.received)
-    rig.say("plant", EPOCH + 10, [0.1, -0.2])
+    rig.publish_state("plant", EPOCH + 10, [0.1, -0.2])
     plant = rig.shown("plant", EPOCH + 10)
     assert not any(
         each.ns.startswith("observer") for array in rig.received for each in array.markers
     )
-    rig.say(OBSERVERS[1], EPOCH + 20, [0.3, 0.4])
+    rig.publish_state(OBSERVERS[1], EPOCH + 20, [0.3, 0.4])
     estimate = rig.shown(OBSERVERS[1], EPOCH + 20)
     for markers, row, q in ((plant, "plant", [0.1, -0.2]), (estimate, OBSERVERS[1], [0.3, 0.4])):
         bodies = shapes(markers, row, "bodies")
@@ -130,12 +130,12 @@ def test_viewer_lights_stops_that_are_hit_or_closed(rig: Rig) -> None:
     for k, (ms, lit) in enumerate([(900, False), (1050, True), (1900, False)]):
         stamp = EPOCH + ms * 1_000_000
         rig.spinner.settle(0.1)
-        rig.say("plant", stamp, [0.0, 0.5])
+        rig.publish_state("plant", stamp, [0.0, 0.5])
         stop = shapes(rig.shown("plant", stamp), "plant", "stops")[0]
         assert is_lit(stop) is lit, k
     rig.hit(EPOCH + 2_000_000_000, Kind.CLOSE, 2)
     rig.spinner.settle(0.1)
-    rig.say("plant", EPOCH + 9_000_000_000, [0.0, 0.5])
+    rig.publish_state("plant", EPOCH + 9_000_000_000, [0.0, 0.5])
     shown = rig.shown("plant", EPOCH + 9_000_000_000)
     assert is_lit(shapes(shown, "plant", "stops")[0])
     rig.hit(EPOCH + 9_500_000_000, Kind.OPEN, 3)
@@ -151,7 +151,7 @@ def test_viewer_begins_again_with_a_bag_that_is_played_again(rig: Rig) -> None:
             stamp = EPOCH + ms * 1_000_000
             rig.hit(EPOCH + 1_000_000_000, Kind.IMPACT, 1)
             rig.spinner.settle(0.1)
-            rig.say("plant", stamp, [0.0, 0.5])
+            rig.publish_state("plant", stamp, [0.0, 0.5])
             assert is_lit(shapes(rig.shown("plant", stamp), "plant", "stops")[0]) is lit
         rig.hit(EPOCH + 5_000_000_000, Kind.CLOSE, 2)
         rig.spinner.settle(0.1)
@@ -237,9 +237,9 @@ def test_wrong_parameters_are_one_line(
     arguments = ros_arguments({"model": "two_mass", "observers": "'a,,b'"})
     line = refusal("viewer", arguments, capfd)
     assert "parameter observers: 'a,,b' has an empty name" in line
-    for names, said in (("a-b", "no name of a node"), ("plant", "leave it out")):
+    for names, line in (("a-b", "no name of a node"), ("plant", "leave it out")):
         wrong = ros_arguments({"model": "two_mass", "observers": names})
-        with spinning(wrong), pytest.raises(UsageError, match=said):
+        with spinning(wrong), pytest.raises(UsageError, match=line):
             ViewerNode()
     wrong = ros_arguments({"model": "two_mass", "reach": -1.0})
     with spinning(wrong), pytest.raises(UsageError, match="parameter reach"):

@@ -74,7 +74,7 @@ def test_runs_that_never_settle_are_above_all_times() -> None:
 
 @pytest.mark.slow
 def test_other_quantities_make_panels() -> None:
-    """One for each combination; --against says which is on the axis."""
+    """One panel for each combination; --against selects the quantity on the axis."""
     sweep = swept({"dead_time": [0.0, 0.1]}, {"gap": [0.4, 0.5, 0.6]})
     figure = drawn(sweep, [1.0])
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]

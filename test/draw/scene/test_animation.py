@@ -143,7 +143,7 @@ def test_stop_is_highlighted_during_persistent_contact() -> None:
 
 
 def test_lit_stops_are_dark_in_grey_and_others_are_light() -> None:
-    """So a picture without colours says the same."""
+    """So they differ in a picture without colours."""
     grey = float(np.dot(to_rgb(row._LIT), [0.299, 0.587, 0.114]))
     assert grey < 0.55
     assert float(np.dot(to_rgb("#B9CFE0"), [0.299, 0.587, 0.114])) > 0.7

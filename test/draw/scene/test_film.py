@@ -34,7 +34,7 @@ def switch(stamp: int, kind: Kind, sequence: int, contact: str = "stop") -> Impa
 
 
 def test_track_is_linear_between_samples() -> None:
-    """At the samples it is what they say."""
+    """At the samples it has their values."""
     moving = track([100, 200, 400], [0.0, 1.0, 3.0])
     assert [place(moving, t) for t in (100, 150, 200, 300, 400)] == [0.0, 0.5, 1.0, 2.0, 3.0]
 

@@ -244,6 +244,6 @@ def test_scene_cannot_be_changed() -> None:
 
 @pytest.mark.parametrize("positions", [np.zeros((3, 3)), np.array([[np.nan, 0.0]]), np.zeros(2)])
 def test_positions_that_fit_no_model_are_refused(positions: Array) -> None:
-    """One line says the shape that is wanted."""
+    """The error has the expected shape."""
     with pytest.raises(UsageError, match=r"expected \(samples, 2\), all finite"):
         Scene.of(sample("two_mass").system, positions)

@@ -49,7 +49,7 @@ def state(stamp: int, names: tuple[str, ...] = ("x1", "x2"), q: float = 0.0) -> 
 
 
 def received(bag: Path, listener: TopicListener, without: Collection[str] = ()) -> Snapshot:
-    """Everything in a bag, looked at ten times a second of its own time."""
+    """A snapshot of all messages in a bag, received in steps of 0.1 s of its time."""
     shown = 0.0
     with BagReader(bag) as reader:
         for topic, stamp, data in reader.raw():
@@ -138,7 +138,7 @@ def test_events_and_verdicts_are_counted_and_the_last_are_kept(bag: Path) -> Non
 
 
 def test_diagnostics_go_to_their_observer() -> None:
-    """By the node's name; those of others say nothing."""
+    """By the node's name; diagnostics of other nodes are ignored."""
     listener = TopicListener(["observer", "rig/observer"])
     kind = "diagnostic_msgs/msg/DiagnosticArray"
     for name, level in (("/observer", 1), ("/rig/observer", 2), ("/elsewhere", 0)):
@@ -266,8 +266,8 @@ def test_a_rate_is_that_of_the_messages_and_not_of_their_bursts() -> None:
     assert arrivals.rate("t", 10.0).rate == pytest.approx(1000.0, rel=1e-3)
 
 
-def test_nobody_is_received_while_those_who_were_named_are_silent() -> None:
-    """An observer is shown because it was asked for, and yet it has said nothing."""
+def test_a_snapshot_is_empty_until_a_selected_observer_publishes() -> None:
+    """The observer's first message makes it non-empty."""
     listener = TopicListener(["observer"])
     assert listener.snapshot(0.0, EPOCH).is_empty
     listener.receive("/observer/joint_states", state(EPOCH), 0.0, EPOCH)
