@@ -118,7 +118,7 @@ def test_impacts_of_another_type_are_named() -> None:
 
 
 def test_no_events_at_all() -> None:
-    """A topic that nobody published on."""
+    """A topic without messages."""
     write([])
     assert lines(usable=False) == [
         (

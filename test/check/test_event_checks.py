@@ -307,7 +307,7 @@ def test_stamps_of_another_clock_are_event_message() -> None:
 
 @pytest.mark.slow
 def test_memory_does_not_grow_with_the_number_of_events(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Duplicates and gaps are remembered for a while only; a late number still fills its gap."""
+    """Only recent duplicates and gaps are kept; a late number still fills its gap."""
     monkeypatch.setattr(event_check, "_RECENT", 300)
 
     def peak(count: int) -> int:

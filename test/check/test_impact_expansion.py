@@ -178,7 +178,7 @@ def test_two_sided_stops_do_not_warn() -> None:
     assert ClosingSets(play).conflict((0, 1)) == (0, 1)
 
 
-def test_stops_without_play_are_closed_for_ever() -> None:
+def test_stops_without_play_are_always_closed() -> None:
     """Floor and ceiling at one height depend on each other, and leave no room."""
     none = system(1, 1, 1, contacts=[([1.0], 0.1, 0.5), ([-2.0], -0.2, 0.5)])
     scaled = ClosingSets(none)

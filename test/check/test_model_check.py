@@ -1,4 +1,4 @@
-"""What a model means for an observer: modes, what contacts see, effective masses."""
+"""Properties of a model: modes, their observability by contacts, effective masses."""
 
 import numpy as np
 import pytest
@@ -65,7 +65,7 @@ def test_overdamped_pairs_are_real() -> None:
 
 
 def test_a_free_chain_has_one_rigid_mode_with_equal_displacements() -> None:
-    """Without friction on the ground its motion goes on for ever."""
+    """Without friction on the ground its motion does not decay."""
     laplacian = np.diag([1.0, 2, 1]) - np.eye(3, k=1) - np.eye(3, k=-1)
     model = system(np.diag([1.0, 2, 3]), laplacian, laplacian, contacts=[([1, -1, 0], 0.1, 0.5)])
     checked = check_model(model)
@@ -147,7 +147,7 @@ def test_equal_oscillators_need_a_contact_each() -> None:
 @pytest.mark.slow
 @examples(40)
 @given(systems(forced=False, contacts=(1, 2)))
-def test_as_many_motions_are_hidden_as_the_observability_matrix_says(model: System) -> None:
+def test_unobservable_motions_are_those_of_the_observability_matrix(model: System) -> None:
     """Rank of the rows ``W^T A^k``, for gaps and speeds; a pair counts two, a rigid one too."""
     A = state_matrix(model)
     A /= max(1.0, float(np.linalg.norm(A, 2)))
@@ -156,13 +156,13 @@ def test_as_many_motions_are_hidden_as_the_observability_matrix_says(model: Syst
         rows.append(rows[-1] @ A)
     singular = np.linalg.svd(np.vstack(rows), compute_uv=False)
     hidden = check_model(model).unseen
-    if not np.any((singular > 1e-13) & (singular < 1e-7)):  # the oracle is sure
+    if not np.any((singular > 1e-13) & (singular < 1e-7)):  # the oracle is unambiguous
         assert bool(hidden) == bool(np.any(singular <= 1e-13))
     for each in hidden:
         assert np.linalg.norm(model.W.T @ each.shape) <= 1e-7 * np.linalg.norm(model.W)
 
 
-def test_effective_mass_is_what_the_contact_feels() -> None:
+def test_effective_mass_is_that_of_the_contact_direction() -> None:
     """``1 / (w^T M^-1 w)``: a body's own mass, and the reduced mass of two."""
     contacts = [([1, 0], 0.0, 0.5), ([-1, 1], 0.0, 0.5), ([0, 2], 0.0, 0.5)]
     model = system(np.diag([2, 3]), np.eye(2), np.eye(2), contacts=contacts)

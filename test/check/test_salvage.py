@@ -1,4 +1,4 @@
-"""Damaged bags: what check says of each, and what salvage recovers."""
+"""Damaged bags: the findings of ``check``, and what ``salvage`` recovers."""
 
 import shutil
 import sqlite3
@@ -224,8 +224,8 @@ def test_journal_that_a_recorder_left_is_reported(whole: Path) -> None:
     ]
 
 
-def test_what_is_no_bag_at_all_is_said_so() -> None:
-    """And there is nothing to salvage."""
+def test_a_file_that_is_no_bag_is_named() -> None:
+    """Nothing can be salvaged from it."""
     Path("notes.txt").write_text("none")
     Path("bag").mkdir()
     for path, expected in (

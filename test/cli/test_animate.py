@@ -34,7 +34,7 @@ def refusal(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> tup
 def test_gif_has_all_pictures_and_the_right_speed(
     sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It repeats for ever, and no other file is left."""
+    """It loops, and no other file is left."""
     output = tmp_path / "film.gif"
     assert main(["animate", str(sample_bag), "-o", str(output), *QUICK]) == 0
     assert capsys.readouterr().out == f"film: {output}, 9 pictures of 0.40 s\n"
@@ -183,7 +183,7 @@ def test_what_cannot_be_filmed_is_one_line(
 
 
 def test_colours_of_films_are_those_that_are_drawn() -> None:
-    """White stays white, black black, and the three hues are themselves."""
+    """White, black and the three hues of the drawing are unchanged."""
     hues = [(255, 255, 255), (0, 0, 0), *film_files._HUES]
     picture = np.zeros((4, len(hues), 4), np.uint8)
     picture[..., :3] = hues

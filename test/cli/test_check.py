@@ -1,4 +1,4 @@
-"""The command that says whether an observer can use a bag."""
+"""The command ``check``: whether an observer can use a bag."""
 
 import argparse
 import json
@@ -23,18 +23,16 @@ NOT_FIRST = "the first sequence number is 2: what was before is not here"
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 
-def test_a_good_bag_has_nothing_to_remark(capsys: pytest.CaptureFixture[str]) -> None:
-    """One line says so."""
+def test_a_valid_bag_has_no_finding(capsys: pytest.CaptureFixture[str]) -> None:
+    """The command prints one line."""
     write()
     assert main(["check", "bag"]) == 0
     assert capsys.readouterr().out == "bag: an observer can use it (nothing to remark)\n"
 
 
 @pytest.mark.parametrize("sample", ["two_mass", "three_mass", "clock_offset", "quantisation"])
-def test_sample_bags_have_nothing_to_remark(
-    sample: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Nor have some with sensor faults."""
+def test_sample_bags_have_no_findings(sample: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nor have the bags with sensor faults."""
     assert main(["check", str(shared(f"bags/{sample}"))]) == 0
     assert capsys.readouterr().out.endswith("an observer can use it (nothing to remark)\n")
 
@@ -65,7 +63,7 @@ def test_json_has_every_part_of_a_finding(capsys: pytest.CaptureFixture[str]) ->
 def test_on_a_terminal_lines_are_folded_beside_their_severity(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nothing is cut off, and nothing stands below the severity."""
+    """Nothing is cut off, and the column below the severity is empty."""
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
     monkeypatch.setenv("COLUMNS", "50")
     monkeypatch.setenv("TERM", "xterm")

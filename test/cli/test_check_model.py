@@ -1,4 +1,4 @@
-"""The command that says what a model means for an observer."""
+"""The command ``check-model``: properties of a model that matter to an observer."""
 
 import argparse
 import json
@@ -87,13 +87,13 @@ def test_no_sample_has_a_warning(name: str, capsys: pytest.CaptureFixture[str]) 
 
 
 def test_the_ball_is_a_rigid_body(capsys: pytest.CaptureFixture[str]) -> None:
-    """And what follows from it."""
+    """The finding has its consequence."""
     output = printed(capsys, "bouncing_ball")
     assert "1 rigid-body mode: (height 1). V is a seminorm" in output
     assert "Without damping: rigid-body motion. V need not vanish" in output
 
 
-def test_warnings_say_what_follows_and_the_model_stays_valid(
+def test_warnings_name_their_consequence_and_the_model_stays_valid(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A corner with unequal restitution, forced at an undamped frequency."""
@@ -176,7 +176,7 @@ def test_a_mode_that_no_contact_sees_is_a_warning(
 def test_stops_without_clearance_are_a_warning(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two that close at once for ever; and two that contradict each other."""
+    """Two stops that are always closed, and two that contradict each other."""
     without_room = CORNER.replace("[0.9, 0.436], gap: 1", "[-1, 0], gap: -1")
     position = without_room.replace("position: [0, 0]", "position: [-1, 0]")
     assert "No position is clear of all stops" in printed(capsys, written(tmp_path, position))
@@ -188,7 +188,7 @@ def test_stops_without_clearance_are_a_warning(
 def test_an_undecided_question_is_a_warning(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Never a silent pass."""
+    """It is not passed silently."""
     from impact_observer.check import model_check
     from impact_observer.check.closing_sets import SearchResult
 

@@ -30,7 +30,7 @@ def observed(bag: Path, output: Path, law: str) -> Path:
 
 
 def compared(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, dict[str, object]]:
-    """What ``compare --json`` says."""
+    """The output of ``compare --json``."""
     capsys.readouterr()
     assert main(["compare", *arguments, "--json"]) == 0
     found: dict[str, dict[str, object]] = json.loads(capsys.readouterr().out)
@@ -74,7 +74,7 @@ def test_laws_are_compared_beside_the_estimates_in_the_bag(
 def test_laws_receive_the_uncertainty_that_is_declared(
     plant_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A clock error makes minimum-variance careful; geometric has no use for it."""
+    """The clock error changes the estimate of minimum-variance, not that of geometric."""
     arguments = [str(plant_bag), "--laws", "geometric,minimum-variance", "--initial", "random:1"]
     exact = compared(capsys, *arguments)
     careful = compared(capsys, *arguments, "--clock-error", "0.01", "--deviation", "0.5")

@@ -121,7 +121,7 @@ def test_a_late_sensor_does_not_count_as_a_bad_estimate(
     assert re.search(r"geometric +\d+ +0 +0 +0 +\d+ +8 ms +\d\.\d\de[+-]\d\d J", table)
 
 
-def test_a_topic_of_somebody_else_can_be_compared(
+def test_a_topic_of_another_package_can_be_compared(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By its name, and beside an observer; the truth too may have another name."""

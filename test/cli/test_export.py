@@ -110,7 +110,7 @@ def test_estimates_before_their_events_are_left_out(tmp_path: Path, sample_bag: 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_events_are_imported_again(tmp_path: Path, suffix: str) -> None:
-    """A row for each contact; stamps to the nanosecond."""
+    """One row for each contact, with stamps to the nanosecond."""
     make, bag = bag_messages(), tmp_path / "bag"
     events = [
         ImpactEvent(5_000_000_001, (Switch("a"), Switch("b", Kind.CLOSE)), 1, 2, 4_000_000_000),
@@ -193,7 +193,7 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     code: int,
     said: str,
 ) -> None:
-    """And what was there stays."""
+    """An existing file is unchanged."""
     monkeypatch.chdir(tmp_path)
     Path("x.csv").write_text("kept")
     assert main(["export", str(observed), *options]) == code
@@ -204,10 +204,10 @@ def test_a_mistake_is_one_line_and_leaves_no_file(
     assert Path("x.csv").read_text() == "kept"
 
 
-def test_a_bag_without_states_says_what_it_has(
+def test_a_bag_without_states_or_events_is_an_error_with_its_topics(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The same without events."""
+    """One line for each kind of table."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/impacts")
         writer.declare("/plant/joint_states")
@@ -217,7 +217,7 @@ def test_a_bag_without_states_says_what_it_has(
         assert said in capsys.readouterr().err
 
 
-def test_an_interruption_leaves_what_was_there(tmp_path: Path) -> None:
+def test_an_interruption_leaves_an_existing_file_unchanged(tmp_path: Path) -> None:
     """The file is replaced at the end only."""
     path = tmp_path / "x.csv"
     path.write_text("kept")

@@ -35,7 +35,7 @@ def curves(figure: Figure) -> list[str]:
 
 
 def test_the_default_is_the_papers_two_laws(drawn: list[Figure], tmp_path: Path) -> None:
-    """Kinematic grey, geometric black; the title says whose model and numbers these are."""
+    """Kinematic grey, geometric black; the title names the model and the initial state."""
     assert main(["figure", "two_mass", *QUICK, "-o", str(tmp_path / "v.png")]) == 0
     (figure,) = drawn
     assert curves(figure) == ["kinematic", "geometric"]
@@ -60,7 +60,7 @@ def test_all_laws_are_one_curve_each(drawn: list[Figure], tmp_path: Path) -> Non
     ("ending", "magic"),
     [("png", b"\x89PNG"), ("SVG", b"<?xml"), pytest.param("pdf", b"%PDF", marks=pytest.mark.slow)],
 )
-def test_the_ending_says_the_format(
+def test_the_file_extension_selects_the_format(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], ending: str, magic: bytes
 ) -> None:
     """A picture that is there is replaced, and the table is printed."""

@@ -1,4 +1,4 @@
-"""The command that learns a model from the impacts in a bag."""
+"""The command ``identify``: parameters of a model from the impacts in a bag."""
 
 import json
 from pathlib import Path
@@ -28,19 +28,19 @@ def model(tmp_path: Path) -> Path:
     return path
 
 
-def test_what_is_learnt_is_printed_and_written(
+def test_identified_parameters_are_printed_and_written(
     model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The file reads as a model again, says where it is from, and keeps its comments."""
-    output, plot = tmp_path / "learnt.yaml", tmp_path / "learnt.svg"
+    output, plot = tmp_path / "identified.yaml", tmp_path / "identified.svg"
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution,gap"]
     assert main([*words, "-o", str(output), "--plot", str(plot)]) == 0
     said = capsys.readouterr().out
     assert "restitution.stop" in said
     assert "standard error" in said
-    learnt = read_model(output)
-    np.testing.assert_allclose(learnt.system.eps, [0.7], rtol=1e-6)
-    assert set(learnt.provenance["parameters"]) == {"restitution.stop", "gap.stop"}  # type: ignore[call-overload]
+    identified = read_model(output)
+    np.testing.assert_allclose(identified.system.eps, [0.7], rtol=1e-6)
+    assert set(identified.provenance["parameters"]) == {"restitution.stop", "gap.stop"}  # type: ignore[call-overload]
     assert output.read_text().count("#") == model.read_text().count("#")
     assert plot.stat().st_size > 0
     assert main([*words, "-o", str(output)]) == 2
@@ -52,9 +52,9 @@ def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) 
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution", "--json"]
     assert main(words) == 0
     results = json.loads(capsys.readouterr().out)
-    learnt = results["parameters"]["restitution.stop"]
-    assert learnt["given"] == 0.8
-    assert learnt["value"] == pytest.approx(0.7, rel=1e-6)
+    found = results["parameters"]["restitution.stop"]
+    assert found["given"] == 0.8
+    assert found["value"] == pytest.approx(0.7, rel=1e-6)
     assert results["converged"]
     assert len(results["shifts"]["shift"]) == results["impacts"]
 
@@ -81,7 +81,7 @@ def test_check_ends_with_1_where_the_model_does_not_fit(
         (["--free", "mass-scale,damping-scale,stiffness-scale,forcing-amplitude"], "no impact"),
     ],
 )
-def test_what_cannot_be_learnt_is_one_line(
+def test_parameters_that_cannot_be_identified_are_an_error_of_one_line(
     words: list[str], problem: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """That names it; 2 for wrong use, 1 for what the impacts do not determine."""

@@ -78,7 +78,7 @@ def test_observe_runs_on_an_imported_bag(
         "time_ns,contact,kind\n500000000,stop,\n1500000000,stop,close\n2500000000,stop,open\n",
     ],
 )
-def test_files_as_people_and_programs_write_them(tmp_path: Path, text: str) -> None:
+def test_common_dialects_of_csv_are_read(tmp_path: Path, text: str) -> None:
     """Headers in any order or none, three separators, decimal commas, comments, BOM, CRLF."""
     events = imported(tmp_path, text)
     assert [event.stamp - EPOCH for event in events] == [500_000_000, 1_500_000_000, 2_500_000_000]
@@ -204,8 +204,10 @@ def test_a_file_that_cannot_be_read_is_named(
     assert not (tmp_path / "bag").exists()
 
 
-def test_a_bag_that_is_there_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Nothing is overwritten."""
+def test_an_existing_bag_is_not_overwritten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The error of one line names it."""
     (tmp_path / "bag").mkdir()
     path = written(tmp_path, "0.5,stop\n")
     assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2

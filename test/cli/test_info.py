@@ -1,4 +1,4 @@
-"""The command that says what a bag holds."""
+"""The command ``info``: the contents of a bag."""
 
 import argparse
 import json
@@ -64,7 +64,9 @@ def test_json_has_all_results(sample_bag: Path, capsys: pytest.CaptureFixture[st
     assert {each["name"]: each["rate"] for each in topics}["/plant/model"] is None
 
 
-def test_text_says_the_same_in_words(sample_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_text_has_the_contents_of_the_json(
+    sample_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One line a fact and one a topic, whole names however narrow."""
     assert info.run(parsed(str(sample_bag))) == 0
     lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
@@ -108,10 +110,10 @@ def test_sensor_faults_of_a_simulated_bag_are_listed(
     assert "sensor missed 0.2, impacts_only True" in lines
 
 
-def test_foreign_and_empty_bags_are_described_too(
+def test_bags_of_other_packages_and_empty_bags_are_described(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A model that is none is a fact, not a failure."""
+    """An invalid model is reported, and the exit code is 0."""
     make = bag_messages()
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/plant/model", 1, make.model("[just, a, list]"))

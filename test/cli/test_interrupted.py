@@ -1,4 +1,4 @@
-"""Ctrl-C: what was done until then is a whole bag."""
+"""Ctrl-C leaves a valid bag of the work done so far."""
 
 import signal
 import subprocess
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 
 def test_an_observer_that_is_interrupted_leaves_a_whole_bag(tmp_path: Path) -> None:
-    """It says so, ends with 1, and what is in the bag is the beginning of all."""
+    """One line, exit code 1; the estimates in the bag are the first of the run."""
     plant, output = tmp_path / "plant", tmp_path / "estimates"
     assert (
         main(["simulate", "two_mass", "--duration", "40", "--rate", "1000", "-o", str(plant)]) == 0

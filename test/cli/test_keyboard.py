@@ -1,4 +1,4 @@
-"""Single keys of a terminal, and what becomes of the terminal."""
+"""Single keys of a terminal, and the state of the terminal afterwards."""
 
 import io
 import os
@@ -96,8 +96,8 @@ def test_arrows_have_names_and_other_long_keys_none(sent: str, keys: list[str]) 
     assert keys_in(sent) == keys
 
 
-def test_keys_come_at_once_and_unseen() -> None:
-    """Without a line's end; at the end the terminal echoes again."""
+def test_keys_are_read_at_once_without_echo() -> None:
+    """No line end is needed; afterwards the terminal echoes again."""
     with session() as terminal:
         assert not terminal.restored()
         terminal.press(b"n\x1b[C")
@@ -109,7 +109,7 @@ def test_keys_come_at_once_and_unseen() -> None:
 
 
 def test_an_error_restores_the_terminal() -> None:
-    """Before it is told."""
+    """Before the error is printed."""
     with session() as terminal:
         terminal.press(b"x")
         assert terminal.process.wait(PATIENCE) == 1
@@ -118,7 +118,7 @@ def test_an_error_restores_the_terminal() -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGQUIT, signal.SIGHUP])
 def test_a_signal_restores_the_terminal(number: signal.Signals) -> None:
-    """And does what it always does."""
+    """The process still ends by the signal."""
     with session() as terminal:
         terminal.process.send_signal(number)
         assert terminal.process.wait(PATIENCE) == -number

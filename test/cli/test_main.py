@@ -124,8 +124,8 @@ def test_what_does_not_exist_is_one_line_and_exit_code_2(
 
 
 @pytest.mark.parametrize("value", ["-1e-3", "-.001", "-0.001"])
-def test_negative_number_is_given_as_one_types_it(tmp_path: Path, value: str) -> None:
-    """Behind its option, however it is written."""
+def test_negative_number_is_accepted_behind_its_option(tmp_path: Path, value: str) -> None:
+    """In any notation."""
     bag = tmp_path / "bag"
     given = ["--clock-offset", value, "--duration", "1", "-o", str(bag)]
     assert main(["simulate", "two_mass", *given]) == 0
@@ -133,7 +133,7 @@ def test_negative_number_is_given_as_one_types_it(tmp_path: Path, value: str) ->
         assert model_of(reader).provenance["sensor"] == {"clock_offset": -0.001}
 
 
-def test_negative_number_that_is_not_wanted_is_one_line(
+def test_negative_number_after_a_flag_is_an_error_of_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """It is not taken for an option."""
@@ -145,7 +145,7 @@ def test_negative_number_that_is_not_wanted_is_one_line(
 def test_a_demo_checks_its_parameters_before_it_makes_anything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The nodes' own table decides: one line, exit code 2, no folder."""
+    """By the table of the nodes' parameters: one line, exit code 2, no folder."""
     pytest.importorskip("rclpy")
     monkeypatch.chdir(tmp_path)
     assert main(["demo", "--realtime-factor", "1e9", "-o", "x"]) == 2
@@ -159,7 +159,7 @@ def test_a_demo_checks_its_parameters_before_it_makes_anything(
 def test_ball_comes_to_rest_by_either_integrator(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Accumulation and lasting contact end no run; the bag says how it was made."""
+    """Accumulation and persistent contact do not end a run; the bag names its integrator."""
     for integrator, steps in (("event-driven", []), ("moreau", ["--step", "0.001"])):
         bag = str(tmp_path / integrator)
         arguments = ["simulate", "bouncing_ball", "--duration", "9", "-o", bag]
@@ -171,7 +171,7 @@ def test_ball_comes_to_rest_by_either_integrator(
 def test_step_without_time_stepping_is_one_line_and_exit_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A step that nothing would take is refused, not ignored."""
+    """A step without an integrator that takes it is refused, not ignored."""
     bag = tmp_path / "bag"
     assert main(["simulate", "two_mass", "--step", "0.001", "-o", str(bag)]) == 2
     errors = capsys.readouterr().err.strip().splitlines()

@@ -1,4 +1,4 @@
-"""Two rigs in one bag: one is meant."""
+"""Two rigs in one bag, selected by ``--namespace``."""
 
 import json
 import re
@@ -53,7 +53,7 @@ def test_a_namespace_selects_a_rig(
     assert json.loads(capsys.readouterr().out) == alone
 
 
-def test_identify_takes_model_and_impacts_of_the_rig_that_is_meant(
+def test_identify_takes_model_and_impacts_of_the_selected_rig(
     rigs: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The result for so short a bag is that for the rig alone."""

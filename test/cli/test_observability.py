@@ -119,7 +119,7 @@ def test_json_has_all_results(decoupled: str, capsys: pytest.CaptureFixture[str]
 
 
 def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> None:
-    """With a coarse one the least known direction counts as unknown."""
+    """With a coarse one the direction of least singular value counts as undetermined."""
     output = printed(capsys, TWO_MASS, "--tolerance", "0.1")
     assert "The rank is 3 of 4: 1 combination of the initial state is not determined" in output
 

@@ -1,4 +1,4 @@
-"""simulate, observe, compare: from a model to a judgement, without ROS."""
+"""simulate, observe, compare: from a model to a comparison, without ROS."""
 
 import json
 from pathlib import Path
@@ -56,12 +56,12 @@ def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
 
 
 @pytest.mark.slow
-def test_observe_writes_the_parameters_that_it_learns(
+def test_observe_writes_the_parameters_that_it_estimates(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By name, in the order of the messages, with deviations that decrease."""
     bag = observed(
-        run_bag, "learnt", "--law", "minimum-variance", *FREE, "--rate", "1", "--ensemble", "1"
+        run_bag, "estimated", "--law", "minimum-variance", *FREE, "--rate", "1", "--ensemble", "1"
     )
     with BagReader(bag) as reader:
         read = (each for _, each in reader.messages("/observer/state"))
@@ -179,10 +179,10 @@ def test_compare_orders_the_laws_and_draws_them(
 
 
 @pytest.mark.slow
-def test_equal_starts_leave_ratios_undefined(
+def test_equal_initial_states_leave_ratios_undefined(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """V0 = 0 is not a success."""
+    """Because V0 = 0."""
     bag = observed(run_bag, "exact", "--initial", "0.1,-0.2,0.5,0")
     capsys.readouterr()
     assert main(["compare", str(bag), "--json"]) == 0

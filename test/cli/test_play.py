@@ -36,7 +36,7 @@ def test_remapping_that_is_none_is_named(text: str) -> None:
 def test_a_mistake_in_a_file_of_qualities_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Told before ROS is asked for anything."""
+    """Before ROS is imported."""
     path = tmp_path / "qos.yaml"
     path.write_text("/impacts: {depth: many}\n")
     assert main(["play", "bag", "--qos", str(path)]) == 2
@@ -52,7 +52,7 @@ def test_a_bag_cannot_begin_paused_where_no_key_is_read(
     monkeypatch: pytest.MonkeyPatch,
     ros_environment: dict[str, str],
 ) -> None:
-    """It would wait for ever."""
+    """It could not be resumed."""
     assert ros_environment
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     assert main(["play", str(sample_bag), "--start-paused"]) == 2
@@ -60,8 +60,8 @@ def test_a_bag_cannot_begin_paused_where_no_key_is_read(
 
 
 @pytest.mark.parametrize(("key", "wanted"), play._KEYS.items())
-def test_every_key_wants_something_that_there_is(key: str, wanted: str) -> None:
-    """And only these keys."""
+def test_every_key_has_an_action_of_the_player(key: str, wanted: str) -> None:
+    """Other keys have none."""
     from impact_observer.io.play_schedule import Control
 
     class Typing:

@@ -1,4 +1,4 @@
-"""How far a command is: on a real terminal, and elsewhere."""
+"""Progress of a command: on a terminal, and elsewhere."""
 
 import io
 import os
@@ -53,7 +53,7 @@ def on_terminal(script: str, columns: int, **variables: str) -> tuple[int, str]:
     try:
         while chunk := os.read(main, 65536):
             written += chunk
-    except OSError:  # how Linux says that the other side has gone
+    except OSError:  # Linux: the other end is closed
         pass
     finally:
         os.close(main)
@@ -62,7 +62,7 @@ def on_terminal(script: str, columns: int, **variables: str) -> tuple[int, str]:
 
 
 def lines(written: str) -> list[str]:
-    """Everything that ever stood on a line, without colours and movements."""
+    """Everything that was written on a line, without colours and cursor movements."""
     return [line.rstrip() for line in re.split(r"[\r\n]+", CONTROL.sub("\r", written))]
 
 
@@ -85,15 +85,15 @@ def test_bar_says_what_is_done_its_share_the_rate_and_the_time_left(columns: int
 
 
 def test_quick_work_shows_nothing() -> None:
-    """Half a second is no time to read."""
+    """Work of half a second has no progress bar."""
     _, written = on_terminal(QUICK, 80)
     assert "working" not in written
     assert "done" in lines(written)
 
 
 @pytest.mark.slow
-def test_an_error_takes_the_bar_away() -> None:
-    """What is said of it begins on a clean line, and the cursor was never hidden."""
+def test_an_error_removes_the_bar() -> None:
+    """The error begins on an empty line, and the cursor was never hidden."""
     code, written = on_terminal(WORK.format(seconds=0.6, end="raise SystemExit('broken')"), 80)
     assert code == 1
     assert lines(written)[-2:] == ["broken", ""] or lines(written)[-1] == "broken"
@@ -102,8 +102,8 @@ def test_an_error_takes_the_bar_away() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("terminal", [True, False])
-def test_without_a_lively_terminal_only_lines_are_written(terminal: bool) -> None:
-    """Neither into a file, nor where a terminal cannot move its cursor."""
+def test_without_cursor_movement_only_lines_are_written(terminal: bool) -> None:
+    """Into a file, and on a terminal that cannot move its cursor."""
     script = WORK.format(seconds=0.1, end="")
     if terminal:
         _, written = on_terminal(script, 80, TERM="dumb")
@@ -115,7 +115,7 @@ def test_without_a_lively_terminal_only_lines_are_written(terminal: bool) -> Non
 
 
 def test_a_tight_loop_is_not_slowed() -> None:
-    """A call that comes too early looks at the clock only: a microsecond, here ten allowed."""
+    """A call before the next update only reads the clock: a microsecond, ten are allowed."""
 
     class Terminal(io.StringIO):
         def isatty(self) -> bool:

@@ -15,7 +15,7 @@ from impact_observer.stamps import grid
 
 EPOCH = 1_000_000_000
 LAST = 11 * EPOCH
-TROUBLED: dict[str, Any] = {
+FAULTS: dict[str, Any] = {
     "delay": 0.01,
     "jitter": 0.002,
     "quantisation": 1e-4,
@@ -31,10 +31,10 @@ TROUBLED: dict[str, Any] = {
 }
 
 
-def options(troubles: dict[str, Any]) -> list[str]:
+def options(faults: dict[str, Any]) -> list[str]:
     """As on the command line."""
     given = []
-    for name, value in troubles.items():
+    for name, value in faults.items():
         option = f"--{name.replace('_', '-')}"
         given += [option] if value is True else [option, str(value)]
     return given
@@ -46,7 +46,7 @@ def test_events_of_the_bag_are_those_of_the_sensor_at_their_reception(
     """Events are those of ``simulate_sensor`` for the seed; log times are those of reception."""
     bag = tmp_path / "bag"
     arguments = ["simulate", "three_mass", "--duration", "10", "--seed", "5", "-o", str(bag)]
-    assert main([*arguments, *options(TROUBLED)]) == 0
+    assert main([*arguments, *options(FAULTS)]) == 0
     said = capsys.readouterr()
     with BagReader(bag) as reader:
         model = model_of(reader)
@@ -55,7 +55,7 @@ def test_events_of_the_bag_are_those_of_the_sensor_at_their_reception(
         truth = reader.joint_states("/plant/joint_states")
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, LAST, 100.0))
-    sensor = SensorModel(**TROUBLED)
+    sensor = SensorModel(**FAULTS)
     expected = simulate_sensor(
         sensor, model.system, run.switchings, epoch=EPOCH, last=LAST, seed=5
     )
@@ -63,7 +63,7 @@ def test_events_of_the_bag_are_those_of_the_sensor_at_their_reception(
     assert arrivals == [each.arrival for each in expected]
     assert arrivals != [each.stamp for each in events]
     assert (truth.stamps == run.stamps).all()
-    assert model.provenance["sensor"] == TROUBLED
+    assert model.provenance["sensor"] == FAULTS
     assert f"{len(expected)} events of a sensor with delay, jitter" in said.out + said.err
 
 

@@ -1,4 +1,4 @@
-"""sweep: the same outcomes from one process, from several and from a cluster; going on."""
+"""sweep: equal outcomes from one process, several processes and a cluster; resuming."""
 
 import json
 import sys
@@ -107,7 +107,7 @@ def test_a_worker_without_the_compiler_is_one_line(
 ) -> None:
     """Before any case has failed for it, and only where a law has something to compile."""
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(ImpactFilter, "compile", lambda _: None)  # here there is one
+    monkeypatch.setattr(ImpactFilter, "compile", lambda _: None)  # this process has one
     monkeypatch.setattr(engines, "find_spec", lambda _: None)
     path = tmp_path / "sweep.parquet"
     with distributed.LocalCluster(
@@ -126,7 +126,7 @@ def test_a_worker_without_the_compiler_is_one_line(
 
 
 class Engine:
-    """Runs cases in this process, in another order, and counts them."""
+    """Runs and counts cases in this process, in another order."""
 
     def __init__(self, stop_after: int | None = None) -> None:
         self.numbers: list[int] = []
@@ -173,7 +173,7 @@ def test_finished_cases_are_kept_and_not_run_again(
 def test_the_file_is_written_from_time_to_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A process that is killed loses seconds, not hours."""
+    """A process that is killed loses the results of seconds only."""
     path, seen = tmp_path / "sweep.parquet", []
     monkeypatch.setattr(outcomes_file, "PERIOD", 0.0)
     monkeypatch.setattr(outcomes_file, "LOAD", 0.0)
@@ -188,10 +188,10 @@ def test_the_file_is_written_from_time_to_time(
     assert seen == [*range(1, SIZE + 1)]
 
 
-def test_another_sweep_is_never_written_over(
+def test_the_file_of_another_sweep_is_never_overwritten(
     serial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nor is anything else that is there."""
+    """Nor is any other file."""
     path = tmp_path / "sweep.parquet"
     path.write_bytes(serial.read_bytes())
     assert main(["sweep", *SMALL, "--seed", "1", "-o", str(path)]) == 2
@@ -213,7 +213,7 @@ def test_another_sweep_is_never_written_over(
 def test_a_case_that_fails_is_a_row_and_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The others are there, in the file and in the figures; going on does not change it."""
+    """The other cases have results; running the command again does not change the row."""
     whole, path = case_runs._outcome, tmp_path / "sweep.parquet"
 
     def broken(case: Case) -> Outcome:
@@ -237,7 +237,7 @@ def test_a_case_that_fails_is_a_row_and_exit_code_1(
 
 
 @pytest.mark.slow
-def test_a_row_is_what_the_other_commands_say_of_its_seed(
+def test_a_row_has_the_results_of_simulate_observe_and_compare(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """simulate, observe and compare with the values of the row come to the same figures."""
@@ -281,14 +281,14 @@ def test_the_summary_is_a_table_and_a_picture(
         ("pyarrow", "sweep needs pyarrow"),
     ],
 )
-def test_a_package_that_is_not_here_is_named_with_its_extra(
+def test_a_missing_package_is_named_with_its_extra(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     package: str,
     problem: str,
 ) -> None:
-    """One line that says what to install."""
+    """The error of one line names what to install."""
     import impact_observer.sweep
 
     monkeypatch.setitem(sys.modules, package, None)
@@ -349,7 +349,7 @@ def test_what_cannot_be_swept_is_one_line_and_exit_code_2(
 def test_a_wrong_argument_is_one_line(
     capsys: pytest.CaptureFixture[str], words: list[str], problem: str
 ) -> None:
-    """That says what is expected."""
+    """The line has what is expected."""
     with pytest.raises(SystemExit) as end:
         main(["sweep", "two_mass", "-o", "sweep.parquet", *words])
     assert end.value.code == 2

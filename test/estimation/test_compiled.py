@@ -48,7 +48,7 @@ from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
 STAMP = 1e-9 / math.sqrt(12)
-"""Standard deviation of what rounding to 1 ns does to a stamp, s."""
+"""Standard deviation of the rounding of a stamp to 1 ns, s."""
 
 
 @pytest.fixture(scope="module")
@@ -279,7 +279,9 @@ def moving(request: pytest.FixtureRequest) -> tuple[System, Run]:
 @pytest.mark.usefixtures("machine")
 @pytest.mark.parametrize("moving", ["two_mass", "three_mass", "pressed"], indirect=True)
 @pytest.mark.parametrize("doubt", [0.0, 0.01])
-def test_observer_gives_the_same_compiled(moving: tuple[System, Run], doubt: float) -> None:
+def test_compiled_observer_gives_the_same_estimates(
+    moving: tuple[System, Run], doubt: float
+) -> None:
     """Ten replicas, an event that comes late, contacts that stay closed."""
     model, whole = moving
     events = [*whole.events[:3], *whole.events[4:8], whole.events[3], *whole.events[8:]]
@@ -309,8 +311,8 @@ def test_observer_gives_the_same_compiled(moving: tuple[System, Run], doubt: flo
     assert_near(found.replicas, wanted.replicas, 1e-9)
 
 
-def test_single_hypothesis_gives_what_a_bank_of_one_gives() -> None:
-    """Where every event is trusted: the same states and verdicts, no hypotheses."""
+def test_single_hypothesis_equals_a_filter_bank_of_one() -> None:
+    """Where every event is trusted: equal states and verdicts."""
     model = sample("three_mass")
     start = np.concatenate(model.initial_state())
     whole = run(model.system, *model.initial_state(), seconds=10.0, rate=10.0)
@@ -358,7 +360,7 @@ def test_only_the_law_that_can_be_compiled_is_compiled(
 
 @pytest.fixture
 def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is not installed, and nobody has compiled before."""
+    """Numba is not installed, and nothing is compiled in this process."""
     monkeypatch.setitem(sys.modules, "numba", None)
     monkeypatch.setattr(impact_filter, "compiled_single", compiled_single.__wrapped__)
 
@@ -376,8 +378,8 @@ def test_a_compiler_that_cannot_be_loaded_gives_the_error_of_a_missing_one(
 
 
 @pytest.mark.usefixtures("without_numba")
-def test_a_compiler_that_is_missing_is_named_with_its_extra() -> None:
-    """By one line, of the law that needs it only."""
+def test_a_missing_compiler_is_named_with_its_extra() -> None:
+    """In one line, by the law that needs it only."""
     model = sample("two_mass").system
     make_observer(model, Options("geometric", compiled=True))
     with pytest.raises(UsageError) as error:
@@ -426,8 +428,10 @@ def test_a_law_that_is_not_compiled_does_not_need_the_compiler(bag: Path) -> Non
     assert output.exists()
 
 
-def test_users_see_that_it_is_compiled(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before it is, and only where it was asked for."""
+def test_observe_prints_that_it_compiles_beforehand(
+    bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only with ``--compiled``."""
     from impact_observer.cli.progress import Progress
 
     shown, before = list[str](), list[list[str]]()
@@ -439,8 +443,8 @@ def test_users_see_that_it_is_compiled(bag: Path, monkeypatch: pytest.MonkeyPatc
     assert before == [[COMPILING]]
 
 
-def test_sweeps_that_do_not_ask_for_it_go_on_with_the_files_they_had() -> None:
-    """A description without it is as it was before there was any; with it, another one."""
+def test_option_compiled_is_in_the_description_of_a_sweep_only_if_set() -> None:
+    """So files of sweeps from before the option existed can still be resumed."""
     from impact_observer.plant import SensorModel
     from impact_observer.sweep.model_variants import model_variants
     from impact_observer.sweep.plan import PlantSetup, Sweep
@@ -506,8 +510,8 @@ def test_a_changed_source_has_another_digest(tmp_path: Path) -> None:
     assert [[cell.cell_contents for cell in cells or ()] for cells in kept] == [[first], [second]]
 
 
-def test_without_a_cache_it_is_compiled_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a container without a writable folder, for example: the same function."""
+def test_it_is_compiled_without_a_cache_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container without a writable folder."""
     numba = pytest.importorskip("numba")
     asked = list[bool]()
 

@@ -203,7 +203,7 @@ CLOSES = (("c1", Kind.CLOSE), ("c1", Kind.IMPACT), ("c1", Kind.CLOSE), ("c2", Ki
 
 
 @pytest.mark.parametrize("declared", [0.0, pytest.param(0.9, marks=pytest.mark.slow)])
-def test_absurd_streams_end_in_no_nan(declared: float) -> None:
+def test_contradictory_streams_give_no_nan(declared: float) -> None:
     """One stamp again and again; a contact at rest that hits; the last stamp first."""
     everything: dict[str, Any] = {
         "missed": declared,
@@ -233,7 +233,7 @@ def test_absurd_streams_end_in_no_nan(declared: float) -> None:
 
 
 @pytest.mark.slow
-def test_events_that_do_nothing_multiply_no_hypotheses() -> None:
+def test_events_without_effect_add_no_hypotheses() -> None:
     """A contact that is reported OPEN again and again while the estimate penetrates stops."""
     model, start, _ = truth("three_mass", 20.0)
     declared_ = Uncertainty(clock_error=0.0, deviation=0.05)
@@ -246,8 +246,8 @@ def test_events_that_do_nothing_multiply_no_hypotheses() -> None:
 
 
 @pytest.mark.slow
-def test_hundreds_of_spurious_events_at_one_stamp_end_in_no_nan() -> None:
-    """And the next true events are what they are."""
+def test_hundreds_of_spurious_events_at_one_stamp_give_no_nan() -> None:
+    """The next true events are applied."""
     model, start, whole = truth("two_mass", 20.0)
     watcher = observer(
         model, "minimum-variance", start, uncertainty=FAULTY, epoch=EPOCH, history=1e3

@@ -30,8 +30,8 @@ from impact_observer.model import System
 Array = NDArray[np.float64]
 SECONDS = 6.0
 SAMPLES = 6000
-SEEN = 1e-4
-"""Depth from which on a dip must be found, relative to the largest value of what is watched."""
+DEEP = 1e-4
+"""Least depth of a dip that must be found, relative to the largest value of its function."""
 COARSE = 1 / 288
 """By which the lowest of 38 samples a period may miss the minimum, relative to an amplitude."""
 
@@ -107,7 +107,7 @@ def check(dips: list[Dip], found: Forecast, s: Array, each: GuardValues) -> None
     size, h = float(np.max(np.abs(each.values))), float(s[1])
     for first, last in stretches(each.values):
         depth = -float(np.min(each.values[first : last + 1]))
-        if depth < SEEN * size or first == 0 or last - first < 2:
+        if depth < DEEP * size or first == 0 or last - first < 2:
             continue
         near = [dip for dip in mine if abs(found.root(dip) - s[first] + h / 2) <= h]
         assert len(near) == 1
@@ -181,7 +181,7 @@ def test_depth_is_in_deviations_of_the_function_then(data: st.DataObject) -> Non
 @pytest.mark.parametrize("depth", [1e-2, 1e-3, 1e-4])
 @pytest.mark.parametrize("phase", np.linspace(0.0, 0.1, 5).tolist())
 def test_shallow_dips_between_samples_are_found(depth: float, phase: float) -> None:
-    """``cos`` that only just falls below ``-0.9``, wherever the samples lie; and none that not."""
+    """``cos`` falls slightly below ``-0.9``, between any samples; or stays above: no dip."""
     for amplitude, count in ((0.9 + depth, 2), (0.9 - depth, 0)):
         x = amplitude * np.array([np.cos(phase), 0.0, -np.sin(phase), 0.0])
         found = forecast(SWINGING, 0.0, x, 0.1 * np.eye(4), ())

@@ -41,7 +41,7 @@ class Quadratic:
 def test_differences_of_a_quadratic_map_are_its_derivatives(
     seed: int, exponents: tuple[int, ...]
 ) -> None:
-    """Wherever the grid lies: first ones at ``theta`` itself, not where the map was looked at."""
+    """For any grid; first derivatives are those at ``theta``, not at a grid point."""
     F = Quadratic(seed)
     steps = np.exp2(np.array(exponents, dtype=float))
     seen = Sensitivity.of(F.at, F.theta, steps)

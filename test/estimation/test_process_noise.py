@@ -55,7 +55,7 @@ def test_noise_of_stiff_damping_neither_overflows_nor_takes_long() -> None:
 
 
 def test_no_noise_and_no_time_add_nothing() -> None:
-    """Exactly nothing."""
+    """The noise is exactly zero."""
     phase = Phases(chain(2)).phase()
     assert not diffusion(phase, 1.0, 0.0).any()
     assert not diffusion(phase, 0.0, 1.0).any()

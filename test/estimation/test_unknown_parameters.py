@@ -74,8 +74,8 @@ def bouncier(model: System, by: float) -> System:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["two_mass", "three_mass"])
-def test_wrong_stiffness_is_estimated_and_its_floor_is_gone(name: str) -> None:
-    """Without, V stays where 2 % of stiffness put it."""
+def test_wrong_stiffness_is_estimated_and_v_falls_below_its_floor(name: str) -> None:
+    """Without the parameter, V stays at the floor of a stiffness error of 2 %."""
     model, true = sample(name).system, truth(name)
     wrong, start = stiffer(model, 1.02), np.array([0.4, -0.3, 0.2, 0.5, -0.6, 0.1])[: 2 * model.n]
     late = true.stamps > EPOCH + 40 * NS_PER_S
@@ -90,8 +90,10 @@ def test_wrong_stiffness_is_estimated_and_its_floor_is_gone(name: str) -> None:
 
 
 @pytest.mark.parametrize("wrong", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
-def test_restitution_is_estimated_and_costs_little_where_it_was_right(wrong: float) -> None:
-    """The estimate is as exact as the stamps let it be a few impacts later than without."""
+def test_restitution_is_estimated_whether_it_is_wrong_or_right(
+    wrong: float,
+) -> None:
+    """V falls to the rounding of stamps, as with a known restitution."""
     model, true = sample("two_mass").system, truth("two_mass", 30.0)
     start = np.array([0.4, -0.3, 0.5, -0.6])
     watcher = fed(
@@ -106,8 +108,8 @@ def test_restitution_is_estimated_and_costs_little_where_it_was_right(wrong: flo
 
 
 @pytest.mark.slow
-def test_everything_at_once_is_estimated() -> None:
-    """Stiffness, restitution and gap; each within its deviation."""
+def test_stiffness_restitution_and_gap_are_estimated_together() -> None:
+    """Each within its deviation."""
     model, true = sample("two_mass").system, truth("two_mass")
     contacts = tuple(replace(c, gap=1.01 * c.gap) for c in model.contacts)
     wrong = bouncier(stiffer(replace(model, contacts=contacts), 1.03), 0.1)
@@ -212,8 +214,8 @@ def test_small_errors_are_corrected_as_by_least_squares() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("free", ["restitution=0.1", "stiffness-scale=0.03"])
-def test_deviations_of_parameters_are_honest_over_many_starts(free: str) -> None:
-    """Errors are as large as their deviations: the mean of their squares is near one."""
+def test_errors_of_parameters_agree_with_their_deviations(free: str) -> None:
+    """The mean of the squared normalised errors over many starts is near one."""
     model, true = sample("two_mass").system, truth("two_mass", 20.0)
     name, _, deviation = free.partition("=")
     family = UnknownParameters.named(model, [free]).family
@@ -249,7 +251,7 @@ def test_the_deviation_of_a_drifting_parameter_grows() -> None:
 
 
 def test_estimated_restitutions_stay_within_their_bounds() -> None:
-    """However wrong the stamps are, what is published lies between 0 and 1."""
+    """Published restitutions are between 0 and 1, however large the errors of stamps."""
     model = system(1.0, 0.0, 4.0, contacts=[([1.0], 0.2, 0.95)])
     true = run(model, np.array([0.5]), np.array([0.0]), seconds=20.0)
     rng = np.random.default_rng(1)
@@ -308,8 +310,8 @@ def test_a_law_that_estimates_no_parameters_refuses_them() -> None:
         make_observer(sample("two_mass").system, options)
 
 
-def test_a_drift_of_nothing_is_refused() -> None:
-    """It would be ignored; beside a law that estimates parameters other laws have no drift."""
+def test_a_drift_without_parameters_is_refused() -> None:
+    """With several laws, those that estimate no parameters have no drift."""
     with pytest.raises(UsageError, match="but no estimate_parameters to"):
         make_observer(sample("two_mass").system, Options("minimum-variance", parameter_drift=0.1))
     learning = Options(estimate_parameters=("restitution",), parameter_drift=0.1)
@@ -351,7 +353,7 @@ def test_a_widened_covariance_leaves_parameters_within_their_declared_deviations
 
 
 def test_unknowns_check_themselves() -> None:
-    """Their number, and how far they drift."""
+    """Their number and their drift."""
     family = UnknownParameters.named(sample("two_mass").system, ["restitution"]).family
     with pytest.raises(UsageError, match="2 found; expected 1"):
         UnknownParameters(family, np.array([0.1, 0.2]))

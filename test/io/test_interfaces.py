@@ -32,7 +32,7 @@ QUALITIES = st.builds(Quality, st.booleans(), st.booleans(), st.integers(0, 10_0
 def test_topic_is_recognised_in_any_namespace_and_of_any_law(
     topic: str, expected: Interface | None
 ) -> None:
-    """Observers live side by side, and plants in namespaces; foreign topics stay foreign."""
+    """Topics of other packages are not in the table."""
     assert interfaces.interface(topic) is expected
 
 

@@ -24,8 +24,8 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """A plant's bag, and an observer's with revised verdicts."""
     folder = tmp_path_factory.mktemp("bags")
     plant, estimates = folder / "plant", folder / "estimates"
-    troubles = ["--missed", "0.2", "--spurious", "0.2", "--seed", "1"]
-    simulated = ["simulate", "three_mass", "--duration", "6", "--rate", "20", *troubles]
+    faults = ["--missed", "0.2", "--spurious", "0.2", "--seed", "1"]
+    simulated = ["simulate", "three_mass", "--duration", "6", "--rate", "20", *faults]
     assert main([*simulated, "-o", str(plant)]) == 0
     observed = ["observe", str(plant), "--law", "minimum-variance", "--ensemble", "1"]
     assert main([*observed, "-o", str(estimates)]) == 0

@@ -99,8 +99,8 @@ def test_reading_ahead_changes_nothing() -> None:
     assert list(ReadAhead([])) == []
 
 
-def test_reading_ahead_ends_when_nobody_wants_more() -> None:
-    """Its thread too, however long the bag is."""
+def test_reading_ahead_ends_with_its_consumer() -> None:
+    """Its thread ends as well, however long the bag is."""
     before = threading.active_count()
     ahead = ReadAhead(messages(list(range(1, 20_001))))
     assert next(iter(ahead)).log_time == 1

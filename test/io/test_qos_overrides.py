@@ -46,13 +46,13 @@ def test_shipped_file_is_made_from_the_table() -> None:
 
 def test_shipped_file_has_every_topic_with_its_quality() -> None:
     """As another YAML library reads it; also those of every built-in law's observer."""
-    said = YAML(typ="safe").load(ROOT / SHIPPED)
-    assert {each.topic for each in interfaces.INTERFACES} <= set(said)
+    profiles_in_file = YAML(typ="safe").load(ROOT / SHIPPED)
+    assert {each.topic for each in interfaces.INTERFACES} <= set(profiles_in_file)
     for law in BUILT_IN:
-        assert f"/observer_{law.replace('-', '_')}/state" in said
-        assert f"/monitor_{law.replace('-', '_')}/error" in said
+        assert f"/observer_{law.replace('-', '_')}/state" in profiles_in_file
+        assert f"/monitor_{law.replace('-', '_')}/error" in profiles_in_file
     profiles = read_overrides(ROOT / SHIPPED)
-    assert profiles.keys() == said.keys()
+    assert profiles.keys() == profiles_in_file.keys()
     for topic, profile in profiles.items():
         assert profile.quality == interfaces.usual_quality(topic)
     assert profiles["/impacts"].quality == EVENTS

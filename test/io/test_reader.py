@@ -250,19 +250,19 @@ def test_damage_anywhere_is_never_a_traceback(
         data[round(where * (len(data) - 1))] ^= mask
     damaged = bag.parent / "damaged.mcap"
     damaged.write_bytes(data[: round(keep * len(data))])
-    said = None
+    line = None
     try:
         with BagReader(damaged) as reader:
             assert len(list(reader.raw())) >= len(list(reader.events()))
             reader.joint_states("/plant/joint_states")
             reader.observer_states("/observer_geometric/state")
     except BagError as error:
-        said = str(error)
-    assert said is None or (said.startswith(str(damaged)) and "\n" not in said)
+        line = str(error)
+    assert line is None or (line.startswith(str(damaged)) and "\n" not in line)
 
 
-def test_index_that_promises_more_than_there_is_is_noticed(bag: Path) -> None:
-    """Half the data are not analysed."""
+def test_index_with_more_messages_than_the_file_is_an_error(bag: Path) -> None:
+    """A truncated bag is not read without an error."""
     metadata = (bag / "metadata.yaml").read_text("utf-8")
     (bag / "metadata.yaml").write_text(metadata.replace("count: 10\n", "count: 12\n"), "utf-8")
     with (
@@ -344,7 +344,7 @@ def test_event_that_is_none_is_named(tmp_path: Path) -> None:
         list(reader.events())
 
 
-def test_law_that_changes_on_the_way_is_refused(tmp_path: Path) -> None:
+def test_topic_with_estimates_of_two_laws_is_refused(tmp_path: Path) -> None:
     """One topic is one observer."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/observer/state", 1, estimate(5, "geometric"))
@@ -356,7 +356,7 @@ def test_law_that_changes_on_the_way_is_refused(tmp_path: Path) -> None:
         reader.observer_states("/observer/state")
 
 
-def test_bytes_that_are_no_message_are_named(tmp_path: Path) -> None:
+def test_bytes_that_are_no_message_are_an_error_with_their_place(tmp_path: Path) -> None:
     """As is a message with more than a few bytes too many."""
     for k, data in enumerate((b"", b"\x07\x07\0\0", b"\x00\x01\0\0\1", b"\x00\x01" + b"\0" * 99)):
         with BagWriter(tmp_path / str(k)) as writer:
@@ -401,7 +401,7 @@ def test_type_that_nobody_defines_can_only_be_copied(tmp_path: Path) -> None:
             reader.messages("/x")
 
 
-def test_topic_of_two_types_is_none_of_them(tmp_path: Path) -> None:
+def test_topic_with_two_types_is_not_used(tmp_path: Path) -> None:
     """Two publishers disagreed."""
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         for type_name in (interfaces.STRING, interfaces.IMPACT_EVENT):

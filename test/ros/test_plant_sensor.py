@@ -21,7 +21,7 @@ pytestmark = pytest.mark.ros
 
 EPOCH = 7 * NS_PER_S
 SECONDS = 10
-TROUBLED = {"delay": 0.02, "jitter": 0.002, "missed": 0.1, "spurious": 2.0, "transport": 1.0}
+FAULTS = {"delay": 0.02, "jitter": 0.002, "missed": 0.1, "spurious": 2.0, "transport": 1.0}
 
 
 def stamp_of(time: object) -> int:
@@ -42,7 +42,7 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
         "duration": float(SECONDS),
         "wait_for_subscribers": 1,
         "seed": 5,
-        **{f"sensor.{name}": value for name, value in TROUBLED.items()},
+        **{f"sensor.{name}": value for name, value in FAULTS.items()},
     }
     events: list[ImpactEvent] = []
     models: list[String] = []
@@ -70,7 +70,7 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
     model, last = read_model("three_mass"), EPOCH + SECONDS * NS_PER_S
     plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
     run = simulate(plant, grid(EPOCH, last, 1.0))
-    sensor = SensorModel(**TROUBLED)  # type: ignore[arg-type]
+    sensor = SensorModel(**FAULTS)  # type: ignore[arg-type]
     wanted = simulate_sensor(sensor, model.system, run.switchings, epoch=EPOCH, last=last, seed=5)
     assert [(stamp_of(e.header.stamp), e.sequence) for e in events] == [
         (each.event.stamp, each.event.sequence) for each in wanted
@@ -81,7 +81,7 @@ def test_plant_node_publishes_the_events_of_the_simulated_sensor_on_arrival(
     assert wanted[-1].arrival > last, "a message arrives after the end"
     assert max(truth) == last
     assert max(shown) >= last
-    assert parse_model(models[0].data, "model").provenance["sensor"] == TROUBLED
+    assert parse_model(models[0].data, "model").provenance["sensor"] == FAULTS
 
 
 def test_sensor_that_the_model_cannot_have_ends_the_node(ros_environment: dict[str, str]) -> None:
