@@ -39,6 +39,8 @@ def follow(
 ) -> Recording:
     """A run from the state ``x``, with contacts of about ``duration``, s.
 
+    A contact ends where its gap opens.
+
     Raises:
         SkippedError: MuJoCo is not installed.
         AccumulationError: a contact stays closed for three durations.
@@ -76,8 +78,10 @@ def document(system: System, duration: float, step: float) -> str:
         for i, mass in enumerate(np.diag(system.M).tolist())
     ]
     tendons = [
-        *(fixed('stiffness="1"', column) for column in factor(system.K).T),
-        *(fixed('damping="1"', column) for column in factor(system.C).T),
+        fixed(f'{key}="1"', column)
+        for key, matrix in (("stiffness", system.K), ("damping", system.C))
+        for column in factor(matrix).T
+        if np.any(column)
     ]
     for w, gap, eps in zip(system.W.T, system.q_r.tolist(), system.eps.tolist(), strict=True):
         stiffness, damping = kelvin_voigt(1.0, eps, duration)  # MuJoCo's are by mass
