@@ -74,7 +74,7 @@ def prepare(folder: Path) -> Contest:
 def _agreement(
     name: str, within: float, ours: tuple[list[float], Array], theirs: Integrated
 ) -> str:
-    """How well a peer agrees with our impact times and states, in words."""
+    """A sentence on how well a peer agrees with our impact times and states."""
     found, states = ours
     if len(found) != len(theirs.instants):
         raise DisagreementError(f"{len(found)} impacts, {len(theirs.instants)} by {name}")

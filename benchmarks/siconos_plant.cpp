@@ -1,4 +1,4 @@
-// A run of one contact and one harmonic by Siconos, event-driven, in a process that waits to be told.
+// A run of one contact and one harmonic by Siconos, event-driven, in a process that waits for commands.
 //
 // Compiled and started by siconos_peer.py, with the problem's file as the only argument. Prints
 // "ready" when a model is built; "run" simulates it and prints "done", then builds the next one;
@@ -127,15 +127,15 @@ int main(int, char **arguments) {
   const Problem problem = read(arguments[1]);
   auto next = std::make_unique<Run>(problem), last = std::make_unique<Run>(problem);
   std::cout << "ready" << std::endl;
-  std::string told;
-  while (std::getline(std::cin, told)) {
-    if (told == "run") {
+  std::string command;
+  while (std::getline(std::cin, command)) {
+    if (command == "run") {
       next->simulate();
       std::cout << "done" << std::endl;
       last = std::move(next);
       next = std::make_unique<Run>(problem);
     } else {
-      last->save(told.substr(std::string("save ").size()));
+      last->save(command.substr(std::string("save ").size()));
       std::cout << "saved" << std::endl;
     }
   }

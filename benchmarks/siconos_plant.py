@@ -45,7 +45,7 @@ def simulated(made: Any, run: Any) -> tuple[list[float], list[list[float]]]:  # 
 
 
 def main(problem: Path) -> None:
-    """Build, and obey the commands on the standard input."""
+    """Build the simulation, and run it at each command on the standard input."""
     given = json.loads(problem.read_text("utf-8"))
     following = built(given)
     found: tuple[list[float], list[list[float]]] = ([], [])

@@ -309,7 +309,7 @@ def oracle(case: Case, scenario: Scenario, seed: int, x: Vector, end: int) -> Ve
 
 
 def nees(covariance: Matrix, error: Vector) -> float:
-    """Normalised estimation error squared, over its degrees of freedom that are not rounding."""
+    """Normalised estimation error squared, over its degrees of freedom above rounding."""
     unsure = np.diag(covariance) > 0  # a contact at rest leaves no uncertainty
     deviations = np.sqrt(np.diag(covariance)[unsure])
     correlation = covariance[np.ix_(unsure, unsure)] / np.outer(deviations, deviations)

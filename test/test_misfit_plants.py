@@ -113,7 +113,7 @@ def test_a_run_is_a_function_of_its_seed() -> None:
     assert first.stamps.tolist() != other.stamps.tolist()
 
 
-def test_samples_away_from_contacts_are_told() -> None:
+def test_samples_away_from_contacts_are_selected() -> None:
     """From the margin before the onset to the margin after the end."""
     found = Recording(
         np.array([100, 104]) * 10**6,

@@ -157,7 +157,7 @@ def test_event_that_is_near_needs_one_expansion(monkeypatch: pytest.MonkeyPatch)
 @given(data=st.data())
 @examples(2)
 def test_any_order_of_arrival_gives_equal_bits(data: st.DataObject) -> None:
-    """Some missed, some spurious, some reported twice, estimates asked for in between."""
+    """With missed, spurious and duplicate events, and estimates in between."""
     model, start, whole = truth("two_mass", 12.0)
     kept = [each for each in whole.events if data.draw(st.integers(0, 3))]
     spurious = data.draw(st.lists(st.integers(1, 11_999), max_size=2, unique=True))

@@ -196,7 +196,7 @@ def test_shallow_dips_between_samples_are_found(depth: float, phase: float) -> N
 
 
 def test_confident_from_is_where_the_dip_is_deep_enough() -> None:
-    """The gap there, over its deviation, is what was asked for; a shallower dip never is."""
+    """There the gap over its deviation has the given value; a shallower dip never reaches it."""
     found = forecast(SWINGING, 0.0, np.array([1.5, 0.0, 0.0, 0.0]), 0.01 * np.eye(4), ())
     dip = found.dips(4.0)[0]
     at = found.confident_from(dip, 3.0)

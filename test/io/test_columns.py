@@ -33,7 +33,7 @@ def estimate(stamp: int, closed: tuple[str, ...] = (), *, sure: bool = False) ->
     """An estimate of two coordinates, with random numbers."""
     q, u = RNG.normal(size=(2, 2))
     covariance = RNG.normal(size=(4, 4)) if sure else np.empty((0, 0))
-    learnt = (("clock_error", 1e-3, 1e-4),) if sure else ()
+    parameters = (("clock_error", 1e-3, 1e-4),) if sure else ()
     return serialized(
         MAKE.estimate(
             Estimate(
@@ -45,7 +45,7 @@ def estimate(stamp: int, closed: tuple[str, ...] = (), *, sure: bool = False) ->
                 closed=closed,
                 last_sequence=stamp % 1000,
                 last_event=stamp // 2,
-                parameters=learnt,
+                parameters=parameters,
             ),
             ("x1", "x2"),
         ),

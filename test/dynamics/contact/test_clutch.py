@@ -28,7 +28,7 @@ from impact_observer.model.force_samples import Samples
 Array = NDArray[np.float64]
 BOTH = pytest.mark.parametrize("fix", [False, True], ids=["kinematic", "geometric"])
 PIECES = 24
-"""Pieces that a motion is looked at in."""
+"""Pieces in which a motion is checked."""
 
 
 class Closed(NamedTuple):
@@ -258,7 +258,7 @@ def test_contact_that_is_pulled_slowly_beside_a_fast_one_is_released() -> None:
     assert states[2, 2] == pytest.approx(slow * 3.0**2 / 2, rel=1e-6)
 
 
-def test_three_supports_of_a_rocking_bar_hand_over_their_loads() -> None:
+def test_loads_move_between_three_supports_of_a_rocking_bar() -> None:
     """The bar is pressed to and fro beyond its outer supports: it tips on either side."""
     supports = [([1, -1], 0.0, 0.5), ([1, 0], 0.0, 0.5), ([1, 1], 0.0, 0.5)]
     push = forcing(2, [-1.0, 0.0], [Harmonic(2.0, [0, 0], [0, 1.5])])

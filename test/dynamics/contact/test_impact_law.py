@@ -95,7 +95,7 @@ def test_law_holds_for_simultaneous_impacts(data: st.DataObject) -> None:
 @examples(60)
 @given(st.data())
 def test_law_agrees_with_trying_every_set_of_contacts(data: st.DataObject) -> None:
-    """``u+`` is unique; where no set solves the problem the error says so."""
+    """``u+`` is unique; where no set solves the problem there is an error."""
     model = data.draw(systems(contacts=(1, 5), common_restitution=False))
     u = data.draw(vectors(model.n))
     expected = enumerated(model, u)
@@ -108,8 +108,8 @@ def test_law_agrees_with_trying_every_set_of_contacts(data: st.DataObject) -> No
     np.testing.assert_allclose(found, expected[0], atol=1e-7)
 
 
-def test_doubled_contact_with_unequal_restitution_obeys_the_livelier() -> None:
-    """Two sensors on one stop: the problem has a solution although its equations contradict."""
+def test_doubled_contact_with_unequal_restitution_obeys_the_larger_one() -> None:
+    """Two contacts at one stop: the complementarity problem has a solution."""
     model = system(1, 1, 1, contacts=[([1], 0.0, 0.5), ([1], 0.0, 0.8), ([2], 0.0, 0.5)])
     after = ImpactLaw(model).velocity_after(np.array([-1.0]), (0, 1, 2))
     assert after == pytest.approx(0.8, rel=1e-12)
@@ -179,8 +179,8 @@ def test_unequal_restitution_can_raise_the_distance_of_two_solutions() -> None:
     assert growth > 1
 
 
-def test_newtons_cradle_hands_the_impact_on_one_by_one() -> None:
-    """All contacts of the row take part: by the law the others move together."""
+def test_newtons_cradle_moves_all_bodies_at_once() -> None:
+    """Newton's law holds at all contacts of the row, so the other bodies move together."""
     contacts = [([-1, 1, 0], 0.0, 1.0), ([0, -1, 1], 0.0, 1.0)]
     model = chain(3, contacts=contacts)
     after = ImpactLaw(model).velocity_after(np.array([1.0, 0.0, 0.0]), (0, 1))

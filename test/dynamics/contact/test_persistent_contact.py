@@ -113,7 +113,7 @@ whole = st.integers(-1, 1)
 @examples(80)
 @given(st.data())
 def test_decision_is_the_one_consistent_set_of_all(data: st.DataObject) -> None:
-    """Whole numbers between -1 and 1: loads that are zero, and redundant contacts, abound."""
+    """Integers between -1 and 1 give many zero loads and redundant contacts."""
     n, m = data.draw(st.integers(1, 3)), data.draw(st.integers(1, 4))
     rows = [[data.draw(whole) for _ in range(n)] for _ in range(m)]
     W = [row if any(row) else np.eye(n)[i % n].tolist() for i, row in enumerate(rows)]
@@ -234,7 +234,7 @@ def test_units_do_not_matter(mass: float, rate: float, length: float) -> None:
     """Masses, times and lengths in other units: the same contacts at rest, leaving and pulled.
 
     The load of the first contact is zero and falls, that of the second rises with the square of
-    time, the third has none for ever, and a mass beside them swings.
+    time, the third is always zero, and another mass oscillates.
     """
     springs = np.diag([0.0, 0.0, 0.0, 4.0])
     push = mass * rate**2 * length * np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0]])

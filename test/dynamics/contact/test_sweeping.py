@@ -30,7 +30,7 @@ from impact_observer.model import System
 
 Array = NDArray[np.float64]
 PIECES = 24
-"""Pieces that a motion is looked at in."""
+"""Pieces in which a motion is checked."""
 SPRING = np.array([[4.0, -4.0], [-4.0, 4.0]])
 
 
@@ -325,7 +325,7 @@ def test_motion_is_what_small_steps_converge_to(model: System, x: list[float]) -
     assert np.max(np.sum(np.abs(gaps) < 1e-12, axis=1)) == min(model.m, 2 if model.n == 3 else 1)
 
 
-def test_ball_waits_on_the_floor_for_its_velocity_to_turn() -> None:
+def test_ball_stays_on_the_floor_until_its_velocity_turns() -> None:
     """No stiffness: the whole body stops; pulled up it leaves as soon as it moves up."""
     pull = forcing(1, 0, [Harmonic(1.0, [0.0], [1.0])])
     ball = system(1, 0, 0, contacts=[([1], 0.0, 0.5)], force=pull)
@@ -348,7 +348,7 @@ def hammer(clearance: float) -> System:
 
 
 def test_free_hammer_is_stopped_as_a_whole_before_its_spring_gives_way() -> None:
-    """Rigid motions cost nothing: thrown at one stop both masses wait there."""
+    """Rigid motions have no elastic energy: both masses stop together."""
     model = hammer(4.0)
     motion = sweeping_process(model).motion(0.0, np.array([1.0, 1.0, -1.0, -1.0]), ())
     found = motion.states(np.array([0.5, 1.0, 3.0]))
@@ -372,7 +372,7 @@ def test_hammer_that_fits_exactly_between_its_stops_is_held_by_both() -> None:
 
 
 def test_gap_that_is_zero_with_no_rate_is_decided_by_what_comes_next() -> None:
-    """At rest on the stop: pressed it stays, pulled it leaves; with no force it stays for ever."""
+    """At rest on the stop: pressed or without a force it stays, pulled it leaves."""
     for force, height in ((-1.0, 0.0), (1.0, 2.0), (0.0, 0.0)):
         model = system(1, 0, 0, contacts=[([1], 0.0, 0.5)], force=forcing(1, force))
         motion = sweeping_process(model).motion(0.0, np.zeros(2), ())

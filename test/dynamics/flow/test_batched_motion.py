@@ -57,7 +57,7 @@ def each_alone(motion: Motion, s: NDArray[np.float64]) -> bytes:
     ],
 )
 def test_states_are_those_of_each_instant_alone(kind: str) -> None:
-    """Whatever the size of the batch and wherever in it an instant stands."""
+    """For any size of the batch, and any place of an instant in it."""
     motion, random = motions()[kind], np.random.default_rng(7)
     for size in SIZES[: -1 if kind in {"dense", "resonant", "soft"} else None]:
         s = np.sort(random.uniform(0, 50, size))

@@ -1,4 +1,4 @@
-"""Flows of systems that break naive code: over a hundred periods of the slowest mode.
+"""Flows of ill-conditioned systems over a hundred periods of the slowest mode.
 
 Errors are measured in the energy norm, relative to the larger of the state now and at the start.
 No method that rounds its matrices can do better than ``eps omega t`` for the fastest mode that

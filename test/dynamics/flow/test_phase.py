@@ -259,7 +259,7 @@ def test_stopped_state_is_the_nearest_in_energy() -> None:
 
 
 def assert_kept(phase: Phase) -> None:
-    """Nobody can change what all motions of a phase share."""
+    """The arrays that all motions of a phase share are read-only."""
     for matrix in (phase.inverse, phase.loads, phase.Q, phase.rest):
         assert not matrix.flags.writeable
 

@@ -1,4 +1,4 @@
-"""The first closing gap is found, wherever it hides."""
+"""Event location: the first closing gap is found, and found once."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def searcher(model: System) -> Search:
 
 
 def traces(phase: Phase, motion: Motion, watched: Watched) -> list[Trace]:
-    """All that a search may look at: functions of states and, where there are any, waves."""
+    """The functions of a search: of states and, where there are any, as waves."""
     bounds, forcing = Bounds(phase, watched), phase.equations.forcing
     view = phase.flow.view(watched.functions(forcing))
     waves = None if view is None else view.of(motion)
@@ -100,7 +100,7 @@ def test_first_closing_is_the_one_that_dense_sampling_finds(data: st.DataObject)
     assert np.min(before @ model.W + model.q_r) > -1e-11
     assert np.max(np.abs(model.gap(before[-1])[list(found.which)])) < 1e-11
     if expected is None or found.s < expected - 1e-9:
-        assert found.which  # a shorter dip than the sampling sees, and it is a true one
+        assert found.which  # a true dip, shorter than the sampling interval
         assert model.gap(motion.state(found.s + 1e-7)[: model.n])[found.which[0]] < 0
     else:
         assert found.s == pytest.approx(expected, abs=1e-9)
@@ -129,7 +129,7 @@ def test_bounds_hold_between_samples(data: st.DataObject) -> None:
             assert np.all(accelerations <= rough.curvature[j] + 1e-9 * (1 + accelerations.max()))
 
 
-def test_gap_that_closes_and_opens_between_two_samples_is_found() -> None:
+def test_short_dip_between_two_samples_is_found() -> None:
     """A dip of a millisecond in a motion that is sampled every tenth of a second."""
     # x = cos t against a stop just below its peak: closed for about 2 sqrt(2 d).
     for depth in (1e-3, 1e-7, 1e-10):
@@ -175,7 +175,7 @@ def test_contacts_that_close_together_are_found_together() -> None:
 
 
 def test_nothing_closes_beyond_the_horizon() -> None:
-    """The horizon itself is looked at, and nothing after it."""
+    """The horizon itself belongs to the search, later instants do not."""
     model = system(1, 0, 0, contacts=[([1], 0.0, 0.5)])
     x = np.array([1.0, -1.0])
     assert search(model, x, 0.999) is None
@@ -192,8 +192,8 @@ def test_contact_that_just_separated_is_not_found_again() -> None:
         assert found.s == pytest.approx(2 / 9.81, abs=1e-12)
 
 
-def test_window_does_not_decide_what_is_found() -> None:
-    """Looking on where one stopped finds what one look finds."""
+def test_length_of_the_search_window_does_not_change_the_closing() -> None:
+    """Several short searches find the closing of one long search."""
     model = sample("three_mass").system
     x = np.array([0.1, -0.1, 0.05, 0.5, 0.0, -0.5])
     motion, look = flow_of(model).start(0.0, x), searcher(model)
@@ -236,7 +236,7 @@ AT_REST = {
 
 @pytest.mark.parametrize("model", AT_REST.values(), ids=list(AT_REST))
 def test_body_at_rest_against_its_stop_costs_little(model: System) -> None:
-    """A gap that stays zero is not divided for ever, whatever else moves."""
+    """The search of a gap that stays zero ends after few subdivisions."""
     x = np.zeros(2 * model.n)
     x[0] = -model.q_r[0] / model.W[0, 0] if model.W[0, 0] else 1.0
     x[model.n - 1] += -1.0 if model.n == 3 else float(model.n == 2)
@@ -300,13 +300,13 @@ class Superposed:
 @pytest.mark.parametrize(
     "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))]
 )
-def test_dip_deeper_than_rounding_is_found_wherever_it_hides(modes: int, seed: int) -> None:
-    """Down to twice 1e-13 of the gap's scale; a near miss is never found."""
+def test_dip_deeper_than_rounding_is_found_at_any_instant(modes: int, seed: int) -> None:
+    """Dips down to 2e-13 of the gap's scale; a gap that stays positive has no event."""
     rng = np.random.default_rng(10 * seed + modes)
     motion = Superposed(rng, modes)
     end = 40 / np.sqrt(motion.k[-1]) if modes > 1 else 6.0
     at, least = motion.dip(end)
-    # What the search says it rounds against: the gap's constant and the whole motion.
+    # The scale of rounding in the search: the gap's constant and the whole motion.
     largest = np.sqrt(motion.x @ motion.x)
     scale = abs(least) + np.linalg.norm(motion.a) * largest
     for depth in (2.5e-13 * scale, 1e-12 * scale, 1e-9 * scale, 1e-5 * scale, 1e-3 * scale):
@@ -356,7 +356,7 @@ def test_dip_near_the_start_or_the_end_of_a_window_is_found(at: float) -> None:
 
 @examples(30)
 @given(st.data())
-def test_waves_are_what_states_show(data: st.DataObject) -> None:
+def test_waves_equal_functions_of_states(data: st.DataObject) -> None:
     """Values and slopes of gaps, speeds and loads, and all higher derivatives."""
     model = data.draw(systems(contacts=(2, 3)))
     phase = Phases(model).phase((0,) if data.draw(st.booleans()) else ())
@@ -383,10 +383,8 @@ BEATEN = forcing(1, 0.5, [Harmonic(2.0, [3.0], [0.0])])
     ],
     ids=["resonance", "free fall", "young on a soft spring"],
 )
-def test_waves_hold_where_harmonics_are_answered_from_the_start_on(
-    model: System, speed: float
-) -> None:
-    """A pair that its load drives without end, or has hardly begun to."""
+def test_waves_hold_where_the_response_grows_from_the_start(model: System, speed: float) -> None:
+    """At resonance, in free fall, and shortly after the start on a soft spring."""
     phase, watched = Phases(model).phase(), Watched.gaps(model, [0])
     found = traces(phase, phase.start(0.7, np.array([0.1, speed])), watched)
     assert len(found) == 2
