@@ -262,7 +262,7 @@ def test_other_definitions_and_unknown_types_are_named() -> None:
     )
 
 
-def test_type_that_nobody_defines_is_left_out_of_a_new_bag(whole: Path) -> None:
+def test_type_without_a_definition_is_left_out_of_a_new_bag(whole: Path) -> None:
     """An old database has no definitions."""
     bag = humble_sqlite(whole, Path("bag"))
     with sqlite3.connect(bare(bag)) as database:

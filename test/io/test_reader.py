@@ -381,7 +381,7 @@ def test_bag_with_another_definition_of_our_type_is_refused(tmp_path: Path) -> N
             reader.events()
 
 
-def test_type_that_nobody_defines_can_only_be_copied(tmp_path: Path) -> None:
+def test_type_without_a_definition_can_only_be_copied(tmp_path: Path) -> None:
     """An old sqlite3 bag has no definitions."""
     with Writer(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection("/x", "rig/msg/X", msgdef="int32 a", rihs01="RIHS01_0")

@@ -185,7 +185,7 @@ def test_stamps_of_headers_are_exact(rig: Rig) -> None:
 
 
 def test_diagnostics_have_the_state_of_each_sensor(rig: Rig) -> None:
-    """Nobody publishes; then messages, rate and events; then what cannot be used."""
+    """Without a publisher; then messages, rate and events; then invalid messages."""
     status = rig.diagnosis("wall")
     assert status.level == DiagnosticStatus.WARN
     assert status.message == "no node publishes /imu"

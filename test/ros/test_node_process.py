@@ -10,7 +10,7 @@ from impact_observer.ros.node_process import run_node
 
 
 @pytest.mark.parametrize(("given", "wanted"), [(None, "1"), ("3", "3")])
-def test_small_matrices_have_one_thread_unless_somebody_wants_more(
+def test_small_matrices_have_one_thread_unless_the_environment_has_more(
     monkeypatch: pytest.MonkeyPatch, given: str | None, wanted: str
 ) -> None:
     """The variable is set before the node's module, and with it numpy, is imported."""

@@ -200,7 +200,7 @@ two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
 ╰──────────────────────────────────────────────────────────────────────────────╯
 space freezes   q ends
 """
-NOBODY = """\
+NO_OBSERVERS = """\
 nothing received yet: no plant, no observer; is one running
 on this ROS domain?
 ╭──────────────────────────────────────────────────────────╮
@@ -223,7 +223,7 @@ def test_the_screen_to_the_letter(width: int, height: int, wanted: str) -> None:
 
 def test_a_screen_without_observers_says_so() -> None:
     """With a plant its figures are still shown."""
-    assert printed(Snapshot(0), ScreenStyle(60, 30)) == NOBODY.rstrip("\n")
+    assert printed(Snapshot(0), ScreenStyle(60, 30)) == NO_OBSERVERS.rstrip("\n")
     found = printed(replace(both(), observers=()), ScreenStyle(60, 30))
     assert "8 impacts, last 0.3 s ago (stop)" in found
     assert "waiting for observers" in found
