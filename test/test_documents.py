@@ -73,7 +73,7 @@ def test_the_model_of_the_readme_is_a_model() -> None:
     assert model.system.contact_names == ("anvil",)
 
 
-def test_every_place_that_the_house_names_is_there() -> None:
+def test_files_and_functions_named_in_the_house_exist() -> None:
     """Files, and the functions and classes of the two walks."""
     package = ROOT / "impact_observer"
     files = re.findall(r"`([\w/]+\.py)(?:: ([\w.]+))?`", HOUSE)
@@ -115,7 +115,7 @@ def test_the_law_of_the_docs_is_a_law() -> None:
         *(f"docs/{p.name}" for p in (ROOT / "docs").glob("*.md")),
     ],
 )
-def test_links_between_documents_lead_somewhere(document: str) -> None:
+def test_links_between_documents_have_targets(document: str) -> None:
     """Every relative link names a file that is there."""
     path = ROOT / document
     links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text())

@@ -126,7 +126,7 @@ def correlated(near: float = 0.5) -> Case:
 
 
 def assert_near(found: Array, wanted: Array, error: float) -> None:
-    """Equal but for ``error`` of the largest."""
+    """Equal within ``error`` of the largest."""
     most = float(np.max(np.abs(wanted), initial=0.0))
     np.testing.assert_allclose(found, wanted, rtol=0, atol=error * most)
 
@@ -167,7 +167,7 @@ def assert_general(case: Case, error: float) -> None:
 @given(case=cases())
 @examples(80)
 def test_compiled_function_equals_its_source(machine: Single, case: Case) -> None:
-    """Also for impacts that are not near."""
+    """Also for impacts that ``single`` declines."""
     question = case.asked()
     assert_same(machine(*question), single(*question))
 
@@ -175,7 +175,7 @@ def test_compiled_function_equals_its_source(machine: Single, case: Case) -> Non
 @pytest.mark.slow
 @given(case=cases())
 @examples(80)
-def test_single_impact_is_corrected_as_any_event(case: Case) -> None:
+def test_single_agrees_with_the_general_methods(case: Case) -> None:
     """Whenever ``single`` accepts it."""
     if single(*case.asked())[0]:
         assert_general(case, 1e-12)
@@ -185,17 +185,17 @@ def test_single_impact_is_corrected_as_any_event(case: Case) -> None:
 @pytest.mark.parametrize(
     ("q", "clock", "near"), [(0.0, STAMP, True), (1.0, STAMP, False), (0.0, 1e-3, False)]
 )
-def test_outliers_and_inaccurate_stamps_are_left_to_the_general_methods(
+def test_single_declines_outliers_and_inaccurate_stamps(
     machine: Single, q: float, clock: float, near: bool
 ) -> None:
-    """A gap of a hundred deviations; a stamp of 1 ms."""
+    """A gap of a hundred deviations; a stamp's deviation of 1 ms."""
     state = GaussianState(np.array([q, -2.0]), np.zeros(0), 0.01 * np.eye(2), np.zeros((2, 1)))
     case = correlated()._replace(state=state, clock=clock)
     assert [how(*case.asked())[0] for how in (single, machine)] == [near, near]
 
 
 @pytest.mark.slow
-def test_iterated_linearisations_are_those_of_any_event(
+def test_iterated_linearisations_agree_with_the_general_methods(
     machine: Single, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the prior speed is far from the posterior one."""
@@ -477,7 +477,7 @@ def parts() -> Iterator[FunctionType]:
 
 
 def test_every_compiled_source_is_in_the_digest() -> None:
-    """Where each function is, and where each constant in it is written."""
+    """The modules of every compiled function and of every constant in it."""
     watched = {module.__name__: module for module in compiled._SOURCES}
     texts = {name: Path(str(each.__file__)).read_text() for name, each in watched.items()}
     constants = set[str]()

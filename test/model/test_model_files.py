@@ -286,7 +286,7 @@ NOT_A_MODEL = {
 
 @pytest.mark.parametrize(("old", "new", "line"), IN_MATRIX_FORM.values(), ids=list(IN_MATRIX_FORM))
 def test_mistake_in_matrix_form_is_one_line(old: str, new: str, line: str) -> None:
-    """The line names the file, the key and what is wanted."""
+    """The line names the file, the key and what is expected."""
     with pytest.raises(ModelError) as caught:
         parse_model(mistaken(MATRICES, old, new), "my.yaml")
     assert_one_line(caught.value, f"my.yaml: {line}")
@@ -335,7 +335,7 @@ def test_asymmetry_of_printed_digits_is_accepted_and_removed() -> None:
     assert K[0, 1] == K[1, 0] == pytest.approx(-10.0000000005, abs=1e-14)
 
 
-def test_missing_initial_state_matters_to_the_plant_only() -> None:
+def test_missing_initial_state_is_an_error_for_the_plant_only() -> None:
     """An observer reads such a file; a plant gets a line that names the key."""
     lines = [line for line in MATRICES.splitlines() if not line.startswith("initial_state")]
     model = parse_model("\n".join(lines), "m")
@@ -426,10 +426,10 @@ def test_file_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
         read_model("four_mass")
 
 
-def test_sample_is_found_by_name_and_a_file_goes_first(
+def test_file_in_the_working_folder_takes_precedence_over_a_sample(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file called two_mass in the working folder goes before the sample."""
+    """A file called two_mass, and the sample of that name."""
     monkeypatch.chdir(tmp_path)
     assert read_model("two_mass").system.n == 2
     Path("two_mass").write_text(ELEMENTS)
@@ -437,7 +437,7 @@ def test_sample_is_found_by_name_and_a_file_goes_first(
 
 
 def assert_equal_models(one: Model, two: Model) -> None:
-    """The same to the last bit."""
+    """Equal to the last bit."""
     a, b = one.system, two.system
     assert (a.name, a.coordinates, a.contact_names) == (b.name, b.coordinates, b.contact_names)
     for name in ("M", "C", "K", "W", "q_r", "eps"):

@@ -153,7 +153,7 @@ SAMPLED = "{sampled: forces.csv, hold: linear}"
 def test_mistake_in_the_model_is_one_line(
     form: str, forcing: str, line: str, tmp_path: Path
 ) -> None:
-    """The line names the key and what is wanted, in both forms."""
+    """The line names the key and what is expected, in both forms."""
     lines = [f"forcing: {forcing}" if "sampled" in row else row for row in form.splitlines()]
     with pytest.raises(ModelError) as caught:
         read(tmp_path, CSV, "\n".join(lines))

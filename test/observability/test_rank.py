@@ -1,4 +1,4 @@
-"""What impacts determine, against matrices that are stacked by hand."""
+"""Rank of the observability matrix of impacts, against matrices stacked by hand."""
 
 from collections.abc import Sequence
 from math import pi, sqrt
@@ -101,7 +101,7 @@ DECOUPLED = system(
 def test_singular_values_are_those_of_the_matrix_stacked_by_hand(
     model: System, data: st.DataObject
 ) -> None:
-    """After every impact, K singular or not; so is the rank, and unknown errors move no gap."""
+    """And the rank, after every impact, K singular or not; undetermined errors move no gap."""
     hits = data.draw(
         st.lists(st.tuples(numbers(0.0, 2.0), st.integers(0, model.m - 1)), min_size=1, max_size=8)
     )
@@ -138,7 +138,7 @@ def test_rank_never_falls(model: System, data: st.DataObject) -> None:
 @examples(15)
 @given(st.data())
 def test_events_are_read_as_an_observer_reads_them(data: st.DataObject) -> None:
-    """Lost openings, openings of open contacts, equal stamps, doubles, any order."""
+    """Missed and redundant openings, equal stamps, duplicates, any order of arrival."""
     model = system(
         np.eye(2), np.eye(2), np.eye(2), contacts=[([1, 0], 0.0, 0.5), ([0, 1], 0.0, 0.5)]
     )
@@ -203,8 +203,8 @@ def test_rows_solve_for_the_initial_state_of_a_plant(name: str) -> None:
     np.testing.assert_allclose(found, truth, atol=1e-7)
 
 
-def test_an_oscillator_without_a_stop_is_undetermined() -> None:
-    """Its position and its velocity, each by itself; the other one is determined."""
+def test_state_of_a_decoupled_oscillator_without_a_stop_is_undetermined() -> None:
+    """Its position and its velocity; the state of the other oscillator is determined."""
     hits = [(0.3 + 0.1 * k, 0) for k in range(12)]
     found = observability(DECOUPLED, impacts_of(DECOUPLED, hits))
     assert found.rank[-1] == 2
@@ -279,10 +279,10 @@ def test_persistent_contact_adds_gap_speed_and_at_its_end_the_load() -> None:
     np.testing.assert_allclose(np.abs(found.undetermined @ unknown), [[1.0]], rtol=1e-12)
 
 
-def test_load_is_weighed_as_the_gap_that_it_closes_in_the_time_scale() -> None:
-    """The smallest case: two masses with a spring of stiffness k, one of them on its stop.
+def test_row_of_a_load_is_scaled_to_the_gap_that_it_closes_in_the_time_scale() -> None:
+    """Two masses with a spring of stiffness k, one of them on its stop.
 
-    All is certain but the free mass' position: the load is ``-k dq2``, the acceleration that it
+    Only the free mass' position is uncertain: the load is ``-k dq2``, the acceleration that it
     prevents ``-k dq2 / m1``.
     """
     m, k = 4.0, 3.0
@@ -330,7 +330,7 @@ def test_contacts_that_open_together_or_by_a_jump_of_the_force_add_nothing() -> 
 
 @pytest.mark.parametrize(("eps", "rank"), [(0.5, 2), (0.0, 1)])
 def test_closing_without_restitution_adds_no_speed(eps: float, rank: int) -> None:
-    """It is zero afterwards, whatever it was; so no error of it is left."""
+    """It is zero afterwards, whatever it was before."""
     model = pulled_mass(eps).system
     found = observability(model, [event_at(1.0, ("c1", Kind.CLOSE))])
     assert found.rank[-1] == rank
@@ -359,7 +359,7 @@ def test_second_contact_adds_rows_while_the_first_is_closed() -> None:
 
 
 def test_two_stops_at_one_instant_add_two_rows() -> None:
-    """And the jump is that of both."""
+    """The jump is that of both."""
     both = system(
         np.eye(2),
         np.zeros((2, 2)),
@@ -387,7 +387,7 @@ def test_deviations_are_the_units_of_the_initial_state() -> None:
 
 
 def test_only_the_last_episode_of_the_last_epoch_counts() -> None:
-    """As with an observer, which begins again."""
+    """As with an observer, which is reset by a new one."""
     model = DECOUPLED
     later = EPOCH + 100 * NS_PER_S
     events = [

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.ros
 PATIENCE = 20.0
-"""How long a slow machine may take, s."""
+"""Longest wait on a slow machine, s."""
 PLAY = """
 import argparse, sys
 from impact_observer.cli import play
@@ -56,7 +56,7 @@ class Received(NamedTuple):
 
 @contextmanager
 def listening(*topics: str) -> Iterator[list[Received]]:
-    """What a node in this process receives on some topics; spun in a thread."""
+    """The messages that a node in this process receives on some topics; spun in a thread."""
     received: list[Received] = []
     done = threading.Event()
     with ros_node("listener") as (node, executor):
@@ -109,7 +109,7 @@ def clock(received: list[Received]) -> list[int]:
 def test_messages_come_when_they_are_due(
     sample_bag: Path, ros_environment: dict[str, str], rate: float
 ) -> None:
-    """All of them from the first on, at their distances divided by the rate."""
+    """All of them, at their intervals in the bag divided by the rate."""
     assert ros_environment
     with BagReader(sample_bag) as reader:
         wanted = [event.stamp for event in reader.events()]
@@ -164,7 +164,7 @@ def test_loop_begins_again_and_the_clock_jumps_back(
 def test_start_skips_messages_but_not_latched_values(
     sample_bag: Path, ros_environment: dict[str, str]
 ) -> None:
-    """An observer still gets the model."""
+    """The model is still published."""
     assert ros_environment
     with listening("/impacts", "/plant/model") as received:
         how = Playing(["/impacts", "/plant/model"], 5.0, start=0.3)
@@ -191,7 +191,7 @@ def test_late_listener_gets_events_and_model_until_the_end(
     assert len(stamps(received)) == 11
 
 
-def test_recorded_clock_gives_way_to_the_player_s_own(
+def test_recorded_clock_is_replaced_by_that_of_the_player(
     tmp_path: Path, ros_environment: dict[str, str]
 ) -> None:
     """Two clocks would contradict each other."""
@@ -205,10 +205,10 @@ def test_recorded_clock_gives_way_to_the_player_s_own(
         assert Player(node, reader).topics == ("/clock", "/impacts")
 
 
-def test_topic_that_someone_else_publishes_is_warned_of(
+def test_topic_with_another_publisher_gives_a_warning(
     sample_bag: Path, ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """A plant that still runs would mix with the bag."""
+    """Such as that of a plant that still runs."""
     assert ros_environment
     with ros_node("plant") as (plant, _):
         plant.create_publisher(
@@ -221,7 +221,7 @@ def test_topic_that_someone_else_publishes_is_warned_of(
 def test_foreign_type_is_left_out_with_a_warning(
     tmp_path: Path, ros_environment: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """And alone it is an error."""
+    """If the bag has no other topic it is an error."""
     assert ros_environment
     with BagWriter(tmp_path / "bag") as writer:
         writer.declare("/torque", type_name="rig/msg/Torque", definition="float64 torque\n")
@@ -309,7 +309,7 @@ def after(seconds: float) -> Callable[[], bool]:
 def test_pause_holds_messages_while_the_clock_stands_still(
     sample_bag: Path, ros_environment: dict[str, str]
 ) -> None:
-    """And ticks on; afterwards everything comes, later by the pause."""
+    """The clock is published on; afterwards all messages come, later by the pause."""
     assert ros_environment
     how = Playing(["/impacts"], clock_rate=100.0)
     with listening("/impacts", "/clock") as received, player_of(sample_bag, how) as player:
@@ -331,7 +331,7 @@ def test_pause_holds_messages_while_the_clock_stands_still(
 def test_single_messages_are_sent_while_paused(
     sample_bag: Path, ros_environment: dict[str, str]
 ) -> None:
-    """The clock goes with them, and playing goes on from there; it may begin so."""
+    """The clock follows them, and playing goes on from there; it may start paused."""
     assert ros_environment
     how = Playing(["/impacts"], rate=2.0, paused=True, clock_rate=100.0)
     with listening("/impacts", "/clock") as received, player_of(sample_bag, how) as player:
@@ -356,10 +356,10 @@ def test_single_messages_are_sent_while_paused(
     assert times.count(1_150_000_000) > 5
 
 
-def test_next_is_for_pauses_only_and_rates_have_limits(
+def test_next_acts_in_pauses_only_and_rates_have_limits(
     sample_bag: Path, ros_environment: dict[str, str]
 ) -> None:
-    """A tenth faster and the same slower is as before."""
+    """A step faster and a step slower give the first rate."""
     assert ros_environment
     with player_of(sample_bag, Playing(rate=90.0)) as player:
         player.control(Control.NEXT)
@@ -415,7 +415,7 @@ def test_topics_are_published_by_other_names_and_qualities(
 def test_late_listener_gets_the_model_in_a_later_pass(
     sample_bag: Path, ros_environment: dict[str, str]
 ) -> None:
-    """Though the loop began behind it."""
+    """The first pass began after the model's message."""
     assert ros_environment
     how = Playing(["/impacts", "/plant/model"], 5.0, start=0.2, loop=True)
     done = threading.Event()
@@ -433,10 +433,8 @@ def test_late_listener_gets_the_model_in_a_later_pass(
     assert received[0].topic == "/plant/model"
 
 
-def test_keys_pause_a_command_and_end_it(
-    sample_bag: Path, ros_environment: dict[str, str]
-) -> None:
-    """On a terminal, which is afterwards as it was before."""
+def test_keys_pause_and_end_the_command(sample_bag: Path, ros_environment: dict[str, str]) -> None:
+    """On a terminal, whose state is restored at the end."""
     main, side = pty.openpty()
     before = termios.tcgetattr(side)
     script = f"import fcntl, termios\nfcntl.ioctl(0, termios.TIOCSCTTY, 0)\n{PLAY}"
