@@ -1,4 +1,4 @@
-"""Motion of plants that are not the observer's model, by code of its own.
+"""Motion of plants that differ from the observer's model, by independent code.
 
 Scipy's DOP853 integrates each flight. An impact is found as a root of its gap in the dense output.
 Of the package only the matrices of ``System`` are used.

@@ -46,8 +46,8 @@ def test_largest_distance_is_that_of_all_pairs(size: int, count: int) -> None:
         ensemble = ensemble.propagated(random.normal(size=size), random.normal(size=(size, size)))
 
 
-def test_faded_differences_are_zero() -> None:
-    """They do not become denormal numbers."""
+def test_negligible_differences_become_zero() -> None:
+    """Instead of denormal numbers."""
     ensemble = Ensemble.of(np.eye(4))
     for _ in range(12):
         ensemble = ensemble.propagated(np.ones(4), 1e-10 * np.eye(4)).without_faded()

@@ -136,7 +136,7 @@ def test_metrics_are_those_of_a_single_run(stiffness: float) -> None:
 
 
 def test_a_case_that_fails_is_an_outcome_of_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever it fails by; the others go on."""
+    """For any exception; the other cases still run."""
     whole = replay
     problems: list[Exception] = [DynamicsError("no solution"), TypeError("a mistake\nin a law")]
 

@@ -198,8 +198,8 @@ def test_contradicting_bumpers_leave_the_order_alone() -> None:
     assert [each.contact for each in scene.bars] == [1]
 
 
-def test_stop_far_away_does_not_make_the_motion_invisible() -> None:
-    """It is a bar whose pin is at its end."""
+def test_distant_stop_is_drawn_as_a_bar() -> None:
+    """Its pin is at the end of the bar, so the motion stays visible."""
     motion = 0.1 * np.sin(np.arange(50.0))[:, None]
     scene = Scene.of(free(1, ([-1.0], 100.0)), motion)
     assert scene.walls == ()

@@ -78,7 +78,7 @@ def integrated(model: System) -> list[float]:
 
 
 def test_bar_hits_and_leaves_its_stop_when_an_integrator_says_so() -> None:
-    """With waves in the bar all the time."""
+    """Elastic waves travel in the bar all the time."""
     model = bar(6)
     found = run(model, np.zeros(6), np.zeros(6), seconds=SECONDS, rate=2.0)
     instants = [
