@@ -18,6 +18,7 @@ from impact_observer.states import Estimate
 
 def pytest_configure() -> None:
     """Forget the shell's width, and that it ignores signals for what it runs in the background."""
+    gc.disable()  # until all tests are collected
     os.environ.pop("COLUMNS", None)  # pytest-xdist sets it
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -29,6 +30,7 @@ def pytest_collection_finish() -> None:
     """Let the garbage collector pass over all that is there already: a twentieth of the time."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture

@@ -146,6 +146,7 @@ def test_document_has_versions_and_nothing_of_the_machine() -> None:
     assert versions["numpy"]
 
 
+@pytest.mark.slow
 def test_command_measures_the_named_benchmark_and_writes_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -172,6 +173,7 @@ def test_names_of_benchmarks_are_unique_and_without_spaces() -> None:
     assert not any(" " in name for name in names)
 
 
+@pytest.mark.slow
 def test_a_late_event_ends_in_the_same_estimate_as_one_in_time(tmp_path: Path) -> None:
     """The benchmark of roll-back compares equal work."""
     assert "the same bits" in prepare_late(tmp_path).work

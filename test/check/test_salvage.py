@@ -144,6 +144,7 @@ def test_mcap_with_a_broken_chunk(whole: Path) -> None:
     assert 300 < found(bag, whole) < len(messages(whole))
 
 
+@pytest.mark.slow
 def test_mcap_with_a_broken_length_goes_on_at_the_next_chunk(whole: Path) -> None:
     """The index of the file has its place."""
     bag = mcap_folder(whole, Path("bag"), distro="jazzy", chunk=10_000)
@@ -154,6 +155,7 @@ def test_mcap_with_a_broken_length_goes_on_at_the_next_chunk(whole: Path) -> Non
     assert 300 < found(bag, whole) < len(messages(whole))
 
 
+@pytest.mark.slow
 def test_metadata_that_is_missing_or_wrong_loses_nothing(whole: Path) -> None:
     """The files hold all that is needed."""
     everything = (

@@ -31,6 +31,7 @@ def refusal(arguments: Sequence[str], capsys: pytest.CaptureFixture[str]) -> tup
     return code, line
 
 
+@pytest.mark.slow
 def test_gif_has_all_pictures_and_the_right_speed(
     sample_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -119,6 +120,7 @@ def test_mp4_without_ffmpeg_names_the_extra(
     assert not output.exists()
 
 
+@pytest.mark.slow
 def test_encoder_that_fails_is_one_line(
     sample_bag: Path,
     tmp_path: Path,

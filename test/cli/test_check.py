@@ -96,6 +96,7 @@ def test_wrong_use_is_one_line_and_exit_code_2(capsys: pytest.CaptureFixture[str
         check.run(parser.parse_args(["bag", "--salvage"]))
 
 
+@pytest.mark.slow
 def test_salvage_prints_the_messages_of_each_topic(capsys: pytest.CaptureFixture[str]) -> None:
     """In words and as figures; the new bag has all of it."""
     write()

@@ -59,6 +59,7 @@ def test_laws_run_on_a_bag_equal_those_observed_into_bags(
     assert in_memory == compared(capsys, *map(str, bags))
 
 
+@pytest.mark.slow
 def test_laws_are_compared_beside_the_estimates_in_the_bag(
     plant_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

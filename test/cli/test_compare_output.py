@@ -108,6 +108,7 @@ def test_the_csv_has_every_metric_of_the_json(
                 assert row[key] == ("" if value is None else str(value))
 
 
+@pytest.mark.slow
 def test_a_late_sensor_does_not_count_as_a_bad_estimate(
     bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -121,6 +122,7 @@ def test_a_late_sensor_does_not_count_as_a_bad_estimate(
     assert re.search(r"geometric +\d+ +0 +0 +0 +\d+ +8 ms +\d\.\d\de[+-]\d\d J", table)
 
 
+@pytest.mark.slow
 def test_a_topic_of_another_package_can_be_compared(
     bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -112,6 +112,7 @@ def test_rows_of_equal_time_are_one_event(tmp_path: Path) -> None:
     assert second.stamp - first.stamp == 1
 
 
+@pytest.mark.slow
 def test_time_zero_has_the_chosen_stamp(tmp_path: Path) -> None:
     """Times since 1970 are stamps; others begin at 1 s; the epoch may be another instant."""
     cases: list[tuple[str, tuple[str, ...], int, int]] = [

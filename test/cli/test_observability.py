@@ -124,6 +124,7 @@ def test_tolerance_decides_what_counts(capsys: pytest.CaptureFixture[str]) -> No
     assert "The rank is 3 of 4: 1 combination of the initial state is not determined" in output
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "ending", ["png", *(pytest.param(each, marks=pytest.mark.slow) for each in ("svg", "pdf"))]
 )

@@ -258,6 +258,7 @@ def test_a_row_has_the_results_of_simulate_observe_and_compare(
         assert table[name] == [metrics[name]], name
 
 
+@pytest.mark.slow
 def test_the_summary_is_a_table_and_a_picture(
     serial: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -153,13 +153,13 @@ def test_gravity_is_removed_in_any_orientation() -> None:
     source = Source("stop", "/imu", threshold=15.0, field="force").complete(IMU)
     detector = Detector([source])
     detected = []
-    for k in range(20_000):
-        angle = 0.2 * k / 1000
+    for k in range(10_000):
+        angle = 0.4 * k / 1000
         hit = 30.0 if k % 5000 == 2500 else 0.0
         force = Vector3(9.81 * math.sin(angle) + hit, 0.0, 9.81 * math.cos(angle))
         stamp = START + k * MS
         detected += detector.feed(0, Stamped(header(stamp), force), stamp + 3 * MS)
-    wanted = [START + k * 5000 * MS + 2500 * MS for k in range(4)]
+    wanted = [START + k * 5000 * MS + 2500 * MS for k in range(2)]
     np.testing.assert_allclose([s for s, _ in events(detected)], wanted, rtol=0, atol=0.02 * MS)
     assert 25 < detector.counts[0].largest_signal < 35
 

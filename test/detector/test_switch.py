@@ -118,7 +118,7 @@ def test_a_force_may_be_a_switch_with_hysteresis() -> None:
     ]
 
 
-@pytest.mark.parametrize("rate", [0, 100, 1000])
+@pytest.mark.parametrize("rate", [0, 100, pytest.param(1000, marks=pytest.mark.slow)])
 def test_a_switch_that_closes_for_milliseconds_at_each_impact_gives_impacts_only(
     rate: int,
 ) -> None:

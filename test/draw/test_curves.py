@@ -23,7 +23,7 @@ LAWS = {
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An observer of every law, each named after it."""
-    return everything(tmp_path_factory.mktemp("curves") / "bag", LAWS)
+    return everything(tmp_path_factory.mktemp("curves") / "bag", LAWS, duration=1.0)
 
 
 def test_topics_by_name_are_those_that_the_law_publishes(bag: Path) -> None:

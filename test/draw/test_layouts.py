@@ -38,7 +38,7 @@ LUA = {
 @pytest.fixture(scope="module")
 def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[object]]:
     """All messages of a bag in which observers of five names ran."""
-    return messages_in(everything(tmp_path_factory.mktemp("all") / "bag", LAWS))
+    return messages_in(everything(tmp_path_factory.mktemp("all") / "bag", LAWS, duration=1.5))
 
 
 @pytest.fixture(scope="module")

@@ -428,6 +428,7 @@ def test_a_law_that_is_not_compiled_does_not_need_the_compiler(bag: Path) -> Non
     assert output.exists()
 
 
+@pytest.mark.slow
 def test_observe_prints_that_it_compiles_beforehand(
     bag: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

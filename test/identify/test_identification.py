@@ -158,6 +158,7 @@ def test_too_few_impacts_are_refused() -> None:
         identify(parametric_family(model, FREE), sensed("two_mass")[:3])
 
 
+@pytest.mark.slow
 def test_check_rejects_a_wrong_model_and_accepts_the_right_one() -> None:
     """By the declared clock error, or by correlated shifts of successive impacts."""
     model = sample("three_mass").system
@@ -244,6 +245,7 @@ def test_the_picture_shows_every_contact() -> None:
     assert [each.get_text() for each in legend.get_texts()] == ["left", "right", "2 deviations"]
 
 
+@pytest.mark.slow
 def test_persistent_contacts_are_part_of_the_motion() -> None:
     """A mass that is pressed against its stop once a period."""
     push = forcing(1, 0.0, [Harmonic(2.0, [6.0], [0.0])])

@@ -69,6 +69,7 @@ def ball(eps: float) -> System:
     return system(1, 0, 0, contacts=[([1], 0.0, eps)], force=forcing(1, -9.81))
 
 
+@pytest.mark.slow
 def test_ball_bounces_at_the_times_of_the_closed_form_to_first_order() -> None:
     """The mean error of ten impacts and the error of a state in flight."""
     first = np.sqrt(2 / 9.81)
@@ -110,6 +111,7 @@ def test_ball_comes_to_rest_where_its_impacts_accumulate(eps: float, step: float
     np.testing.assert_allclose(x[:, 1], 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_pressed_mass_is_released_when_its_load_is_gone() -> None:
     """``x'' = 3 cos t - 2``: held until ``cos t = 2/3``, then in free motion."""
     force = forcing(1, 2.0, [Harmonic(1.0, [-3.0], [0])])
@@ -233,6 +235,7 @@ def test_held_contact_takes_part_in_an_impact_without_a_switch() -> None:
     assert second.closed == (0,)
 
 
+@pytest.mark.slow
 def test_bodies_at_rest_on_each_other_stay_so() -> None:
     """Nine beads rest on a wall while a tenth bounces on them: no contact opens by rounding."""
     case = resting_beads()

@@ -37,6 +37,7 @@ def drawn(sweep: Sweep, times: Sequence[float | None], against: str | None = Non
     return sweep_picture(sweep, groups_of(sweep, outcomes), against=against)
 
 
+@pytest.mark.slow
 def test_each_law_is_a_line_with_a_band_over_what_was_swept(tmp_path: Path) -> None:
     """In the order of the values, whatever they were given in; axes have units."""
     sweep = swept({"jitter": [1e-2, 0.0, 1e-4]}, {})

@@ -114,6 +114,7 @@ def test_plant_is_drawn_where_its_frame_says(q: list[float]) -> None:
     np.testing.assert_allclose(found, [expected[0], expected[-1]], atol=2)
 
 
+@pytest.mark.slow
 def test_stop_is_highlighted_at_an_impact_and_fades() -> None:
     """In every row, and as long in a slow film."""
     shown = film()

@@ -62,9 +62,14 @@ def received(bag: Path, listener: TopicListener, without: Collection[str] = ()) 
         return listener.snapshot(shown, reader.end)
 
 
-def test_estimates_are_shown_against_the_truth_of_their_stamp(bag: Path) -> None:
+@pytest.fixture(scope="module")
+def seen(bag: Path) -> Snapshot:
+    """What is shown when all of the bag was received."""
+    return received(bag, TopicListener())
+
+
+def test_estimates_are_shown_against_the_truth_of_their_stamp(bag: Path, seen: Snapshot) -> None:
     """Both as they are in the bag, at its end."""
-    seen = received(bag, TopicListener())
     assert [each.name for each in seen.observers] == ["/observer", "/observer_minimum_variance"]
     with BagReader(bag) as reader:
         truth = reader.joint_states("/plant/joint_states")
@@ -81,9 +86,10 @@ def test_estimates_are_shown_against_the_truth_of_their_stamp(bag: Path) -> None
     assert (seen.model, seen.truth, seen.epoch, seen.simulated) == ("two_mass", True, EPOCH, False)
 
 
-def test_v_is_that_of_the_monitor_or_computed_to_the_same_value(bag: Path) -> None:
+@pytest.mark.slow
+def test_v_is_that_of_the_monitor_or_computed_to_the_same_value(bag: Path, seen: Snapshot) -> None:
     """Without a monitor it is computed with the model of the plant, or with a given one."""
-    published = received(bag, TopicListener()).observers[0]
+    published = seen.observers[0]
     monitors = ["/monitor/error", "/monitor_minimum_variance/error"]
     computed = received(bag, TopicListener(), monitors).observers[0]
     system = read_model("two_mass").system
@@ -120,9 +126,8 @@ def test_without_truth_there_are_estimates_only(bag: Path) -> None:
     assert seen.observers[0].distance.now is None
 
 
-def test_events_and_verdicts_are_counted_and_the_last_are_kept(bag: Path) -> None:
+def test_events_and_verdicts_are_counted_and_the_last_are_kept(bag: Path, seen: Snapshot) -> None:
     """RecentMessages first, with what became of them."""
-    seen = received(bag, TopicListener())
     with BagReader(bag) as reader:
         events = list(reader.events())
         verdicts = list(reader.verdicts("/observer/verdicts"))
