@@ -1,12 +1,15 @@
 """The house: which rooms import which, the words of prose and names, and rules for tests."""
 
 import ast
+import gc
 import re
 import sys
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+
+import pytest
 
 from docs.rooms import ROOMS
 
@@ -59,6 +62,15 @@ def _imports(path: Path) -> Iterator[str]:
             module = ".".join([*base, *([node.module] if node.module else [])])
             yield module
             yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def without_garbage_collection() -> Iterator[None]:
+    """It would go through all syntax trees again and again."""
+    gc.disable()
+    yield
+    parsed.cache_clear()
+    gc.enable()
 
 
 @cache

@@ -315,7 +315,11 @@ def test_a_missing_package_is_named_with_its_extra(
         (["--plot", "v.gif"], "v.gif: expected a name"),
         (["--plot", "v.png", "--against", "jitter"], "has not several values"),
         (["--mislabelled", "0.1"], "sensor mislabelled"),
-        (["--scheduler", "nowhere"], "--scheduler nowhere: cannot be reached: missing port"),
+        pytest.param(
+            ["--scheduler", "nowhere"],
+            "--scheduler nowhere: cannot be reached: missing port",
+            marks=pytest.mark.slow,  # imports distributed
+        ),
     ],
 )
 def test_what_cannot_be_swept_is_one_line_and_exit_code_2(
