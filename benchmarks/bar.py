@@ -42,7 +42,7 @@ LARGEST = f"n = {SIZES[-1]}"
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
+class BarCost:
     """The cost of a run.
 
     Attributes:
@@ -99,7 +99,7 @@ def bar(n: int) -> System:
     return System("bar", names, M, RAYLEIGH[0] * M + RAYLEIGH[1] * K, K, force, (stop,))
 
 
-def run(n: int) -> tuple[Vector, Cost]:
+def run(n: int) -> tuple[Vector, BarCost]:
     """The coordinate at the stop, shape (samples,), m, and the cost of the run."""
     stamps = grid(EPOCH, EPOCH + from_seconds(SECONDS), RATE)
     wall, times = time.perf_counter(), [time.process_time()]
@@ -116,10 +116,10 @@ def run(n: int) -> tuple[Vector, Cost]:
     hits, phases = 1 + len(found.impacts), 1 + len(found.switchings)
     making, preparing, running = np.diff(times).tolist()
     wall = time.perf_counter() - wall
-    return at_stop, Cost(n, hits, phases, making, preparing, running, wall)
+    return at_stop, BarCost(n, hits, phases, making, preparing, running, wall)
 
 
-def growth(costs: list[Cost]) -> float:
+def growth(costs: list[BarCost]) -> float:
     """The exponent ``p`` of a phase's cost ``~ n^p``, by least squares."""
     sizes, phases = np.log([(cost.n, cost.phase) for cost in costs]).T
     return float(np.polyfit(sizes, phases, 1)[0])

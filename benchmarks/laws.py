@@ -67,7 +67,7 @@ _BESIDE = 1_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Case:
+class TrueMotion:
     """A plant's run.
 
     Attributes:
@@ -88,7 +88,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class LawResult:
     """One run of one law.
 
     Attributes:
@@ -112,7 +112,7 @@ class Outcome:
     excess: float
 
 
-def case_of(name: str, seconds: float) -> Case:
+def true_motion(name: str, seconds: float) -> TrueMotion:
     """Simulate a sample model, a model file, or ``far_end``, for ``seconds``."""
     model = parse_model(FAR_END, name) if name == "far_end" else read_model(name)
     regular = grid(EPOCH, EPOCH + from_seconds(seconds), RATE)
@@ -125,7 +125,7 @@ def case_of(name: str, seconds: float) -> Case:
     marks = {f"{END:g} s": EPOCH + from_seconds(END)} if seconds >= END else {}
     if len(impacts) >= 2 * n + 2:
         marks = {"impact 2n+2": impacts[2 * n + 1] + _BESIDE, **marks}
-    return Case(
+    return TrueMotion(
         model.system,
         np.concatenate(model.initial_state()),
         events,
@@ -141,7 +141,7 @@ def _run(model: Model, stamps: Stamps) -> tuple[tuple[ImpactEvent, ...], Vector]
     return run.events, run.states
 
 
-def outcome(name: str, case: Case, law: str, seed: int) -> Outcome:
+def outcome(name: str, case: TrueMotion, law: str, seed: int) -> LawResult:
     """Run a law with its default ensemble from a wrong start, and compare with the truth."""
     system, n = case.system, case.system.n
     x = case.start + np.random.default_rng(seed).normal(size=2 * n)
@@ -159,7 +159,7 @@ def outcome(name: str, case: Case, law: str, seed: int) -> Outcome:
     excess = V[flagged] / np.maximum(threshold[flagged], np.finfo(float).tiny)
     V0 = float(energy(system, x - case.start))
     last = int(np.flatnonzero(above)[-1]) if above.any() else -1
-    return Outcome(
+    return LawResult(
         model=name,
         law=law,
         seed=seed,
@@ -176,7 +176,7 @@ def _first(stamps: Stamps) -> float | None:
     return seconds_between(EPOCH, int(stamps[0])) if stamps.size else None
 
 
-def reductions(outcomes: Iterable[Outcome]) -> list[dict[str, object]]:
+def reductions(outcomes: Iterable[LawResult]) -> list[dict[str, object]]:
     """The first table: medians over the first seeds."""
     rows = []
     for (model, law), group in _grouped(outcomes).items():
@@ -189,7 +189,7 @@ def reductions(outcomes: Iterable[Outcome]) -> list[dict[str, object]]:
     return rows
 
 
-def flags(outcomes: Sequence[Outcome]) -> list[dict[str, object]]:
+def flags(outcomes: Sequence[LawResult]) -> list[dict[str, object]]:
     """The second table: how often the flag was wrong, and when it was first true."""
     groups = _grouped(outcomes)
     for (_, law), group in list(groups.items()):
@@ -217,14 +217,14 @@ def _median(times: Iterable[float | None]) -> float | None:
     return found if math.isfinite(found) else None
 
 
-def _grouped(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], list[Outcome]]:
-    groups: dict[tuple[str, str], list[Outcome]] = {}
+def _grouped(outcomes: Iterable[LawResult]) -> dict[tuple[str, str], list[LawResult]]:
+    groups: dict[tuple[str, str], list[LawResult]] = {}
     for each in outcomes:
         groups.setdefault((each.model, each.law), []).append(each)
     return groups
 
 
-def print_tables(outcomes: Sequence[Outcome], console: Console) -> None:
+def print_tables(outcomes: Sequence[LawResult], console: Console) -> None:
     """Both tables."""
     marks = list(dict.fromkeys(mark for each in outcomes for mark in each.ratios))
     table = _new_table(f"median V/V0, at most {SEEDS_OF_MEDIAN} seeds")
@@ -278,7 +278,7 @@ def main(args: Sequence[str] | None = None) -> int:
     if given.runs < 1 or not given.seconds > 0:
         parser.error("argument --runs, --seconds: expected numbers above 0")
     try:
-        cases = {name: case_of(name, given.seconds) for name in given.models}
+        cases = {name: true_motion(name, given.seconds) for name in given.models}
         jobs = [
             (name, law, seed) for name in cases for law in given.laws for seed in range(given.runs)
         ]

@@ -47,7 +47,7 @@ USUAL = ("compare", "check", "info")
 
 
 @dataclass(frozen=True, slots=True)
-class Cost:
+class CommandCost:
     """Wall time, s, and largest memory, MB, of a process."""
 
     seconds: float
@@ -133,7 +133,7 @@ def _stamps_in(message: RawMessage) -> Iterator[int]:
         yield layout.last_event
 
 
-def _measured(command: Sequence[str]) -> Cost:
+def _measured(command: Sequence[str]) -> CommandCost:
     """Run a command to its end and measure it.
 
     Raises:
@@ -148,7 +148,7 @@ def _measured(command: Sequence[str]) -> Cost:
         if process.returncode:
             output.seek(0)
             raise RuntimeError(f"{' '.join(command)}: {output.read().decode()[-500:]}")
-    return Cost(seconds, usage.ru_maxrss / 1024)
+    return CommandCost(seconds, usage.ru_maxrss / 1024)
 
 
 def _size(bag: Path) -> int:

@@ -141,7 +141,7 @@ class Job(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Case:
+class SimulatedPlant:
     """A plant's run.
 
     Attributes:
@@ -186,7 +186,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class TroubleResult:
     """One run.
 
     Attributes:
@@ -211,7 +211,7 @@ class Outcome:
 
 
 @lru_cache(maxsize=4)
-def case_of(name: str, seconds: int, seed: int = 0) -> Case:
+def simulated_plant(name: str, seconds: int, seed: int = 0) -> SimulatedPlant:
     """Simulate a sample model, a model file, ``far_end``, or a ``random`` chain."""
     if name == "random":
         system, start = drawn(name, np.random.default_rng([2014, seed]))
@@ -219,13 +219,15 @@ def case_of(name: str, seconds: int, seed: int = 0) -> Case:
         model = parse_model(FAR_END, name) if name == "far_end" else read_model(name)
         system, start = model.system, np.concatenate(model.initial_state())
     stamps = grid(EPOCH, EPOCH + seconds * NS_PER_S, RATE)
-    return Case(system, start, simulate(Plant(system, *np.split(start, 2), epoch=EPOCH), stamps))
+    return SimulatedPlant(
+        system, start, simulate(Plant(system, *np.split(start, 2), epoch=EPOCH), stamps)
+    )
 
 
-def outcome(job: Job) -> Outcome:
+def outcome(job: Job) -> TroubleResult:
     """Run the observers and the oracle on the messages of one sensor."""
     name, scenario, seed, seconds = job
-    case = case_of(name, seconds, seed if name == "random" else 0)
+    case = simulated_plant(name, seconds, seed if name == "random" else 0)
     system = case.system
     x = case.start + np.random.default_rng(seed).normal(size=2 * system.n)
     messages, samples = case.messages(scenario, seed), case.clear_samples(scenario)
@@ -244,7 +246,7 @@ def outcome(job: Job) -> Outcome:
         "geometric": np.concatenate([final.q, final.u]),
     }
     V0 = float(energy(system, x - case.start))
-    return Outcome(
+    return TroubleResult(
         model=name,
         scenario=scenario.name,
         seed=seed,
@@ -261,7 +263,10 @@ def _observer(law: Law, x: Vector) -> Observer:
 
 
 def flags(
-    observer: Observer, case: Case, messages: Sequence[SensorMessage], samples: np.ndarray
+    observer: Observer,
+    case: SimulatedPlant,
+    messages: Sequence[SensorMessage],
+    samples: np.ndarray,
 ) -> tuple[int, int]:
     """The number of samples with ``synchronized``, and of those where it was wrong.
 
@@ -287,7 +292,7 @@ def flags(
     return flagged, wrong
 
 
-def oracle(case: Case, scenario: Scenario, seed: int, x: Vector, end: int) -> Vector:
+def oracle(case: SimulatedPlant, scenario: Scenario, seed: int, x: Vector, end: int) -> Vector:
     """The oracle's state at the stamp ``end``, from the initial state ``x``."""
     system, index = case.system, case.system.contact_names.index
     clock = MinimumVariance(system, Uncertainty(clock_error=scenario.sensor.jitter)).clocks[0]
@@ -319,7 +324,7 @@ def nees(covariance: Matrix, error: Vector) -> float:
     return float(np.mean(normal**2 / values[kept]))
 
 
-def cells(scenario: Scenario, group: Sequence[Outcome]) -> list[str]:
+def cells(scenario: Scenario, group: Sequence[TroubleResult]) -> list[str]:
     """The row of one model in one scenario, without its name."""
     found = []
     if scenario.goals:
@@ -344,7 +349,7 @@ def summary(ratios: Sequence[float]) -> tuple[float, float]:
 
 
 def print_table(
-    rows: Sequence[tuple[Scenario, Sequence[Outcome]]], title: str, console: Console
+    rows: Sequence[tuple[Scenario, Sequence[TroubleResult]]], title: str, console: Console
 ) -> None:
     """One table; with goals where the scenarios have them."""
     table = Table(
@@ -365,7 +370,7 @@ def print_table(
     console.print(table)
 
 
-def print_bound(group: Sequence[Outcome], seconds: int, console: Console) -> None:
+def print_bound(group: Sequence[TroubleResult], seconds: int, console: Console) -> None:
     """The mean V of runs with jitter, and its Cramer-Rao bound."""
     final = sum(each.ratios["minimum-variance"] * each.start for each in group)
     console.print(
@@ -375,7 +380,7 @@ def print_bound(group: Sequence[Outcome], seconds: int, console: Console) -> Non
     )
 
 
-def run(jobs: Sequence[Job], workers: int) -> list[Outcome]:
+def run(jobs: Sequence[Job], workers: int) -> list[TroubleResult]:
     """Run ``jobs`` in so many processes, in their order."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads only wait for small matrices
     context, console = multiprocessing.get_context("spawn"), Console(stderr=True)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from docs import rooms
+from impact_observer.io.qos_overrides import SHIPPED, shipped_text
 from impact_observer.options import OBSERVER_OPTIONS, Option, Value
 from impact_observer.ros.parameters import TABLES
 from impact_observer.sensor_faults import SENSOR_FAULTS
@@ -25,8 +26,9 @@ A double needs its point: `-p rate:=100.0`.
 ## Options of observers
 
 The commands `observe`, `compare --laws` and `sweep` take them as arguments, the node `observer` as
-parameters. `--epoch` is in seconds, the parameter in nanoseconds. In `sweep`, where the simulated
-sensor has options of the same names, those of observers are `--observer-missed` and so on.
+parameters. `--epoch` is in seconds, the parameter in nanoseconds. In `sweep` it is also
+the epoch of the simulation, by default 1 s. There the simulated sensor has options of the same
+names: those of observers are `--observer-missed` and so on.
 
 {observer}
 
@@ -123,6 +125,7 @@ def files() -> dict[Path, str]:
         docs / "parameters.md": page(),
         docs / "house.md": f"{before}{_BEGIN}\n{rooms.table()}\n{_END}{after}",
         docs / "images" / "rooms.svg": rooms.picture(),
+        ROOT / SHIPPED: shipped_text(),
         **{path: sample(path.stem) for path in samples},
     }
 

@@ -74,7 +74,7 @@ class Remark(Enum):
     PAST = "of a past episode or epoch"
     EPISODE = "new episodes"
     EPOCH = "new epochs"
-    SECOND_THOUGHT = "second thoughts"
+    REVISED = "revised verdicts"
 
 
 class Verdict(NamedTuple):
@@ -99,7 +99,7 @@ class Verdict(NamedTuple):
     revises: bool = False
 
 
-SECOND_THOUGHT = "on second thought: "
+REVISED = "revised: "
 """Prefix of the reason of a verdict that replaces an earlier one."""
 
 

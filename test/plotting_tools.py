@@ -33,7 +33,7 @@ DIAGNOSTICS = {
     "estimates corrected": "1",
     "estimates passed over": "0",
     "largest latency [s]": "0.001200",
-    "surprising events": "0",
+    "large innovations": "0",
     "synchronized": "False",
 }
 """Diagnostics of an observer node; test_watch_session compares them with a running one."""

@@ -57,5 +57,5 @@ class Report:
         counts = Counter(each.severity for each in self.findings)
         found = ", ".join(times(counts[s], s) for s in SEVERITIES if counts[s])
         usable = "an observer can use it" if self.usable else "no observer can use it"
-        verdict = f"{usable} ({found or 'nothing to remark'})"
+        verdict = f"{usable} ({found or 'no findings'})"
         output.print(f"{self.path}: {verdict}", soft_wrap=True)

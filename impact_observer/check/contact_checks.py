@@ -43,7 +43,7 @@ CONTACT_FAULTS = {
 
 
 @dataclass(slots=True)
-class _Contact:
+class _ContactHistory:
     """The switches of one contact.
 
     Attributes:
@@ -86,7 +86,7 @@ class ContactCheck:
     def __init__(self, topic: str, faults: Mapping[str, Occurrences]) -> None:
         """Check the events of ``topic``; ``CONTACT_FAULTS`` are counted in ``faults``."""
         self._topic, self._faults = topic, faults
-        self._contacts: defaultdict[str, _Contact] = defaultdict(_Contact)
+        self._contacts: defaultdict[str, _ContactHistory] = defaultdict(_ContactHistory)
 
     def reset(self) -> None:
         """The sender starts again: all contacts are open."""
@@ -104,7 +104,7 @@ class ContactCheck:
                 self._check_order(contact, switch, event, f"{switch.contact}, {where}")
 
     def _check_order(
-        self, contact: _Contact, switch: Switch, event: ImpactEvent, where: str
+        self, contact: _ContactHistory, switch: Switch, event: ImpactEvent, where: str
     ) -> None:
         """Check that CLOSE and OPEN of a contact alternate."""
         if switch.kind is Kind.OPEN:

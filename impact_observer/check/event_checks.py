@@ -58,7 +58,7 @@ _FAULTS = {
         WARNING,
         "{events} without a contact, the first is {first}",
         "the names of the contacts that switch",
-        "an observer learns nothing from them",
+        "they correct no estimate",
     ),
     "before epoch": (
         WARNING,
@@ -72,7 +72,7 @@ _FAULTS = {
 
 
 @dataclass(slots=True)
-class _Run:
+class _SenderRun:
     """The sequence numbers of one run of a sender.
 
     Attributes:
@@ -119,7 +119,7 @@ class EventCheck:
         self._recent_numbers: OrderedDict[tuple[int, int, int], int] = OrderedDict()
         self._recent_stamps: OrderedDict[int, frozenset[Switch]] = OrderedDict()
         self._found: defaultdict[str, Occurrences] = defaultdict(Occurrences)
-        self._runs: dict[tuple[int, int], _Run] = {}
+        self._runs: dict[tuple[int, int], _SenderRun] = {}
         self._epochs: Counter[int] = Counter()
         self._contacts = ContactCheck(topic, self._found)
 
@@ -159,7 +159,7 @@ class EventCheck:
             return True
         _remember(self._recent_numbers, (*run_of, number), event.stamp)
         if len(self._runs) < _MOST or run_of in self._runs:
-            self._runs.setdefault(run_of, _Run(number, number)).add(number, event.stamp)
+            self._runs.setdefault(run_of, _SenderRun(number, number)).add(number, event.stamp)
         return False
 
     def _add_new(self, event: ImpactEvent, where: str) -> None:

@@ -63,7 +63,7 @@ def expansive(closing: ClosingSets) -> SearchResult:
         Sets for which ``G - E G E`` has a negative eigenvalue. None, and decided, where no impact
         raises ``V``.
     """
-    test = _Expansion(closing)
+    test = _EigenvalueTest(closing)
     try:
         if pairs := test.pairs():
             return SearchResult(pairs, True)
@@ -81,7 +81,7 @@ def expansive(closing: ClosingSets) -> SearchResult:
     return SearchResult((), True)
 
 
-class _Expansion:
+class _EigenvalueTest:
     """The eigenvalue test of a system, on ``H`` and on a reduced ``H``.
 
     Pairs that cannot close together, or that are parallel, are in none of the sets to be tested.

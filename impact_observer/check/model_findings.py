@@ -128,14 +128,14 @@ def _unseen(checked: ModelCheck) -> Iterator[ModelFinding]:
             what = f"the mode that decays at {-value.real:.4g} 1/s"
         else:
             what = "the rigid-body mode"
-        fate = "only damping takes it away" if value.real else "it stays"
+        fate = "only damping reduces it" if value.real else "it stays"
         yield ModelFinding(
             "warning",
-            f"No contact sees {what}, {_shape(system, shape)}: no law ever corrects an error"
-            f" of it, {fate}.",
+            f"No contact moves in {what}, {_shape(system, shape)}: no impact ever corrects an"
+            f" error in it; {fate}.",
         )
     if (more := len(checked.unseen) - _SHOWN) > 0:
-        yield ModelFinding("warning", f"No contact sees {more} other modes either.")
+        yield ModelFinding("warning", f"No contact moves in {more} other modes either.")
     if not checked.unseen:
         yield ModelFinding(
             "ok",

@@ -10,7 +10,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_model, add_namespace, not_negative, positive
+from impact_observer.cli.arguments import (
+    add_model,
+    add_namespace,
+    add_observers,
+    not_negative,
+    positive,
+)
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
@@ -41,8 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     fps = f"pictures a second of the film (default {FPS:g})"
     add("--fps", metavar="N", type=positive, default=FPS, help=fps)
     add_namespace(parser)
-    observers = "estimates to show, by prefix of their topics (default: all)"
-    add("--observers", metavar="PREFIX,...", type=lambda text: text.split(","), help=observers)
+    add_observers(parser, "show only these, by name (default: all in the bag)")
     add_model(parser)
 
 

@@ -20,14 +20,16 @@ def add_observer_arguments(
     Args:
         parser: of the subcommand, or a group of it.
         simulated: the command simulates: its sensor has options of the same names, its initial
-            state is random, and its epoch is 1 s.
+            state is random, and its epoch is that of the simulation.
         convergence: whether to add the options of ``CONVERGENCE`` too.
     """
     defaults = {"clock_error": "-1: learned", "epoch": "as in the bag"}
     if simulated:
-        defaults |= {"initial_state": "random, of each run", "epoch": "1"}
+        defaults |= {"initial_state": "random, of each run"}
     for each in OBSERVER_OPTIONS:
         if each.name in _ELSEWHERE or (each.name in CONVERGENCE and not convergence):
+            continue
+        if simulated and each.name == "epoch":
             continue
         clash = simulated and each.name in {"missed", "spurious", "mislabelled"}
         add_option(
@@ -141,9 +143,14 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_observers(parser: argparse.ArgumentParser, meaning: str) -> None:
+    """Which observers are meant, of those in a bag or a running system."""
+    parser.add_argument("--observers", metavar="NAME,...", type=names, help=meaning)
+
+
 def positive(text: str) -> float:
     """A finite number above zero."""
-    value = _number(text)
+    value = number(text)
     if not value > 0:
         raise argparse.ArgumentTypeError(f"{text} found; expected a number above 0")
     return value
@@ -164,7 +171,7 @@ def stamp(text: str) -> int:
 
 def not_negative(text: str) -> float:
     """A finite number, not below zero."""
-    value = _number(text)
+    value = number(text)
     if value < 0:
         raise argparse.ArgumentTypeError(f"{text} found; expected a number, 0 or more")
     return value
@@ -195,7 +202,8 @@ def names(text: str) -> tuple[str, ...]:
     return found
 
 
-def _number(text: str) -> float:
+def number(text: str) -> float:
+    """A finite number."""
     try:
         value = float(text)
     except ValueError:

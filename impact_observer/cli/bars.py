@@ -41,7 +41,7 @@ class _Description(ProgressColumn):
         return text
 
 
-class _Bar(BarColumn):
+class _ProgressBar(BarColumn):
     """A bar, where there is a total."""
 
     def render(self, task: Task) -> RenderableType:  # type: ignore[override]
@@ -105,7 +105,7 @@ class Bars(RichProgress):
         self._what: str | None = None
         super().__init__(
             _Description(console),
-            _Bar(bar_width=width),
+            _ProgressBar(bar_width=width),
             _Numbers(),
             console=console,
             transient=True,

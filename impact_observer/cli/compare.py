@@ -17,6 +17,7 @@ from impact_observer.cli.arguments import (
     add_model,
     add_namespace,
     add_observer_arguments,
+    add_observers,
     observer_options,
     positive,
 )
@@ -39,11 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_observer_arguments(parser)
     add_model(parser, "a model file or a sample (default: the one in each bag)")
     add_namespace(parser)
-    parser.add_argument(
-        "--estimates",
-        metavar="NAME",
-        nargs="+",
-        help="compare these only: observers, or topics of JointState or ObserverState",
+    add_observers(
+        parser,
+        "compare only these, of the bag: names of observers, or topics of JointState or"
+        " ObserverState (default: all observers)",
     )
     parser.add_argument(
         "--truth", metavar="TOPIC", help="of the true states (default: the plant's joint states)"
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
         model=args.model,
         observers=options,
         truth=args.truth,
-        estimates=args.estimates,
+        estimates=args.observers,
         settled=args.settled,
         namespace=args.namespace,
         plot=args.plot,

@@ -1,11 +1,11 @@
-"""Learn a model's parameters from nothing but impact times, or check a model against them."""
+"""Identify parameters of a model from impact times, or check a model against them."""
 
 import argparse
 import json as json_module
 import sys
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model, add_namespace, not_negative, positive
+from impact_observer.cli.arguments import add_model, add_namespace, number, positive
 from impact_observer.errors import BagError, UsageError
 
 
@@ -18,33 +18,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--free",
         metavar="LIST",
         default="",
-        help="what to learn, with commas: restitution, gap, stiffness-scale, damping-scale,"
+        help="what to identify, with commas: restitution, gap, stiffness-scale, damping-scale,"
         " mass-scale, forcing-amplitude, forcing-phase, clock-offset, and of elements stiffness,"
         " damping, mass; or one of a kind, such as gap.stop or stiffness.ground-x1",
     )
     parser.add_argument(
         "--clock-error",
         metavar="S",
-        type=not_negative,
-        help="standard deviation of the stamps, s (default: estimated)",
+        type=number,
+        default=-1.0,
+        help="standard deviation of the stamps, s; negative: estimated from them (default -1)",
     )
     parser.add_argument(
-        "--horizon", metavar="S", type=positive, help="use the first so many seconds (default all)"
+        "--horizon",
+        metavar="S",
+        type=positive,
+        help="use only the first S seconds of the bag (default: all)",
     )
     parser.add_argument(
-        "--trust-events", action="store_true", help="take no impact for spurious or missed"
+        "--trust-events",
+        action="store_true",
+        help="reject no impact as spurious and insert no missed one",
     )
     parser.add_argument(
         "--check",
         action="store_true",
-        help="check whether the model fits the times; learns nothing",
+        help="only check whether the model fits the times",
     )
     parser.add_argument(
         "-o",
         "--output",
         metavar="FILE",
         type=Path,
-        help="write the model with the learnt values, as YAML",
+        help="write the model with the identified values, as YAML",
     )
     parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write the errors of the stamps: PNG, SVG, PDF"
@@ -58,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         args.bag,
         tuple(name.strip() for name in args.free.split(",") if name.strip()),
         model=args.model,
-        clock_error=args.clock_error,
+        clock_error=None if args.clock_error < 0 else args.clock_error,
         horizon=args.horizon,
         trust_events=args.trust_events,
         check=args.check,
@@ -154,7 +160,7 @@ def _check_usage(
 ) -> None:
     """Raise UsageError before the work is done."""
     if check and (free or output):
-        raise UsageError("--check: learns nothing; expected no --free and no -o beside it")
+        raise UsageError("--check identifies nothing; expected no --free and no -o beside it")
     if check and clock is None:
         raise UsageError(
             "--check: no --clock-error declared; expected the standard deviation of a stamp, s:"

@@ -7,7 +7,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from impact_observer.cli.arguments import add_model
+from impact_observer.cli.arguments import add_model, add_observers
 
 _BAGS = {".mcap", ".db3"}
 
@@ -16,11 +16,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
     add("source", metavar="MODEL|BAG", help="a model file, a sample's name, or a bag")
-    observers = (
-        "names of observer nodes, such as observer_geometric,observer_kinematic"
-        " (default: those in the bag; with a model: observer)"
+    add_observers(
+        parser,
+        "draw only these, by name, such as observer_geometric,observer_kinematic (default: all"
+        " in the bag; with a model: observer)",
     )
-    add("--observers", metavar="NAME,...", type=lambda text: text.split(","), help=observers)
     add_model(parser, "of a bag (default: the one that it carries)")
     output = "the layout to write: .json for Foxglove, .xml for PlotJuggler"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=output)

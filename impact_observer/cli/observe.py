@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from impact_observer.observer import Observer
 
-_HARDLY = 0.9
-"""A parameter is not estimated if its posterior deviation exceeds this part of the prior one."""
+_UNDETERMINED = 0.9
+"""Least ratio of posterior to prior standard deviation of a parameter that is not determined."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -84,6 +84,6 @@ def parameter_lines(observer: "Observer") -> "Iterator[str]":
     names, priors = ((), ()) if unknowns is None else (unknowns.family.names, unknowns.deviations)
     prior = dict(zip(names, priors, strict=True))
     for name, value, deviation in observer.estimate(observer.last_event).parameters:
-        learnt = deviation < _HARDLY * prior.get(name, float("inf"))
-        words = "learnt" if learnt else "hardly learnt from these impacts"
+        is_learned = deviation < _UNDETERMINED * prior.get(name, float("inf"))
+        words = "learned" if is_learned else "not determined by these impacts"
         yield f"{words}: {with_unit(name)} {value:.9g} +- {deviation:.2g}"

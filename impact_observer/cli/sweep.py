@@ -22,6 +22,7 @@ from impact_observer.cli.arguments import (
     parsed,
     positive,
     seed,
+    stamp,
 )
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.options import Option, Value
@@ -58,6 +59,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--duration", metavar="S", type=positive, default=30.0, help=duration)
     rate = "samples, Hz (default 100)"
     add("--rate", metavar="HZ", type=positive, default=100.0, help=rate)
+    epoch = "stamp of t = 0 of the forcing, s (default 1)"
+    add("--epoch", metavar="S", type=stamp, default=EPOCH, help=epoch)
     settled = f"V/V0 below which an estimate has settled (default {SETTLED:g})"
     add("--settled", metavar="RATIO", type=positive, default=SETTLED, help=settled)
     where = parser.add_mutually_exclusive_group()
@@ -154,14 +157,13 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     model = read_model(args.model)
     model.initial_state()
     faults = {each.name: getattr(args, _SENSOR + each.name) for each in SWEPT}
-    epoch = EPOCH if args.epoch is None else args.epoch
     options, laws = observer_options(args, ""), laws_in(args.laws)
     with Progress(sys.stderr if args.json else None) as progress:
         if any(map(needs_compiling, options_of_laws(options, laws))):
             progress.show(COMPILING)
         return Sweep(
             plant=PlantSetup(
-                replace(model, provenance={}).text(), args.duration, args.rate, epoch
+                replace(model, provenance={}).text(), args.duration, args.rate, args.epoch
             ),
             laws=laws,
             sensors=sensors_of({name: values for name, values in faults.items() if values}),

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_model, positive
+from impact_observer.cli.arguments import add_model, add_observers, positive
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -29,12 +29,7 @@ _ONCE = 5.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add_model(parser, "for V where there is no monitor (default: the plant's model)")
-    parser.add_argument(
-        "--observer",
-        metavar="NAME",
-        action="append",
-        help="an observer node to show; may be repeated (default: all that appear)",
-    )
+    add_observers(parser, "show only these, by name (default: all that appear)")
     parser.add_argument(
         "--rate", metavar="HZ", type=positive, help="updates a second (default 4; 1 for lines)"
     )
@@ -58,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     """Run the subcommand."""
     return watch(
         args.model,
-        args.observer,
+        args.observers,
         rate=args.rate,
         window=args.window,
         duration=args.duration,

@@ -27,9 +27,9 @@ class CurveGroup(Enum):
     VELOCITIES = "velocities"
     ERRORS = "errors"
     DISTANCE = "distance"
-    DEVIATIONS = "deviations"
+    DEVIATIONS = "standard deviations"
     EVENTS = "events"
-    LEARNT = "learnt"
+    LEARNED = "learned"
     DIAGNOSTICS = "diagnostics"
 
 
@@ -105,7 +105,7 @@ _DIAGNOSTICS = (
     "missing sequence numbers",
     "estimates corrected",
     "estimates passed over",
-    "surprising events",
+    "large innovations",
     "largest latency [s]",
 )
 """Keys of an observer's diagnostics whose values are always numbers."""
@@ -239,7 +239,7 @@ def _motion(system: System, observer: ObserverTopics) -> Iterator[Curve]:
 
 
 def _accuracy(system: System, observer: ObserverTopics) -> Iterator[Curve]:
-    """V, its bound, the distance of the replicas; standard deviations; learnt parameters."""
+    """V, its bound, the distance of the replicas; standard deviations; learned parameters."""
     states, n = interfaces.OBSERVER_STATES, system.n
     for label, interface, field, plot in _DISTANCES:
         if observer.bounded or interface is not interfaces.OBSERVER_BOUND:
@@ -248,13 +248,17 @@ def _accuracy(system: System, observer: ObserverTopics) -> Iterator[Curve]:
             yield replace(curve, transform=Transform.LOGARITHM)
     for k in range(2 * n if observer.filters else 0):
         step, group = FieldStep("covariance", k * (2 * n + 1)), CurveGroup.DEVIATIONS
-        plot = "velocity deviations [m/s]" if k >= n else "position deviations [m]"
+        of = "velocities [m/s]" if k >= n else "positions [m]"
+        plot = f"standard deviations of {of}"
         curve = _of_observer(observer, system.coordinates[k % n], states, group, plot, step)
         yield replace(curve, transform=Transform.ROOT)
-    for i, parameter in enumerate(observer.learnt):
+    for i, parameter in enumerate(observer.learned):
         words, plot = parameter.replace("_", " "), with_unit(parameter)
-        for field, label in (("parameter", words), ("parameter_deviation", f"{words} deviation")):
-            step, group = FieldStep(field, i), CurveGroup.LEARNT
+        for field, label in (
+            ("parameter", words),
+            ("parameter_deviation", f"{words} standard deviation"),
+        ):
+            step, group = FieldStep(field, i), CurveGroup.LEARNED
             yield _of_observer(observer, label, states, group, plot, step)
 
 

@@ -24,13 +24,13 @@ class ObserverTopics:
         prefix: the node's absolute name, such as ``/rig/observer_geometric``.
         bounded: whether it certifies a bound of V.
         filters: whether it has a covariance, and weighs events by it.
-        learnt: names of the parameters that it estimates with the state.
+        learned: names of the parameters that it estimates with the state.
     """
 
     prefix: str
     bounded: bool = True
     filters: bool = False
-    learnt: tuple[str, ...] = ()
+    learned: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:

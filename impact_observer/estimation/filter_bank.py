@@ -80,7 +80,7 @@ class FilterBank:
     def __init__(
         self, filter_: ImpactFilter, uncertainty: Uncertainty, clocks: Sequence[float] = ()
     ) -> None:
-        """A bank for the ``uncertainty`` declared; ``clocks``: deviations of a stamp, s."""
+        """A bank for the ``uncertainty``; ``clocks``: standard deviations of stamps, s."""
         self.filter = filter_
         self._next_clocks = {
             clock: (*clocks[max(i - 1, 0) : i], *clocks[i + 1 : i + 2])
@@ -133,9 +133,9 @@ class FilterBank:
             yield self._true_event(change, h._replace(clock=clock), here, chance)[0]
         depth = max(likelihood.innovations.values(), default=-1.0)
         if self._spurious > -math.inf:
-            far = f"{depth:.3g} deviations from the predicted impact"
-            likelier = "" if depth > SURPRISE else "likelier than an impact "
-            yield self._spurious_event(change, h, f"spurious: {likelier}{far}")
+            size = f"innovation of {depth:.3g} standard deviations"
+            likely = "" if depth > SURPRISE else "more likely than an impact with an "
+            yield self._spurious_event(change, h, f"spurious: {likely}{size}")
         if leads and depth > SURPRISE and not self._trusts_estimate:
             for factor in WIDENING:
                 wider = h._replace(state=self.filter.widened(h.state, factor * depth))
@@ -299,7 +299,7 @@ def _noted(
             each.contact,
             Ruling.INSERTED,
             f"{each.kind.name} missed: without it the estimate would penetrate by"
-            f" {each.depth:.3g} deviations",
+            f" {each.depth:.3g} standard deviations",
         )
         for each in h.missed
     ]

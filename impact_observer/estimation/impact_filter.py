@@ -143,7 +143,10 @@ class ImpactFilter:
         return forces, (gap.now, H, D, rest), (jump.now, jump.maps), scale, self._near
 
     def joint_prior(self, change: ContactChange, state: GaussianState, clock: float) -> Joint:
-        """The prior of the event's instant and the state then; ``clock`` is a deviation, s."""
+        """The prior of the event's instant and the state then.
+
+        ``clock`` is the standard deviation of the stamp, s.
+        """
         d, columns = state.root.shape
         root = np.zeros((1 + d, 1 + columns))
         root[0, 0], root[1:, 1:] = clock, state.root
@@ -222,7 +225,7 @@ class ImpactFilter:
         return after.propagated(x, map_, sensitivity)
 
     def widened(self, state: GaussianState, factor: float) -> GaussianState:
-        """``state`` with deviations that are larger by ``factor``.
+        """``state`` with standard deviations that are larger by ``factor``.
 
         So are those of the parameters, up to what was declared at first.
         """
@@ -341,7 +344,7 @@ class ImpactFilter:
         return GaussianState(x, constants, root, differences, change.closed, joint.parameters)
 
     def _with_rounding(self, moved: Matrix, noise: Matrix, rest: Matrix, x: Vector) -> Matrix:
-        """The root of (q, u, constants) after a jump; no deviation is below the rounding of x."""
+        """The root of (q, u, constants) after a jump, with at least the rounding of x."""
         size, first = moved.shape
         last = first + noise.shape[1]
         root = np.zeros((size + len(rest), last + size))

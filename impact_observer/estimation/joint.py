@@ -12,7 +12,7 @@ from impact_observer.estimation.square_root import Correction, correction, lengt
 from impact_observer.states import Matrix, Vector
 
 SETTLED = 0.05
-"""Largest change by another linearisation, relative to the measurement's deviation."""
+"""Largest change by another linearisation, relative to the measurement's standard deviation."""
 
 
 class Joint(NamedTuple):

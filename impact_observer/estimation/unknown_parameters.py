@@ -16,7 +16,7 @@ from impact_observer.states import Vector, frozen
 DEVIATIONS = (1e-12, 1.0)
 """Least and largest standard deviation of a parameter, relative to its size."""
 GAPS = 100.0
-"""The largest deviation of a gap, relative to the gap, which may be small beside the motion."""
+"""Largest standard deviation of a gap over the gap, which may be small beside the motion."""
 RESTITUTION = 0.1
 """Standard deviation of a restitution where none is declared."""
 SHARE = 0.05
@@ -31,8 +31,8 @@ class UnknownParameters:
         family: the system and these parameters; first those that change the motion between
             impacts.
         deviations: standard deviations of the model's values, shape (p,), in their units.
-        drift: of the random walk of the parameters in a minute, in their deviations; 0 for
-            constants.
+        drift: of the random walk of the parameters in a minute, as a share of ``deviations``; 0
+            for constants.
     """
 
     family: ParametricFamily

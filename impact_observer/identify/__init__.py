@@ -1,1 +1,1 @@
-"""Learning a model from impact times: parameters, exact sensitivities, maximum likelihood."""
+"""Identifying a model from impact times: parameters, exact sensitivities, maximum likelihood."""

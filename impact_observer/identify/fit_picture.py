@@ -9,7 +9,7 @@ _MARKERS = "o^sDvx+*"
 
 
 def fit_picture(found: Identification, *, title: str) -> Figure:
-    """Errors of the stamps over time, with a band of two deviations of the clock."""
+    """Errors of the stamps over time, with a band of two standard deviations of the clock."""
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
     names = sorted({name for each in found.contacts for name in each})
@@ -23,7 +23,9 @@ def fit_picture(found: Identification, *, title: str) -> Figure:
             color=str(0.6 * k / max(len(names) - 1, 1)),
             label=name,
         )
-    axes.axhspan(-2 * found.clock, 2 * found.clock, color="0.9", label="2 deviations", zorder=0)
+    axes.axhspan(
+        -2 * found.clock, 2 * found.clock, color="0.9", label="2 standard deviations", zorder=0
+    )
     axes.set_xlabel("time since the epoch [s]")
     axes.set_ylabel("model's impact minus stamp [s]")
     axes.set_title(title, fontsize="medium", loc="left")

@@ -85,7 +85,7 @@ def print_check(found: Identification, check: FitCheck) -> None:
 
 
 def _parameter_table(found: Identification) -> Table:
-    headings = ("parameter", "given", "learnt", "standard error", "unit")
+    headings = ("parameter", "given", "identified", "standard error", "unit")
     table = plain_table(*headings, words={"parameter", "unit"})
     undetermined = {name for each in found.undetermined for name in each}
     for each, value, error in zip(
@@ -101,13 +101,16 @@ def _parameter_table(found: Identification) -> Table:
 
 
 def _about_fit(found: Identification) -> Iterator[str]:
-    declared = f" ({found.clock:.3g} s declared)" if found.declared else ""
-    off = f"{found.rms:.3g} s from the model's impacts (rms)"
-    yield f"{len(found.shifts)} stamps, {off}{declared}."
+    declared = f"; {found.clock:.3g} s was declared" if found.declared else ""
+    off = f"differ from the model's impacts by {found.rms:.3g} s rms"
+    yield f"{len(found.shifts)} stamps {off}{declared}."
     if not found.converged:
-        yield "No motion of the model explains them: nothing here is to be trusted."
+        yield (
+            "The fit has not converged: no motion of the model explains these stamps."
+            " Do not use these values."
+        )
     if found.recording.rejected:
-        yield _listed(found, found.recording.rejected, "taken for spurious")
+        yield _listed(found, found.recording.rejected, "rejected as spurious")
     if found.recording.inserted:
         yield _listed(found, found.recording.inserted, "inserted as missed")
 
@@ -136,10 +139,13 @@ def _about_parameters(found: Identification) -> Iterator[str]:
 
 def _about_check(found: Identification, check: FitCheck) -> Iterator[str]:
     if check.size is not None:
-        yield f"Were the model right, shifts that large had a probability of {check.size:.2g}."
+        yield (
+            "If the model were right, shifts as large as these would have probability"
+            f" {check.size:.2g}."
+        )
     yield (
-        "Were the model right, neighbouring shifts so alike had a probability of"
-        f" {check.white:.2g} ({check.lags} lags)."
+        "If the model were right, neighbouring shifts as correlated as these would have"
+        f" probability {check.white:.2g} ({check.lags} lags)."
     )
     good = check.fits and found.converged
     yield "The model fits." if good else f"The model does not fit; worst: {check.worst}."

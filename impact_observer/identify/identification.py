@@ -132,7 +132,7 @@ def identify(
         events: their last episode counts.
         clock: standard deviation of a stamp, s; None to estimate it.
         horizon: seconds of the recording that count; None for all.
-        trust_events: whether no impact is taken for spurious or missed.
+        trust_events: whether to reject no impact as spurious and to insert no missed one.
         progress: receives what is being done.
 
     Raises:

@@ -26,7 +26,7 @@ class Recording:
 
     Attributes:
         episode: the recorded events.
-        rejected: impacts that are taken for spurious.
+        rejected: impacts that are rejected as spurious.
         inserted: impacts that are taken for missed.
     """
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.errors import ImpactObserverError
-from impact_observer.events import SECOND_THOUGHT, ImpactEvent, Kind, Ruling, Switch, Verdict
+from impact_observer.events import REVISED, ImpactEvent, Kind, Ruling, Switch, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.typestores import typestore
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
@@ -266,7 +266,7 @@ def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
         contact=message.contact,
         reason=message.reason,
         innovation=float(message.innovation),
-        revises=message.reason.startswith(SECOND_THOUGHT),
+        revises=message.reason.startswith(REVISED),
     )
     return verdict, float(message.latency)
 

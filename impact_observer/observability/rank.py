@@ -52,12 +52,13 @@ class Observability:
         released: which of them are releases, shape (events,).
         contacts: names of those that hit or open, for each.
         singular: singular values after each, m, shape (events, states), the largest first: how
-            far a wrong start, by one deviation, moves the recorded gaps in all.
+            far a wrong start, by one standard deviation, moves the recorded gaps in all.
         rank: number of singular values above the tolerance, shape (events,); it never falls.
-        undetermined: errors of the initial state that moved no gap, one deviation long, SI units,
-            shape (states - rank, 2n): a basis that is zero wherever it can be.
+        undetermined: errors of the initial state that moved no gap, one standard deviation long,
+            SI units, shape (states - rank, 2n): a basis that is zero wherever it can be.
         remaining: these errors just after the last event, same shape.
-        weakest: the error of the initial state that moved the gaps least, one deviation long.
+        weakest: the error of the initial state that moved the gaps least, one standard deviation
+            long.
     """
 
     system: System
@@ -131,7 +132,7 @@ def observability(
         tolerance: singular value that counts as zero, relative to the largest.
 
     Raises:
-        UsageError: a deviation or tolerance that cannot be used.
+        UsageError: a standard deviation or tolerance that cannot be used.
         BagError: the events contain no impact of the system's contacts.
         ImpactLawError: the impact law has no solution at an event.
     """
@@ -173,11 +174,12 @@ class _Errors:
     """The propagation of errors of the initial state, and the rows that events add.
 
     Attributes:
-        map: from initial errors in deviations to present errors in SI units, shape (2n, size).
+        map: from initial errors in standard deviations to present errors in SI units, shape
+            (2n, size).
     """
 
     def __init__(self, system: System, scale: Vector) -> None:
-        """Begin with errors of one deviation ``scale``, shape (2n,), of each uncertain state."""
+        """Start with errors of one standard deviation, ``scale``, shape (2n,), 0 where certain."""
         self._system = system
         self._phases = Phases(system)
         self._newton = ImpactLaw(system)
@@ -249,7 +251,7 @@ def _factored(errors: _Errors, changes: Sequence[ContactChange]) -> tuple[Matrix
 
 
 def _in_all_states(directions: Matrix, scale: Vector) -> Matrix:
-    """Rows of uncertain states, in deviations, as rows of all states in SI units."""
+    """Rows of uncertain states, in standard deviations, as rows of all states in SI units."""
     found = np.zeros((len(directions), scale.size))
     found[:, scale > 0] = directions
     return found * scale

@@ -21,7 +21,7 @@ def rank_picture(found: Observability, *, title: str) -> Figure:
     t = found.seconds
     _draw_values(upper, found, t)
     _mark_impacts(upper, found, t)
-    upper.set_ylabel("gaps moved by an initial\nerror of one deviation [m]")
+    upper.set_ylabel("gaps moved by an initial\nerror of one standard deviation [m]")
     upper.set_title(title)
     upper.grid(visible=True, which="major", color="0.9")
     upper.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)

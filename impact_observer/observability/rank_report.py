@@ -12,7 +12,7 @@ from impact_observer.states import Vector
 _SHOWN = 6
 """Most terms of a combination, combinations, names, and rows at either end of the table."""
 _SMALL = 0.005
-"""Smallest term of a combination that is printed, relative to the largest, in deviations."""
+"""Smallest printed term of a combination over the largest, both in standard deviations."""
 
 
 def for_json(found: Observability) -> dict[str, object]:

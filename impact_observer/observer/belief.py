@@ -20,8 +20,8 @@ class Fallback(NamedTuple):
 
     Attributes:
         x: (q, u) of a replica whose error stays bounded, shape (2n,).
-        reach: largest magnitude of each component so far, initial deviation included, shape
-            (2n,).
+        reach: largest magnitude of each component so far, the initial standard deviation
+            included, shape (2n,).
     """
 
     x: Vector

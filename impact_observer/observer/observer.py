@@ -96,7 +96,7 @@ class Observer:
     def restart(self, reason: str = "") -> None:
         """Forget everything, as if just made; the next verdict names the ``reason``, if any."""
         if reason:
-            self._notices = [*self._notices, f"{reason}: everything begins again"]
+            self._notices = [*self._notices, f"{reason}: the observer is reset"]
         self._update = EventUpdate(self.law, self._test, self._given_epoch)
         self._episode: int | None = None
         self._timeline: Timeline | None = None
@@ -157,7 +157,7 @@ class Observer:
         if timeline is None or stamp < timeline.start.stamp:
             past = "no event has come"
             if timeline is not None:
-                past = f"the known past begins at {text(timeline.start.stamp)} s"
+                past = f"the history starts at {text(timeline.start.stamp)} s"
             raise UsageError(f"estimate at {text(stamp)} s: {past}")
         self._require_epoch()
         entry = timeline.at(stamp)
@@ -379,7 +379,7 @@ class Observer:
         start = max(entry.key.stamp - self._history, timeline.start.stamp)
         own, others = self._issued.complete(verdicts, insertion, start)
         if others:
-            self.remarks[Remark.SECOND_THOUGHT] += sum(verdict.revises for verdict in others)
+            self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
         return (*self._with_notices(own), *others)
 
 
@@ -389,7 +389,7 @@ def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
 
 def _misplaced(key: EventKey, timeline: Timeline) -> tuple[Ruling, str, Remark] | None:
     if not timeline.accepts(key):
-        reason = f"older than {text(timeline.start.stamp)} s, where the known past begins"
+        reason = f"before {text(timeline.start.stamp)} s, the start of the history"
         return Ruling.TOO_LATE, reason, Remark.TOO_LATE
     if key in timeline:
         return Ruling.DUPLICATE, "the same event was seen", Remark.DUPLICATE

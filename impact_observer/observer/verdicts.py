@@ -5,7 +5,7 @@ from itertools import takewhile
 from typing import NamedTuple
 
 from impact_observer.estimation.hypotheses import Note
-from impact_observer.events import SECOND_THOUGHT, Ruling, Verdict
+from impact_observer.events import REVISED, Ruling, Verdict
 from impact_observer.observer.event_order import EventKey, OverruledSwitch
 from impact_observer.observer.timeline import Entry, Insertion
 
@@ -68,7 +68,7 @@ class IssuedVerdicts:
         for subject, note in outdated.items():
             del self._issued[subject]
             if subject.inserted:
-                reason = f"{SECOND_THOUGHT}nothing was missed here"
+                reason = f"{REVISED}no impact was missed here"
                 name = self._names[note.contact]
                 verdict = Verdict(note.stamp, Ruling.REJECTED, 0, name, reason, revises=True)
                 verdicts.append(verdict)
@@ -178,7 +178,7 @@ def _by_subject(notes: Sequence[Note]) -> dict[Subject, Note]:
 def _verdict(note: Note, names: Sequence[str], *, revises: bool) -> Verdict:
     reason = note.reason
     if revises:
-        reason = f"{SECOND_THOUGHT}{reason or 'as reported'}"
+        reason = f"{REVISED}{reason or 'as reported'}"
     sequence = 0 if note.is_inserted else note.event[1]
     return Verdict(
         note.stamp,

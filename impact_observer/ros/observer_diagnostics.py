@@ -19,7 +19,7 @@ class ObserverDiagnostics:
 
     Attributes:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
-            ``invalid``, ``surprising``, ``clock_jumps``.
+            ``invalid``, ``large innovations``, ``clock_jumps``.
         mismatch: an incompatible quality of service; empty for none.
     """
 
@@ -35,10 +35,10 @@ class ObserverDiagnostics:
         """An event was applied ``latency`` (s) after its stamp."""
         self._latency = max(self._latency, latency)
 
-    def count(self, verdict: Verdict, *, surprising: bool) -> None:
-        """Count a verdict, and whether its innovation was surprising."""
+    def count(self, verdict: Verdict, *, large: bool) -> None:
+        """Count a verdict, and whether its innovation was large."""
         self.counts[verdict.ruling.name.lower()] += not verdict.revises
-        self.counts["surprising"] += surprising
+        self.counts["large innovations"] += large
 
     def status(self, now: int, last: Estimate | None) -> DiagnosticStatus:
         """The status at the time ``now`` (ns), with the ``last`` estimate, if there is one."""
@@ -58,7 +58,7 @@ class ObserverDiagnostics:
             "clock jumps back": self.counts["clock_jumps"],
             "restarts": observer.restarts,
             "largest latency [s]": f"{self._latency:.6f}",
-            "surprising events": self.counts["surprising"],
+            "large innovations": self.counts["large innovations"],
             **({} if last is None else _estimate_values(last)),
         }
         return DiagnosticStatus(
@@ -102,7 +102,7 @@ class ObserverDiagnostics:
             "are missing": self._observer.missing,
             "were missed by the sensor, and inserted": self.counts["inserted"],
             "were not applied": refused + self.counts["invalid"],
-            "surprised the law (is clock_error too small?)": self.counts["surprising"],
+            "had a large innovation (is clock_error too small?)": self.counts["large innovations"],
         }
         new = [f"{n} events {what}" for what, n in faults.items() if n > self._reported[what]]
         self._reported = Counter(faults)

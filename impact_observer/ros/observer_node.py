@@ -176,7 +176,7 @@ class ObserverNode(Node):
         if applied:
             self._diagnostics.note_latency(latency)
         for verdict in self._with_lag_reason(verdicts) if late else verdicts:
-            self._diagnostics.count(verdict, surprising=verdict.innovation > LARGEST_INNOVATION)
+            self._diagnostics.count(verdict, large=verdict.innovation > LARGEST_INNOVATION)
             self._log(verdict)
             self._verdicts.publish(self._make.verdict(verdict, latency))
 

@@ -143,8 +143,8 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
         [
             (
                 "warning /impacts: 1 event without a contact, the first is message 4 at"
-                " 6.000000000 s; expected the names of the contacts that switch; an observer"
-                " learns nothing from them"
+                " 6.000000000 s; expected the names of the contacts that switch; they correct"
+                " no estimate"
             )
         ],
     ),

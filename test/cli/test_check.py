@@ -27,14 +27,14 @@ def test_a_valid_bag_has_no_finding(capsys: pytest.CaptureFixture[str]) -> None:
     """The command prints one line."""
     write()
     assert main(["check", "bag"]) == 0
-    assert capsys.readouterr().out == "bag: an observer can use it (nothing to remark)\n"
+    assert capsys.readouterr().out == "bag: an observer can use it (no findings)\n"
 
 
 @pytest.mark.parametrize("sample", ["two_mass", "three_mass", "clock_offset", "quantisation"])
 def test_sample_bags_have_no_findings(sample: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Nor have the bags with sensor faults."""
     assert main(["check", str(shared(f"bags/{sample}"))]) == 0
-    assert capsys.readouterr().out.endswith("an observer can use it (nothing to remark)\n")
+    assert capsys.readouterr().out.endswith("an observer can use it (no findings)\n")
 
 
 def test_json_has_every_part_of_a_finding(capsys: pytest.CaptureFixture[str]) -> None:

@@ -159,7 +159,7 @@ def test_a_mode_that_no_contact_sees_is_a_warning(
     one = rows(2).replace("stops: [{name: s0", "stops: [{name: s9")
     text = CORNER.replace("[0.9, 0.436]", "[2, 0]")
     output = printed(capsys, written(tmp_path, text))
-    assert "warning No contact sees the mode at 1 rad/s, (y 1): no law ever corrects" in output
+    assert "warning No contact moves in the mode at 1 rad/s, (y 1): no impact ever" in output
     assert "note Contacts wall[1] and ramp depend" not in output  # ramp is half as far away
     level = text.replace(
         "name: ramp, direction: [2, 0], gap: 1", "name: ramp, direction: [2, 0], gap: 2"

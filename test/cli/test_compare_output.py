@@ -143,9 +143,8 @@ def test_a_topic_of_another_package_can_be_compared(
         str(other),
         "--truth",
         "/mocap/states",
-        "--estimates",
-        "/my_filter/states",
-        "observer",
+        "--observers",
+        "/my_filter/states,observer",
     )
     assert len(found) == 2
     mine, ours = found["states"], found["geometric"]
@@ -156,12 +155,12 @@ def test_a_topic_of_another_package_can_be_compared(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--estimates", "observer_x"], r"no topic or observer /observer_x; in the bag: /impacts"),
+        (["--observers", "observer_x"], r"no topic or observer /observer_x; in the bag: /impacts"),
         (["--truth", "/t"], r"no topic or observer /t; in the bag: /impacts"),
         (["--report", "r.pdf"], r"r.pdf: expected a name that ends in \.html, \.htm"),
         (["--csv", "nowhere/f.csv"], r"nowhere/f.csv: no folder nowhere; make it first"),
         (
-            ["--estimates", "/impacts"],
+            ["--observers", "/impacts"],
             r"/impacts is impact_observer_msgs/msg/ImpactEvent; expected",
         ),
     ],

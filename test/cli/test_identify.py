@@ -75,7 +75,7 @@ def test_check_ends_with_1_where_the_model_does_not_fit(
     ("words", "problem"),
     [
         ([], "names no parameter"),
-        (["--free", "gap", "--check"], "learns nothing"),
+        (["--free", "gap", "--check"], "identifies nothing"),
         (["--check"], "no --clock-error declared"),
         (["--free", "colour"], "colour"),
         (["--free", "mass-scale,damping-scale,stiffness-scale,forcing-amplitude"], "no impact"),

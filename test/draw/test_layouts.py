@@ -169,8 +169,8 @@ def test_arrays_that_plotjuggler_does_not_read_are_left_out() -> None:
         model = make_system(np.eye(n), np.eye(n), np.eye(n))
         found = curves(model, [ObserverTopics.of_node("observer_minimum_variance")])
         tabs = [tab.attrib["tab_name"] for tab in ET.fromstring(plotjuggler(found)).iter("Tab")]
-        assert ("deviations" in tabs) == there
-        assert "deviations" in foxglove(found)
+        assert ("standard deviations" in tabs) == there
+        assert "standard deviations" in foxglove(found)
 
 
 def test_a_contact_with_quotes_in_its_name_is_found() -> None:

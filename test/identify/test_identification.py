@@ -242,7 +242,11 @@ def test_the_picture_shows_every_contact() -> None:
     axes = fit_picture(found, title="three").axes[0]
     legend = axes.get_legend()
     assert legend is not None
-    assert [each.get_text() for each in legend.get_texts()] == ["left", "right", "2 deviations"]
+    assert [each.get_text() for each in legend.get_texts()] == [
+        "left",
+        "right",
+        "2 standard deviations",
+    ]
 
 
 @pytest.mark.slow

@@ -77,6 +77,6 @@ def test_estimates_in_persistent_contact_are_those_of_each_stamp_alone(law: str)
 def test_estimates_before_the_kept_history_are_refused() -> None:
     """With the error of a single estimate."""
     watcher = observer(sample("two_mass").system, "geometric", [0.0] * 4, epoch=EPOCH)
-    with pytest.raises(UsageError, match="the known past begins at 5"):
+    with pytest.raises(UsageError, match="the history starts at 5"):
         list(watcher.estimates(np.array([EPOCH - 1, EPOCH])))
     assert list(watcher.estimates(np.empty(0, dtype=np.int64))) == []

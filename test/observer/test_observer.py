@@ -268,7 +268,7 @@ def test_event_before_the_kept_history_is_too_late() -> None:
     before = state(watcher, 9.0)
     verdict = watcher.receive(event(5.5, "stop"))[0]
     assert verdict.ruling is Ruling.TOO_LATE
-    assert verdict.reason == "older than 11.000000000 s, where the known past begins"
+    assert verdict.reason == "before 11.000000000 s, the start of the history"
     assert state(watcher, 9.0) == before
     assert watcher.receive(event(6.5, "stop"))[0].ruling is Ruling.APPLIED
     assert state(watcher, 9.0) != before
@@ -389,7 +389,7 @@ def test_estimate_outside_the_kept_history_is_an_error() -> None:
     with pytest.raises(UsageError, match=r"estimate at 5\.000000000 s: no event has come"):
         watcher.estimate(EPOCH)
     watcher.receive(event(1.0, "stop", sequence=1))
-    with pytest.raises(UsageError, match=r"the known past begins at 5\.000000000 s"):
+    with pytest.raises(UsageError, match=r"the history starts at 5\.000000000 s"):
         watcher.estimate(EPOCH - 1)
 
 

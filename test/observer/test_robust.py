@@ -371,8 +371,8 @@ def test_synchronized_is_never_wrong_in_any_run(name: str, fault: str) -> None:
 def test_ideal_sensor_causes_no_revision_after_convergence() -> None:
     """Nothing is rejected, inserted or revised after the first 2n + 2 events."""
     watcher = locked(6)
-    before = watcher.remarks[Remark.SECOND_THOUGHT]
+    before = watcher.remarks[Remark.REVISED]
     for each in truth("two_mass", 30.0)[2].events[6:]:
         (verdict,) = watcher.receive(each)
         assert (verdict.ruling, verdict.reason) == (Ruling.APPLIED, "")
-    assert watcher.remarks[Remark.SECOND_THOUGHT] == before
+    assert watcher.remarks[Remark.REVISED] == before

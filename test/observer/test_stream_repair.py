@@ -363,14 +363,14 @@ def test_first_verdict_after_a_restart_has_the_reason() -> None:
     again = event(2.0, "wall", "c1", sequence=1, episode=1, epoch=EPOCH + 5)
     unknown = "the model's contacts are c1, c2"
     assert reasons(watcher.receive(again)) == [
-        (Ruling.UNKNOWN_CONTACT, f"{unknown}; episode 1 is new: everything begins again"),
+        (Ruling.UNKNOWN_CONTACT, f"{unknown}; episode 1 is new: the observer is reset"),
         (Ruling.APPLIED, ""),
     ]
     moved = event(3.0, "c1", sequence=1, epoch=EPOCH + NS_PER_S)
-    new = "epoch 6.000000000 s is new: everything begins again"
+    new = "epoch 6.000000000 s is new: the observer is reset"
     assert reasons(watcher.receive(moved)) == [(Ruling.APPLIED, new)]
     watcher.restart("the clock jumped back")
-    jumped = "the clock jumped back: everything begins again"
+    jumped = "the clock jumped back: the observer is reset"
     assert reasons(watcher.receive(event(0.5, "c1", sequence=1))) == [(Ruling.APPLIED, jumped)]
     assert reasons(watcher.receive(event(0.7, "c1", sequence=2))) == [(Ruling.APPLIED, "")]
     assert (watcher.remarks[Remark.EPISODE], watcher.remarks[Remark.EPOCH]) == (1, 1)

@@ -158,7 +158,7 @@ def test_mislabelled_impacts_are_named_once_the_estimate_has_converged(seed: int
     for sequence, verdict in rulings.items():
         assert verdict.ruling is Ruling.APPLIED
         expected = f"mislabelled: it hit {wrong[sequence]}" if sequence in wrong else ""
-        assert verdict.reason.removeprefix("on second thought: ").startswith(expected)
+        assert verdict.reason.removeprefix("revised: ").startswith(expected)
 
 
 def assert_same(one: Rulings, other: Rulings) -> None:
@@ -206,12 +206,12 @@ def test_revised_verdict_says_so_and_is_counted() -> None:
         issued: dict[tuple[int, int], Verdict] = {}
         for each in verdicts:
             key = (each.stamp, each.sequence)
-            assert each.revises == each.reason.startswith("on second thought: ")
+            assert each.revises == each.reason.startswith("revised: ")
             if each.revises and each.ruling is not Ruling.INSERTED:
                 assert each.ruling is not issued[key].ruling or each.reason != issued[key].reason
             issued[key] = each
         revised = sum(each.revises for each in verdicts)
-        assert watcher.remarks[Remark.SECOND_THOUGHT] == revised
+        assert watcher.remarks[Remark.REVISED] == revised
         count += revised
     assert count > 0
 

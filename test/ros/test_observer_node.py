@@ -427,7 +427,7 @@ def test_every_fault_of_the_events_is_reported_and_counted(rig: Rig) -> None:
     rig.tick(EPOCH + 1)
     rig.tick(EPOCH + 50_000_000)
     rig.send(event(EPOCH + 10_000_000, 1))
-    assert rig.verdicts[-1].reason == "the clock jumped back: everything begins again"
+    assert rig.verdicts[-1].reason == "the clock jumped back: the observer is reset"
     values = rig.values()
     assert {remark.value for remark in Remark} <= set(values)
     counted = {name: int(values[name]) for name in ("sequence gaps", "late events", "duplicates")}

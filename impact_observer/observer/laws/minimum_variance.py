@@ -38,10 +38,10 @@ class MinimumVariance(Law):
 
     ``ImpactFilter`` corrects a state by events that are what they are reported to be;
     ``FilterBank`` weighs hypotheses of what else they may have been. The estimate is that of the
-    likeliest hypothesis. Where it penetrates a stop by more than its deviation explains, an impact
-    was missed, and it jumps at the predicted instant. Where every event is trusted, the clock's
-    error is declared and no parameter is estimated, one hypothesis is enough: the belief has a
-    covariance and no bank.
+    likeliest hypothesis. Where it penetrates a stop by more than its standard deviation explains,
+    an impact was missed, and it jumps at the predicted instant. Where every event is trusted, the
+    clock's error is declared and no parameter is estimated, one hypothesis is enough: the belief
+    has a covariance and no bank.
 
     Attributes:
         clocks: possible standard deviations of a stamp, s.
@@ -142,7 +142,7 @@ class MinimumVariance(Law):
     def _restarts(
         self, fallback: Fallback, closed: Contacts, count: int
     ) -> tuple[Hypothesis, ...]:
-        """Hypotheses of a restart: deviations as large as the motion was, any clock."""
+        """Hypotheses of a restart: standard deviations as large as the motion was, any clock."""
         root = np.diag(fallback.reach)
         replicas = spread(fallback.x, root, count)
         state = self._declared(replicas, root, closed)

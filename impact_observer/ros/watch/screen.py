@@ -144,7 +144,7 @@ def _others(observers: Sequence[ObserverSnapshot]) -> list[RenderableType]:
     if not observers:
         return []
     names = ", ".join(each.name.lstrip("/") for each in observers)
-    return [_cut(f"... {len(observers)} more, seen with --observer: {names}", "dim")]
+    return [_cut(f"... {len(observers)} more, shown with --observers: {names}", "dim")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,11 +220,11 @@ def _table(seen: ObserverSnapshot, rows: int, width: int) -> list[RenderableType
         "estimate": [_value(each.estimate) for each in shown],
         "truth": [_value(each.truth) for each in shown],
         "error": [_short(_difference(each), "+") for each in shown],
-        "deviation": [_short(each.deviation) for each in shown],
+        "std. dev.": [_short(each.deviation) for each in shown],
     }
     columns = {header: cells for header, cells in columns.items() if any(cells)}
     widths = {name: 2 + max(map(cell_len, [name, *cells])) for name, cells in columns.items()}
-    for name in ("truth", "deviation", "error", " "):
+    for name in ("truth", "std. dev.", "error", " "):
         if sum(widths.values()) > width and name in columns:
             del columns[name], widths[name]
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
@@ -281,11 +281,11 @@ def _own_error(seen: ObserverSnapshot, width: int, levels: str) -> list[str]:
     if seen.bound is not None:
         words = f"V <= {seen.bound:.3g} J, certified" if seen.bound >= 0 else "none certified"
         rows.append(f"bound  {words}")
-    for name, value, deviation in seen.learnt:
+    for name, value, deviation in seen.learned:
         what, _, unit = with_unit(name).rstrip("]").partition(" [")
         number = f"{value:.2e}" if name.startswith("clock") else f"{value:.6g}"
         estimate = " ".join(filter(None, (what, number, unit)))
-        rows.append(f"estimated  {estimate} +- {deviation:.1e}")
+        rows.append(f"learned  {estimate} +- {deviation:.1e}")
     if seen.closed:
         rows.append(f"closed  {', '.join(seen.closed)}")
     return rows
@@ -314,7 +314,7 @@ def _verdict(verdict: Verdict, latency: float, epoch: int) -> Text:
         f"{seconds_between(epoch, verdict.stamp):>13.6f} s",
         verdict.contact or "all",
         verdict.ruling.name.lower().replace("_", " "),
-        f"{verdict.innovation:.1f} deviations" if verdict.innovation >= 0 else "",
+        f"{verdict.innovation:.1f} std. dev." if verdict.innovation >= 0 else "",
         verdict.reason,
         f"{latency * 1e3:.1f} ms" if latency > 0 else "",
     ]

@@ -74,7 +74,7 @@ class ObserverSnapshot:
         synchronized: whether the replicas have converged; None before the first state.
         bound: certified bound of V, J; -1 where none is certified, None before a message.
         closed: contacts that the replica holds closed.
-        learnt: estimated parameters: name, value, standard deviation, SI units.
+        learned: estimated parameters: name, value, standard deviation, SI units.
         verdicts: the last ones with the latency of each, s, newest first.
         counts: verdicts so far by ruling.
         health: level (0 ok, 1 warning, 2 error) and message of its diagnostics; None before.
@@ -92,7 +92,7 @@ class ObserverSnapshot:
     synchronized: bool | None = None
     bound: float | None = None
     closed: tuple[str, ...] = ()
-    learnt: tuple[tuple[str, float, float], ...] = ()
+    learned: tuple[tuple[str, float, float], ...] = ()
     verdicts: tuple[tuple[Verdict, float], ...] = ()
     counts: tuple[tuple[str, int], ...] = ()
     health: tuple[int, str] | None = None

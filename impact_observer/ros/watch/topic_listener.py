@@ -303,7 +303,7 @@ class TopicListener:
             else replace(convergence, now=-1.0),
             synchronized=estimate.synchronized if estimate.law else None,
             closed=estimate.closed,
-            learnt=estimate.parameters,
+            learned=estimate.parameters,
         )
 
     def _measure(

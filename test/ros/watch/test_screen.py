@@ -77,7 +77,7 @@ FILTER = ObserverSnapshot(
     source="here",
     convergence=EstimateHistory(-1.0),
     synchronized=True,
-    learnt=(("clock_error", 2.9e-4, 1e-5),),
+    learned=(("clock_error", 2.9e-4, 1e-5),),
     verdicts=((Verdict(at(12.0), Ruling.APPLIED, 3, "stop", innovation=1.4), 0.0),),
     counts=(("applied", 8),),
 )
@@ -129,7 +129,7 @@ two_mass   t = 12.35 s (/clock)
 │ health  warning: 1 events were not applied               │
 ╰──────────────────────────────────────────────────────────╯
 ╭─ observer_minimum_variance (minimum-variance) ───────────╮
-│           estimate      truth     error  deviation       │
+│           estimate      truth     error  std. dev.       │
 │ x1  m    +0.120000  +0.120000  +0.0e+00    1.0e-09       │
 │ x2  m    -1.490000  -1.490000  +0.0e+00    2.0e-09       │
 │ x1  m/s  +1.000000  +1.000000  +0.0e+00    3.0e-09       │
@@ -137,7 +137,7 @@ two_mass   t = 12.35 s (/clock)
 │ V  1.00e-19 J, last 30 s                                 │
 │  1e-19 █████████████████▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁ │
 │ one replica                                              │
-│ estimated  clock error 2.90e-04 s +- 1.0e-05             │
+│ learned  clock error 2.90e-04 s +- 1.0e-05               │
 │ events  8 applied                                        │
 │ health  no diagnostics yet                               │
 ╰──────────────────────────────────────────────────────────╯
@@ -160,7 +160,7 @@ two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
 │ health  warning: 1 events were not applied                                                       │
 ╰──────────────────────────────────────────────────────────────────────────────────────────────────╯
 ╭─ observer_minimum_variance (minimum-variance) ───────────────────────────────────────────────────╮
-│           estimate      truth     error  deviation                                               │
+│           estimate      truth     error  std. dev.                                               │
 │ x1  m    +0.120000  +0.120000  +0.0e+00    1.0e-09                                               │
 │ x2  m    -1.490000  -1.490000  +0.0e+00    2.0e-09                                               │
 │ x1  m/s  +1.000000  +1.000000  +0.0e+00    3.0e-09                                               │
@@ -168,7 +168,7 @@ two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
 │ V  1.00e-19 J, last 30 s                                                                         │
 │  1e-19 ██████████████████████████████▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁ │
 │ one replica                                                                                      │
-│ estimated  clock error 2.90e-04 s +- 1.0e-05                                                     │
+│ learned  clock error 2.90e-04 s +- 1.0e-05                                                       │
 │ events  8 applied                                                                                │
 │ health  no diagnostics yet                                                                       │
 ╰──────────────────────────────────────────────────────────────────────────────────────────────────╯
@@ -178,7 +178,7 @@ WIDE = """\
 two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
 /clock 100 Hz   /plant/joint_states 99.9 Hz 0.5 ms   /plant/model 1x
 ╭─ observer_geometric (geometric) ─────────────────────────────────────────────╮╭─ observer_minimum_variance (minimum-variance) ───────────────────────────────╮
-│              estimate         truth     error                                ││           estimate      truth     error  deviation                           │
+│              estimate         truth     error                                ││           estimate      truth     error  std. dev.                           │
 │ x1  m       +0.123457     +0.120000  +3.5e-03                                ││ x1  m    +0.120000  +0.120000  +0.0e+00    1.0e-09                           │
 │ x2  m       -1.500000     -1.490000  -1.0e-02                                ││ x2  m    -1.490000  -1.490000  +0.0e+00    2.0e-09                           │
 │ x1  m/s  +1.23457e+04  +1.23450e+04  +6.8e-01                                ││ x1  m/s  +1.000000  +1.000000  +0.0e+00    3.0e-09                           │
@@ -191,9 +191,9 @@ two_mass   t = 12.35 s (/clock)   8 impacts, last 0.3 s ago (stop)
 │ convergence  1.00e+00 J, not synchronized  ████████▄▄▄▄▄▄▄▄▁▁▁▁▁▁▁▁          ││        ██████████████████████████████████████████████                        │
 │ bound  V <= 436 J, certified                                                 ││  1e-19 ██████████████████████████████████████████████▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁▁ │
 │ closed  stop                                                                 ││ one replica                                                                  │
-│ events  7 applied, 1 rejected                                                ││ estimated  clock error 2.90e-04 s +- 1.0e-05                                 │
+│ events  7 applied, 1 rejected                                                ││ learned  clock error 2.90e-04 s +- 1.0e-05                                   │
 │     12.000000 s  stop  applied  2.1 ms                                       ││ events  8 applied                                                            │
-│     10.500000 s  stop  rejected  nothing has happened                        ││     12.000000 s  stop  applied  1.4 deviations                               │
+│     10.500000 s  stop  rejected  nothing has happened                        ││     12.000000 s  stop  applied  1.4 std. dev.                                │
 │      1.250000 s  all  duplicate                                              ││ health  no diagnostics yet                                                   │
 │ health  warning: 1 events were not applied                                   │╰──────────────────────────────────────────────────────────────────────────────╯
 │ state 100 Hz 1.2 ms   verdicts 8x   monitor_geometric/error silent 7 s       │
@@ -297,7 +297,7 @@ def test_observers_without_room_are_named(several: int, width: int, height: int)
     framed = sum(row.count("╭") for row in found)
     assert framed == sum(row.count("╰") for row in found)
     if framed < several:
-        assert found[-2].startswith(f"... {several - framed} more, seen with --observer: ")
+        assert found[-2].startswith(f"... {several - framed} more, shown with --observers: ")
 
 
 def test_times_of_events_are_since_their_own_epoch() -> None:

@@ -148,7 +148,7 @@ def test_watch_shows_running_processes(ros_environment: dict[str, str]) -> None:
     with system(ros_environment), ExitStack() as stack:
         lines = stack.enter_context(started([], ros_environment))
         stack.callback(lines.kill)
-        once = ["--once", "--json", "--observer", "observer", "--duration", f"{PATIENCE}"]
+        once = ["--once", "--json", "--observers", "observer", "--duration", f"{PATIENCE}"]
         look = stack.enter_context(started(once, ros_environment))
         stack.callback(look.kill)
         watch(
