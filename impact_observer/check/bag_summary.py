@@ -10,7 +10,7 @@ from typing import Any
 from rich.filesize import decimal
 
 from impact_observer.check.findings import times
-from impact_observer.draw.text_tables import console, facts_table, plain_table
+from impact_observer.draw.text_tables import console, facts_table, fitted, plain_table
 from impact_observer.errors import BagError, ModelError
 from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io.interfaces import IMPACT_EVENT
@@ -218,14 +218,14 @@ def print_summary(summary: BagSummary) -> None:
     output = console()
     output.print(facts_table(_facts(summary)))
     topics = plain_table(
-        "topic", "type", "count", "Hz", "quality", words=("topic", "type", "quality")
+        "topic", "type", "count", "Hz", "quality", names=("topic", "type"), words=("quality",)
     )
     for topic in summary.topics:
         rate = "" if topic.rate is None else f"{topic.rate:.4g}"
         short = topic.type.replace("/msg/", "/")
         topics.add_row(topic.name, short, str(topic.count), rate, _quality(topic))
     output.print()
-    output.print(topics)
+    output.print(fitted(topics, output.width))
 
 
 def _facts(summary: BagSummary) -> Iterator[tuple[str, str]]:
@@ -246,8 +246,8 @@ def _facts(summary: BagSummary) -> Iterator[tuple[str, str]]:
         if isinstance(faults := summary.model.get("sensor"), Mapping):
             yield "sensor", ", ".join(f"{name} {value}" for name, value in faults.items())
     if summary.episodes:
-        lasting = {name: f" ({n} of them persistent)" for name, n in summary.closings.items()}
-        each = ", ".join(f"{n} at {c}{lasting.get(c, '')}" for c, n in summary.impacts.items())
+        persistent = {name: f" ({n} of them persistent)" for name, n in summary.closings.items()}
+        each = ", ".join(f"{n} at {c}{persistent.get(c, '')}" for c, n in summary.impacts.items())
         yield "impacts", f"{each or 'none'}; episodes: {summary.episodes}"
     for prefix, law in summary.observers.items():
         yield "observer", f"{prefix}: {law or 'law not recorded'}"

@@ -115,7 +115,7 @@ def _tables(checked: ModelCheck) -> Iterator[Table]:
 
 def _table(headings: Sequence[str], rows: Sequence[tuple[str, ...]]) -> Table:
     """A table; of a long one the first and last rows."""
-    table = plain_table(*headings, words=(headings[0], ""))
+    table = plain_table(*headings, names=(headings[0], ""))
     if (left_out := len(rows) - 2 * _ENDS) > 1:
         rows = [*rows[:_ENDS], (f"... {left_out} more in --json",), *rows[-_ENDS:]]
     for row in rows:

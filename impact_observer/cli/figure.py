@@ -98,7 +98,7 @@ def figure(
     from impact_observer.compare.error_tables import print_blindness, table_of_laws
     from impact_observer.compare.metrics import DISTANCE, metrics_of
     from impact_observer.draw.pictures import check_output, save
-    from impact_observer.draw.text_tables import console
+    from impact_observer.draw.text_tables import console, fitted
     from impact_observer.model import read_model
     from impact_observer.observer import Options, make_observer
 
@@ -125,7 +125,8 @@ def figure(
         found = {law: metrics_of(each) for law, each in comparisons.items()}
         print(json_module.dumps(found, indent=2))
         return 0
-    console().print(table_of_laws(DISTANCE, comparisons))
+    terminal = console()
+    terminal.print(fitted(table_of_laws(DISTANCE, comparisons), terminal.width))
     print_blindness(comparisons)
     print(f"picture: {output}")
     return 0

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from impact_observer.compare.comparison import Comparison
 from impact_observer.compare.metrics import DISTANCE, ERRORS, IMPACTS, METRICS, metrics_of
-from impact_observer.draw.text_tables import console, ruled_table, upright
+from impact_observer.draw.text_tables import console, fitted, ruled_table
 from impact_observer.dynamics.lyapunov import is_seminorm
 from impact_observer.errors import UsageError
 
@@ -43,8 +43,7 @@ def print_tables(labelled: Mapping[str, Comparison]) -> None:
     terminal = console()
     of_laws = [table_of_laws(title, labelled) for title in (DISTANCE, IMPACTS)]
     for table in (*of_laws, errors_table(labelled)):
-        # A narrow terminal would cut metrics.
-        terminal.print(table if terminal.width >= 80 else upright(table))
+        terminal.print(fitted(table, terminal.width))
     print_blindness(labelled)
 
 
@@ -60,8 +59,8 @@ def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> Table:
     """A row a law with the metrics of the table ``DISTANCE`` or ``IMPACTS``."""
     names, settled = system_names(labelled), next(iter(labelled.values())).settled
     shown = [metric for metric in METRICS if metric.table == title]
-    headings = [metric.heading.format(settled=settled) for metric in shown]
-    table = ruled_table(title.format(names=names), "law", *headings)
+    title = title.format(names=names, settled=settled)
+    table = ruled_table(title, "law", *(metric.heading for metric in shown))
     for label, each in labelled.items():
         table.add_row(label, *(metric.cell(metric.value(each)) for metric in shown))
     return table

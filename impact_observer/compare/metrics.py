@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 from impact_observer.compare.comparison import Comparison
 from impact_observer.events import Ruling
 
-DISTANCE = "Estimates of {names}"
-IMPACTS = "Impacts; samples late, and between the jumps of truth and estimate"
+DISTANCE = "Estimates of {names}; settled: V < {settled:g} V0; rates: fall of ln V"
+IMPACTS = "Impacts; samples left out: late, or between the jumps of truth and estimate"
 ERRORS = "Errors, estimate minus truth, SI units"
 """Titles of the printed tables. A table of errors has a row a state, the others a row a law."""
 
@@ -25,7 +25,7 @@ class Metric(NamedTuple):
         value: computes it: a word, a number, a list with a number a state, or None where the
             metric has no meaning.
         table: title of the table in which it is printed; empty for none.
-        heading: of its column; ``{settled}`` is filled in.
+        heading: of its column.
         cell: makes the text of one number.
     """
 
@@ -76,11 +76,11 @@ METRICS = (
         "settling_time",
         lambda c: c.settling_time,
         DISTANCE,
-        "settling time to {settled:g} V0 [s]",
+        "settling [s]",
         lambda seconds: _rate(seconds, "never"),
     ),
-    Metric("rate_per_second", lambda c: c.rate_per_second, DISTANCE, "rate [1/s]", _rate),
-    Metric("rate_per_impact", lambda c: c.rate_per_impact, DISTANCE, "rate [1/impact]", _rate),
+    Metric("rate_per_second", lambda c: c.rate_per_second, DISTANCE, "1/s", _rate),
+    Metric("rate_per_impact", lambda c: c.rate_per_impact, DISTANCE, "1/impact", _rate),
     Metric("mismatch_windows", lambda c: c.mismatch.windows),
     Metric("mismatch_samples", lambda c: c.mismatch.samples, IMPACTS, "between"),
     Metric(

@@ -3,10 +3,15 @@
 import os
 import sys
 from collections.abc import Collection, Iterable
+from typing import Literal
 
 from rich import box
+from rich.cells import cell_len
 from rich.console import Console, RenderableType
-from rich.table import Table
+from rich.table import Column, Table
+
+_FOLDED = 10
+"""Least width of a column whose words may be folded."""
 
 
 def console(width: int = 140) -> Console:
@@ -42,16 +47,20 @@ def ruled_table(title: str, *headings: str) -> Table:
     return table
 
 
-def plain_table(*headings: str, words: Collection[str] = ()) -> Table:
+def plain_table(*headings: str, names: Collection[str] = (), words: Collection[str] = ()) -> Table:
     """An empty table without a title and without rules.
 
     Args:
         headings: of the columns.
-        words: those headings whose columns hold words; the others hold numbers.
+        names: those headings whose columns hold names, which are never folded.
+        words: those headings whose columns hold words, which may be folded; the columns that are
+            neither names nor words hold numbers.
     """
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="bold")
     for heading in headings:
-        table.add_column(heading, justify="left" if heading in words else "right", overflow="fold")
+        justify: Literal["left", "right"] = "left" if heading in {*names, *words} else "right"
+        no_wrap = heading not in words
+        table.add_column(heading, justify=justify, overflow="fold", no_wrap=no_wrap)
     return table
 
 
@@ -68,10 +77,22 @@ def facts_table(rows: Iterable[tuple[RenderableType, RenderableType]]) -> Table:
 def print_report(table: Table, sentences: Iterable[str]) -> None:
     """Print a table, and sentences below it."""
     terminal = console(100)
-    terminal.print(table)
+    terminal.print(fitted(table, terminal.width))
     terminal.print()
     for sentence in sentences:
         terminal.print(sentence)
+
+
+def fitted(table: Table, width: int) -> Table:
+    """``table``, or the same upright where its columns need more than ``width``."""
+    needed = sum(_least_width(column) + 2 for column in table.columns)
+    return table if needed <= width else upright(table)
+
+
+def _least_width(column: Column) -> int:
+    """The width of what cannot be folded."""
+    widths = [cell_len(str(cell)) for cell in (column.header, *column.cells)]
+    return max(widths) if column.no_wrap else min(max(widths), _FOLDED)
 
 
 def upright(table: Table) -> Table:

@@ -78,7 +78,7 @@ def print_parameters(found: Identification) -> None:
 
 def print_check(found: Identification, check: FitCheck) -> None:
     """Print how well each contact's impacts fit, and whether the model is rejected."""
-    table = plain_table("contact", "impacts", "mean [s]", "rms [s]", words={"contact"})
+    table = plain_table("contact", "impacts", "mean [s]", "rms [s]", names={"contact"})
     for name, (count, mean, rms) in check.by_contact.items():
         table.add_row(name, str(count), f"{mean:.3g}", f"{rms:.3g}")
     print_report(table, [*_about_fit(found), *_about_check(found, check)])
@@ -86,7 +86,7 @@ def print_check(found: Identification, check: FitCheck) -> None:
 
 def _parameter_table(found: Identification) -> Table:
     headings = ("parameter", "given", "identified", "standard error", "unit")
-    table = plain_table(*headings, words={"parameter", "unit"})
+    table = plain_table(*headings, names={"parameter", "unit"})
     undetermined = {name for each in found.undetermined for name in each}
     for each, value, error in zip(
         found.family.parameters, found.values, found.errors, strict=True

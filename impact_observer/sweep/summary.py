@@ -8,14 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.draw.text_tables import console, ruled_table, upright
+from impact_observer.draw.text_tables import console, fitted, ruled_table
 from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.plan import Label, Sweep
 
 _NEVER = 1e300
 """Stands for infinity where numpy computes quartiles: infinities have no difference."""
-_WIDE = 1000
-"""Columns in which any table has room."""
 
 
 class Quartiles(NamedTuple):
@@ -152,8 +150,7 @@ def print_groups(sweep: Sweep, groups: Sequence[CaseGroup]) -> None:
             *(str(group.failed) for _ in failed),
         )
     output = console()
-    needed = output.measure(table, options=output.options.update(width=_WIDE)).maximum
-    output.print(table if needed <= output.width else upright(table))
+    output.print(fitted(table, output.width))
 
 
 def _value(value: Label) -> str:
