@@ -92,5 +92,5 @@ def sampled(stamps: Stamps, values: Vector) -> list[tuple[int, float]]:
 
 
 def every(period: int, count: int, start: int = START) -> Stamps:
-    """``count`` stamps, ``period`` ns apart."""
+    """``count`` stamps with the ``period``, ns."""
     return start + period * np.arange(count, dtype=np.int64)

@@ -146,11 +146,11 @@ class ContactCheck:
             yield Finding(ERROR, self._topic, found, listed(own), remedy)
             return
         for name in unknown[:_MOST_LINES]:
-            switches = times(self._contacts[name].switches, "switch", "es")
+            events = times(self._contacts[name].switches, "event")
             yield Finding(
                 WARNING,
                 f"{self._topic} {name}",
-                f"{switches} of a contact that the model {system.name} does not have",
+                f"{events} of a contact that the model {system.name} does not have",
                 f"one of {listed(own)}",
                 "they are not applied; rename it in the model or at the sender",
             )

@@ -82,5 +82,5 @@ def _summary(imported: "Imported") -> str:
     span = f"stamps {text(imported.first)} to {text(imported.last)} s"
     zero = f"time 0 is stamp {text(imported.start)} s"
     epoch = f"epoch {text(imported.epoch)} s" if imported.epoch else "epoch unknown"
-    events = f"{times(imported.events, 'event')} of {times(imported.switches, 'row')}"
+    events = f"{times(imported.events, 'event')} of {times(imported.rows, 'row')}"
     return f"{events}, {span}; {zero}, {epoch}"

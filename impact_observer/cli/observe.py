@@ -59,12 +59,12 @@ def run(args: argparse.Namespace) -> int:
         verdicts = [
             f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items()
         ]
-        switches = f"switches: {', '.join(verdicts) or 'none'}"
-        progress.line(f"{args.output}: {chosen.law}, {count} estimates, {switches}")
+        decided = f"verdicts: {', '.join(verdicts) or 'none'}"
+        progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
         for line in parameter_lines(observer):
             progress.line(line)
     if rulings and not rulings[Ruling.APPLIED]:
-        none = f"{args.bag}: none of its {sum(rulings.values())} switches was applied"
+        none = f"{args.bag}: none of its {sum(rulings.values())} impacts and releases was applied"
         if rulings[Ruling.REJECTED] == sum(rulings.values()):
             raise BagError(f"{none}: the law rejected all; the verdicts in {args.output} say why")
         names = ", ".join(read.system.contact_names) or "none"

@@ -11,8 +11,8 @@ from pathlib import Path
 from impact_observer.cli.arguments import not_negative, seed
 from impact_observer.errors import UsageError
 
-_MOST = {"reach": 1e6, "row": 1000}
-"""Largest reach, m, the same as the viewer's, and the last row."""
+_MOST = {"amplitude": 1e6, "row": 1000}
+"""Largest amplitude, m, the same as the viewer's, and the last row."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,8 +23,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--prefix", metavar="P", default="", help="before the names of all links but the first")
     add("--frame", metavar="NAME", default="world", help="the first link (default world)")
     add("--row", metavar="N", type=seed, default=0, help="which row of the viewer (default 0)")
-    reach = "how far a body moves, to space them, m; 0 for the model's (default)"
-    add("--reach", metavar="M", type=not_negative, default=0.0, help=reach)
+    amplitude = (
+        "largest displacement of a body, by which they are spaced, m (default: the model's)"
+    )
+    add("--amplitude", metavar="M", type=not_negative, default=0.0, help=amplitude)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -35,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         prefix=args.prefix,
         frame=args.frame,
         row=args.row,
-        reach=args.reach,
+        amplitude=args.amplitude,
     )
 
 
@@ -46,7 +48,7 @@ def urdf(
     prefix: str = "",
     frame: str = "world",
     row: int = 0,
-    reach: float = 0.0,
+    amplitude: float = 0.0,
 ) -> int:
     """Write the URDF of a model.
 
@@ -56,7 +58,7 @@ def urdf(
         prefix: before the names of all links but the first.
         frame: name of the first link.
         row: how many rows of the viewer to shift it by.
-        reach: how far each coordinate may move, m; 0 to take it from the model.
+        amplitude: how far each coordinate may move, m; 0 to take it from the model.
 
     Returns:
         0.
@@ -69,12 +71,12 @@ def urdf(
     from impact_observer.draw.urdf_text import urdf_text
     from impact_observer.model import read_model
 
-    for name, value in (("reach", reach), ("row", row)):
+    for name, value in (("amplitude", amplitude), ("row", row)):
         if value > _MOST[name]:
             raise UsageError(f"--{name} {value:g}: expected at most {_MOST[name]:g}")
     read = read_model(model)
     start = () if read.position is None else [read.position]
-    scene = Scene.of(read.system, start, reach)
+    scene = Scene.of(read.system, start, amplitude)
     text = urdf_text(scene, prefix=prefix, frame=frame, row=row)
     if output is None:
         print(text, end="")

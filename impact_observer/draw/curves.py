@@ -203,7 +203,7 @@ def _plants(system: System, observers: Sequence[ObserverTopics]) -> Iterator[Cur
                 observer.topic(interfaces.IMPACTS),
                 (FieldStep("switches", where=("contact", name)), FieldStep("kind")),
                 CurveGroup.EVENTS,
-                "kind of switch: 0 impact, 1 close, 2 open",
+                "kind: 0 impact, 1 close, 2 open",
                 is_state=True,
             )
 

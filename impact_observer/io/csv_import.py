@@ -52,7 +52,7 @@ class Imported:
 
     Attributes:
         events: written.
-        switches: rows read.
+        rows: rows read.
         start: stamp of the file's time zero, ns.
         epoch: stamp of ``t = 0`` that the events carry, ns; 0 for unknown.
         first: stamp of the first event, ns.
@@ -61,7 +61,7 @@ class Imported:
     """
 
     events: int
-    switches: int
+    rows: int
     start: int
     epoch: int
     first: int
@@ -245,7 +245,7 @@ def import_csv(
     if start is None:
         start = 0 if first.time >= _SINCE_1970 else NS_PER_S
     zero = start if epoch is None else epoch
-    switches = events = stamp = 0
+    rows = events = stamp = 0
     make = bag_messages()
     with all_or_nothing(output) as writer:
         if model is not None:
@@ -259,9 +259,9 @@ def import_csv(
             events += 1
             event = ImpactEvent(stamp, _switches(path, together), events, 0, zero)
             writer.write(interfaces.IMPACTS.topic, stamp, make.event(event))
-            switches += len(together)
-            progress(switches)
-    return Imported(events, switches, start, zero, start + first.time, stamp, table.ignored)
+            rows += len(together)
+            progress(rows)
+    return Imported(events, rows, start, zero, start + first.time, stamp, table.ignored)
 
 
 def _ascending(path: Path, rows: Iterable[CsvRow]) -> Iterator[CsvRow]:

@@ -64,9 +64,9 @@ def sentences(found: Observability) -> Iterator[str]:
         yield f"{left_out} left out: sent twice, or from before the start."
     if episode.foreign:
         contacts, known = _listed(list(episode.foreign)), _listed(found.system.contact_names)
-        switches = _count(sum(episode.foreign.values()), "switch", "es")
+        events = _count(sum(episode.foreign.values()), "event")
         yield (
-            f"{switches} of contacts that the model does not have left out: {contacts};"
+            f"{events} of contacts that the model does not have, left out: {contacts};"
             f" it has {known}."
         )
 

@@ -20,12 +20,12 @@ class Fallback(NamedTuple):
 
     Attributes:
         x: (q, u) of a replica whose error stays bounded, shape (2n,).
-        reach: largest magnitude of each component so far, the initial standard deviation
+        largest: magnitude of each component so far, the initial standard deviation
             included, shape (2n,).
     """
 
     x: Vector
-    reach: Vector
+    largest: Vector
 
 
 class Belief(NamedTuple):

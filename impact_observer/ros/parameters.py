@@ -86,9 +86,9 @@ VIEWER = (
     Option("frame", "world", "frame of the markers"),
     Option("rate", 25.0, "markers published", "Hz", low=0.1, high=1000.0),
     Option(
-        "reach",
+        "amplitude",
         0.0,
-        "how far a body moves, to space the drawing; 0: from the model",
+        "largest displacement of a body, by which they are spaced; 0: the model's",
         "m",
         low=0.0,
         high=1e6,

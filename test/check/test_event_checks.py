@@ -153,7 +153,7 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
         True,
         [
             (
-                "warning /impacts wall: 1 switch of a contact that the model two_mass does not"
+                "warning /impacts wall: 1 event of a contact that the model two_mass does not"
                 " have; expected one of stop; they are not applied; rename it in the model or at"
                 " the sender"
             )

@@ -93,7 +93,7 @@ def test_undetermined_combinations_are_named(
     assert "Determined all the same: x1, dx1/dt." in output
     assert "The bag has 2 episodes: this is the last one." in output
     assert "1 event left out: sent twice" in output
-    assert "2 switches of contacts that the model does not have left out: bell; it has stop." in (
+    assert "2 events of contacts that the model does not have, left out: bell; it has stop." in (
         output
     )
 

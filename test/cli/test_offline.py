@@ -206,7 +206,7 @@ def test_observe_takes_another_rate_and_model(
     capsys.readouterr()
     wrong = run_bag.parent / "wrong"
     assert main(["observe", str(run_bag), "--model", "three_mass", "-o", str(wrong)]) == 1
-    assert "none of its 10 switches was applied" in capsys.readouterr().err
+    assert "none of its 10 impacts and releases was applied" in capsys.readouterr().err
     with BagReader(wrong) as reader:
         rulings = {int(v.ruling) for v in reader.verdicts("/observer/verdicts")}
     assert rulings == {5}, "three_mass has no contact called stop"

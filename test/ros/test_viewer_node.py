@@ -241,6 +241,6 @@ def test_wrong_parameters_are_one_line(
         wrong = ros_arguments({"model": "two_mass", "observers": names})
         with spinning(wrong), pytest.raises(UsageError, match=line):
             ViewerNode()
-    wrong = ros_arguments({"model": "two_mass", "reach": -1.0})
-    with spinning(wrong), pytest.raises(UsageError, match="parameter reach"):
+    wrong = ros_arguments({"model": "two_mass", "amplitude": -1.0})
+    with spinning(wrong), pytest.raises(UsageError, match="parameter amplitude"):
         ViewerNode()

@@ -97,7 +97,7 @@ def body_order(system: System, shown: int) -> tuple[int, ...]:
 
 
 def arranged(
-    system: System, order: Sequence[int], positions: Matrix, reach: float = 0.0
+    system: System, order: Sequence[int], positions: Matrix, amplitude: float = 0.0
 ) -> Arrangement:
     """Lengths at which nothing overlaps in the given states.
 
@@ -106,12 +106,12 @@ def arranged(
         order: coordinates from the left.
         positions: coordinates, shape (samples, n), m; if all are equal, or there are fewer than
             two, bodies are assumed to move somewhat farther than the stops.
-        reach: how far each body may move instead, m; 0 to use ``positions``.
+        amplitude: how far each body may move instead, m; 0 to use ``positions``.
     """
     walls, bumpers = _contacts(system, order)
     states = positions[:, list(order)]
-    if reach > 0:
-        states = _opposed(reach, len(order))
+    if amplitude > 0:
+        states = _opposed(amplitude, len(order))
     elif len(states) < 2 or not np.any(np.ptp(states, axis=0)):
         stops = [*(each.travel for each in walls), *(each.travel for each in bumpers)]
         farthest = float(max(map(abs, [*stops, *states.flat]), default=0.0))
@@ -148,9 +148,9 @@ def arranged(
     )
 
 
-def _opposed(reach: float, bodies: int) -> Matrix:
-    """Two states in which neighbours are displaced by ``reach`` in opposite directions, m."""
-    return reach * np.array([[1.0], [-1.0]]) * (-1.0) ** np.arange(bodies)
+def _opposed(amplitude: float, bodies: int) -> Matrix:
+    """Two states in which neighbours are displaced by ``amplitude`` in opposite directions, m."""
+    return amplitude * np.array([[1.0], [-1.0]]) * (-1.0) ** np.arange(bodies)
 
 
 def _contacts(system: System, order: Sequence[int]) -> tuple[tuple[Wall, ...], tuple[Bumper, ...]]:

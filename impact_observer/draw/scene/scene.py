@@ -126,7 +126,7 @@ class Scene:
     omitted: tuple[str, ...]
 
     @classmethod
-    def of(cls, system: System, positions: ArrayLike = (), reach: float = 0.0) -> "Scene":
+    def of(cls, system: System, positions: ArrayLike = (), amplitude: float = 0.0) -> "Scene":
         """The scene of a system, with room for given states.
 
         No two boxes or walls overlap in any of these states as long as they obey the stops.
@@ -135,7 +135,7 @@ class Scene:
             system: what to draw.
             positions: coordinates, shape (samples, n), m; with fewer than two, coordinates are
                 assumed to move somewhat farther than the stops.
-            reach: how far each coordinate may move instead, m; 0 to use ``positions``.
+            amplitude: how far each coordinate may move instead, m; 0 to use ``positions``.
 
         Raises:
             UsageError: positions of another shape, or not finite.
@@ -148,7 +148,7 @@ class Scene:
             )
         shown = min(system.n, MOST_BODIES)
         order = body_order(system, shown)
-        row = arranged(system, order, states, reach)
+        row = arranged(system, order, states, amplitude)
         homes = frozen(np.arange(shown) * row.pitch)
         couplings, left_out = _couplings(system, order, homes, row)
         extent = _extent(homes, row, couplings)

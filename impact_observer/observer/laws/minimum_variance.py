@@ -109,7 +109,7 @@ class MinimumVariance(Law):
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
         x = fallback.x
         x = self._geometric.impact(x, change.active, change.closed) if change.hit else x
-        fallback = Fallback(x, np.maximum(fallback.reach, np.abs(x)))
+        fallback = Fallback(x, np.maximum(fallback.largest, np.abs(x)))
         restarts = partial(self._restarts, fallback, change.closed, 1 + belief.ensemble.others)
         corrected = self._bank.correct(change, hypotheses, restarts) or restarts()
         return self._belief(corrected, fallback, change)
@@ -123,7 +123,7 @@ class MinimumVariance(Law):
 
         def prior(s: float) -> Belief:
             predicted = self._bank.predict(hypotheses, t, s)
-            return self._belief(predicted, Fallback(motion.state(s), fallback.reach))
+            return self._belief(predicted, Fallback(motion.state(s), fallback.largest))
 
         if self.uncertainty.trusts_events:
             return MixturePrediction(self._bank.filter, t, hypotheses, prior)
@@ -143,7 +143,7 @@ class MinimumVariance(Law):
         self, fallback: Fallback, closed: Contacts, count: int
     ) -> tuple[Hypothesis, ...]:
         """Hypotheses of a restart: standard deviations as large as the motion was, any clock."""
-        root = np.diag(fallback.reach)
+        root = np.diag(fallback.largest)
         replicas = spread(fallback.x, root, count)
         state = self._declared(replicas, root, closed)
         return self._per_clock(self._bank.filter.begin(state))

@@ -223,10 +223,10 @@ def test_very_long_chain_shows_its_first_bodies_and_says_so() -> None:
     assert scene.frame(np.ones(n)).gaps.shape == (2,)
 
 
-def test_reach_says_how_far_apart_bodies_stand() -> None:
+def test_the_amplitude_sets_the_distance_of_bodies() -> None:
     """For views that begin before anything has moved."""
     model = sample("three_mass").system
-    near, far = Scene.of(model, reach=0.5), Scene.of(model, reach=5.0)
+    near, far = Scene.of(model, amplitude=0.5), Scene.of(model, amplitude=5.0)
     assert far.homes[-1] == pytest.approx(10 * near.homes[-1], rel=0.1)
     swing = 5.0 * np.array([1.0, -1.0, 1.0])
     bodies = far.frame(swing).bodies
