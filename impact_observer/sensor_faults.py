@@ -6,7 +6,9 @@ SENSOR_FAULTS = (
     Option("delay", 0.0, "constant delay of detection, stamp and message", "s", 0.0, 10.0),
     Option("jitter", 0.0, "standard deviation of the stamps", "s", 0.0, 1.0),
     Option("quantisation", 0.0, "stamps are rounded to a multiple of this", "s", 0.0, 1.0),
-    Option("dead_time", 0.0, "after a detection nothing is detected so long", "s", 0.0, 10.0),
+    Option(
+        "dead_time", 0.0, "time after a detection in which nothing is detected", "s", 0.0, 10.0
+    ),
     Option("missed", 0.0, "probability that an impact is not detected", "", 0.0, 1.0),
     Option("spurious", 0.0, "rate of false positives, of any contact", "1/s", 0.0, 1e4),
     Option("mislabelled", 0.0, "probability that another contact is named", "", 0.0, 1.0),

@@ -1,1 +1,1 @@
-"""The command ``impact-observer``: one module a subcommand, each a thin skin over a function."""
+"""The command ``impact-observer``: one module a subcommand, each a thin layer over a function."""

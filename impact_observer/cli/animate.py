@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
     add("bag", metavar="BAG", type=Path, help="a bag with truth or estimates")
-    film = "the film: an MP4, GIF or HTML; one that is there is replaced"
+    film = "the film: an MP4, GIF or HTML; an existing file is replaced"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=film)
     speed = "recorded seconds a second of the film (default 1)"
     add("--speed", metavar="X", type=positive, default=1.0, help=speed)

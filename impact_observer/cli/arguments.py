@@ -1,4 +1,4 @@
-"""Arguments that several subcommands share; a value of no use is an error of one line."""
+"""Arguments that several subcommands share; an unusable value is an error of one line."""
 
 import argparse
 import math
@@ -139,7 +139,7 @@ def add_namespace(parser: argparse.ArgumentParser) -> None:
         "--namespace",
         metavar="NS",
         default="",
-        help="of the rig that is meant, in a bag of several, such as /rig_a (default: any)",
+        help="namespace of the rig, in a bag of several, such as /rig_a (default: any)",
     )
 
 

@@ -28,7 +28,7 @@ class _Console(Console):
 
 
 class _Description(ProgressColumn):
-    """The description, cut to the room beside the numbers."""
+    """The description, cut to the width beside the numbers."""
 
     def __init__(self, console: Console) -> None:
         super().__init__(Column(no_wrap=True))

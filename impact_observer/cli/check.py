@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--salvage", action="store_true", help="write a new bag of what can be read of this one"
     )
     parser.add_argument(
-        "-o", "--output", metavar="BAG", type=Path, help="of --salvage: the folder to make"
+        "-o", "--output", metavar="BAG", type=Path, help="with --salvage: the folder to make"
     )
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
 
@@ -69,7 +69,7 @@ def check(bag: Path, *, model: str | None = None, json: bool = False) -> int:
 
 
 def salvage_bag(bag: Path, output: Path, *, json: bool = False) -> int:
-    """Write a new bag of what can be read of a damaged one, and print what that is.
+    """Write a new bag of what can be read of a damaged one, and print what it contains.
 
     Args:
         bag: the damaged bag.

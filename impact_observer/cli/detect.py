@@ -27,9 +27,9 @@ _NUMBERS = {
     "threshold": "where a switch closes, or a peak begins; in the field's own unit",
     "hysteresis": "how far below that a switch opens, or a peak ends",
     "baseline": "time constant of the mean that is subtracted, s",
-    "dead_time": "after an event, in which there is no other, s",
-    "latency": "of the stamps, subtracted from them, s",
-    "min_contact_duration": "after which a closed switch is persistent contact, s (default 0.05)",
+    "dead_time": "time after an event in which there is no other, s",
+    "latency": "constant latency, which is subtracted from the stamps, s",
+    "min_contact_duration": "time closed from which on a switch is in persistent contact, s (default 0.05)",
 }
 
 

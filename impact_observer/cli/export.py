@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         type=Path,
         required=True,
-        help="a .csv or .parquet file; one that is there is replaced",
+        help="a .csv or .parquet file; an existing file is replaced",
     )
     parser.add_argument(
         "--what",

@@ -77,7 +77,7 @@ def figure(
 
     Args:
         model: a model file or a sample's name.
-        output: the picture; one that is there is replaced.
+        output: the picture; an existing file is replaced.
         laws: names of the observers' laws, one curve each.
         initial: where all observers begin, as users write it.
         duration: s.

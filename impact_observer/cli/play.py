@@ -36,7 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "[--delay S]"
     )
     add("bag", metavar="BAG", type=Path, help="a bag's folder, or a bare file")
-    add("--rate", metavar="R", type=float, default=1.0, help="times as fast (default: 1)")
+    add(
+        "--rate",
+        metavar="R",
+        type=float,
+        default=1.0,
+        help="speed relative to the recording (default: 1)",
+    )
     add("--loop", action="store_true", help="start again at the end")
     add("--start", metavar="S", type=float, default=0.0, help="start S seconds into the bag")
     add("--duration", metavar="S", type=positive, help="play S seconds of the bag (default: all)")

@@ -49,11 +49,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.usage = "%(prog)s MODEL -o FILE [--laws LAW,...] [--runs N] [--jitter S,...] [options]"
     add = parser.add_argument
     add("model", metavar="MODEL", help="a model file, or a sample: two_mass, ...")
-    output = "a .parquet file, to make or to go on with"
+    output = "a .parquet file: new, or of an interrupted sweep to continue"
     add("-o", "--output", metavar="FILE", type=Path, required=True, help=output)
     laws = "of the observers, or all that are installed (default geometric)"
     add("--laws", metavar="LAW,...", default="geometric", help=laws)
-    add("--runs", metavar="N", type=count, default=20, help="seeds of each kind (default 20)")
+    add(
+        "--runs", metavar="N", type=count, default=20, help="runs of each combination (default 20)"
+    )
     add("--seed", metavar="N", type=seed, default=0, help="of the first run (default 0)")
     duration = "how long, s (default 30)"
     add("--duration", metavar="S", type=positive, default=30.0, help=duration)
@@ -68,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     scheduler = "of a Dask cluster, such as tcp://10.0.0.1:8786"
     where.add_argument("--scheduler", metavar="ADDRESS", help=scheduler)
     add("--plot", metavar="FILE", type=Path, help="settling times as PNG, SVG or PDF")
-    against = "what the picture has on its axis (default: the first)"
+    against = "the swept quantity on the axis of the picture (default: the first)"
     add("--against", metavar="NAME", help=against)
     add("--json", action="store_true", help="print the metrics as JSON")
     _add_swept_arguments(parser)

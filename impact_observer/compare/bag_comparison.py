@@ -55,7 +55,7 @@ def compare_bag(
     settled: float = SETTLED,
     progress: Callable[[str, int, int], None] = lambda _what, _done, _all: None,
 ) -> BagComparison:
-    """Compare with the plant the observers in a bag, and others that are run on its events.
+    """Compare the observers in a bag, and others that are run on its events, with the truth.
 
     States are read block by block: memory does not grow with the length of the bag.
 

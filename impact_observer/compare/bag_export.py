@@ -136,6 +136,6 @@ def _state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]
 
 
 def _epoch(reader: BagReader, otherwise: int) -> int:
-    """The stamp of ``t = 0`` that the events say, ns."""
+    """The stamp of ``t = 0`` in the events, ns."""
     topic = reader.find(interfaces.IMPACTS)
     return epoch_of(() if topic is None else reader.events(topic)) or otherwise

@@ -39,7 +39,7 @@ def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
 
 
 def print_tables(labelled: Mapping[str, Comparison]) -> None:
-    """Print all tables, and which systems' V is blind to something."""
+    """Print all tables, and the systems in which V does not depend on every error."""
     terminal = console()
     of_laws = [table_of_laws(title, labelled) for title in (DISTANCE, IMPACTS)]
     for table in (*of_laws, errors_table(labelled)):

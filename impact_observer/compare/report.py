@@ -52,7 +52,7 @@ def write_report(
     labelled: Mapping[str, Comparison],
     results: Sequence[tuple[Path, BagComparison]],
 ) -> None:
-    """Write the page; one that is there is replaced.
+    """Write the page; an existing file is replaced.
 
     Raises:
         UsageError: the file cannot be written.

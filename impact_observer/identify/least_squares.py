@@ -120,7 +120,7 @@ def _deviation(shifts: Vector, freedom: int) -> float:
 
 
 def start_of(problem: Problem) -> Vector:
-    """A first guess of ``y``: the given parameters, and the initial state of the least gaps."""
+    """A first guess of ``y``: the given parameters, the initial state with the smallest gaps."""
     n = problem.family.system.n
     y = np.concatenate([np.zeros(2 * n), problem.family.nominal])
     shot = problem.shot(y)

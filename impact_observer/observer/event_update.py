@@ -15,7 +15,7 @@ from impact_observer.stamps import seconds_between, text
 
 
 class EventUpdate:
-    """Makes the entries of a timeline, one from the other.
+    """Makes the entries of a timeline, each from the one before.
 
     Attributes:
         law: what the replicas do at an event, and in between.

@@ -110,7 +110,7 @@ class Values:
         self._values = values
 
     def value(self, name: str) -> Value:
-        """A parameter as it is."""
+        """The value of a parameter, of any type."""
         return self._values[name]
 
     def text(self, name: str) -> str:

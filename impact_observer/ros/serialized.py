@@ -36,7 +36,7 @@ _KINDS = {int(kind): kind for kind in Kind}
 _SCALARS = Struct("<d?7xdQiI")
 """Of an estimate: convergence, synchronized, clock offset, last sequence, last event."""
 _CONVERGENCE = 1.2345678901234567e-287
-"""A number that finds its own place in an example."""
+"""A number whose bytes show its place in an example message."""
 
 _Shape: TypeAlias = tuple[str, tuple[str, ...], int, tuple[str, ...]]
 """Law, closed contacts, size of the covariance, names of the parameters."""

@@ -85,7 +85,7 @@ class Geometric(ReplicaLaw):
         return np.concatenate([position, self._newton.velocity_held(x[n:], active, closed)])
 
     def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """Of many replicas at once."""
+        """The jumps of many replicas at once."""
         n = self.system.n
         positions = self._projection.position_after(replicas[:, :n], active)
         if closed and closed != active:

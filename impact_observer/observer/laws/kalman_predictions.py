@@ -28,7 +28,7 @@ _WINDOW = 64 / FINE
 
 
 class SinglePrediction(Prediction):
-    """Of one hypothesis, where every event is trusted and no parameter is estimated."""
+    """The prediction of one hypothesis: every event is trusted, no parameter is learned."""
 
     def __init__(self, filter_: ImpactFilter, t: float, belief: Belief, closed: Contacts) -> None:
         self._noise = filter_.noise
@@ -56,7 +56,7 @@ class SinglePrediction(Prediction):
 
 
 class MixturePrediction(Prediction):
-    """Of several hypotheses, where every event is trusted."""
+    """The prediction of several hypotheses, where every event is trusted."""
 
     def __init__(
         self,
@@ -103,7 +103,7 @@ class _Stretch(NamedTuple):
 
 
 class MissedSwitchPrediction(Prediction):
-    """Of several hypotheses, where events may be missed: missed switches are inserted.
+    """The prediction of several hypotheses, with missed switches inserted.
 
     The estimate is a function of time alone: a missed switch counts from when on its dip is
     ``CONFIDENT``, in whatever order instants are asked for.

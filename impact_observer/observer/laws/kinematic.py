@@ -33,7 +33,7 @@ class Kinematic(ReplicaLaw):
         return np.concatenate([x[:n], self._newton.velocity_held(x[n:], active, closed)])
 
     def impacts(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """Of many replicas at once."""
+        """The jumps of many replicas at once."""
         n = self.system.n
         velocities = self._newton.velocities_held(replicas[:, n:], active, closed)
         return np.hstack([replicas[:, :n], velocities])

@@ -31,7 +31,7 @@ class ReplicaLaw(Law):
     """
 
     def __init_subclass__(cls) -> None:
-        """Reset what belongs to a method that ``cls`` redefines, unless it redefines that too."""
+        """Reset the shortcuts of a method that ``cls`` redefines, unless it redefines them."""
         super().__init_subclass__()
         belonging = {
             "impact": ("impacts", "impact_ensemble", "energy_removed"),
