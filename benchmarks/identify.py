@@ -227,7 +227,7 @@ def on_line(name: str, free: str, jitter: float, starts: int) -> dict[str, objec
             squares.append(((value - true_value) / deviation) ** 2)
     return {
         "model": name,
-        "estimated": free,
+        "learned": free,
         "jitter_s": jitter,
         "V/V0 plain": float(np.median(plain)),
         "V/V0 right": float(np.median(learning)),
@@ -280,7 +280,7 @@ def main(args: Sequence[str] | None = None) -> int:
         "exact stamps": [exact(name) for name in MODELS],
         "stamps that jitter by 1 ms": [jittered(name, given.seeds) for name in MODELS],
         "V with a stiffness 2 % off": [row for name in MODELS for row in floors(name)],
-        "parameters estimated on line": [
+        "parameters learned on line": [
             on_line(name, free, jitter, given.seeds)
             for name in MODELS
             for free in ON_LINE

@@ -29,7 +29,7 @@ _NUMBERS = {
     "baseline": "time constant of the mean that is subtracted, s",
     "dead_time": "time after an event in which there is no other, s",
     "latency": "constant latency, which is subtracted from the stamps, s",
-    "min_contact_duration": "least closed time of a switch in persistent contact, s (default 0.05)",
+    "min_contact_duration": "least closed time of a switch in persistent contact (default 0.05 s)",
 }
 
 
