@@ -245,7 +245,7 @@ def import_csv(
     if start is None:
         start = 0 if first.time >= _SINCE_1970 else NS_PER_S
     zero = start if epoch is None else epoch
-    rows = events = stamp = 0
+    count = events = stamp = 0
     make = bag_messages()
     with all_or_nothing(output) as writer:
         if model is not None:
@@ -259,9 +259,9 @@ def import_csv(
             events += 1
             event = ImpactEvent(stamp, _switches(path, together), events, 0, zero)
             writer.write(interfaces.IMPACTS.topic, stamp, make.event(event))
-            rows += len(together)
-            progress(rows)
-    return Imported(events, rows, start, zero, start + first.time, stamp, table.ignored)
+            count += len(together)
+            progress(count)
+    return Imported(events, count, start, zero, start + first.time, stamp, table.ignored)
 
 
 def _ascending(path: Path, rows: Iterable[CsvRow]) -> Iterator[CsvRow]:
