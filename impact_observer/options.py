@@ -188,10 +188,11 @@ class Options:
         high=0.9,
     )
     model_error: float = option(
-        0.0,
-        "process noise: white noise of the model's accelerations",
+        -1.0,
+        "process noise: white noise of the model's accelerations; 0: the model is exact; negative:"
+        " learned from the events, as well as an error of the restitution",
         "m/s^1.5",
-        low=0.0,
+        low=-1.0,
         high=1e6,
         metavar="A",
     )

@@ -15,12 +15,20 @@ from scipy import special
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.forecast import Flight, Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, MissedSwitch, Note
+from impact_observer.estimation.hypotheses import (
+    NO_KICKS,
+    NOTHING,
+    Hypothesis,
+    MissedSwitch,
+    Note,
+)
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.likelihood import Likelihood
+from impact_observer.estimation.likelihood import STILL, Likelihood
 from impact_observer.estimation.missed_switch import insert_switch
+from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, ModelError, kicks, largest
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import Ruling
+from impact_observer.events import Contacts, Kind, Ruling
+from impact_observer.states import Matrix
 
 SPURIOUS_RATE = 0.1
 """Rate of spurious impacts of a contact, were all events spurious, in the fastest rate."""
@@ -44,6 +52,14 @@ POSSIBLE = 0.5
 """Depth of a dip, in standard deviations, from which on it may have been an impact."""
 CONFIDENT = 3.0
 """The same for a dip that is not over yet."""
+NEW_ERROR = (math.log(1e-2), math.log(1e-3))
+"""Logarithm of the probability that the model begins to be in error: at first, and later."""
+OTHER_ERROR = math.log(1e-2)
+"""Logarithm of the probability that an error of the model ends, or becomes one of another kind."""
+UNEXPLAINED = 2.0
+"""Innovation, in standard deviations, from which on the model may have begun to be in error."""
+COARSE_CLOCK = 10.0
+"""Deviation of a stamp, relative to the least, from which on it may be an error of the model."""
 _MOST_MISSED = 256
 """Missed impacts between two events that a hypothesis may insert."""
 _NOTES = 32
@@ -89,6 +105,8 @@ class FilterBank:
         self._trusts_events = uncertainty.trusts_events
         # Where parameters are estimated the estimate may be wrong though every event is true.
         self._trusts_estimate = self._trusts_events and uncertainty.unknowns is None
+        self._learns_error = uncertainty.model_error is None
+        self._clocks = sorted(clocks)
         self._missed, self._reported = _logs(uncertainty.missed)
         self._mislabelled, _ = _logs(uncertainty.mislabelled)
         self._rate = -math.log(filter_.phases.scales.timescale)
@@ -104,11 +122,12 @@ class FilterBank:
 
         ``restarts`` makes those of a restart.
         """
-        leading = max(each.penalised_weight for each in hypotheses) + LEADING
+        weights = [each.weight_before(change.contacts) for each in hypotheses]
+        leading = max(weights) + LEADING
         branches = [
             branch
-            for each in hypotheses
-            for branch in self._branches(change, each, leads=each.penalised_weight >= leading)
+            for each, weight in zip(hypotheses, weights, strict=True)
+            for branch in self._branches(change, each, leads=weight >= leading)
         ]
         branches.sort(key=lambda branch: branch.weight, reverse=True)
         enough = branches[0].weight + NEGLIGIBLE
@@ -131,6 +150,9 @@ class FilterBank:
         for clock in self._next_clocks.get(h.clock, ()) if leads else ():
             chance = self._reported + CLOCK_CHANGE
             yield self._true_event(change, h._replace(clock=clock), here, chance)[0]
+        if leads and self._learns_error and len(here.hit) == 1:
+            for other, chance in self._other_errors(change, h, here, likelihood):
+                yield self._true_event(change, other, here, self._reported + chance)[0]
         depth = max(likelihood.innovations.values(), default=-1.0)
         if self._spurious > -math.inf:
             size = f"innovation of {depth:.3g} standard deviations"
@@ -156,9 +178,7 @@ class FilterBank:
         """The event was ``here``, of the logarithmic prior probability ``chance``."""
         likelihood, posterior = self.filter.correct(here, h.state, h.clock)
         contacts = here.contacts
-        weight = h.weight + chance + likelihood.density
-        if h.penetrating:
-            weight += sum(each for i, each in h.penetrating.items() if i not in contacts)
+        weight = h.weight_before(contacts) + chance + likelihood.density
 
         def make() -> Hypothesis:
             innovations = {
@@ -167,7 +187,7 @@ class FilterBank:
                 if i in likelihood.innovations
             }
             notes = _noted(h, change, (Ruling.APPLIED, reason), innovations)
-            return Hypothesis(posterior(), h.clock, weight, notes)
+            return self._explained(h, here, likelihood, posterior(), weight, notes)
 
         depth = max(likelihood.innovations.values(), default=0.0)
         soon = likelihood.density > len(contacts) * self._rate
@@ -179,9 +199,97 @@ class FilterBank:
 
         def make() -> Hypothesis:
             notes = _noted(h, change, (Ruling.REJECTED, reason), {})
-            return Hypothesis(h.state, h.clock, weight, notes)
+            return h._replace(
+                weight=weight, notes=notes, penetrating=NOTHING, missed=(), innovation=None
+            )
 
         return _Branch(weight, make)
+
+    def _explained(
+        self,
+        h: Hypothesis,
+        here: ContactChange,
+        likelihood: Likelihood,
+        posterior: GaussianState,
+        weight: float,
+        notes: tuple[Note, ...],
+    ) -> Hypothesis:
+        """``h`` after an event that was ``here``, its model error matched to the innovation."""
+        after = Hypothesis(posterior, h.clock, weight, notes)
+        if likelihood.innovations:
+            after = after._replace(innovation=likelihood.normalised)
+        if not self._learns_error:
+            return after
+        error = h.error
+        if error.level and len(here.hit) == 1:
+            unit = self._seen_error(h, error.kind, here)
+            error = error.matched(
+                likelihood.normalised,
+                likelihood.deviation,
+                unit,
+                self._most_error(h, here, error.kind),
+            )
+        after = after._replace(error=error)
+        if not here.hit or here.closed:
+            return after
+        after = after._replace(kicks=kicks(self.filter.system, h.state.x, here.hit))
+        if error.kind is ErrorKind.RESTITUTION:
+            added = error.level * after.kicks
+            after = after._replace(state=_with_error(posterior, added))
+        return after
+
+    def _error_root(self, h: Hypothesis, kind: ErrorKind) -> Matrix:
+        """What a model error of level 1 has added to ``h`` since the last event, (2n, any)."""
+        moving = self.filter.members.given.moving
+        closed = h.state.closed
+        if kind is ErrorKind.ACCELERATION:
+            return moving.diffusion(closed, h.since)
+        return moving.phase(closed).transition(h.since).dot(h.kicks)
+
+    def _seen_error(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
+        """The deviation of the gap that it gives, m."""
+        if kind is ErrorKind.RESTITUTION and not h.kicks.size:
+            return 0.0
+        w = self.filter.system.W[:, here.hit[0]]
+        return float(np.linalg.norm(w.dot(self._error_root(h, kind)[: w.size])))
+
+    def _most_error(self, h: Hypothesis, here: ContactChange, kind: ErrorKind) -> float:
+        moving, n = self.filter.members.given.moving, self.filter.system.n
+        rate = moving.rates(here.before).along(h.state.x, moving.forces(here.t))[0]
+        return largest(kind, rate[n:], self.filter.phases.scales.timescale)
+
+    def _other_errors(
+        self, change: ContactChange, h: Hypothesis, here: ContactChange, likelihood: Likelihood
+    ) -> Iterator[tuple[Hypothesis, float]]:
+        """``h`` with other model errors, and the logarithms of their probabilities."""
+        size, deviation = abs(likelihood.normalised), likelihood.deviation
+        if not (likelihood.innovations and deviation < math.inf and h.since > 0):
+            return
+        chance = OTHER_ERROR
+        if not h.error.level:
+            chance = NEW_ERROR[len(h.notes) >= _NOTES // 2]
+            if size <= UNEXPLAINED and h.clock <= COARSE_CLOCK * self._clocks[0]:
+                return
+        if h.error.level:
+            seen = h.error.level * self._seen_error(h, h.error.kind, here)
+            yield h._replace(error=NO_ERROR), chance
+            clock = math.hypot(seen / max(self._speed(h, here), STILL), h.clock)
+            nearest = min(self._clocks, key=lambda each: abs(math.log(each / clock)))
+            if nearest != h.clock:
+                yield h._replace(error=NO_ERROR, clock=nearest), chance
+        for kind in (ErrorKind.ACCELERATION, ErrorKind.RESTITUTION):
+            unit = self._seen_error(h, kind, here)
+            if kind is h.error.kind or unit <= STILL:
+                continue
+            level = max(size, 1.0) * deviation / unit
+            level = min(level, self._most_error(h, here, kind))
+            added = level * self._error_root(h, kind)
+            state = _with_error(h.state, added)
+            yield h._replace(state=state, error=ModelError(kind, level)), chance
+
+    def _speed(self, h: Hypothesis, here: ContactChange) -> float:
+        n = self.filter.system.n
+        return abs(float(self.filter.system.W[:, here.hit[0]].dot(h.state.x[n:])))
 
     def _mislabelled_events(self, change: ContactChange, h: Hypothesis) -> Iterator[_Branch]:
         system, closed = self.filter.system, h.state.closed
@@ -201,7 +309,8 @@ class FilterBank:
             return [*made]
         found: dict[object, Hypothesis] = {}
         for h in made:
-            same = (h.clock, *(note.decision for note in h.notes[-self._scan :]))
+            decisions = (note.decision for note in h.notes[-self._scan :])
+            same = (h.clock, h.error.kind, *decisions)
             if same not in found or found[same].weight < h.weight:
                 found[same] = h
         return sorted(found.values(), key=_weight)
@@ -216,7 +325,11 @@ class FilterBank:
         """
         if self._trusts_events:
             return tuple(
-                h._replace(state=self.filter.predict(t, h.state).prior(s)) for h in hypotheses
+                h._replace(
+                    state=self.filter.predict(t, h.state, h.acceleration_error).prior(s),
+                    since=h.since + s,
+                )
+                for h in hypotheses
             )
         found: list[Hypothesis] = []
         best = -math.inf
@@ -234,31 +347,41 @@ class FilterBank:
         No more are inserted below ``enough``, the logarithm of a probability.
         """
         while True:
-            forecast = self.forecast(t, h.state)
+            forecast = self.forecast(t, h.state, h.acceleration_error)
             dips = forecast.dips(left)
             over = sum(dip.unlikely for dip in dips if dip.over)
             penetrating = {dip.contact: dip.unlikely for dip in dips if not dip.over}
             state = forecast.prediction.prior(left)
-            yield h._replace(state=state, weight=h.weight + over, penetrating=penetrating)
+            yield h._replace(
+                state=state,
+                weight=h.weight + over,
+                penetrating=penetrating,
+                since=h.since + left,
+            )
             likely = (dip for dip in dips if dip.depth > (POSSIBLE if dip.over else CONFIDENT))
             dip = next(likely, None)
             if dip is None or self._missed == -math.inf or len(h.missed) >= _MOST_MISSED:
                 return
             at = forecast.root(dip)
             t, left = t + at, left - at
-            state, kind = insert_switch(self.filter, t, forecast.prediction.prior(at), dip)
+            before = forecast.prediction.prior(at)
+            state, kind = insert_switch(self.filter, t, before, dip)
+            struck = dip.kind is Kind.IMPACT and not state.closed
+            kicked = kicks(self.filter.system, before.x, (dip.contact,)) if struck else NO_KICKS
+            if struck and h.error.kind is ErrorKind.RESTITUTION:
+                state = _with_error(state, h.error.level * kicked)
             missed = (*h.missed, MissedSwitch(dip.contact, kind, left, dip.depth))
             weight = h.weight + self._missed + float(special.log_ndtr(dip.depth))
             if weight < enough:
                 return
-            h = h._replace(state=state, weight=weight, missed=missed)
+            h = h._replace(state=state, weight=weight, missed=missed, since=0.0, kicks=kicked)
 
-    def forecast(self, t: float, state: GaussianState) -> Forecast:
+    def forecast(self, t: float, state: GaussianState, model_error: float = 0.0) -> Forecast:
         """The prediction of ``state`` from ``t`` (s since the epoch) on, with its penetrations."""
         members = self.filter.members
         member = members.with_given_restitution(self.filter.member(state))
         flight = self._flight(member, t, state.closed)
-        return Forecast(flight, self.filter.predict(t, state), state, members, t)
+        return Forecast(flight, self.filter.predict(t, state, model_error), state, members, t)
 
 
 def _restarted(
@@ -273,6 +396,12 @@ def _restarted(
     for h in restarts:
         begun = Hypothesis(h.state, h.clock, h.weight + total + RESTART, notes)
         yield begun._replace(notes=_noted(begun, change, ruling, {}))
+
+
+def _with_error(state: GaussianState, added: Matrix) -> GaussianState:
+    """``state`` with another error ``added``, one independent part a column, shape (2n, any)."""
+    missing = len(state.root) - len(added)
+    return state._replace(root=np.hstack([state.root, np.pad(added, ((0, missing), (0, 0)))]))
 
 
 def _logs(probability: float) -> tuple[float, float]:

@@ -1,5 +1,6 @@
 """A hypothesis: what each event was, the state that follows from it, and its probability."""
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import takewhile
 from types import MappingProxyType
@@ -8,10 +9,15 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, ModelError
 from impact_observer.estimation.square_root import triangular
-from impact_observer.events import Kind, Ruling
+from impact_observer.events import Contacts, Kind, Ruling
+from impact_observer.states import Matrix
 
-_NONE: Mapping[int, float] = MappingProxyType({})
+_RARE = 0.05
+"""Probability up to which hypotheses of another model error are not published."""
+NO_KICKS = np.zeros((0, 0))
+NOTHING: Mapping[int, float] = MappingProxyType({})
 
 
 class Note(NamedTuple):
@@ -71,19 +77,39 @@ class Hypothesis(NamedTuple):
         penetrating: contacts whose gap or load is negative now, with the logarithm of the
             probability that this is an error of the estimate.
         missed: missed switches since the last event.
+        error: of the model.
+        since: duration of the flight, s: since the last event, or a switch inserted after it.
+        kicks: what errors of the restitution at the start of the flight add there, shape (2n, k).
+        innovation: of the last event, in standard deviations; positive where the predicted gap
+            was negative. None where it was rejected or measured nothing.
     """
 
     state: GaussianState
     clock: float
     weight: float = 0.0
     notes: tuple[Note, ...] = ()
-    penetrating: Mapping[int, float] = _NONE
+    penetrating: Mapping[int, float] = NOTHING
     missed: tuple[MissedSwitch, ...] = ()
+    error: ModelError = NO_ERROR
+    since: float = 0.0
+    kicks: Matrix = NO_KICKS
+    innovation: float | None = None
 
     @property
     def penalised_weight(self) -> float:
         """Its weight, less for the contacts that it penetrates."""
         return self.weight + sum(self.penetrating.values()) if self.penetrating else self.weight
+
+    def weight_before(self, contacts: Contacts) -> float:
+        """Its weight before an event of ``contacts``, less for the others that it penetrates."""
+        if not self.penetrating:
+            return self.weight
+        return self.weight + sum(w for i, w in self.penetrating.items() if i not in contacts)
+
+    @property
+    def acceleration_error(self) -> float:
+        """The level of white accelerations, m/s^1.5."""
+        return self.error.level if self.error.kind is ErrorKind.ACCELERATION else 0.0
 
     def notes_on(self, event: tuple[int, int]) -> list[Note]:
         """Its notes on the contacts of ``event``, which is the latest."""
@@ -91,8 +117,20 @@ class Hypothesis(NamedTuple):
         return [note for note in latest if not note.is_inserted][::-1]
 
 
+def published(hypotheses: Sequence[Hypothesis]) -> Sequence[Hypothesis]:
+    """Those that count for what is published: others with another model error are rare births.
+
+    They are left out while they hold less than ``_RARE`` of the probability.
+    """
+    best, total = hypotheses[0], np.logaddexp.reduce([h.weight for h in hypotheses])
+    alike = [h for h in hypotheses if (h.error.level > 0) == (best.error.level > 0)]
+    share = np.exp(np.logaddexp.reduce([h.weight for h in alike]) - total)
+    return alike if share > 1 - _RARE else hypotheses
+
+
 def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:
     """The state of the first of ``hypotheses``, with the covariance of all of them about it."""
+    hypotheses = published(hypotheses)
     best = hypotheses[0].state
     if len(hypotheses) == 1:
         return best
@@ -102,3 +140,13 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:
         differences = np.append(h.state.x - best.x, h.state.constants - best.constants)
         columns += [weight * h.state.root, weight * differences[:, None]]
     return best._replace(root=triangular(np.hstack(columns)))
+
+
+def mean_level(hypotheses: Sequence[Hypothesis], kind: ErrorKind) -> float:
+    """The root mean square of the levels of one kind of model error, of those published."""
+    hypotheses = published(hypotheses)
+    squares = np.array([h.error.level**2 if h.error.kind is kind else 0.0 for h in hypotheses])
+    if not squares.any():
+        return 0.0
+    weights = np.exp([h.weight for h in hypotheses])
+    return math.sqrt(float(np.average(squares, weights=weights)))

@@ -76,8 +76,9 @@ class ImpactFilter:
         self.members = Members(unknowns.family)
         self.phases = self.members.given.moving.phases
         self.short = _SHORT * self.phases.scales.timescale
-        drift = unknowns.drift * unknowns.deviations
-        self.noise = ProcessNoise(model_error, drift) if model_error or np.any(drift) else None
+        declared = ProcessNoise(model_error, unknowns.drift * unknowns.deviations)
+        self._declared = declared
+        self.noise = declared if model_error or np.any(declared.drift) else None
         self._near = 0.0
         if system.forcing.sampled is None and not unknowns.family.size:  # smooth, constant model
             decay = self.members.given.moving.rates(()).decay
@@ -98,9 +99,18 @@ class ImpactFilter:
         """``state`` with its closed contacts at rest."""
         return rested(self.members, state, state.closed, np.zeros(len(state.closed)))
 
-    def predict(self, t: float, state: GaussianState) -> LinearPrediction:
-        """The prediction of ``state`` from ``t`` (s since the epoch) while nothing switches."""
-        return LinearPrediction(t, state, self.members, self.noise)
+    def predict(
+        self, t: float, state: GaussianState, model_error: float = 0.0
+    ) -> LinearPrediction:
+        """The prediction of ``state`` from ``t`` (s since the epoch) while nothing switches.
+
+        The accelerations have white noise of ``model_error``, m/s^1.5, besides the declared one.
+        """
+        noise = self.noise
+        if model_error:
+            declared, drift = self._declared
+            noise = ProcessNoise(math.hypot(declared, model_error), drift)
+        return LinearPrediction(t, state, self.members, noise)
 
     def member(self, state: GaussianState | Joint) -> Member:
         """The system with the parameters of an estimate."""

@@ -27,12 +27,17 @@ class Likelihood(NamedTuple):
     Attributes:
         density: logarithm of the probability density of its instant, 1/s for each contact.
         innovations: absolute innovation of each contact, in standard deviations.
+        normalised: innovation of the first contact, in standard deviations; positive where its
+            predicted gap is negative.
+        deviation: standard deviation of that innovation, m.
         linear: the predicted measurement, linearised about the prior, the correction and the
             whitened innovations; None where they were not computed.
     """
 
     density: float
     innovations: dict[int, float]
+    normalised: float = 0.0
+    deviation: float = math.inf
     linear: tuple[Expected, Correction, list[float]] | None = None
 
 
@@ -53,7 +58,9 @@ def likelihood_of(contacts: Contacts, expected: Expected, prior: Joint) -> Likel
         density += _from_above(slopes[0], spreads[0])
     sizes = [abs(each) / s for each, s in zip(innovation, update.deviations, strict=True)]
     innovations = dict(zip(contacts, sizes, strict=True))
-    return Likelihood(density, innovations, (expected, update, white))
+    deviation = update.deviations[0]
+    normalised = float(innovation[0]) / deviation
+    return Likelihood(density, innovations, normalised, deviation, (expected, update, white))
 
 
 def likelihood_of_single(
@@ -65,7 +72,8 @@ def likelihood_of_single(
     either sign, m, and a ``slope``, m/s, with the standard deviation ``spread``.
     """
     density = _density(white, deviation, slope, spread) + _from_above(slope, spread)
-    return Likelihood(density, {contact: abs(float(white))})
+    normalised = float(white) if deviation > 0 else -float(white)
+    return Likelihood(density, {contact: abs(normalised)}, normalised, abs(float(deviation)))
 
 
 def _density(white: float, deviation: float, slope: float, spread: float) -> float:
@@ -100,7 +108,9 @@ def outlier_likelihood(
     if max(sizes) < FAR:
         return None
     density = -sum(size * size for size in sizes) / 2
-    return Likelihood(density, dict(zip(contacts, sizes, strict=True)))
+    missed_by = -(values[0] + slopes[0] * late)
+    normalised, deviation = math.copysign(sizes[0], missed_by), abs(missed_by) / sizes[0]
+    return Likelihood(density, dict(zip(contacts, sizes, strict=True)), normalised, deviation)
 
 
 def _deviations(

@@ -1,5 +1,7 @@
 """The prediction of state and covariance between two events, while one linear phase lasts."""
 
+from functools import partial
+
 import numpy as np
 
 from impact_observer.dynamics import Motion, Phase
@@ -32,9 +34,11 @@ class LinearPrediction:
         self._t = t
         self._start = state
         self._members = members
-        moving = members.motion(state.theta) if state.parameters else members.given.moving
+        given = members.given.moving
+        moving = members.motion(state.theta) if state.parameters else given
         self._phase: Phase = moving.phase(state.closed)
         self._noise = noise
+        self._diffusion = partial(given.diffusion, state.closed)
         self.motion: Motion = self._phase.start(t, state.x)
         self._root = state.root
         if members.moving:
@@ -79,7 +83,9 @@ class LinearPrediction:
 
     def _with_noise(self, root: Matrix, s: float) -> Matrix:
         """``root`` with the process noise of ``s`` seconds."""
-        return root if self._noise is None else self._noise.added_to(root, self._phase, s)
+        if self._noise is None:
+            return root
+        return self._noise.added_to(root, self._start.x.size, self._diffusion, s)
 
     def _propagated(self, transition: Matrix, sensitivity: Sensitivity) -> Matrix:
         """The root after some time, all rows, where parameters of the motion are estimated."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from impact_observer.dynamics import KEPT, ImpactLaw, Phase, Phases, PositionProjection
 from impact_observer.estimation.parametric import Map
+from impact_observer.estimation.process_noise import diffusion
 from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRates
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -39,6 +40,7 @@ class MovingSystem:
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
         self.forces = lru_cache(KEPT)(self._forces_at)
+        self.diffusion = lru_cache(KEPT)(self._diffusion_over)
 
     @cached_property
     def newton(self) -> ImpactLaw:
@@ -57,6 +59,10 @@ class MovingSystem:
 
     def _rates_of(self, closed: Contacts) -> StateRates:
         return StateRates(self.phase(closed))
+
+    def _diffusion_over(self, closed: Contacts, s: float) -> Matrix:
+        """A root of what white accelerations of 1 m/s^1.5 add in ``s`` seconds, (2n, 2n)."""
+        return diffusion(self.phase(closed), s)
 
     def _forces_at(self, t: float) -> Matrix:
         """f, df/dt and d2f/dt2 at an instant, shape (3, n)."""

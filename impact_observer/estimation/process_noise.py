@@ -1,6 +1,7 @@
 """Process noise: accelerations that the model does not have, and parameters that drift."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -25,14 +26,20 @@ class ProcessNoise(NamedTuple):
     model_error: float
     drift: Vector
 
-    def added_to(self, root: Matrix, phase: Phase, s: float) -> Matrix:
-        """A covariance's root with the process noise of ``s`` seconds of ``phase``.
+    def added_to(
+        self, root: Matrix, size: int, diffusion_over: Callable[[float], Matrix], s: float
+    ) -> Matrix:
+        """A covariance's root with the process noise of ``s`` seconds.
 
-        It is that of (q, u), or of (q, u, constants), shape (2n or more, any).
+        Args:
+            root: of (q, u), or of (q, u, constants), shape (2n or more, any).
+            size: of (q, u), 2n.
+            diffusion_over: ``diffusion`` of the phase, by time.
+            s: seconds.
         """
-        size, columns = 2 * phase.equations.n, [root]
+        columns = [root]
         if self.model_error and s > 0:
-            added = diffusion(phase, s, self.model_error)
+            added = self.model_error * diffusion_over(s)
             columns.append(np.pad(added, ((0, len(root) - size), (0, 0))))
         if np.any(self.drift) and s > 0 and len(root) > size:
             added = np.diag(self.drift * math.sqrt(s / 60.0))
@@ -40,16 +47,16 @@ class ProcessNoise(NamedTuple):
         return triangular(np.hstack(columns)) if len(columns) > 1 else root
 
 
-def diffusion(phase: Phase, s: float, intensity: float) -> Matrix:
+def diffusion(phase: Phase, s: float) -> Matrix:
     """A square root, shape (2n, 2n), of what white accelerations add in ``s`` >= 0 seconds.
 
     ``Q(s)``, the integral of ``Phi(r) B B^T Phi(r)^T`` for r from 0 to s, by quadrature over a
     step shorter than the fastest rate's inverse, and then by ``Q(2h) = Phi(h) Q(h) Phi(h)^T +
     Q(h)``. Only motion forward in time is needed, which never overflows. The noise on every
-    velocity has ``intensity``, m/s^1.5; contacts that are held get none.
+    velocity has the intensity 1 m/s^1.5; contacts that are held get none.
     """
     n = phase.equations.n
-    if not (intensity and s):
+    if not s:
         return np.zeros((2 * n, 2 * n))
     rate = float(np.linalg.norm(balanced_state_matrix(phase.equations)[0], 1))
     doublings = max(0, math.ceil(math.log2(max(s * rate, 1.0))))
@@ -58,7 +65,7 @@ def diffusion(phase: Phase, s: float, intensity: float) -> Matrix:
         math.sqrt(weight * h / 2) * phase.transition((1 + node) * h / 2)[:, n:]
         for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True)
     ]
-    root = triangular(intensity * np.hstack(columns))
+    root = triangular(np.hstack(columns))
     for k in range(doublings):
         root = triangular(np.hstack([phase.transition(math.ldexp(h, k)) @ root, root]))
     return root

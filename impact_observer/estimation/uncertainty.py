@@ -41,7 +41,8 @@ class Uncertainty:
             estimated.
         clock_offset_error: of the common offset of all stamps, s; 0 for none.
         model_error: of the accelerations, as white noise, m/s^1.5: velocities deviate by
-            ``model_error sqrt(t)`` in ``t`` seconds.
+            ``model_error sqrt(t)`` in ``t`` seconds; None to have it learned, as well as an
+            error of the restitution.
         missed: of an impact, that it is not reported.
         spurious: of an event, that nothing has happened.
         mislabelled: of an impact, that it was one of another contact.
@@ -51,7 +52,7 @@ class Uncertainty:
     deviation: Vector | float = float(Options.initial_deviation)
     clock_error: float | None = None
     clock_offset_error: float = Options.clock_offset_error
-    model_error: float = Options.model_error
+    model_error: float | None = None
     missed: float = Options.missed
     spurious: float = Options.spurious
     mislabelled: float = Options.mislabelled

@@ -36,7 +36,7 @@ def make_observer(
         deviation_of(options.initial_deviation, system),
         None if options.clock_error < 0 else options.clock_error,
         options.clock_offset_error,
-        options.model_error,
+        None if options.model_error < 0 else options.model_error,
         options.missed,
         options.spurious,
         options.mislabelled,

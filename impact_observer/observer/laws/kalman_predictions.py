@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +12,11 @@ from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.filter_bank import CONFIDENT, FilterBank
 from impact_observer.estimation.forecast import FINE, Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, mixture
+from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.missed_switch import insert_switch
+from impact_observer.estimation.model_error import ErrorKind, kicks
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts, Kind
 from impact_observer.observer.belief import Belief, Prediction
@@ -33,7 +34,8 @@ class SinglePrediction(Prediction):
     def __init__(self, filter_: ImpactFilter, t: float, belief: Belief, closed: Contacts) -> None:
         self._noise = filter_.noise
         self._belief = belief
-        self._phase = filter_.members.given.moving.phase(closed)
+        moving = filter_.members.given.moving
+        self._phase, self._diffusion = moving.phase(closed), partial(moving.diffusion, closed)
         self._motion = self._phase.start(t, belief.x)
 
     def state(self, s: float) -> Vector:
@@ -52,7 +54,9 @@ class SinglePrediction(Prediction):
         """The covariance's root after ``s`` seconds, whose transition matrix is ``map_``."""
         assert self._belief.root is not None, "a belief of another law"
         root = map_.dot(self._belief.root)
-        return root if self._noise is None else self._noise.added_to(root, self._phase, s)
+        if self._noise is None:
+            return root
+        return self._noise.added_to(root, len(root), self._diffusion, s)
 
 
 class MixturePrediction(Prediction):
@@ -72,7 +76,8 @@ class MixturePrediction(Prediction):
 
     @cached_property
     def _linear(self) -> LinearPrediction:
-        return self._filter.predict(self._t, mixture(self._hypotheses))
+        level = mean_level(self._hypotheses, ErrorKind.ACCELERATION)
+        return self._filter.predict(self._t, mixture(self._hypotheses), level)
 
     def state(self, s: float) -> Vector:
         return self._linear.state(s)
@@ -149,8 +154,10 @@ class MissedSwitchPrediction(Prediction):
 
     def _begun(self, since: float, start: float, state: GaussianState, root: Matrix) -> _Stretch:
         t = self._t + start
-        spread = self._bank.filter.predict(t, state._replace(root=root))
-        return _Stretch(since, start, self._bank.forecast(t, state), state.closed, spread)
+        level = mean_level(self._hypotheses, ErrorKind.ACCELERATION)
+        spread = self._bank.filter.predict(t, state._replace(root=root), level)
+        forecast = self._bank.forecast(t, state, self._hypotheses[0].acceleration_error)
+        return _Stretch(since, start, forecast, state.closed, spread)
 
     def _search(self) -> None:
         """Search to the end of a window, twice as long as the last, or to a missed switch."""
@@ -172,6 +179,11 @@ class MissedSwitchPrediction(Prediction):
         if kind is not Kind.OPEN:
             pressed = tuple(sorted({*state.closed, dip.contact}))
             differences[:size] = filter_.member(state).mirror(pressed).J @ differences[:size]
-        root = triangular(np.hstack([state.root, differences]))
+        parts = [state.root, differences]
+        level = mean_level(self._hypotheses, ErrorKind.RESTITUTION)
+        if level and kind is Kind.IMPACT and not state.closed:
+            kicked = level * kicks(filter_.system, before.x, (dip.contact,))
+            parts.append(np.pad(kicked, ((0, len(state.root) - size), (0, 0))))
+        root = triangular(np.hstack(parts))
         self._stretches.append(self._begun(since, start + at, state, root))
         self._searched, self._window = since, self._first

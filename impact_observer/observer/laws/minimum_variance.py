@@ -11,8 +11,9 @@ from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, mixture
+from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.square_root import lengths
 from impact_observer.estimation.uncertainty import Uncertainty, spread
 from impact_observer.events import Contacts, Ruling
@@ -69,12 +70,18 @@ class MinimumVariance(Law):
                 " force depends on time: a later clock and a later motion look the same; leave it"
                 " out"
             )
-        filter_ = ImpactFilter(system, self.uncertainty.model_error, self.uncertainty.unknowns)
+        learns_error = self.uncertainty.model_error is None
+        filter_ = ImpactFilter(
+            system, self.uncertainty.model_error or 0.0, self.uncertainty.unknowns
+        )
         self._bank = FilterBank(filter_, self.uncertainty, self.clocks)
         self._geometric = Geometric(system)
         self._names = filter_.members.family.names
         self._estimates_parameters = bool(
-            self._names or len(self.clocks) > 1 or self.uncertainty.clock_offset_error
+            self._names
+            or len(self.clocks) > 1
+            or learns_error
+            or self.uncertainty.clock_offset_error
         )
         self._single = self.uncertainty.trusts_events and not self._estimates_parameters
 
@@ -209,6 +216,9 @@ class MinimumVariance(Law):
             mean = float(np.average(clocks, weights=weights))
             variance = float(np.average((clocks - mean) ** 2, weights=weights))
             found.append(("clock_error", mean, math.sqrt(variance)))
+        if self.uncertainty.model_error is None:
+            for kind in (ErrorKind.ACCELERATION, ErrorKind.RESTITUTION):
+                found.append((kind.value, mean_level(hypotheses, kind), 0.0))
         if self.uncertainty.clock_offset_error:
             found.append(("clock_offset", best.offset, deviations[-1]))
         return tuple(found)

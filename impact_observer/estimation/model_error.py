@@ -1,0 +1,94 @@
+"""Errors of the model, learned: process noise whose level each hypothesis fits to its innovations.
+
+Two kinds: white noise of the accelerations, and an uncertain restitution at each impact. A level
+follows the innovations by recursive maximum likelihood (Sage and Husa, Adaptive filtering with
+unknown prior statistics, 1969), each event counting by what it says about the level.
+"""
+
+import math
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.events import Contacts
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+LARGEST_RESTITUTION_ERROR = 0.1
+"""Most that a level of ``RESTITUTION`` may be."""
+LARGEST_ACCELERATION_ERROR = 0.1
+"""Most that a level of ``ACCELERATION`` may be, relative to the accelerations of the motion in the
+fastest rate."""
+_FORGETTING = 0.95
+"""Weight of what earlier events said about a level, at each event."""
+_LEAST_INFORMATION = 1.0
+"""Information about the logarithm of a variance that a new level counts as having."""
+_LARGEST_SQUARE = 9.0
+"""Square of an innovation, in standard deviations, beyond which it counts as this."""
+
+
+class ErrorKind(Enum):
+    """What is in error; the values name the levels in ``ObserverState.parameter_name``."""
+
+    NONE = ""
+    ACCELERATION = "model error"
+    RESTITUTION = "bounce error"
+
+
+class ModelError(NamedTuple):
+    """The error of the model under one hypothesis.
+
+    Attributes:
+        kind: what is in error.
+        level: of ``ACCELERATION``: as white noise, m/s^1.5; of ``RESTITUTION``: standard deviation
+            of the coefficient.
+        information: about the logarithm of the level's square, by the events since its birth.
+        events: since its birth.
+    """
+
+    kind: ErrorKind = ErrorKind.NONE
+    level: float = 0.0
+    information: float = 0.0
+    events: int = 0
+
+    def matched(
+        self, innovation: float, deviation: float, unit: float, most: float
+    ) -> "ModelError":
+        """The error after an event.
+
+        Args:
+            innovation: of the event, in standard deviations.
+            deviation: standard deviation of that innovation, m.
+            unit: what level 1 contributes to it since the last event, m.
+            most: that the level may be.
+        """
+        share = min((self.level * unit / deviation) ** 2, 1.0)
+        information = _FORGETTING * self.information + share * share / 2
+        slope = share * (min(innovation * innovation, _LARGEST_SQUARE) - 1.0) / 2
+        step = slope / max(information, _LEAST_INFORMATION)
+        level = min(self.level * math.exp(step / 2), most)
+        return ModelError(self.kind, level, information, self.events + 1)
+
+
+NO_ERROR = ModelError()
+
+
+def kicks(system: System, x: Vector, contacts: Contacts) -> Matrix:
+    """What an error of 1 of the restitution adds to a state at an impact of ``contacts``.
+
+    One contact a column, shape (2n, k): ``M^-1 W_i |gamma_i| / (W_i^T M^-1 W_i)`` in the
+    velocities; ``x`` is the state before the impact.
+    """
+    n, W = system.n, system.W[:, list(contacts)]
+    pushed = np.linalg.solve(system.M, W)
+    speeds = np.abs(W.T.dot(x[n:])) / np.sum(W * pushed, axis=0)
+    return np.vstack([np.zeros_like(pushed), pushed * speeds])
+
+
+def largest(kind: ErrorKind, accelerations: Vector, timescale: float) -> float:
+    """The most that a level may be; ``accelerations`` of the motion have shape (n,), m/s2."""
+    if kind is ErrorKind.RESTITUTION:
+        return LARGEST_RESTITUTION_ERROR
+    size = float(np.linalg.norm(accelerations))
+    return LARGEST_ACCELERATION_ERROR * size * math.sqrt(timescale)
