@@ -244,7 +244,8 @@ class FilterBank:
         closed = h.state.closed
         if kind is ErrorKind.ACCELERATION:
             return moving.diffusion(closed, h.since)
-        return moving.phase(closed).transition(h.since).dot(h.kicks)
+        kicked: Matrix = moving.phase(closed).transition(h.since).dot(h.kicks)
+        return kicked
 
     def _seen_error(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
         """The deviation of the gap that it gives, m."""

@@ -118,9 +118,10 @@ class Hypothesis(NamedTuple):
 
 
 def published(hypotheses: Sequence[Hypothesis]) -> Sequence[Hypothesis]:
-    """Those that count for what is published: others with another model error are rare births.
+    """Those that count for what is published, while the model fits.
 
-    They are left out while they hold less than ``_RARE`` of the probability.
+    A model error is tried at many events and rarely there: hypotheses that differ in it from the
+    likeliest are left out while they hold less than ``_RARE`` of the probability.
     """
     best, total = hypotheses[0], np.logaddexp.reduce([h.weight for h in hypotheses])
     alike = [h for h in hypotheses if (h.error.level > 0) == (best.error.level > 0)]
@@ -130,7 +131,6 @@ def published(hypotheses: Sequence[Hypothesis]) -> Sequence[Hypothesis]:
 
 def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:
     """The state of the first of ``hypotheses``, with the covariance of all of them about it."""
-    hypotheses = published(hypotheses)
     best = hypotheses[0].state
     if len(hypotheses) == 1:
         return best
@@ -144,7 +144,6 @@ def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:
 
 def mean_level(hypotheses: Sequence[Hypothesis], kind: ErrorKind) -> float:
     """The root mean square of the levels of one kind of model error, of those published."""
-    hypotheses = published(hypotheses)
     squares = np.array([h.error.level**2 if h.error.kind is kind else 0.0 for h in hypotheses])
     if not squares.any():
         return 0.0

@@ -9,6 +9,7 @@ import numpy as np
 
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.misfit import Fit
 from impact_observer.events import Contacts
 from impact_observer.states import Matrix, Vector
 
@@ -42,6 +43,7 @@ class Belief(NamedTuple):
         accepted: whether the law accepted every switch of the last event as reported.
         clock_offset: estimated delay of the sensor's stamps, s.
         parameters: what is estimated besides the state: name, value, standard deviation, SI units.
+        fit: how the model has explained the latest events, of a law with innovations.
         hypotheses: of a law that carries several, the likeliest first; empty for others. The
             estimate is that of the first, the covariance that of the whole mixture.
         fallback: where such a law restarts; None for others.
@@ -55,6 +57,7 @@ class Belief(NamedTuple):
     accepted: bool = True
     clock_offset: float = 0.0
     parameters: tuple[tuple[str, float, float], ...] = ()
+    fit: Fit = Fit()
     hypotheses: tuple[Hypothesis, ...] = ()
     fallback: Fallback | None = None
 

@@ -175,9 +175,11 @@ class Observer:
             closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
             convergence=entry.synchronization.convergence,
             synchronized=self.law.uses_events
+            and not belief.fit.is_misfit
             and self._test.is_synchronized(entry.synchronization, root),
             bound=-1.0 if belief.bound is None else belief.bound,
             inconsistent=belief.inconsistent,
+            misfit=belief.fit.is_misfit,
             clock_offset=belief.clock_offset,
             parameters=belief.parameters,
             last_sequence=entry.key.sequence if is_event else 0,

@@ -48,7 +48,7 @@ class SinglePrediction(Prediction):
         x, map_ = self._phase.flow.moved(self._motion, s)
         before = self._belief.ensemble
         after = before.propagated(x, map_) if before.others else Ensemble(x, before.since)
-        return Belief(after, self._root_after(map_, s))
+        return Belief(after, self._root_after(map_, s), fit=self._belief.fit)
 
     def _root_after(self, map_: Matrix, s: float) -> Matrix:
         """The covariance's root after ``s`` seconds, whose transition matrix is ``map_``."""
@@ -56,7 +56,8 @@ class SinglePrediction(Prediction):
         root = map_.dot(self._belief.root)
         if self._noise is None:
             return root
-        return self._noise.added_to(root, len(root), self._diffusion, s)
+        noisy: Matrix = self._noise.added_to(root, len(root), self._diffusion, s)
+        return noisy
 
 
 class MixturePrediction(Prediction):

@@ -1,6 +1,7 @@
 """The Kalman filter of impact times, with a bank of hypotheses on what each event was."""
 
 import math
+from collections.abc import Sequence
 from functools import partial
 from typing import ClassVar
 
@@ -11,8 +12,9 @@ from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture
+from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture, published
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.misfit import Fit
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.square_root import lengths
 from impact_observer.estimation.uncertainty import Uncertainty, spread
@@ -100,7 +102,8 @@ class MinimumVariance(Law):
             return Belief(state.ensemble, state.root)
         x = replicas[0]
         x = self._geometric.impact(x, closed, closed) if closed else x
-        return self._belief(self._per_clock(state), Fallback(x, np.linalg.norm(root, axis=1)))
+        fallback = Fallback(x, np.linalg.norm(root, axis=1))
+        return self._belief(self._per_clock(state), fallback, Fit())
 
     def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """Each hypothesis branches and is weighed; the estimate is that of the likeliest."""
@@ -111,15 +114,18 @@ class MinimumVariance(Law):
             x, differences = belief.x, belief.ensemble.differences
             prior = GaussianState(x, np.zeros(0), belief.root, differences, change.before)
             likelihood, posterior = self._bank.filter.correct(change, prior, self.clocks[0])
-            state = posterior()
-            return Belief(state.ensemble, state.root, innovations=likelihood.innovations)
+            state, innovations = posterior(), likelihood.innovations
+            fit = belief.fit.after(likelihood.normalised if innovations else None, in_error=False)
+            return Belief(state.ensemble, state.root, innovations=innovations, fit=fit)
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
         x = fallback.x
         x = self._geometric.impact(x, change.active, change.closed) if change.hit else x
         fallback = Fallback(x, np.maximum(fallback.largest, np.abs(x)))
         restarts = partial(self._restarts, fallback, change.closed, 1 + belief.ensemble.others)
         corrected = self._bank.correct(change, hypotheses, restarts) or restarts()
-        return self._belief(corrected, fallback, change)
+        best = corrected[0]
+        fit = belief.fit.after(best.innovation, in_error=best.error.level > 0)
+        return self._belief(corrected, fallback, fit, change)
 
     def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """The likeliest hypothesis for the estimate, all of them for the next event."""
@@ -130,11 +136,12 @@ class MinimumVariance(Law):
 
         def prior(s: float) -> Belief:
             predicted = self._bank.predict(hypotheses, t, s)
-            return self._belief(predicted, Fallback(motion.state(s), fallback.largest))
+            return self._belief(predicted, Fallback(motion.state(s), fallback.largest), belief.fit)
 
+        shown = hypotheses if belief.fit.is_misfit else published(hypotheses)
         if self.uncertainty.trusts_events:
-            return MixturePrediction(self._bank.filter, t, hypotheses, prior)
-        return MissedSwitchPrediction(self._bank, t, hypotheses, prior)
+            return MixturePrediction(self._bank.filter, t, shown, prior)
+        return MissedSwitchPrediction(self._bank, t, shown, prior)
 
     def _hypotheses_of(
         self, belief: Belief, closed: Contacts
@@ -181,15 +188,17 @@ class MinimumVariance(Law):
         self,
         hypotheses: tuple[Hypothesis, ...],
         fallback: Fallback,
+        fit: Fit,
         change: ContactChange | None = None,
     ) -> Belief:
         """The belief of ``hypotheses``, of which the first is the likeliest."""
         best, size = hypotheses[0], fallback.x.size
-        root = mixture(hypotheses).root
+        shown = hypotheses if fit.is_misfit else published(hypotheses)
+        root = mixture(shown).root
         notes = best.notes_on((change.stamp, change.sequence)) if change else []
         parameters: tuple[tuple[str, float, float], ...] = ()
         if self._estimates_parameters:
-            parameters = self._parameters(hypotheses, root[size:])
+            parameters = self._parameters(shown, root[size:])
         return Belief(
             best.state.ensemble,
             root[:size],
@@ -197,12 +206,13 @@ class MinimumVariance(Law):
             accepted=all(note.ruling is Ruling.APPLIED for note in notes),
             clock_offset=best.state.offset,
             parameters=parameters,
+            fit=fit,
             hypotheses=hypotheses,
             fallback=fallback,
         )
 
     def _parameters(
-        self, hypotheses: tuple[Hypothesis, ...], root: Matrix
+        self, hypotheses: Sequence[Hypothesis], root: Matrix
     ) -> tuple[tuple[str, float, float], ...]:
         """Estimated parameters of model and clock: name, value, standard deviation.
 

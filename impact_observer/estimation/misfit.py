@@ -1,0 +1,57 @@
+"""Whether the model explains the impacts: a test on the innovations of the published account.
+
+Innovations of a model that fits are independent. Those of one that does not have one sign, or
+alternate: the portmanteau test (Ljung and Box, On a measure of lack of fit in time series models,
+1978), without subtracting the mean.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+LARGEST_STATISTIC = 32.0
+"""Of the test; above it the model does not explain the impacts."""
+LATEST = 32
+"""Innovations that are tested, the latest."""
+_FEWEST = 12
+"""Innovations from which on they are tested, and events from which on an error is established."""
+_LAGS = 4
+_CLIPPED = 3.0
+"""Innovation, in standard deviations, beyond which it counts as this: an outlier is no misfit."""
+
+
+class Fit(NamedTuple):
+    """How the model has explained the latest impacts.
+
+    Attributes:
+        innovations: the latest, in standard deviations, with their signs, clipped.
+        errors: events in a row at which the published account has had an error of the model.
+        statistic: of the test; 0 while there are too few innovations.
+    """
+
+    innovations: tuple[float, ...] = ()
+    errors: int = 0
+    statistic: float = 0.0
+
+    def after(self, innovation: float | None, *, in_error: bool) -> "Fit":
+        """The fit after an event; ``innovation`` is None where it measured nothing."""
+        if innovation is None:
+            return self
+        clipped = min(max(innovation, -_CLIPPED), _CLIPPED)
+        latest = (*self.innovations[-(LATEST - 1) :], clipped)
+        return Fit(latest, self.errors + 1 if in_error else 0, _statistic(latest))
+
+    @property
+    def is_misfit(self) -> bool:
+        """Whether the model does not explain the impacts."""
+        return self.errors >= _FEWEST or self.statistic > LARGEST_STATISTIC
+
+
+def _statistic(innovations: tuple[float, ...]) -> float:
+    """Of the test on ``innovations``: large where neighbours have one sign, or alternate."""
+    nu = np.array(innovations)
+    if nu.size < _FEWEST or not nu.any():
+        return 0.0
+    rho = [nu[k:].dot(nu[:-k]) / nu.dot(nu) for k in range(1, _LAGS + 1)]
+    parts = [r * r / (nu.size - k) for k, r in enumerate(rho, 1)]
+    return float(nu.size * (nu.size + 2) * sum(parts))
