@@ -217,7 +217,8 @@ class FilterBank:
         """``h`` after an event that was ``here``, its model error matched to the innovation."""
         after = Hypothesis(posterior, h.clock, weight, notes)
         if likelihood.innovations:
-            after = after._replace(innovation=likelihood.normalised)
+            nu = likelihood.normalised
+            after = after._replace(innovation=nu, residual=nu * likelihood.deviation)
         if not self._learns_error:
             return after
         error = h.error

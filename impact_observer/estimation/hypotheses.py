@@ -82,6 +82,7 @@ class Hypothesis(NamedTuple):
         kicks: what errors of the restitution at the start of the flight add there, shape (2n, k).
         innovation: of the last event, in standard deviations; positive where the predicted gap
             was negative. None where it was rejected or measured nothing.
+        residual: the same in m.
     """
 
     state: GaussianState
@@ -94,6 +95,7 @@ class Hypothesis(NamedTuple):
     since: float = 0.0
     kicks: Matrix = NO_KICKS
     innovation: float | None = None
+    residual: float = 0.0
 
     @property
     def penalised_weight(self) -> float:

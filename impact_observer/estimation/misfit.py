@@ -1,10 +1,11 @@
-"""Whether the model explains the impacts: a test on the innovations of the published account.
+"""Whether the model explains the impacts, from the innovations of the published account.
 
 Innovations of a model that fits are independent. Those of one that does not have one sign, or
 alternate: the portmanteau test (Ljung and Box, On a measure of lack of fit in time series models,
 1978), without subtracting the mean.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,22 @@ _FEWEST = 12
 _LAGS = 4
 _CLIPPED = 3.0
 """Innovation, in standard deviations, beyond which it counts as this: an outlier is no misfit."""
+_REMEMBERED = 0.9
+"""Weight of earlier events in mean squares of residuals, at each event."""
+
+
+class Residuals(NamedTuple):
+    """Gaps where the plant's is zero, at impacts, as mean squares over the latest events.
+
+    Attributes:
+        filter: of the account that the filter publishes, m2.
+        replica: of the geometric replica beside it, m2.
+        unit: variance of that, if accelerations were white noise of 1 m/s^1.5, s3.
+    """
+
+    filter: float = 0.0
+    replica: float = 0.0
+    unit: float = 0.0
 
 
 class Fit(NamedTuple):
@@ -27,24 +44,43 @@ class Fit(NamedTuple):
         innovations: the latest, in standard deviations, with their signs, clipped.
         errors: events in a row at which the published account has had an error of the model.
         statistic: of the test; 0 while there are too few innovations.
+        residuals: at the latest impacts.
     """
 
     innovations: tuple[float, ...] = ()
     errors: int = 0
     statistic: float = 0.0
+    residuals: Residuals = Residuals()
 
-    def after(self, innovation: float | None, *, in_error: bool) -> "Fit":
+    def after(self, innovation: float | None, *, in_error: bool = False) -> "Fit":
         """The fit after an event; ``innovation`` is None where it measured nothing."""
         if innovation is None:
             return self
         clipped = min(max(innovation, -_CLIPPED), _CLIPPED)
         latest = (*self.innovations[-(LATEST - 1) :], clipped)
-        return Fit(latest, self.errors + 1 if in_error else 0, _statistic(latest))
+        return Fit(latest, self.errors + 1 if in_error else 0, _statistic(latest), self.residuals)
+
+    def compared(self, *latest: float) -> "Fit":
+        """The same with the ``latest`` residuals, in the order of ``Residuals``, before squares."""
+        kept = _REMEMBERED
+        means = zip(self.residuals, latest, strict=True)
+        residuals = Residuals(*(kept * mean + (1 - kept) * new * new for mean, new in means))
+        return self._replace(residuals=residuals)
 
     @property
     def is_misfit(self) -> bool:
         """Whether the model does not explain the impacts."""
         return self.errors >= _FEWEST or self.statistic > LARGEST_STATISTIC
+
+    @property
+    def prefers_replica(self) -> bool:
+        """Whether the model does not fit, and the geometric replica is nearer to the impacts."""
+        return self.is_misfit and self.residuals.replica < self.residuals.filter
+
+    @property
+    def replica_level(self) -> float:
+        """White accelerations that explain the residuals of the replica, m/s^1.5."""
+        return math.sqrt(self.residuals.replica / self.residuals.unit)
 
 
 def _statistic(innovations: tuple[float, ...]) -> float:

@@ -11,22 +11,34 @@ from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.misfit import Fit
 from impact_observer.events import Contacts
+from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 _NOTHING: Mapping[int, float] = MappingProxyType({})
 
 
 class Fallback(NamedTuple):
-    """Where a law restarts when it has rejected all of its hypotheses.
+    """A replica whose error stays bounded.
+
+    There a law restarts when it has rejected all of its hypotheses.
 
     Attributes:
-        x: (q, u) of a replica whose error stays bounded, shape (2n,).
+        x: (q, u), shape (2n,).
         largest: magnitude of each component so far, the initial standard deviation
             included, shape (2n,).
+        unit: a root of the covariance that white accelerations of 1 m/s^1.5 give its error,
+            shape (2n, 2n).
     """
 
     x: Vector
     largest: Vector
+    unit: Matrix
+
+    def gap(self, system: System, contact: int) -> tuple[float, float]:
+        """The gap of a contact, m, and its standard deviation for that covariance, m."""
+        w, n = system.W[:, contact], system.n
+        deviation = float(np.linalg.norm(w.dot(self.unit[:n])))
+        return float(w.dot(self.x[:n]) + system.q_r[contact]), deviation
 
 
 class Belief(NamedTuple):

@@ -10,6 +10,7 @@ from scipy import linalg
 
 from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Differences, Ensemble
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture, published
@@ -21,7 +22,7 @@ from impact_observer.estimation.uncertainty import Uncertainty, spread
 from impact_observer.events import Contacts, Ruling
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Fallback, Prediction
-from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.fallback import FallbackReplica, ReplicaPrediction
 from impact_observer.observer.laws.kalman_predictions import (
     MissedSwitchPrediction,
     MixturePrediction,
@@ -77,7 +78,7 @@ class MinimumVariance(Law):
             system, self.uncertainty.model_error or 0.0, self.uncertainty.unknowns
         )
         self._bank = FilterBank(filter_, self.uncertainty, self.clocks)
-        self._geometric = Geometric(system)
+        self._replica = FallbackReplica(filter_)
         self._names = filter_.members.family.names
         self._estimates_parameters = bool(
             self._names
@@ -100,9 +101,7 @@ class MinimumVariance(Law):
         state = self._bank.filter.begin(self._declared(replicas, root, closed))
         if self._single:
             return Belief(state.ensemble, state.root)
-        x = replicas[0]
-        x = self._geometric.impact(x, closed, closed) if closed else x
-        fallback = Fallback(x, np.linalg.norm(root, axis=1))
+        fallback = self._replica.begin(replicas[0], root, closed)
         return self._belief(self._per_clock(state), fallback, Fit())
 
     def correct(self, change: ContactChange, belief: Belief) -> Belief:
@@ -115,16 +114,16 @@ class MinimumVariance(Law):
             prior = GaussianState(x, np.zeros(0), belief.root, differences, change.before)
             likelihood, posterior = self._bank.filter.correct(change, prior, self.clocks[0])
             state, innovations = posterior(), likelihood.innovations
-            fit = belief.fit.after(likelihood.normalised if innovations else None, in_error=False)
+            fit = belief.fit.after(likelihood.normalised if innovations else None)
             return Belief(state.ensemble, state.root, innovations=innovations, fit=fit)
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
-        x = fallback.x
-        x = self._geometric.impact(x, change.active, change.closed) if change.hit else x
-        fallback = Fallback(x, np.maximum(fallback.largest, np.abs(x)))
+        prior, fallback = fallback, self._replica.after(change, fallback)
         restarts = partial(self._restarts, fallback, change.closed, 1 + belief.ensemble.others)
         corrected = self._bank.correct(change, hypotheses, restarts) or restarts()
         best = corrected[0]
         fit = belief.fit.after(best.innovation, in_error=best.error.level > 0)
+        if len(change.hit) == 1 and best.innovation is not None:
+            fit = fit.compared(best.residual, *prior.gap(self.system, change.hit[0]))
         return self._belief(corrected, fallback, fit, change)
 
     def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
@@ -132,13 +131,16 @@ class MinimumVariance(Law):
         if self._single:
             return SinglePrediction(self._bank.filter, t, belief, closed)
         hypotheses, fallback = self._hypotheses_of(belief, closed)
-        motion = self._geometric.motion(t, fallback.x, closed)
+        motion = self._replica.motion(t, fallback, closed)
 
         def prior(s: float) -> Belief:
             predicted = self._bank.predict(hypotheses, t, s)
-            return self._belief(predicted, Fallback(motion.state(s), fallback.largest), belief.fit)
+            return self._belief(predicted, motion(s), belief.fit)
 
-        shown = hypotheses if belief.fit.is_misfit else published(hypotheses)
+        fit = belief.fit
+        if fit.prefers_replica:
+            return ReplicaPrediction(motion, fit.replica_level, prior)
+        shown = hypotheses if fit.is_misfit else published(hypotheses)
         if self.uncertainty.trusts_events:
             return MixturePrediction(self._bank.filter, t, shown, prior)
         return MissedSwitchPrediction(self._bank, t, shown, prior)
@@ -151,7 +153,7 @@ class MinimumVariance(Law):
             return belief.hypotheses, belief.fallback
         assert belief.root is not None, "a belief of another law"
         state = self._declared(belief.replicas, belief.root, closed)
-        return self._per_clock(state), Fallback(belief.x, np.linalg.norm(belief.root, axis=1))
+        return self._per_clock(state), self._replica.begin(belief.x, belief.root, closed)
 
     def _restarts(
         self, fallback: Fallback, closed: Contacts, count: int
@@ -199,9 +201,14 @@ class MinimumVariance(Law):
         parameters: tuple[tuple[str, float, float], ...] = ()
         if self._estimates_parameters:
             parameters = self._parameters(shown, root[size:])
+        ensemble, root = best.state.ensemble, root[:size]
+        if fit.prefers_replica:
+            differences = Differences(best.state.differences[:size])
+            ensemble = Ensemble(fallback.x, differences)
+            root = fit.replica_level * fallback.unit
         return Belief(
-            best.state.ensemble,
-            root[:size],
+            ensemble,
+            root,
             innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
             accepted=all(note.ruling is Ruling.APPLIED for note in notes),
             clock_offset=best.state.offset,

@@ -1,0 +1,73 @@
+# ruff: noqa: D102 (overrides have the docstrings of ``Prediction``)
+"""The geometric replica beside the filter: where that restarts, and the cheaper estimate."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.square_root import triangular
+from impact_observer.events import Contacts
+from impact_observer.observer.belief import Belief, Fallback, Prediction
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.states import Matrix, Vector
+
+_SMALL = 1e-6
+"""Scale of the differences by which a jump is linearised."""
+
+
+class FallbackReplica:
+    """A geometric replica, and the covariance of its error if accelerations are white noise."""
+
+    def __init__(self, filter_: ImpactFilter) -> None:
+        """The replica of the filter's system."""
+        self._moving = filter_.members.given.moving
+        self._geometric = Geometric(filter_.system)
+
+    def begin(self, x: Vector, root: Matrix, closed: Contacts) -> Fallback:
+        """The replica at ``x``; ``root`` is one of the initial covariance, shape (2n, 2n)."""
+        x = self._geometric.impact(x, closed, closed) if closed else x
+        return Fallback(x, np.linalg.norm(root, axis=1), np.zeros((x.size, x.size)))
+
+    def after(self, change: ContactChange, before: Fallback) -> Fallback:
+        """The replica after an event."""
+        if not change.hit:
+            return before
+        near = np.vstack([before.x, before.x + _SMALL * before.unit.T])
+        x, *others = self._geometric.impacts(near, change.active, change.closed)
+        unit = (np.array(others) - x).T / _SMALL
+        return Fallback(x, np.maximum(before.largest, np.abs(x)), unit)
+
+    def motion(self, t: float, before: Fallback, closed: Contacts) -> Callable[[float], Fallback]:
+        """The replica some seconds after ``t``, s since the epoch, until the next event."""
+        motion, phase = self._geometric.motion(t, before.x, closed), self._moving.phase(closed)
+
+        def after(s: float) -> Fallback:
+            parts = [phase.transition(s) @ before.unit, self._moving.diffusion(closed, s)]
+            return before._replace(x=motion.state(s), unit=triangular(np.hstack(parts)))
+
+        return after
+
+
+class ReplicaPrediction(Prediction):
+    """Of the replica, where it is published instead of the likeliest hypothesis."""
+
+    def __init__(
+        self,
+        motion: Callable[[float], Fallback],
+        level: float,
+        prior: Callable[[float], Belief],
+    ) -> None:
+        self._motion = motion
+        self._level = level
+        self._prior = prior
+
+    def state(self, s: float) -> Vector:
+        return self._motion(s).x
+
+    def root(self, s: float) -> Matrix:
+        return self._level * self._motion(s).unit
+
+    def belief(self, s: float) -> Belief:
+        return self._prior(s)
