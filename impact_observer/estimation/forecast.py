@@ -29,6 +29,8 @@ _KEPT = 8
 """Durations of which a flight keeps the samples: hypotheses share them."""
 _ROUNDED = 64 * float(np.finfo(np.float64).eps)
 """Rounding of a guard function, relative to the terms of its sum."""
+_SHALLOW = 512 * float(np.finfo(np.float64).eps)
+"""Depth of a dip that is rounding, relative to the terms of its sum."""
 _ROOT = 4 * float(np.finfo(np.float64).eps)
 _LEAST = 1e-15
 
@@ -178,8 +180,9 @@ class Forecast:
             first, last = int(run[0]), int(run[-1])
             deepest = int(run[np.argmin(values[run])])
             at, x = float(s[deepest]), self._state.x
-            if first == 0 and values[0] - values[deepest] <= _ROUNDED * self._flight.size(j, 0, x):
-                continue  # it rises: the jump at the start was a little early
+            depth = -float(values[deepest]) + min(float(values[0]), 0.0) * (first == 0)
+            if depth <= _SHALLOW * self._flight.size(j, at, x):
+                continue  # rounding; or it rises from the start: the jump there was a little early
             yield Dip(
                 self._flight.contacts[j],
                 Kind.IMPACT if j < self._flight.gaps else Kind.OPEN,
