@@ -27,11 +27,12 @@ _MOST = 4096
 """Most samples of a flight; in a longer flight their distance is larger."""
 _KEPT = 8
 """Durations of which a flight keeps the samples: hypotheses share them."""
-_ROUNDED = 64 * float(np.finfo(np.float64).eps)
+_EPS = float(np.finfo(np.float64).eps)
+_ROUNDED = 64 * _EPS
 """Rounding of a guard function, relative to the terms of its sum."""
-_SHALLOW = 512 * float(np.finfo(np.float64).eps)
-"""Depth of a dip that is rounding, relative to the terms of its sum."""
-_ROOT = 4 * float(np.finfo(np.float64).eps)
+_SHALLOW = 8.0
+"""Depth of a dip that is rounding, in standard deviations of that."""
+_ROOT = 4 * _EPS
 _LEAST = 1e-15
 
 
@@ -120,10 +121,14 @@ class Flight:
         moved = [self._phase.start(self._t, x).states(s) - forced for x in start]
         return _Samples(s, self.c @ np.stack(moved, axis=2), forced @ self.c.T + self.offset(s))
 
-    def size(self, j: int, s: float, x: Vector) -> float:
-        """The size of the terms of function ``j`` after ``s`` seconds, at the state ``x``."""
+    def rounding(self, j: int, s: float, x: Vector) -> float:
+        """Deviation of the rounding of function ``j`` after ``s`` seconds, at the state ``x``.
+
+        Time since the epoch is rounded too: harmonics are as wrong as they change in that.
+        """
         sizes = self._scales.sizes(x) if j < self.gaps else np.abs(x)
-        return abs(self.rest(j, s)) + float(np.abs(self.c[j]).dot(sizes))
+        size = abs(self.rest(j, s)) + float(np.abs(self.c[j]).dot(sizes))
+        return (_ROUNDED + _EPS * (self._t + s) / self._scales.timescale) * size
 
     def rest(self, j: int, s: float) -> float:
         """``offset`` of function ``j`` alone, ``s`` seconds after the start."""
@@ -181,7 +186,7 @@ class Forecast:
             deepest = int(run[np.argmin(values[run])])
             at, x = float(s[deepest]), self._state.x
             depth = -float(values[deepest]) + min(float(values[0]), 0.0) * (first == 0)
-            if depth <= _SHALLOW * self._flight.size(j, at, x):
+            if depth <= _SHALLOW * self._flight.rounding(j, at, x):
                 continue  # rounding; or it rises from the start: the jump there was a little early
             yield Dip(
                 self._flight.contacts[j],
@@ -225,7 +230,7 @@ class Forecast:
             spread = row.dot(self.prediction.full_root(s)[: row.size])
         else:
             spread = self._flight.c[j].dot(self.prediction.root(s))
-        rounded = _ROUNDED * self._flight.size(j, s, self.prediction.state(s))
+        rounded = self._flight.rounding(j, s, self.prediction.state(s))
         return math.hypot(*spread.tolist(), rounded)
 
     def _row(self, j: int, s: float) -> Vector:
