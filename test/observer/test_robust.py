@@ -8,7 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from systems import EPOCH, PRESSED, estimates, event, observer, run, sample
+from systems import (
+    EPOCH,
+    PRESSED,
+    Harmonic,
+    chain,
+    estimates,
+    event,
+    forcing,
+    observer,
+    run,
+    sample,
+    system,
+)
 
 from impact_observer.dynamics import lyapunov
 from impact_observer.errors import UsageError
@@ -18,7 +30,14 @@ from impact_observer.model import System
 from impact_observer.observer import Observer
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.options import Options
-from impact_observer.plant import Run, SensorMessage, SensorModel, simulate_sensor
+from impact_observer.plant import (
+    Plant,
+    Run,
+    SensorMessage,
+    SensorModel,
+    simulate,
+    simulate_sensor,
+)
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -376,3 +395,23 @@ def test_ideal_sensor_causes_no_revision_after_convergence() -> None:
         (verdict,) = watcher.receive(each)
         assert (verdict.ruling, verdict.reason) == (Ruling.APPLIED, "")
     assert watcher.remarks[Remark.REVISED] == before
+
+
+def test_chattering_is_followed_however_late_after_the_epoch() -> None:
+    """Impacts accumulate to nanoseconds: no event is rejected, and nothing is inserted.
+
+    The force has a period of 1 s, so a plant that starts ten minutes late moves as one does at
+    first.
+    """
+    harmonic = Harmonic(2 * np.pi, [20.0], [0.0])
+    model = system(1, 1, 20, contacts=[([-1], 0.05, 0.3)], force=forcing(1, 8.0, [harmonic]))
+    start, late = np.array([0.03, 0.3]), EPOCH + 600 * NS_PER_S
+    plant = Plant(model, start[:1], start[1:], epoch=late)
+    whole = simulate(plant, np.array([late + NS_PER_S]))
+    assert len(whole.events) == 14
+    watcher = watching(model, np.zeros(2), UNDECLARED)
+    watcher.set_state(late, start[:1], start[1:], 1e-12 * np.eye(2))
+    for each in whole.events:
+        (verdict,) = watcher.receive(replace(each, epoch=EPOCH, sequence=1 + each.sequence))
+        assert (verdict.ruling, verdict.reason) == (Ruling.APPLIED, "")
+    np.testing.assert_allclose(estimates(watcher, whole.stamps), whole.states, atol=1e-9)
