@@ -24,8 +24,9 @@ from systems import (
 
 from impact_observer.estimation import impact_filter
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.filter_bank import MOST_HYPOTHESES
+from impact_observer.estimation.filter_bank import MOST_HYPOTHESES, FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.joint import Joint
 from impact_observer.estimation.parametric import Map
@@ -88,6 +89,22 @@ def test_covariance_is_that_of_the_mixture_about_its_likeliest() -> None:
         np.testing.assert_allclose((belief.root @ belief.root.T - P) / size, 0.0, atol=1e-10)
         several += len({each.state.x.tobytes() for each in belief.hypotheses}) > 1
     assert several >= 5
+
+
+@pytest.mark.parametrize(("penetrated", "leads"), [(0, True), (1, False)])
+def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, leads: bool) -> None:
+    """A late event has alternatives under the likeliest account, which penetrates its contact."""
+    model = chain(1, contacts=[([1], 0.1, 0.5), ([-1], 0.3, 0.5)])
+    clocks = (1e-9, 1e-7)
+    bank = FilterBank(ImpactFilter(model), Uncertainty(), clocks)
+    x = np.array([[-0.1 - 4e-10, -1.0]])
+    state = GaussianState.of(x, 1e-12 * np.eye(2))
+    best = Hypothesis(state, clocks[0], 0.0, penetrating={penetrated: -50.0})
+    other = Hypothesis(GaussianState.of(x, 1e-3 * np.eye(2)), clocks[0], -10.0)
+    change = ContactChange.of(1.0, (), [(0, Kind.IMPACT)])
+    found = bank.correct(change, [best, other], lambda: ())
+    of_best = [h for h in found if np.linalg.norm(h.state.root[1]) < 1e-6]
+    assert {h.clock for h in of_best} == ({*clocks} if leads else set())
 
 
 def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) -> tuple[Array, ...]:
