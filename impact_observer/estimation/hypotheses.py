@@ -12,9 +12,11 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, ModelError
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts, Kind, Ruling
-from impact_observer.states import Matrix
+from impact_observer.states import Matrix, Vector
 
-_RARE = 0.05
+_RARE = 1e-3
+"""Probability up to which the least likely hypotheses are not published."""
+_RARE_ERROR = 0.05
 """Probability up to which hypotheses of another model error are not published."""
 NO_KICKS = np.zeros((0, 0))
 NOTHING: Mapping[int, float] = MappingProxyType({})
@@ -119,16 +121,33 @@ class Hypothesis(NamedTuple):
         return [note for note in latest if not note.is_inserted][::-1]
 
 
-def published(hypotheses: Sequence[Hypothesis]) -> Sequence[Hypothesis]:
-    """Those that count for what is published, while the model fits.
+def published(hypotheses: Sequence[Hypothesis], *, misfit: bool) -> Sequence[Hypothesis]:
+    """Those whose mixture is published, the estimate's own first.
 
-    A model error is tried at many events and rarely there: hypotheses that differ in it from the
-    likeliest are left out while they hold less than ``_RARE`` of the probability.
+    The variance of the whole mixture would be that of its rarest members. A model error is tried
+    at many events and rarely there: hypotheses that differ in it from the likeliest are left out
+    while they hold less than ``_RARE_ERROR`` of the probability. In a ``misfit`` those without a
+    model error are wrong, however likely. Of the rest the least likely are left out that hold less
+    than ``_RARE`` together.
     """
-    best, total = hypotheses[0], np.logaddexp.reduce([h.weight for h in hypotheses])
-    alike = [h for h in hypotheses if (h.error.level > 0) == (best.error.level > 0)]
-    share = np.exp(np.logaddexp.reduce([h.weight for h in alike]) - total)
-    return alike if share > 1 - _RARE else hypotheses
+    if len(hypotheses) == 1:
+        return hypotheses
+    ordered = sorted(hypotheses, key=lambda h: -h.penalised_weight)
+    in_error = [h for h in ordered if h.error.level]
+    if in_error and len(in_error) < len(ordered):
+        if misfit:
+            ordered = in_error
+        else:
+            alike = [h for h in ordered if (h.error.level > 0) == (ordered[0].error.level > 0)]
+            if _share(alike, ordered)[-1] > 1 - _RARE_ERROR:
+                ordered = alike
+    return ordered[: 1 + int(np.searchsorted(_share(ordered, ordered), 1 - _RARE))]
+
+
+def _share(some: Sequence[Hypothesis], whole: Sequence[Hypothesis]) -> Vector:
+    """The probability that the first, the first two, ... of ``some`` hold of ``whole``."""
+    total = np.logaddexp.reduce([h.penalised_weight for h in whole])
+    return np.cumsum(np.exp([h.penalised_weight - total for h in some]))
 
 
 def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:

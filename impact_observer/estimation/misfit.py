@@ -19,22 +19,22 @@ _FEWEST = 12
 _LAGS = 4
 _CLIPPED = 3.0
 """Innovation, in standard deviations, beyond which it counts as this: an outlier is no misfit."""
-_REMEMBERED = 0.9
-"""Weight of earlier events in mean squares of residuals, at each event."""
+_COMPARED = 16
+"""Impacts at which the estimate and the geometric replica are compared, the latest."""
 
 
-class Residuals(NamedTuple):
-    """Gaps where the plant's is zero, at impacts, as mean squares over the latest events.
+class Residual(NamedTuple):
+    """The estimated gaps at an impact, where the plant's is zero.
 
     Attributes:
-        filter: of the account that the filter publishes, m2.
-        replica: of the geometric replica beside it, m2.
-        unit: variance of that, if accelerations were white noise of 1 m/s^1.5, s3.
+        filter: of the account that the filter publishes, m.
+        replica: of the geometric replica beside it, m.
+        unit: standard deviation of that, if accelerations were white noise of 1 m/s^1.5, s^1.5.
     """
 
-    filter: float = 0.0
-    replica: float = 0.0
-    unit: float = 0.0
+    filter: float
+    replica: float
+    unit: float
 
 
 class Fit(NamedTuple):
@@ -50,7 +50,7 @@ class Fit(NamedTuple):
     innovations: tuple[float, ...] = ()
     errors: int = 0
     statistic: float = 0.0
-    residuals: Residuals = Residuals()
+    residuals: tuple[Residual, ...] = ()
 
     def after(self, innovation: float | None, *, in_error: bool = False) -> "Fit":
         """The fit after an event; ``innovation`` is None where it measured nothing."""
@@ -60,12 +60,9 @@ class Fit(NamedTuple):
         latest = (*self.innovations[-(LATEST - 1) :], clipped)
         return Fit(latest, self.errors + 1 if in_error else 0, _statistic(latest), self.residuals)
 
-    def compared(self, *latest: float) -> "Fit":
-        """The same with the ``latest`` residuals, in the order of ``Residuals``, before squares."""
-        kept = _REMEMBERED
-        means = zip(self.residuals, latest, strict=True)
-        residuals = Residuals(*(kept * mean + (1 - kept) * new * new for mean, new in means))
-        return self._replace(residuals=residuals)
+    def compared(self, latest: Residual) -> "Fit":
+        """The same with the ``latest`` residual."""
+        return self._replace(residuals=(*self.residuals[-(_COMPARED - 1) :], latest))
 
     @property
     def is_misfit(self) -> bool:
@@ -75,12 +72,16 @@ class Fit(NamedTuple):
     @property
     def prefers_replica(self) -> bool:
         """Whether the model does not fit, and the geometric replica is nearer to the impacts."""
-        return self.is_misfit and self.residuals.replica < self.residuals.filter
+        if not (self.is_misfit and self.residuals):
+            return False
+        by_filter, by_replica, _ = map(math.hypot, *self.residuals)
+        return by_replica < by_filter
 
     @property
     def replica_level(self) -> float:
         """White accelerations that explain the residuals of the replica, m/s^1.5."""
-        return math.sqrt(self.residuals.replica / self.residuals.unit)
+        _, by_replica, unit = map(math.hypot, *self.residuals)
+        return by_replica / unit
 
 
 def _statistic(innovations: tuple[float, ...]) -> float:

@@ -15,7 +15,7 @@ from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture, published
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.misfit import Fit
+from impact_observer.estimation.misfit import Fit, Residual
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.square_root import lengths
 from impact_observer.estimation.uncertainty import Uncertainty, spread
@@ -117,13 +117,15 @@ class MinimumVariance(Law):
             fit = belief.fit.after(likelihood.normalised if innovations else None)
             return Belief(state.ensemble, state.root, innovations=innovations, fit=fit)
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
-        prior, fallback = fallback, self._replica.after(change, fallback)
+        before, fallback = fallback, self._replica.after(change, fallback)
         restarts = partial(self._restarts, fallback, change.closed, 1 + belief.ensemble.others)
         corrected = self._bank.correct(change, hypotheses, restarts) or restarts()
-        best = corrected[0]
-        fit = belief.fit.after(best.innovation, in_error=best.error.level > 0)
+        likeliest = corrected[0]
+        fit = belief.fit.after(likeliest.innovation, in_error=likeliest.error.level > 0)
+        best = published(corrected, misfit=fit.is_misfit)[0]
         if len(change.hit) == 1 and best.innovation is not None:
-            fit = fit.compared(best.residual, *prior.gap(self.system, change.hit[0]))
+            gap = before.gap(self.system, change.hit[0])
+            fit = fit.compared(Residual(best.residual, *gap))
         return self._belief(corrected, fallback, fit, change)
 
     def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
@@ -140,7 +142,7 @@ class MinimumVariance(Law):
         fit = belief.fit
         if fit.prefers_replica:
             return ReplicaPrediction(motion, fit.replica_level, prior)
-        shown = hypotheses if fit.is_misfit else published(hypotheses)
+        shown = published(hypotheses, misfit=fit.is_misfit)
         if self.uncertainty.trusts_events:
             return MixturePrediction(self._bank.filter, t, shown, prior)
         return MissedSwitchPrediction(self._bank, t, shown, prior)
@@ -194,9 +196,8 @@ class MinimumVariance(Law):
         change: ContactChange | None = None,
     ) -> Belief:
         """The belief of ``hypotheses``, of which the first is the likeliest."""
-        best, size = hypotheses[0], fallback.x.size
-        shown = hypotheses if fit.is_misfit else published(hypotheses)
-        root = mixture(shown).root
+        shown = published(hypotheses, misfit=fit.is_misfit)
+        best, size, root = shown[0], fallback.x.size, mixture(shown).root
         notes = best.notes_on((change.stamp, change.sequence)) if change else []
         parameters: tuple[tuple[str, float, float], ...] = ()
         if self._estimates_parameters:
@@ -214,7 +215,7 @@ class MinimumVariance(Law):
             clock_offset=best.state.offset,
             parameters=parameters,
             fit=fit,
-            hypotheses=hypotheses,
+            hypotheses=tuple(sorted(hypotheses, key=lambda h: h is not best)),
             fallback=fallback,
         )
 
