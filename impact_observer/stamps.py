@@ -41,6 +41,53 @@ class Instant(NamedTuple):
         return seconds_between(self.stamp, stamp) - self.remainder
 
 
+class Elapsed(float):
+    """Seconds since the epoch, with what the float is rounded by: 1e-11 s after a day.
+
+    It is a ``float`` to all that needs no more. Sums with seconds and differences of two keep what
+    is rounded; sums with arrays do not.
+
+    Attributes:
+        ns: whole nanoseconds.
+        remainder: the time minus these, s, in [-0.5e-9, 0.5e-9].
+    """
+
+    ns: int
+    remainder: float
+
+    __slots__ = ("ns", "remainder")
+
+    def __new__(cls, ns: int, remainder: float = 0.0) -> "Elapsed":  # noqa: PYI034 (Python 3.11 has Self)
+        """Add nanoseconds and a remainder."""
+        self = super().__new__(cls, ns / NS_PER_S + remainder)
+        self.ns, self.remainder = ns, remainder
+        return self
+
+    def __add__(self, seconds: "float | NDArray[np.float64]") -> "Elapsed":
+        """The time ``seconds`` later."""
+        if not isinstance(seconds, float | int):
+            return NotImplemented
+        return Elapsed(*Instant(self.ns, self.remainder).after(seconds))
+
+    def __sub__(self, other: "float | NDArray[np.float64]") -> float:
+        """Seconds from another time to this one, or the time some seconds earlier."""
+        if isinstance(other, Elapsed):
+            return seconds_between(other.ns, self.ns) + (self.remainder - other.remainder)
+        return self + -other
+
+    def __eq__(self, other: object) -> bool:
+        """Whether they are the same, also in what is rounded."""
+        if isinstance(other, Elapsed):
+            return self.ns == other.ns and self.remainder == other.remainder
+        return super().__eq__(other)
+
+    def __ne__(self, other: object) -> bool:
+        """Whether they are not the same."""
+        return not self == other
+
+    __hash__ = float.__hash__
+
+
 def seconds_between(start: int, stop: int) -> float:
     """Seconds from stamp ``start`` to stamp ``stop``: integers are subtracted first."""
     return (stop - start) / NS_PER_S

@@ -130,7 +130,8 @@ class ImpactFilter:
             arrays = state.x, state.root, state.differences
             x, root, differences = (np.array(each, order="C") for each in arrays)
             contact = self._contact(change.hit[0])
-            near, after, fit = self._single(change.t, (x, root, differences), clock, contact)
+            prior_state = x, root, differences
+            near, after, fit = self._single(float(change.t), prior_state, clock, contact)
             if near:
                 x, root, differences = after
                 posterior = GaussianState(x, state.constants, root, differences)

@@ -11,7 +11,7 @@ from impact_observer.observer.event_order import EventKey, interpret
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry
-from impact_observer.stamps import seconds_between, text
+from impact_observer.stamps import Elapsed, seconds_between, text
 
 
 class EventUpdate:
@@ -43,7 +43,7 @@ class EventUpdate:
         stamp, s = event.stamp, seconds_between(previous.since, event.stamp)
         prior = self.prediction(previous).belief(s) if s > 0 else previous.belief
         change = ContactChange.of(
-            seconds_between(self.epoch or stamp, stamp),
+            Elapsed(stamp - (self.epoch or stamp)),
             previous.closed,
             meaning.switches,
             stamp=stamp,
@@ -66,6 +66,6 @@ class EventUpdate:
     def prediction(self, entry: Entry) -> Prediction:
         """The prediction from the belief of ``entry``, made once."""
         if entry.prediction is None:
-            t = seconds_between(self.epoch or entry.since, entry.since)
+            t = Elapsed(entry.since - (self.epoch or entry.since))
             entry.prediction = self.law.predict(t, entry.belief, entry.closed)
         return entry.prediction

@@ -18,7 +18,7 @@ from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.model import System
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.plant.zeno import AccumulationDetector, ZenoCutoff
-from impact_observer.stamps import Instant, seconds_between, text
+from impact_observer.stamps import Elapsed, Instant, text
 from impact_observer.states import Stamps, Vector
 
 _INSTANT = 1e-4
@@ -112,7 +112,7 @@ class Plant:
         self._next = None
 
     def _time(self, instant: Instant) -> float:
-        return seconds_between(self.epoch, instant.stamp) + instant.remainder
+        return Elapsed(instant.stamp - self.epoch, instant.remainder)
 
     def _search_of(self, phase: Phase, open_contacts: tuple[int, ...]) -> Search:
         """The search for the end of a phase: gaps of the ``open_contacts`` first, then loads."""

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.dynamics.flow.angles import Angles
 from impact_observer.dynamics.flow.flow import Equations, Flow, Motion, balanced_state_matrix
 from impact_observer.states import Matrix, Vector
 
@@ -32,13 +33,13 @@ class DenseFlow(Flow):
         augmented[cosine, sine] = -forcing.frequency
         augmented[sine, cosine] = forcing.frequency
         self._augmented = augmented
-        self._frequency = forcing.frequency
+        self._angles = Angles(forcing.frequency)
         self._unit, self._size = unit, size
         self._stride = _STRIDE / float(linalg.norm(augmented, 1))
 
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
-        angle = self._frequency * t
+        angle = np.array(self._angles.at(t))
         w = self._size * np.concatenate([[1.0], np.cos(angle), np.sin(angle)])
         start = np.concatenate([x * self._unit, w])
         return _DenseMotion(t, self._augmented, start, self._unit, self._stride)

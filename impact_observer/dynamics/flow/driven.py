@@ -7,6 +7,7 @@ differences ``phi_1 = exp[l_1, mu]`` and ``phi_2 = exp[l_1, l_2, mu]`` of the ex
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.dynamics.flow.angles import Angles
 from impact_observer.dynamics.flow.divided_differences import Complex, first, second
 from impact_observer.dynamics.flow.modes import Modes
 from impact_observer.states import Vector
@@ -24,13 +25,15 @@ class Driven:
     """
 
     def __init__(
-        self, modes: Modes, beta: Complex, mu: Complex, driven: NDArray[np.bool_]
+        self, modes: Modes, beta: Complex, angles: Angles, driven: NDArray[np.bool_]
     ) -> None:
         """Take loads ``beta``, shape (n, 1 + h, 2), of those that are ``driven``, (n, 1 + h)."""
         block, harmonic = np.nonzero(driven)
         one, two = modes.eigenvalues
         self.block, self.harmonic = block, harmonic
-        self._one, self._two, self.mu = one[block], two[block], mu[harmonic]
+        self._angles = angles
+        self._one, self._two = one[block], two[block]
+        self.mu = 1j * np.concatenate([[0.0], angles.frequency])[harmonic]
         to_one = (modes.rates.a[block] - self._one)[:, None, None] * np.eye(2)
         self.beta = beta[block, harmonic]
         self.turned = ((modes.deviator[block] + to_one) @ self.beta[..., None])[..., 0]
@@ -42,7 +45,7 @@ class Driven:
 
     def phases(self, t: float) -> Complex:
         """What loads have turned by until ``t`` s since the epoch, shape (r,)."""
-        return np.asarray(np.exp(self.mu * t))
+        return np.asarray(np.exp(1j * np.array([0.0, *self._angles.at(t)])[self.harmonic]))
 
     def answers(self, s: Vector) -> Complex:
         """``phi_1`` and ``phi_2``, shape (2, r, samples)."""

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.dynamics.flow.angles import Angles
 from impact_observer.dynamics.flow.dense import DenseFlow
 from impact_observer.dynamics.flow.divided_differences import Complex
 from impact_observer.dynamics.flow.driven import Driven
@@ -36,6 +37,7 @@ _RESONANCE = 1e-2
 """Distance of a forcing frequency from an eigenvalue that is near, over the rates of both."""
 _HUGE = 30.0
 """Steady response, over the state, that would cost digits while the motion is young."""
+_NOW = np.zeros(1)
 
 
 def flow_of(system: Equations, shapes: Matrix | None = None) -> Flow:
@@ -92,14 +94,14 @@ class SpectralFlow(Flow):
         steady = modes.states(response.real) + 1j * modes.states(response.imag)
         self._steady_constant = steady[:, 0].real
         self._steady_cosine, self._steady_sine = steady[:, 1:].real, -steady[:, 1:].imag
-        self._frequency = forcing.frequency
+        self._angles = Angles(forcing.frequency)
         self._small = self.energy(np.abs(steady).sum(axis=1)) / _HUGE
         # Motions that are not so small are recognised by their speed, with one product.
         least = float(linalg.eigvalsh(system.M)[0]) if modes.shapes is None else 0.0
         self._slow = self._small**2 / least if least > 0 else math.inf
         self._young = 1.0 / np.min(distance[far], initial=np.inf)
-        self.near = Driven(modes, beta, mu, near)
-        self.all = Driven(modes, beta, mu, forced)
+        self.near = Driven(modes, beta, self._angles, near)
+        self.all = Driven(modes, beta, self._angles, forced)
 
     @cached_property
     def turning(self) -> Turning | None:
@@ -111,7 +113,7 @@ class SpectralFlow(Flow):
         if not (few and self.near.nothing and Turning.suits(self.modes)):
             return None
         parts = (self._steady_constant, self._steady_cosine, self._steady_sine)
-        return Turning(self.modes, Steady(self._frequency, *parts))
+        return Turning(self.modes, Steady(self._angles, *parts))
 
     def view(self, functions: Functions) -> View:
         """Of motions young and old."""
@@ -122,10 +124,10 @@ class SpectralFlow(Flow):
         rows, harmonics, constant = functions
         seen = rows @ self.modes.T
         if young:
-            return Rows(self.modes, seen, (self._frequency, harmonics, constant), self.all)
+            return Rows(self.modes, seen, (self._angles, harmonics, constant), self.all)
         steady = rows @ (self._steady_cosine - 1j * self._steady_sine)
         constant = constant + rows @ self._steady_constant
-        return Rows(self.modes, seen, (self._frequency, harmonics + steady, constant), self.near)
+        return Rows(self.modes, seen, (self._angles, harmonics + steady, constant), self.near)
 
     def energy(self, x: Vector) -> float:
         """Size of a state (q, u), shape (2n,), square root of twice its energy."""
@@ -156,11 +158,11 @@ class SpectralFlow(Flow):
             return super().moved(motion, s)
         return self.turning.moved(motion.turned(self.turning), s)
 
-    def steady(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Steady response of all pairs away from resonance, shape (2n, samples)."""
-        if not self._frequency.size:
-            return np.broadcast_to(self._steady_constant[:, None], (2 * self._n, t.size))
-        angle = np.multiply.outer(self._frequency, t)
+    def steady(self, t: float, s: Vector) -> NDArray[np.float64]:
+        """Steady response of all pairs away from resonance ``s`` after ``t``, (2n, samples)."""
+        if not self._angles.frequency.size:
+            return np.broadcast_to(self._steady_constant[:, None], (2 * self._n, s.size))
+        angle = self._angles.after(t, s)
         found: NDArray[np.float64] = self._steady_cosine @ np.cos(angle)
         found += self._steady_sine @ np.sin(angle)
         found += self._steady_constant[:, None]
@@ -177,16 +179,16 @@ class SpectralFlow(Flow):
         """States from pairs: ``x = T y``, shape (2n, samples)."""
         return self.modes.states(y)
 
-    def each(self, y: NDArray[np.float64], t: Vector) -> NDArray[np.float64]:
-        """``assemble(y) + steady(t)`` as for each sample alone, shape (samples, 2n).
+    def each(self, y: NDArray[np.float64], t: float, s: Vector) -> NDArray[np.float64]:
+        """``assemble(y) + steady(t, s)`` as for each sample alone, shape (samples, 2n).
 
         The products are those of a matrix with one column, over and over: one product with many
         columns may add up in another order.
         """
         found = self.modes.T @ _columns(y)
-        if not self._frequency.size:
+        if not self._angles.frequency.size:
             return np.asarray((found + self._steady_constant[:, None])[..., 0])
-        angle = np.multiply.outer(self._frequency, t)
+        angle = self._angles.after(t, s)
         steady = self._steady_cosine @ _columns(np.cos(angle))
         steady += self._steady_sine @ _columns(np.sin(angle))
         steady += self._steady_constant[:, None]
@@ -210,7 +212,7 @@ class _SpectralMotion(Motion):
 
     @cached_property
     def z(self) -> Matrix:
-        return self._flow.modes.pairs(self._x - self._flow.steady(np.array([self.t]))[:, 0])
+        return self._flow.modes.pairs(self._x - self._flow.steady(self.t, _NOW)[:, 0])
 
     def state(self, s: float) -> Vector:
         turning = self._flow.turning
@@ -219,7 +221,7 @@ class _SpectralMotion(Motion):
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         flow = self._flow
         y = flow.near.response(self.t, flow.homogeneous(self.z, s), s)
-        return np.ascontiguousarray((flow.assemble(y) + flow.steady(self.t + s)).T)
+        return np.ascontiguousarray((flow.assemble(y) + flow.steady(self.t, s)).T)
 
     def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         flow = self._flow
@@ -227,7 +229,7 @@ class _SpectralMotion(Motion):
             return flow.turning.each(self.turned(flow.turning), s)
         if not flow.near.nothing or flow.modes.shapes is not None:
             return super().each(s)  # what is near resonance, or left out, depends on the others
-        return flow.each(flow.homogeneous(self.z, s), self.t + s)
+        return flow.each(flow.homogeneous(self.z, s), self.t, s)
 
     def turned(self, turning: Turning) -> Complex:
         """``zeta`` at the start, computed when first needed."""

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.dynamics.flow.angles import Angles
 from impact_observer.dynamics.flow.divided_differences import Complex
 from impact_observer.dynamics.flow.modes import Modes
 from impact_observer.states import Matrix, Vector
@@ -25,13 +26,13 @@ class Steady(NamedTuple):
     """``constant + sum_k cosine_k cos(omega_k t) + sine_k sin(omega_k t)`` of states.
 
     Attributes:
-        frequency: shape (h,), rad/s.
+        angles: of the ``h`` harmonics.
         constant: shape (2n,).
         cosine: shape (2n, h).
         sine: shape (2n, h).
     """
 
-    frequency: Vector
+    angles: Angles
     constant: Vector
     cosine: Matrix
     sine: Matrix
@@ -44,7 +45,8 @@ class Turning:
         """Take ``modes`` that ``suits`` says yes of, and the response to the forcing."""
         a, d = modes.rates.a, modes.rates.d
         to_pair = _to_pairs(modes)
-        n, h = d.size, steady.frequency.size
+        frequency = steady.angles.frequency
+        n, h = d.size, frequency.size
         pairs = modes.T.reshape(2 * n, n, 1, 2) @ to_pair
         self._V = np.zeros((2 * n, 2 * (n + h + 1)))
         self._V[:, : 2 * n] = pairs.reshape(2 * n, 2 * n)
@@ -60,8 +62,8 @@ class Turning:
         # Differences turn by e^{lambda s} only: what that makes of a unit, in all its places.
         places = np.einsum("xp,py->xyp", shapes, amplitudes).conj()
         self._places = places.reshape(4 * n * n, n).view(np.float64)
-        self._frequency: list[float] = steady.frequency.tolist()
-        self._rates = np.concatenate([a - 1j * d, 1j * np.append(steady.frequency, 0.0)])
+        self._angles = steady.angles
+        self._rates = np.concatenate([a - 1j * d, 1j * np.append(frequency, 0.0)])
         self._turns = self._rates[:n]
 
     @staticmethod
@@ -73,8 +75,7 @@ class Turning:
     def start(self, t: float, x: Vector) -> Complex:
         """``zeta`` of the motion through ``x`` at ``t``, with what harmonics are then."""
         known = x.tolist()
-        for omega in self._frequency:
-            angle = omega * t
+        for angle in self._angles.at(t):
             known += cos(angle), sin(angle)
         known.append(1.0)
         zeta: Complex = self._start.dot(known).view(np.complex128)

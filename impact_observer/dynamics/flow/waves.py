@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.dynamics.flow.angles import Angles
 from impact_observer.dynamics.flow.driven import Driven
 from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.modes import Modes, Rates
@@ -124,7 +125,7 @@ class Rows:
         self,
         modes: Modes,
         seen: Matrix,
-        steady: tuple[Vector, NDArray[np.complex128], Vector],
+        steady: tuple[Angles, NDArray[np.complex128], Vector],
         driven: Driven,
     ) -> None:
         """Prepare what is the same for all motions.
@@ -132,7 +133,7 @@ class Rows:
         Args:
             modes: of the flow.
             seen: what the functions see of the pairs, ``r T``, shape (w, 2n).
-            steady: frequency, shape (h,), rad/s; ``b`` of ``Re(b e^{i omega t})``, shape (w, h);
+            steady: angles of ``h`` harmonics; ``b`` of ``Re(b e^{i omega t})``, shape (w, h);
                 and a constant, shape (w,).
             driven: pairs that answer harmonics from the start of a motion on.
         """
@@ -141,7 +142,8 @@ class Rows:
             rows.append((rows[-1][..., None, :] @ modes.J)[..., 0, :])
         self._rows = np.stack(rows)
         self._deviator = modes.deviator
-        self._frequency, harmonics, constant = steady
+        self._angles, harmonics, constant = steady
+        self._frequency = self._angles.frequency
         self._rates = modes.rates.beside(self._frequency)
         self._harmonics = harmonics * (1j * self._frequency) ** np.arange(ORDERS)[:, None, None]
         self._constant = np.zeros((ORDERS, len(seen)))
@@ -170,7 +172,8 @@ class Rows:
         of_rates = np.empty((orders, w, 2, n + h))
         pairs = np.stack([z, (self._deviator @ z[..., None])[..., 0]])
         of_rates[..., :n] = np.einsum("kwpi,bpi->kwbp", self._rows, pairs)
-        harmonics, constant = self._harmonics * np.exp(1j * (self._frequency * t)), self._constant
+        turned = np.exp(1j * np.array(self._angles.at(t)))
+        harmonics, constant = self._harmonics * turned, self._constant
         if r:
             phases = self._driven.phases(t)
             answers = np.concatenate([self._loads * phases, self._turned * phases], axis=-1)
