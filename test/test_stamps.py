@@ -25,7 +25,7 @@ def test_elapsed_times_keep_what_a_float_rounds(ns: int, seconds: float) -> None
 
 def test_elapsed_times_are_numbers_of_seconds() -> None:
     """To all that needs no more digits."""
-    begin = Elapsed(3 * NS_PER_S // 2)
+    begin: float = Elapsed(3 * NS_PER_S // 2)
     assert begin == 1.5
     assert hash(begin) == hash(1.5)
     assert 2 * begin == 3.0

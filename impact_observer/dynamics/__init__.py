@@ -13,7 +13,7 @@ from impact_observer.dynamics.contact.persistent_contact import (
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow.flow import Flow, Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
-from impact_observer.dynamics.flow.scales import sizes
+from impact_observer.dynamics.flow.scales import Scales, sizes
 from impact_observer.dynamics.flow.spectral import flow_of
 from impact_observer.dynamics.guards.location import DEPTH, Crossing, Search
 from impact_observer.dynamics.guards.watched import Watched
@@ -30,6 +30,7 @@ __all__ = [
     "Phase",
     "Phases",
     "PositionProjection",
+    "Scales",
     "Search",
     "Watched",
     "flow_of",

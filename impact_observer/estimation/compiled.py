@@ -23,7 +23,7 @@ from impact_observer.estimation.single import Contact, Fit, State
 from impact_observer.estimation.square_root import product, triangular
 from impact_observer.states import Matrix
 
-Single: TypeAlias = Callable[[float, State, float, Contact], tuple[bool, State, Fit]]
+Single: TypeAlias = Callable[[float, float, State, float, Contact], tuple[bool, State, Fit]]
 _SOURCES = (single, likelihood, joint, square_root, scales, saltation, sys.modules[__name__])
 """The modules of all functions that are compiled, and of their constants."""
 
@@ -51,11 +51,11 @@ def compiled_single() -> Single:
     vector, matrix, maps = (types.Array(number, k, "C") for k in (1, 2, 3))
     state = types.Tuple((vector, matrix, matrix))
     gap, jump = types.Tuple((matrix, matrix, matrix, number)), types.Tuple((matrix, maps))
-    forces, scale = types.Tuple((vector, matrix)), types.UniTuple(matrix, 3)
+    forces, scale = types.Tuple((vector, matrix)), types.UniTuple(matrix, 4)
     contact = types.Tuple((forces, gap, jump, scale, number))
     result = types.Tuple((truth, state, types.UniTuple(number, 4)))
     # With its signature, so that nothing is compiled while an event waits.
-    signature = result(number, state, number, contact)
+    signature = result(number, number, state, number, contact)
     run = _from(_digest(_SOURCES))
     try:
         made = numba.njit(signature, cache=True)(run)
@@ -71,9 +71,11 @@ def _from(sources: str) -> Single:
     it are the same. It does not notice changes of the functions that this one calls.
     """
 
-    def run(t: float, prior: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
+    def run(
+        t: float, flown: float, prior: State, clock: float, contact: Contact
+    ) -> tuple[bool, State, Fit]:
         _ = sources  # no assertion: python -O would leave it out, and with it what is bound
-        return single.single(t, prior, clock, contact)
+        return single.single(t, flown, prior, clock, contact)
 
     return run
 

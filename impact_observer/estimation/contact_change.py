@@ -19,6 +19,7 @@ class ContactChange(NamedTuple):
         closed: contacts with ``chi = 1`` from now on.
         stamp: of the event, ns; 0 where it is not needed.
         sequence: of the event.
+        flown: seconds since the event before.
     """
 
     t: float
@@ -27,6 +28,7 @@ class ContactChange(NamedTuple):
     closed: Contacts
     stamp: int = 0
     sequence: int = 0
+    flown: float = 0.0
 
     @classmethod
     def of(
@@ -37,6 +39,7 @@ class ContactChange(NamedTuple):
         *,
         stamp: int = 0,
         sequence: int = 0,
+        flown: float = 0.0,
     ) -> "ContactChange":
         """What ``switches`` of contacts at ``t`` mean while the contacts ``before`` are closed.
 
@@ -46,12 +49,13 @@ class ContactChange(NamedTuple):
         if not before and len(switches) == 1:
             ((contact, kind),) = switches
             if kind is Kind.IMPACT:  # as nearly always
-                return cls(t, before, (contact,), before, stamp, sequence)
+                return cls(t, before, (contact,), before, stamp, sequence, flown)
         hit = {contact for contact, kind in switches if kind is not Kind.OPEN}
         stay = {contact for contact, kind in switches if kind is Kind.CLOSE}
         opened = {contact for contact, kind in switches if kind is Kind.OPEN}
         closed = ({*before} - (hit - stay) | stay) - opened
-        return cls(t, before, tuple(sorted(hit)), tuple(sorted(closed)), stamp, sequence)
+        changed = tuple(sorted(hit)), tuple(sorted(closed))
+        return cls(t, before, *changed, stamp, sequence, flown)
 
     def from_closed(self, before: Contacts) -> "ContactChange":
         """The same event where other contacts were closed before it."""

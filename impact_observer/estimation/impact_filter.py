@@ -23,7 +23,7 @@ from impact_observer.estimation.members import Member, Members
 from impact_observer.estimation.parametric import Sensitivity, leading_triangular
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import rested
-from impact_observer.estimation.saltation import ROUNDING
+from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.estimation.single import ROUNDS, Contact, single
 from impact_observer.estimation.square_root import lengths, product, triangular
 from impact_observer.estimation.unknown_parameters import UnknownParameters
@@ -130,8 +130,9 @@ class ImpactFilter:
             arrays = state.x, state.root, state.differences
             x, root, differences = (np.array(each, order="C") for each in arrays)
             contact = self._contact(change.hit[0])
-            prior_state = x, root, differences
-            near, after, fit = self._single(float(change.t), prior_state, clock, contact)
+            near, after, fit = self._single(
+                float(change.t), change.flown, (x, root, differences), clock, contact
+            )
             if near:
                 x, root, differences = after
                 posterior = GaussianState(x, state.constants, root, differences)
@@ -350,16 +351,18 @@ class ImpactFilter:
             moved, noise = H.dot(whole[: 1 + size]), np.hstack([noise, curved])
             moved[:, : joint.parameters] += columns
             differences[:size] += sensitivity.first.T.dot(joint.differences[joint.of_theta])
-        root = self._with_rounding(moved, noise, whole[1 + size :], x)
+        rounding = STATE_ROUNDING * self.phases.scales.sizes(x, change.flown)
+        root = _with_rounding(moved, noise, whole[1 + size :], rounding)
         constants = joint.z[1 + size :]
         return GaussianState(x, constants, root, differences, change.closed, joint.parameters)
 
-    def _with_rounding(self, moved: Matrix, noise: Matrix, rest: Matrix, x: Vector) -> Matrix:
-        """The root of (q, u, constants) after a jump, with at least the rounding of x."""
-        size, first = moved.shape
-        last = first + noise.shape[1]
-        root = np.zeros((size + len(rest), last + size))
-        root[:size, :first], root[:size, first:last] = moved, noise
-        root[size:, : rest.shape[1]] = rest
-        root[:size].flat[last :: last + size + 1] = ROUNDING * self.phases.scales.sizes(x)
-        return triangular(root)
+
+def _with_rounding(moved: Matrix, noise: Matrix, rest: Matrix, rounding: Vector) -> Matrix:
+    """The root of (q, u, constants) after a jump, with ``rounding`` of (q, u), (2n,)."""
+    size, first = moved.shape
+    last = first + noise.shape[1]
+    root = np.zeros((size + len(rest), last + size))
+    root[:size, :first], root[:size, first:last] = moved, noise
+    root[size:, : rest.shape[1]] = rest
+    root[:size].flat[last :: last + size + 1] = rounding
+    return triangular(root)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from impact_observer.dynamics import sizes
 from impact_observer.estimation.joint import SETTLED
 from impact_observer.estimation.likelihood import FAR
-from impact_observer.estimation.saltation import LEAST, ROUNDING
+from impact_observer.estimation.saltation import LEAST, ROUNDING, STATE_ROUNDING
 from impact_observer.estimation.square_root import product, triangular
 from impact_observer.states import Matrix, Vector
 
@@ -27,7 +27,7 @@ Gap: TypeAlias = tuple[Matrix, Matrix, Matrix, float]
 value and slope by the state, shape (1, 2n) each; and the gap at rest, m."""
 Jump: TypeAlias = tuple[Matrix, NDArray[np.float64]]
 """The state after the impact, as ``Jet`` has it, shapes (6n, 1 + 5n) and (3, 2n, 2n)."""
-Sizes: TypeAlias = tuple[Matrix, Matrix, Matrix]
+Sizes: TypeAlias = tuple[Matrix, Matrix, Matrix, Matrix]
 """What numbers are rounded against; see ``dynamics.sizes``."""
 Forces: TypeAlias = tuple[Vector, Matrix]
 """Frequencies and rows of a ``Forcing.jet`` of order 2, shapes (h,) and (3n, 1 + 2h)."""
@@ -42,11 +42,14 @@ Fit: TypeAlias = tuple[float, float, float, float]
 slope of the gap, m/s; and the standard deviation of that."""
 
 
-def single(t: float, state: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
+def single(
+    t: float, flown: float, state: State, clock: float, contact: Contact
+) -> tuple[bool, State, Fit]:
     """The posterior of an impact, at its stamp.
 
     Args:
         t: its stamp, s since the epoch.
+        flown: seconds since the event before.
         state: the prior.
         clock: standard deviation of the stamp, s.
         contact: that hits.
@@ -62,7 +65,7 @@ def single(t: float, state: State, clock: float, contact: Contact) -> tuple[bool
         turned[1 + 2 * k], turned[2 + 2 * k] = math.cos(angle), math.sin(angle)
     y = np.concatenate((_ONE, state[0], rows.dot(turned)))
     is_near, joint, fit = corrected(y, state, clock, contact)
-    return is_near, jumped(y, joint, contact) if is_near else state, fit
+    return is_near, jumped(y, flown, joint, contact) if is_near else state, fit
 
 
 def corrected(y: Vector, state: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
@@ -83,7 +86,7 @@ def corrected(y: Vector, state: State, clock: float, contact: Contact) -> tuple[
     (size, columns), now = root.shape, jet.dot(y)
     value, slope, E = now[0], now[1], now[2:]
     seen, others, spread = H.dot(root), H.dot(differences), length(D.dot(root))
-    rounded = ROUNDING * (np.abs(H).dot(sizes(x, *scale))[0] + abs(rest)) + LEAST
+    rounded = ROUNDING * (np.abs(H).dot(sizes(x, 0.0, scale))[0] + abs(rest)) + LEAST
     prior, replicas = np.zeros((1 + size, 1 + columns)), np.zeros((1 + size, differences.shape[1]))
     prior[0, 0], prior[1:, 1:], replicas[1:] = clock, root, differences
     z, posterior, fit = np.zeros(1 + size), prior, (0.0, 1.0, slope, spread)
@@ -124,11 +127,12 @@ def corrected(y: Vector, state: State, clock: float, contact: Contact) -> tuple[
     return is_near, (z, posterior, replicas), fit
 
 
-def jumped(y: Vector, joint: State, contact: Contact) -> State:
+def jumped(y: Vector, flown: float, joint: State, contact: Contact) -> State:
     """The state after the impact, as ``ImpactFilter.posterior``.
 
     Args:
         y: see ``corrected``; changed.
+        flown: see ``single``.
         joint: instant and state just before the impact, corrected.
         contact: see ``single``.
     """
@@ -143,8 +147,8 @@ def jumped(y: Vector, joint: State, contact: Contact) -> State:
     x = line[0] + mean
     whole = np.zeros((size, 2 + 3 * size))
     whole[:, : 1 + size], whole[:, 1 + size : 2 + 2 * size] = H.dot(root), bent
-    for i, each in enumerate(sizes(x, *scale)):
-        whole[i, 2 + 2 * size + i] = ROUNDING * each
+    for i, each in enumerate(sizes(x, flown, scale)):
+        whole[i, 2 + 2 * size + i] = STATE_ROUNDING * each
     return x, triangular(whole), H.dot(differences)
 
 

@@ -48,6 +48,7 @@ class EventUpdate:
             meaning.switches,
             stamp=stamp,
             sequence=event.sequence,
+            flown=s,
         )
         try:
             posterior = self.law.correct(change, prior)

@@ -6,7 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from impact_observer.dynamics import Scales
 from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.estimation.uncertainty import covariance_root, spread
 from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, Verdict
 from impact_observer.model import System
@@ -86,6 +88,7 @@ class Observer:
         self._ensemble = ensemble
         self._test = SynchronizationTest(system, agreed)
         self._history = from_seconds(history)
+        self._scales = Scales.of(system)
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}
         self._given_epoch = epoch
@@ -171,7 +174,7 @@ class Observer:
             law=self.law.name,
             q=x[:n],
             u=x[n:],
-            covariance=NO_COVARIANCE if root is None else frozen(root @ root.T),
+            covariance=NO_COVARIANCE if root is None else self._covariance(root, x, s),
             closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
             convergence=entry.synchronization.convergence,
             synchronized=self.law.uses_events
@@ -185,6 +188,12 @@ class Observer:
             last_sequence=entry.key.sequence if is_event else 0,
             last_event=entry.key.stamp if is_event else 0,
         )
+
+    def _covariance(self, root: Matrix, x: Vector, s: float) -> Matrix:
+        """Of the estimate ``x``, ``s`` seconds after an event, with its own rounding."""
+        covariance = root @ root.T
+        covariance.flat[:: len(root) + 1] += (STATE_ROUNDING * self._scales.sizes(x, s)) ** 2
+        return frozen(covariance)
 
     def estimates(self, stamps: Stamps) -> Iterator[Estimates]:
         """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.

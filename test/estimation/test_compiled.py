@@ -66,9 +66,9 @@ class Case(NamedTuple):
     state: GaussianState
     clock: float
 
-    def asked(self) -> tuple[float, State, float, Contact]:
+    def asked(self) -> tuple[float, float, State, float, Contact]:
         """The arguments with which the filter calls ``single``."""
-        found: list[tuple[float, State, float, Contact]] = []
+        found: list[tuple[float, float, State, float, Contact]] = []
 
         def kept(*question: float | State | Contact) -> tuple[bool, State, Fit]:
             found.append(question)  # type: ignore[arg-type]
@@ -97,7 +97,8 @@ def cases(draw: st.DrawFn) -> Case:
     root = random.normal(size=(size, draw(st.sampled_from([1, size, size + 3]))))
     root *= 10.0 ** -draw(st.integers(0, 10))
     x, w = random.normal(size=size), model.W[:, contact]
-    change = ContactChange(draw(st.integers(0, 640)) / 64, (), (contact,), ())
+    flown = draw(st.sampled_from([0.0, 3.0]))
+    change = ContactChange(draw(st.integers(0, 640)) / 64, (), (contact,), (), flown=flown)
     filter_ = ImpactFilter(model)
     rows, _ = filter_.members.given.guard((), (contact,), True)
     at_rest = float(rows.rest[0])
@@ -256,8 +257,10 @@ def counted(watcher: Observer) -> list[bool]:
     filter_, found = watcher.law._bank.filter, list[bool]()
     own = filter_._single
 
-    def asked(t: float, state: State, clock: float, contact: Contact) -> tuple[bool, State, Fit]:
-        result = own(t, state, clock, contact)
+    def asked(
+        t: float, flown: float, state: State, clock: float, contact: Contact
+    ) -> tuple[bool, State, Fit]:
+        result = own(t, flown, state, clock, contact)
         found.append(result[0])
         return result
 

@@ -14,20 +14,28 @@ _STILL = 16.0
 """The same where nothing oscillates, s."""
 
 
-def sizes(x: Vector, modes: Matrix, in_time: Matrix, spread: Matrix) -> Vector:
+def sizes(x: Vector, s: float, scale: tuple[Matrix, Matrix, Matrix, Matrix]) -> Vector:
     """Magnitudes that (q, u) is rounded against: the largest that all modes can give.
+
+    The time since the start of a phase is rounded too, by up to half of ``eps``, and each mode
+    moves on by as much.
 
     Args:
         x: state (q, u), shape (2n,).
-        modes: as of ``Scales``.
-        in_time: what an amplitude and its speed come to within the time scale, shape (2, 2).
-        spread: as of ``Scales``.
+        s: seconds since the start of the phase.
+        scale: ``modes`` as of ``Scales``; what an amplitude and its speed come to within the time
+            scale, shape (2, 2); how fast each mode moves on, by its speed and by its amplitude,
+            shape (2, n); and ``spread`` as of ``Scales``.
 
     Returns:
         Shape (2n,), not negative.
     """
+    modes, in_time, rates, spread = scale
     amplitudes = np.abs(x.reshape(2, -1).dot(modes))
-    found: Vector = in_time.dot(amplitudes).dot(spread).ravel()
+    largest = in_time.dot(amplitudes)
+    if s > 0:
+        largest += s / 2 * rates * amplitudes[::-1]
+    found: Vector = largest.dot(spread).ravel()
     return found
 
 
@@ -51,6 +59,7 @@ class Scales:
     fastest: float
     timescale: float
     _in_time: Matrix
+    _rates: Matrix
 
     @classmethod
     def of(cls, equations: Equations) -> "Scales":
@@ -60,7 +69,9 @@ class Scales:
         fastest = float(max(np.sqrt(max(squares[-1], 0.0)), *equations.forcing.frequency, 0.0))
         timescale = 1.0 / max(fastest, 1.0)
         in_time = np.array([[1.0, timescale], [0.0, 1.0]])
-        return cls(squares, shapes, equations.M @ shapes, spread, fastest, timescale, in_time)
+        rates = np.stack([np.ones(squares.shape), np.maximum(squares, 0.0)])
+        modes = equations.M @ shapes
+        return cls(squares, shapes, modes, spread, fastest, timescale, in_time, rates)
 
     @property
     def window(self) -> float:
@@ -74,14 +85,14 @@ class Scales:
         """Absolute values of the functions ``rows q`` for unit amplitudes of modes, (rows, n)."""
         return np.abs(rows @ self.shapes)
 
-    def sizes(self, x: Vector) -> Vector:
-        """``sizes`` of a state (q, u), shape (2n,)."""
-        return sizes(x, *self.of_sizes)
+    def sizes(self, x: Vector, s: float = 0.0) -> Vector:
+        """``sizes`` of a state (q, u), shape (2n,), ``s`` seconds after the start of a phase."""
+        return sizes(x, s, self.of_sizes)
 
     @property
-    def of_sizes(self) -> tuple[Matrix, Matrix, Matrix]:
-        """The arguments of ``sizes`` besides a state."""
-        return self.modes, self._in_time, self.spread
+    def of_sizes(self) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+        """The last argument of ``sizes``."""
+        return self.modes, self._in_time, self._rates, self.spread
 
     def reach(self, q: Matrix, u: Matrix) -> Matrix:
         """Largest amplitude that each mode may have within the time scale, not negative.
