@@ -75,6 +75,7 @@ class Remark(Enum):
     EPISODE = "new episodes"
     EPOCH = "new epochs"
     REVISED = "revised verdicts"
+    MISFIT = "events the model does not explain"
 
 
 class Verdict(NamedTuple):

@@ -27,7 +27,7 @@ NO_COVARIANCE = frozen(np.empty((0, 0)))
 class Estimate:
     """An observer's output at a stamp; mirrors ``impact_observer_msgs/ObserverState``.
 
-    ``bound``, ``inconsistent`` and ``misfit`` are not in that message: there is a topic for bounds.
+    ``bound``, ``inconsistent`` and ``misfit`` are not in that message; bounds have a topic.
 
     Attributes:
         stamp: when the state holds, ns.
@@ -41,7 +41,7 @@ class Estimate:
         synchronized: whether the replicas have agreed at several events in a row.
         bound: certified upper bound of V, J; -1 where nothing is certified.
         inconsistent: whether events have contradicted the declared model or uncertainty.
-        misfit: whether the model does not explain the latest impacts.
+        misfit: that the model does not explain the latest impacts, in words; empty while it does.
         clock_offset: estimated offset of the sensor's clock, s; 0 unless asked for.
         parameters: what is estimated besides the state: name, value, standard deviation, SI units.
         last_sequence: sequence number of the last event applied; 0 before the first.
@@ -58,7 +58,7 @@ class Estimate:
     synchronized: bool = False
     bound: float = -1.0
     inconsistent: bool = False
-    misfit: bool = False
+    misfit: str = ""
     clock_offset: float = 0.0
     parameters: tuple[tuple[str, float, float], ...] = ()
     last_sequence: int = 0

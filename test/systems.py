@@ -258,8 +258,14 @@ def run(
 
 
 def without_faults(**declared: object) -> Uncertainty:
-    """Uncertainty of a sensor without faults but for its clock: every event is accepted."""
-    right = {"clock_error": 0.0, "missed": 0.0, "spurious": 0.0, "mislabelled": 0.0}
+    """Of an exact model and a sensor without faults but for its clock: every event is accepted."""
+    right = {
+        "model_error": 0.0,
+        "clock_error": 0.0,
+        "missed": 0.0,
+        "spurious": 0.0,
+        "mislabelled": 0.0,
+    }
     return Uncertainty(**{**right, **declared})  # type: ignore[arg-type]
 
 

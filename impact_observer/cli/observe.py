@@ -37,7 +37,8 @@ def run(args: argparse.Namespace) -> int:
     """Run an observer on a bag, and write a bag with its estimates."""
     from impact_observer.cli.progress import Progress
     from impact_observer.errors import BagError
-    from impact_observer.events import Ruling
+    from impact_observer.estimation.misfit import MISFIT
+    from impact_observer.events import Remark, Ruling
     from impact_observer.io.observed_bag import observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
@@ -63,6 +64,8 @@ def run(args: argparse.Namespace) -> int:
         progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
         for line in parameter_lines(observer):
             progress.line(line)
+        if unexplained := observer.remarks[Remark.MISFIT]:
+            progress.line(f"warning: at {unexplained} of {sum(rulings.values())} events {MISFIT}")
     if rulings and not rulings[Ruling.APPLIED]:
         none = f"{args.bag}: none of its {sum(rulings.values())} impacts and releases was applied"
         if rulings[Ruling.REJECTED] == sum(rulings.values()):

@@ -13,22 +13,15 @@ import numpy as np
 from scipy import special
 
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.forecast import Flight, Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import (
-    NO_KICKS,
-    NOTHING,
-    Hypothesis,
-    MissedSwitch,
-    Note,
-)
+from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch, Note
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.likelihood import STILL, Likelihood
+from impact_observer.estimation.likelihood import Likelihood
 from impact_observer.estimation.missed_switch import insert_switch
-from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, ModelError, kicks, largest
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import Contacts, Kind, Ruling
-from impact_observer.states import Matrix
+from impact_observer.events import Kind, Ruling
 
 SPURIOUS_RATE = 0.1
 """Rate of spurious impacts of a contact, were all events spurious, in the fastest rate."""
@@ -52,14 +45,6 @@ POSSIBLE = 0.5
 """Depth of a dip, in standard deviations, from which on it may have been an impact."""
 CONFIDENT = 3.0
 """The same for a dip that is not over yet."""
-NEW_ERROR = (math.log(1e-2), math.log(1e-3))
-"""Logarithm of the probability that the model begins to be in error: at first, and later."""
-OTHER_ERROR = math.log(1e-2)
-"""Logarithm of the probability that an error of the model ends, or becomes one of another kind."""
-UNEXPLAINED = 2.0
-"""Innovation, in standard deviations, from which on the model may have begun to be in error."""
-COARSE_CLOCK = 10.0
-"""Deviation of a stamp, relative to the least, from which on it may be an error of the model."""
 _MOST_MISSED = 256
 """Missed impacts between two events that a hypothesis may insert."""
 _NOTES = 32
@@ -105,8 +90,8 @@ class FilterBank:
         self._trusts_events = uncertainty.trusts_events
         # Where parameters are estimated the estimate may be wrong though every event is true.
         self._trusts_estimate = self._trusts_events and uncertainty.unknowns is None
-        self._learns_error = uncertainty.model_error is None
-        self._clocks = sorted(clocks)
+        learns_error = uncertainty.model_error is None and clocks
+        self.errors = ErrorAccounts(filter_, clocks) if learns_error else None
         self._missed, self._reported = _logs(uncertainty.missed)
         self._mislabelled, _ = _logs(uncertainty.mislabelled)
         self._rate = -math.log(filter_.phases.scales.timescale)
@@ -150,8 +135,8 @@ class FilterBank:
         for clock in self._next_clocks.get(h.clock, ()) if leads else ():
             chance = self._reported + CLOCK_CHANGE
             yield self._true_event(change, h._replace(clock=clock), here, chance)[0]
-        if leads and self._learns_error and len(here.hit) == 1:
-            for other, chance in self._other_errors(change, h, here, likelihood):
+        if leads and self.errors is not None:
+            for other, chance in self.errors.others(h, here, likelihood):
                 yield self._true_event(change, other, here, self._reported + chance)[0]
         depth = max(likelihood.innovations.values(), default=-1.0)
         if self._spurious > -math.inf:
@@ -187,7 +172,11 @@ class FilterBank:
                 if i in likelihood.innovations
             }
             notes = _noted(h, change, (Ruling.APPLIED, reason), innovations)
-            return self._explained(h, here, likelihood, posterior(), weight, notes)
+            after = Hypothesis(posterior(), h.clock, weight, notes)
+            if innovations:
+                nu = likelihood.normalised
+                after = after._replace(innovation=nu, residual=nu * likelihood.deviation)
+            return after if self.errors is None else self.errors.after(h, here, likelihood, after)
 
         depth = max(likelihood.innovations.values(), default=0.0)
         soon = likelihood.density > len(contacts) * self._rate
@@ -204,94 +193,6 @@ class FilterBank:
             )
 
         return _Branch(weight, make)
-
-    def _explained(
-        self,
-        h: Hypothesis,
-        here: ContactChange,
-        likelihood: Likelihood,
-        posterior: GaussianState,
-        weight: float,
-        notes: tuple[Note, ...],
-    ) -> Hypothesis:
-        """``h`` after an event that was ``here``, its model error matched to the innovation."""
-        after = Hypothesis(posterior, h.clock, weight, notes)
-        if likelihood.innovations:
-            nu = likelihood.normalised
-            after = after._replace(innovation=nu, residual=nu * likelihood.deviation)
-        if not self._learns_error:
-            return after
-        error = h.error
-        if error.level and len(here.hit) == 1:
-            unit = self._seen_error(h, error.kind, here)
-            error = error.matched(
-                likelihood.normalised,
-                likelihood.deviation,
-                unit,
-                self._most_error(h, here, error.kind),
-            )
-        after = after._replace(error=error)
-        if not here.hit or here.closed:
-            return after
-        after = after._replace(kicks=kicks(self.filter.system, h.state.x, here.hit))
-        if error.kind is ErrorKind.RESTITUTION:
-            added = error.level * after.kicks
-            after = after._replace(state=_with_error(posterior, added))
-        return after
-
-    def _error_root(self, h: Hypothesis, kind: ErrorKind) -> Matrix:
-        """What a model error of level 1 has added to ``h`` since the last event, (2n, any)."""
-        moving = self.filter.members.given.moving
-        closed = h.state.closed
-        if kind is ErrorKind.ACCELERATION:
-            return moving.diffusion(closed, h.since)
-        kicked: Matrix = moving.phase(closed).transition(h.since).dot(h.kicks)
-        return kicked
-
-    def _seen_error(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
-        """The deviation of the gap that it gives, m."""
-        if kind is ErrorKind.RESTITUTION and not h.kicks.size:
-            return 0.0
-        w = self.filter.system.W[:, here.hit[0]]
-        return float(np.linalg.norm(w.dot(self._error_root(h, kind)[: w.size])))
-
-    def _most_error(self, h: Hypothesis, here: ContactChange, kind: ErrorKind) -> float:
-        moving, n = self.filter.members.given.moving, self.filter.system.n
-        rate = moving.rates(here.before).along(h.state.x, moving.forces(here.t))[0]
-        return largest(kind, rate[n:], self.filter.phases.scales.timescale)
-
-    def _other_errors(
-        self, change: ContactChange, h: Hypothesis, here: ContactChange, likelihood: Likelihood
-    ) -> Iterator[tuple[Hypothesis, float]]:
-        """``h`` with other model errors, and the logarithms of their probabilities."""
-        size, deviation = abs(likelihood.normalised), likelihood.deviation
-        if not (likelihood.innovations and deviation < math.inf and h.since > 0):
-            return
-        chance = OTHER_ERROR
-        if not h.error.level:
-            chance = NEW_ERROR[len(h.notes) >= _NOTES // 2]
-            if size <= UNEXPLAINED and h.clock <= COARSE_CLOCK * self._clocks[0]:
-                return
-        if h.error.level:
-            seen = h.error.level * self._seen_error(h, h.error.kind, here)
-            yield h._replace(error=NO_ERROR), chance
-            clock = math.hypot(seen / max(self._speed(h, here), STILL), h.clock)
-            nearest = min(self._clocks, key=lambda each: abs(math.log(each / clock)))
-            if nearest != h.clock:
-                yield h._replace(error=NO_ERROR, clock=nearest), chance
-        for kind in (ErrorKind.ACCELERATION, ErrorKind.RESTITUTION):
-            unit = self._seen_error(h, kind, here)
-            if kind is h.error.kind or unit <= STILL:
-                continue
-            level = max(size, 1.0) * deviation / unit
-            level = min(level, self._most_error(h, here, kind))
-            added = level * self._error_root(h, kind)
-            state = _with_error(h.state, added)
-            yield h._replace(state=state, error=ModelError(kind, level)), chance
-
-    def _speed(self, h: Hypothesis, here: ContactChange) -> float:
-        n = self.filter.system.n
-        return abs(float(self.filter.system.W[:, here.hit[0]].dot(h.state.x[n:])))
 
     def _mislabelled_events(self, change: ContactChange, h: Hypothesis) -> Iterator[_Branch]:
         system, closed = self.filter.system, h.state.closed
@@ -368,15 +269,14 @@ class FilterBank:
             t, left = t + at, left - at
             before = forecast.prediction.prior(at)
             state, kind = insert_switch(self.filter, t, before, dip)
-            struck = dip.kind is Kind.IMPACT and not state.closed
-            kicked = kicks(self.filter.system, before.x, (dip.contact,)) if struck else NO_KICKS
-            if struck and h.error.kind is ErrorKind.RESTITUTION:
-                state = _with_error(state, h.error.level * kicked)
             missed = (*h.missed, MissedSwitch(dip.contact, kind, left, dip.depth))
             weight = h.weight + self._missed + float(special.log_ndtr(dip.depth))
             if weight < enough:
                 return
-            h = h._replace(state=state, weight=weight, missed=missed, since=0.0, kicks=kicked)
+            h = h._replace(state=state, weight=weight, missed=missed)
+            if self.errors is not None:
+                hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
+                h = self.errors.kicked(h, before.x, hit)
 
     def forecast(self, t: float, state: GaussianState, model_error: float = 0.0) -> Forecast:
         """The prediction of ``state`` from ``t`` (s since the epoch) on, with its penetrations."""
@@ -398,12 +298,6 @@ def _restarted(
     for h in restarts:
         begun = Hypothesis(h.state, h.clock, h.weight + total + RESTART, notes)
         yield begun._replace(notes=_noted(begun, change, ruling, {}))
-
-
-def _with_error(state: GaussianState, added: Matrix) -> GaussianState:
-    """``state`` with another error ``added``, one independent part a column, shape (2n, any)."""
-    missing = len(state.root) - len(added)
-    return state._replace(root=np.hstack([state.root, np.pad(added, ((0, missing), (0, 0)))]))
 
 
 def _logs(probability: float) -> tuple[float, float]:

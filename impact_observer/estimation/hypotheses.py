@@ -150,14 +150,21 @@ def _share(some: Sequence[Hypothesis], whole: Sequence[Hypothesis]) -> Vector:
     return np.cumsum(np.exp([h.penalised_weight - total for h in some]))
 
 
+def probabilities(hypotheses: Sequence[Hypothesis]) -> Vector:
+    """Of each of ``hypotheses``, if it is one of them."""
+    weights = np.array([h.weight for h in hypotheses])
+    found = np.exp(weights - weights.max())
+    return np.asarray(found / found.sum())
+
+
 def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:
     """The state of the first of ``hypotheses``, with the covariance of all of them about it."""
     best = hypotheses[0].state
     if len(hypotheses) == 1:
         return best
-    weights = np.exp([h.weight for h in hypotheses])
+    weights = probabilities(hypotheses)
     columns = []
-    for weight, h in zip(np.sqrt(weights / np.sum(weights)), hypotheses, strict=True):
+    for weight, h in zip(np.sqrt(weights), hypotheses, strict=True):
         differences = np.append(h.state.x - best.x, h.state.constants - best.constants)
         columns += [weight * h.state.root, weight * differences[:, None]]
     return best._replace(root=triangular(np.hstack(columns)))
@@ -168,5 +175,5 @@ def mean_level(hypotheses: Sequence[Hypothesis], kind: ErrorKind) -> float:
     squares = np.array([h.error.level**2 if h.error.kind is kind else 0.0 for h in hypotheses])
     if not squares.any():
         return 0.0
-    weights = np.exp([h.weight for h in hypotheses])
+    weights = probabilities(hypotheses)
     return math.sqrt(float(np.average(squares, weights=weights)))

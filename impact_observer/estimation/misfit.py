@@ -12,6 +12,8 @@ import numpy as np
 
 LARGEST_STATISTIC = 32.0
 """Of the test; above it the model does not explain the impacts."""
+DOUBTFUL_STATISTIC = 16.0
+"""Of the test; above it errors of the clock are no good explanation."""
 LATEST = 32
 """Innovations that are tested, the latest."""
 _FEWEST = 12
@@ -19,6 +21,11 @@ _FEWEST = 12
 _LAGS = 4
 _CLIPPED = 3.0
 """Innovation, in standard deviations, beyond which it counts as this: an outlier is no misfit."""
+MISFIT = (
+    "the model does not explain the impacts: restitution, stiffness, damping, forces or gaps are"
+    " not the plant's; see docs/misfit.md"
+)
+_BY_REPLICA = "; the estimate is the geometric replica's, which is nearer to the impacts"
 _COMPARED = 16
 """Impacts at which the estimate and the geometric replica are compared, the latest."""
 
@@ -42,23 +49,28 @@ class Fit(NamedTuple):
 
     Attributes:
         innovations: the latest, in standard deviations, with their signs, clipped.
-        errors: events in a row at which the published account has had an error of the model.
+        errors: events in a row at which the likeliest account has had an error of the model.
+        by_clock: whether that account explains the innovations by errors of the clock.
         statistic: of the test; 0 while there are too few innovations.
         residuals: at the latest impacts.
     """
 
     innovations: tuple[float, ...] = ()
     errors: int = 0
+    by_clock: bool = False
     statistic: float = 0.0
     residuals: tuple[Residual, ...] = ()
 
-    def after(self, innovation: float | None, *, in_error: bool = False) -> "Fit":
+    def after(
+        self, innovation: float | None, *, in_error: bool = False, by_clock: bool = False
+    ) -> "Fit":
         """The fit after an event; ``innovation`` is None where it measured nothing."""
         if innovation is None:
             return self
         clipped = min(max(innovation, -_CLIPPED), _CLIPPED)
         latest = (*self.innovations[-(LATEST - 1) :], clipped)
-        return Fit(latest, self.errors + 1 if in_error else 0, _statistic(latest), self.residuals)
+        errors = self.errors + 1 if in_error else 0
+        return Fit(latest, errors, by_clock, _statistic(latest), self.residuals)
 
     def compared(self, latest: Residual) -> "Fit":
         """The same with the ``latest`` residual."""
@@ -68,6 +80,21 @@ class Fit(NamedTuple):
     def is_misfit(self) -> bool:
         """Whether the model does not explain the impacts."""
         return self.errors >= _FEWEST or self.statistic > LARGEST_STATISTIC
+
+    @property
+    def is_established(self) -> bool:
+        """Whether the model fits, and errors of the clock would be the errors of a clock."""
+        if not self.by_clock:
+            return not self.is_misfit
+        tested = len(self.innovations) >= _FEWEST and self.statistic <= DOUBTFUL_STATISTIC
+        return tested and not self.is_misfit
+
+    @property
+    def message(self) -> str:
+        """The warning of a misfit; empty while the model fits."""
+        if not self.is_misfit:
+            return ""
+        return MISFIT + (_BY_REPLICA if self.prefers_replica else "")
 
     @property
     def prefers_replica(self) -> bool:

@@ -26,6 +26,8 @@ UNITS = {
     OFFSET: "s",
 }
 """Kinds of free parameters and their SI units; empty for a ratio."""
+_OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
+"""Of what an observer learns besides; none for a ratio."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
 """Largest value of a scale, and the inverse of its least."""
@@ -71,7 +73,7 @@ def parametric_family(
 
 def with_unit(name: str) -> str:
     """The name of an estimated parameter in words, with its unit."""
-    unit = UNITS.get(name.partition(".")[0], "s")
+    unit = UNITS.get(name.partition(".")[0], _OTHER_UNITS.get(name, ""))
     words = name.replace("_", " ")
     return f"{words} [{unit}]" if unit else words
 

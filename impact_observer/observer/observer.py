@@ -144,6 +144,7 @@ class Observer:
             self._numbers.discard(event.sequence)
             self._notices = notices
             raise
+        self.remarks[Remark.MISFIT] += insertion.entry.belief.fit.is_misfit
         if timeline.forget_before(timeline.newest.stamp - self._history):
             self._issued.forget_before(timeline.start.stamp)
             self._numbers.forget_before(timeline.start.stamp)
@@ -178,11 +179,11 @@ class Observer:
             closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
             convergence=entry.synchronization.convergence,
             synchronized=self.law.uses_events
-            and not belief.fit.is_misfit
+            and belief.fit.is_established
             and self._test.is_synchronized(entry.synchronization, root),
             bound=-1.0 if belief.bound is None else belief.bound,
             inconsistent=belief.inconsistent,
-            misfit=belief.fit.is_misfit,
+            misfit=belief.fit.message,
             clock_offset=belief.clock_offset,
             parameters=belief.parameters,
             last_sequence=entry.key.sequence if is_event else 0,

@@ -77,6 +77,8 @@ class ObserverDiagnostics:
             return DiagnosticStatus.WARN, fault
         if last is not None and last.inconsistent:
             return DiagnosticStatus.WARN, "events contradict the model or initial_deviation"
+        if last is not None and last.misfit:
+            return DiagnosticStatus.WARN, last.misfit
         if faults := self._new_faults():
             return DiagnosticStatus.WARN, ", ".join(faults)
         return DiagnosticStatus.OK, f"{self.counts['applied']} impacts applied"

@@ -261,7 +261,16 @@ class ObserverNode(Node):
         self._joint_states.publish(next(messages))
         if estimate.bound != (-1.0 if self._last is None else self._last.bound):
             self._bounds.publish(self._make.bound(estimate))
+        self._log_misfit(estimate)
         self._last = estimate
+
+    def _log_misfit(self, estimate: Estimate) -> None:
+        """Log when the model ceases to explain the impacts, and when it does again."""
+        before = "" if self._last is None else self._last.misfit
+        if estimate.misfit and not before:
+            self.get_logger().warning(estimate.misfit)
+        elif before and not estimate.misfit:
+            self.get_logger().info("the model explains the impacts again")
 
     def _on_clock_back(self, _: TimeJump) -> None:
         """Restart the observer after a backward jump of the clock, as of a looped bag."""

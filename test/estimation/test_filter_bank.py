@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from systems import (
     EPOCH,
     PRESSED,
+    chain,
     estimates,
     event,
     examples,
@@ -36,7 +37,7 @@ from impact_observer.model import System
 from impact_observer.observer import Belief, Observer
 from impact_observer.observer.laws.minimum_variance import CLOCK_ERRORS
 from impact_observer.plant import Run
-from impact_observer.stamps import NS_PER_S, seconds_between
+from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
 
 Array = NDArray[np.float64]
 FAULTY = Uncertainty(clock_error=0.0)
@@ -96,7 +97,7 @@ def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, lead
     """A late event has alternatives under the likeliest account, which penetrates its contact."""
     model = chain(1, contacts=[([1], 0.1, 0.5), ([-1], 0.3, 0.5)])
     clocks = (1e-9, 1e-7)
-    bank = FilterBank(ImpactFilter(model), Uncertainty(), clocks)
+    bank = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0), clocks)
     x = np.array([[-0.1 - 4e-10, -1.0]])
     state = GaussianState.of(x, 1e-12 * np.eye(2))
     best = Hypothesis(state, clocks[0], 0.0, penetrating={penetrated: -50.0})
@@ -113,16 +114,18 @@ def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) ->
     state = filter_.begin(GaussianState.of(x[None], np.eye(x.size)))
     since = EPOCH
     for each in events:
-        before = filter_.predict(seconds_between(EPOCH, since), state)
-        state = before.prior(seconds_between(since, each.stamp))
+        before = filter_.predict(Elapsed(since - EPOCH), state)
+        s = seconds_between(since, each.stamp)
+        state = before.prior(s)
         switches = [(index(switch.contact), switch.kind) for switch in each.switches]
-        change = ContactChange.of(seconds_between(EPOCH, each.stamp), state.closed, switches)
+        t = Elapsed(each.stamp - EPOCH)
+        change = ContactChange.of(t, state.closed, switches, flown=s)
         prior = filter_.joint_prior(change, state, 1e-9 / math.sqrt(12))
         state, since = (
             filter_.posterior(change, filter_.joint_posterior(change, prior)),
             each.stamp,
         )
-    prediction = filter_.predict(seconds_between(EPOCH, since), state)
+    prediction = filter_.predict(Elapsed(since - EPOCH), state)
     s = seconds_between(since, end)
     return prediction.state(s), prediction.root(s)
 
@@ -226,6 +229,7 @@ def test_contradictory_streams_give_no_nan(declared: float) -> None:
         "missed": declared,
         "spurious": declared,
         "mislabelled": declared,
+        "model_error": None if declared else 0.0,
     }
     model, start, _ = truth("three_mass", 20.0)
     streams = {

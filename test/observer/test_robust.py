@@ -12,7 +12,6 @@ from systems import (
     EPOCH,
     PRESSED,
     Harmonic,
-    chain,
     estimates,
     event,
     forcing,

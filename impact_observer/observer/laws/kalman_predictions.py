@@ -54,10 +54,9 @@ class SinglePrediction(Prediction):
         """The covariance's root after ``s`` seconds, whose transition matrix is ``map_``."""
         assert self._belief.root is not None, "a belief of another law"
         root = map_.dot(self._belief.root)
-        if self._noise is None:
-            return root
-        noisy: Matrix = self._noise.added_to(root, len(root), self._diffusion, s)
-        return noisy
+        if self._noise is not None:
+            root = self._noise.added_to(root, len(root), self._diffusion, s)
+        return np.asarray(root)
 
 
 class MixturePrediction(Prediction):

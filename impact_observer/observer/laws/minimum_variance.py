@@ -13,7 +13,7 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Differences, Ensemble
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture, published
+from impact_observer.estimation.hypotheses import Hypothesis, mixture, probabilities, published
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.misfit import Fit, Residual
 from impact_observer.estimation.model_error import ErrorKind
@@ -120,8 +120,12 @@ class MinimumVariance(Law):
         before, fallback = fallback, self._replica.after(change, fallback)
         restarts = partial(self._restarts, fallback, change.closed, 1 + belief.ensemble.others)
         corrected = self._bank.correct(change, hypotheses, restarts) or restarts()
-        likeliest = corrected[0]
-        fit = belief.fit.after(likeliest.innovation, in_error=likeliest.error.level > 0)
+        likeliest, errors = corrected[0], self._bank.errors
+        fit = belief.fit.after(
+            likeliest.innovation,
+            in_error=likeliest.error.level > 0,
+            by_clock=errors is not None and errors.is_coarse(likeliest.clock),
+        )
         best = published(corrected, misfit=fit.is_misfit)[0]
         if len(change.hit) == 1 and best.innovation is not None:
             gap = before.gap(self.system, change.hit[0])
@@ -228,15 +232,17 @@ class MinimumVariance(Law):
         """
         best, deviations = hypotheses[0].state, lengths(root)
         found = list(zip(self._names, best.theta.tolist(), deviations, strict=False))
+        learned = {}
         if len(self.clocks) > 1:
-            weights = np.exp([h.weight for h in hypotheses])
-            clocks = np.array([h.clock for h in hypotheses])
-            mean = float(np.average(clocks, weights=weights))
-            variance = float(np.average((clocks - mean) ** 2, weights=weights))
-            found.append(("clock_error", mean, math.sqrt(variance)))
+            learned["clock_error"] = [h.clock for h in hypotheses]
         if self.uncertainty.model_error is None:
             for kind in (ErrorKind.ACCELERATION, ErrorKind.RESTITUTION):
-                found.append((kind.value, mean_level(hypotheses, kind), 0.0))
+                learned[kind.value] = [h.error.level * (h.error.kind is kind) for h in hypotheses]
+        weights = probabilities(hypotheses)
+        for name, values in learned.items():
+            mean = float(np.average(values, weights=weights))
+            variance = float(np.average((np.array(values) - mean) ** 2, weights=weights))
+            found.append((name, mean, math.sqrt(variance)))
         if self.uncertainty.clock_offset_error:
             found.append(("clock_offset", best.offset, deviations[-1]))
         return tuple(found)

@@ -1,0 +1,121 @@
+"""Hypotheses that the model is in error: how such an error begins, is matched to events, ends.
+
+An error begins in retrospect: it has been there since the last event, and explains this one.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import NO_KICKS, Hypothesis
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.likelihood import STILL, Likelihood
+from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, ModelError, kicks, largest
+from impact_observer.events import Contacts
+from impact_observer.states import Matrix, Vector
+
+NEW_ERROR = math.log(1e-2)
+"""Logarithm of the probability that the model begins to be in error."""
+OTHER_ERROR = math.log(1e-2)
+"""Logarithm of the probability that an error of the model ends, or becomes one of another kind."""
+UNEXPLAINED = 2.0
+"""Innovation, in standard deviations, from which on the model may have begun to be in error."""
+COARSE_CLOCK = 10.0
+"""Deviation of a stamp, relative to the least, from which on it may be an error of the model."""
+
+
+class ErrorAccounts:
+    """The errors of the model that the hypotheses of one filter may have."""
+
+    def __init__(self, filter_: ImpactFilter, clocks: Sequence[float]) -> None:
+        """Errors in the motion of a filter's system; ``clocks``: deviations of a stamp, s."""
+        self._system = filter_.system
+        self._moving = filter_.members.given.moving
+        self._timescale = filter_.phases.scales.timescale
+        self._clocks = sorted(clocks)
+
+    def is_coarse(self, clock: float) -> bool:
+        """Whether so large a deviation of stamps, s, may be an error of the model."""
+        return clock > COARSE_CLOCK * self._clocks[0]
+
+    def others(
+        self, h: Hypothesis, here: ContactChange, likelihood: Likelihood
+    ) -> Iterator[tuple[Hypothesis, float]]:
+        """``h`` with other model errors before an impact that was ``here``.
+
+        With each the logarithm of its probability.
+        """
+        size, deviation = abs(likelihood.normalised), likelihood.deviation
+        if not (len(here.hit) == 1 and likelihood.innovations and h.since > 0):
+            return
+        chance, clocks = OTHER_ERROR, [h.clock]
+        if h.error.level:
+            yield h._replace(error=NO_ERROR), chance
+            if (clock := self._clock_instead(h, here)) != h.clock:
+                yield h._replace(error=NO_ERROR, clock=clock), chance
+        else:
+            chance = NEW_ERROR
+            clocks = clocks if size > UNEXPLAINED else []
+            clocks += self._clocks[:1] if self.is_coarse(h.clock) else []
+        for kind in (ErrorKind.ACCELERATION, ErrorKind.RESTITUTION):
+            unit = self._seen(h, kind, here)
+            if kind is h.error.kind or unit <= STILL or not clocks:
+                continue
+            level = min(max(size, 1.0) * deviation / unit, self._largest(h, kind, here))
+            state = with_error(h.state, level * self._root(h, kind))
+            for clock in clocks:
+                yield h._replace(state=state, clock=clock, error=ModelError(kind, level)), chance
+
+    def after(
+        self, h: Hypothesis, here: ContactChange, likelihood: Likelihood, posterior: Hypothesis
+    ) -> Hypothesis:
+        """The ``posterior`` of ``h`` with its model error, matched to the event ``here``."""
+        error = h.error
+        if error.level and len(here.hit) == 1:
+            unit, most = self._seen(h, error.kind, here), self._largest(h, error.kind, here)
+            error = error.matched(likelihood.normalised, likelihood.deviation, unit, most)
+        posterior = posterior._replace(error=error)
+        return posterior if here.closed else self.kicked(posterior, h.state.x, here.hit)
+
+    def kicked(self, after: Hypothesis, x: Vector, hit: Contacts) -> Hypothesis:
+        """``after`` an impact of the contacts ``hit`` at the state ``x``; no contact is closed."""
+        kicked = kicks(self._system, x, hit) if hit else NO_KICKS
+        after = after._replace(kicks=kicked, since=0.0)
+        if not (hit and after.error.kind is ErrorKind.RESTITUTION):
+            return after
+        return after._replace(state=with_error(after.state, after.error.level * kicked))
+
+    def _root(self, h: Hypothesis, kind: ErrorKind) -> Matrix:
+        """What a model error of level 1 has added to ``h`` since the last event, (2n, any)."""
+        closed = h.state.closed
+        if kind is ErrorKind.ACCELERATION:
+            return self._moving.diffusion(closed, h.since)
+        return np.asarray(self._moving.phase(closed).transition(h.since) @ h.kicks)
+
+    def _seen(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
+        """The standard deviation that this gives the gap of the impact, m."""
+        if kind is ErrorKind.RESTITUTION and not h.kicks.size:
+            return 0.0
+        w = self._system.W[:, here.hit[0]]
+        return float(np.linalg.norm(w @ self._root(h, kind)[: w.size]))
+
+    def _largest(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
+        forces = self._moving.forces(here.t)
+        rate = self._moving.rates(here.before).along(h.state.x, forces)[0]
+        return largest(kind, rate[self._system.n :], self._timescale)
+
+    def _clock_instead(self, h: Hypothesis, here: ContactChange) -> float:
+        """The deviation of stamps that would explain as much as the model error of ``h``, s."""
+        speed = float(self._system.W[:, here.hit[0]] @ h.state.x[self._system.n :])
+        seen = h.error.level * self._seen(h, h.error.kind, here)
+        clock = math.hypot(seen / max(abs(speed), STILL), h.clock)
+        return min(self._clocks, key=lambda each: abs(math.log(each / clock)))
+
+
+def with_error(state: GaussianState, added: Matrix) -> GaussianState:
+    """``state`` with another error ``added``, one independent part a column, shape (2n, any)."""
+    missing = len(state.root) - len(added)
+    return state._replace(root=np.hstack([state.root, np.pad(added, ((0, missing), (0, 0)))]))
