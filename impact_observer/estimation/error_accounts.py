@@ -13,7 +13,13 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import NO_KICKS, Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.likelihood import STILL, Likelihood
-from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, ModelError, kicks, largest
+from impact_observer.estimation.model_error import (
+    NO_ERROR,
+    ErrorKind,
+    LearnedError,
+    kicks,
+    largest,
+)
 from impact_observer.events import Contacts
 from impact_observer.states import Matrix, Vector
 
@@ -67,7 +73,7 @@ class ErrorAccounts:
             level = min(max(size, 1.0) * deviation / unit, self._largest(h, kind, here))
             state = with_error(h.state, level * self._root(h, kind))
             for clock in clocks:
-                yield h._replace(state=state, clock=clock, error=ModelError(kind, level)), chance
+                yield h._replace(state=state, clock=clock, error=LearnedError(kind, level)), chance
 
     def after(
         self, h: Hypothesis, here: ContactChange, likelihood: Likelihood, posterior: Hypothesis

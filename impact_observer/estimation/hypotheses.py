@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, ModelError
+from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, LearnedError
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts, Kind, Ruling
 from impact_observer.states import Matrix, Vector
@@ -93,7 +93,7 @@ class Hypothesis(NamedTuple):
     notes: tuple[Note, ...] = ()
     penetrating: Mapping[int, float] = NOTHING
     missed: tuple[MissedSwitch, ...] = ()
-    error: ModelError = NO_ERROR
+    error: LearnedError = NO_ERROR
     since: float = 0.0
     kicks: Matrix = NO_KICKS
     innovation: float | None = None

@@ -32,6 +32,8 @@ from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
 
+_NO_TIME = 1e-15
+"""Time in which nothing moves, s."""
 _SHORT = 1e-8
 """Flights that a plant may neglect before it is at rest, relative to the model's time scale."""
 _BACK = 8.0
@@ -312,7 +314,7 @@ class ImpactFilter:
 
     def _propagated(self, member: Member, closed: Contacts, joint: Joint, s: float) -> Joint:
         """``joint`` with its state ``s`` seconds later; of first order in ``s`` for parameters."""
-        if not s:
+        if abs(s) <= _NO_TIME:
             return joint
         map_ = member.moving.flow_map(joint.t, joint.x, s, closed)
         if not joint.parameters:

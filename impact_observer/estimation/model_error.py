@@ -36,7 +36,7 @@ class ErrorKind(Enum):
     RESTITUTION = "bounce error"
 
 
-class ModelError(NamedTuple):
+class LearnedError(NamedTuple):
     """The error of the model under one hypothesis.
 
     Attributes:
@@ -54,7 +54,7 @@ class ModelError(NamedTuple):
 
     def matched(
         self, innovation: float, deviation: float, unit: float, most: float
-    ) -> "ModelError":
+    ) -> "LearnedError":
         """The error after an event.
 
         Args:
@@ -68,10 +68,10 @@ class ModelError(NamedTuple):
         slope = share * (min(innovation * innovation, _LARGEST_SQUARE) - 1.0) / 2
         step = slope / max(information, _LEAST_INFORMATION)
         level = min(self.level * math.exp(step / 2), most)
-        return ModelError(self.kind, level, information, self.events + 1)
+        return LearnedError(self.kind, level, information, self.events + 1)
 
 
-NO_ERROR = ModelError()
+NO_ERROR = LearnedError()
 
 
 def kicks(system: System, x: Vector, contacts: Contacts) -> Matrix:

@@ -1,0 +1,86 @@
+"""The test for misfit: silent on white innovations, not on those of one sign or of period two."""
+
+import numpy as np
+import pytest
+
+from impact_observer.estimation.misfit import MISFIT, Fit, Residual
+
+
+def fitted(innovations: object, **options: bool) -> Fit:
+    """The fit after ``innovations``."""
+    fit = Fit()
+    for each in np.asarray(innovations, float).tolist():
+        fit = fit.after(each, **options)
+    return fit
+
+
+def test_statistic_of_white_innovations_is_that_of_ljung_and_box() -> None:
+    """Its mean is the number of lags, and nothing warns."""
+    rng = np.random.default_rng(3)
+    fits = [fitted(rng.normal(size=40)) for _ in range(300)]
+    assert np.mean([fit.statistic for fit in fits]) == pytest.approx(4.0, rel=0.15)
+    assert not any(fit.is_misfit for fit in fits)
+
+
+def test_statistic_agrees_with_its_definition() -> None:
+    """``n (n + 2) sum_k rho_k^2 / (n - k)`` over four lags, by hand."""
+    nu = np.random.default_rng(4).uniform(-2, 2, 20)
+    rho = [sum(nu[i] * nu[i - k] for i in range(k, 20)) / sum(nu**2) for k in range(1, 5)]
+    expected = 20 * 22 * sum(r * r / (20 - k) for k, r in enumerate(rho, 1))
+    assert fitted(nu).statistic == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("pattern", [[1.0], [1.0, -1.0], [0.2], [1.0, 1.0, -1.0, -1.0]])
+def test_patterns_warn_and_white_innovations_end_the_warning(pattern: list[float]) -> None:
+    """One sign, however small, or a period: within 20 impacts; gone 40 impacts later."""
+    rng = np.random.default_rng(6)
+    fit = fitted(np.resize(pattern, 20) * (1 + 0.1 * rng.normal(size=20)))
+    assert fit.is_misfit
+    assert fit.message.startswith(MISFIT)
+    for each in rng.normal(size=40):
+        fit = fit.after(float(each))
+    assert not fit.is_misfit
+    assert not fit.message
+
+
+def test_single_outliers_do_not_warn() -> None:
+    """Two false positives in a row among white innovations."""
+    nu = np.random.default_rng(7).normal(size=32)
+    nu[10:12] = 500.0
+    assert not fitted(nu).is_misfit
+
+
+def test_events_that_measure_nothing_do_not_count() -> None:
+    """The fit stays as it is."""
+    fit = fitted([1.0] * 5)
+    assert fit.after(None) is fit
+
+
+def test_error_of_the_model_that_lasts_is_a_misfit() -> None:
+    """Twelve events in a row at which it is the likeliest account; one without ends it."""
+    nu = np.random.default_rng(8).normal(size=12)
+    assert not fitted(nu[:11], in_error=True).is_misfit
+    fit = fitted(nu, in_error=True)
+    assert fit.is_misfit
+    assert not fit.after(0.3).is_misfit
+
+
+def test_errors_of_a_clock_must_be_white_to_establish_the_fit() -> None:
+    """Fewer than twelve innovations, or correlated ones, do not establish the fit."""
+    nu = np.random.default_rng(9).normal(size=30)
+    assert fitted(nu[:3]).is_established
+    assert not fitted(nu[:3], by_clock=True).is_established
+    assert fitted(nu, by_clock=True).is_established
+    assert not fitted(np.ones(12), by_clock=True).is_established
+
+
+def test_nearer_replica_is_preferred_in_a_misfit_only() -> None:
+    """By the gaps at the latest impacts; its level explains them."""
+    fit, misfit = fitted([0.1, -0.4]), fitted(np.ones(20))
+    for each in range(40):
+        residual = Residual(0.02, 0.01, 0.1) if each > 10 else Residual(0.0, 5.0, 0.1)
+        fit, misfit = fit.compared(residual), misfit.compared(residual)
+    assert misfit.prefers_replica
+    assert misfit.replica_level == pytest.approx(0.1)
+    assert "geometric" in misfit.message
+    assert not fit.prefers_replica
