@@ -17,8 +17,8 @@ from impact_observer.estimation.model_error import (
     NO_ERROR,
     ErrorKind,
     LearnedError,
-    kicks,
     largest,
+    unit_kicks,
 )
 from impact_observer.events import Contacts
 from impact_observer.states import Matrix, Vector
@@ -42,6 +42,7 @@ class ErrorAccounts:
         self._moving = filter_.members.given.moving
         self._timescale = filter_.phases.scales.timescale
         self._clocks = sorted(clocks)
+        self._unit_kicks = unit_kicks(filter_.system)
 
     def is_coarse(self, clock: float) -> bool:
         """Whether so large a deviation of stamps, s, may be an error of the model."""
@@ -88,11 +89,18 @@ class ErrorAccounts:
 
     def kicked(self, after: Hypothesis, x: Vector, hit: Contacts) -> Hypothesis:
         """``after`` an impact of the contacts ``hit`` at the state ``x``; no contact is closed."""
-        kicked = kicks(self._system, x, hit) if hit else NO_KICKS
+        kicked = self.kicks(x, hit) if hit else NO_KICKS
         after = after._replace(kicks=kicked, since=0.0)
         if not (hit and after.error.kind is ErrorKind.RESTITUTION):
             return after
         return after._replace(state=with_error(after.state, after.error.level * kicked))
+
+    def kicks(self, x: Vector, hit: Contacts) -> Matrix:
+        """What an error of 1 of the restitution adds at an impact at the state ``x``, (2n, k)."""
+        n, which = self._system.n, list(hit)
+        found = np.zeros((2 * n, len(which)))
+        found[n:] = self._unit_kicks[:, which] * np.abs(x[n:] @ self._system.W[:, which])
+        return found
 
     def _root(self, h: Hypothesis, kind: ErrorKind) -> Matrix:
         """What a model error of level 1 has added to ``h`` since the last event, (2n, any)."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from impact_observer.dynamics import KEPT, ImpactLaw, Phase, Phases, PositionProjection
 from impact_observer.estimation.parametric import Map
-from impact_observer.estimation.process_noise import diffusion
+from impact_observer.estimation.process_noise import diffusion, fastest_rate
 from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRates
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -41,6 +41,7 @@ class MovingSystem:
         self.rates = lru_cache(KEPT)(self._rates_of)
         self.forces = lru_cache(KEPT)(self._forces_at)
         self.diffusion = lru_cache(KEPT)(self._diffusion_over)
+        self._rate = lru_cache(KEPT)(lambda closed: fastest_rate(self.phase(closed)))
 
     @cached_property
     def newton(self) -> ImpactLaw:
@@ -62,7 +63,7 @@ class MovingSystem:
 
     def _diffusion_over(self, closed: Contacts, s: float) -> Matrix:
         """A root of what white accelerations of 1 m/s^1.5 add in ``s`` seconds, (2n, 2n)."""
-        return diffusion(self.phase(closed), s)
+        return diffusion(self.phase(closed), s, self._rate(closed))
 
     def _forces_at(self, t: float) -> Matrix:
         """f, df/dt and d2f/dt2 at an instant, shape (3, n)."""

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.events import Contacts
 from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
@@ -74,16 +73,10 @@ class LearnedError(NamedTuple):
 NO_ERROR = LearnedError()
 
 
-def kicks(system: System, x: Vector, contacts: Contacts) -> Matrix:
-    """What an error of 1 of the restitution adds to a state at an impact of ``contacts``.
-
-    One contact a column, shape (2n, k): ``M^-1 W_i |gamma_i| / (W_i^T M^-1 W_i)`` in the
-    velocities; ``x`` is the state before the impact.
-    """
-    n, W = system.n, system.W[:, list(contacts)]
-    pushed = np.linalg.solve(system.M, W)
-    speeds = np.abs(W.T.dot(x[n:])) / np.sum(W * pushed, axis=0)
-    return np.vstack([np.zeros_like(pushed), pushed * speeds])
+def unit_kicks(system: System) -> Matrix:
+    """``M^-1 W_i / (W_i^T M^-1 W_i)`` of each contact, a column each, shape (n, m)."""
+    pushed = np.linalg.solve(system.M, system.W)
+    return np.asarray(pushed / np.sum(system.W * pushed, axis=0))
 
 
 def largest(kind: ErrorKind, accelerations: Vector, timescale: float) -> float:

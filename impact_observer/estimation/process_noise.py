@@ -47,18 +47,23 @@ class ProcessNoise(NamedTuple):
         return triangular(np.hstack(columns)) if len(columns) > 1 else root
 
 
-def diffusion(phase: Phase, s: float) -> Matrix:
+def fastest_rate(phase: Phase) -> float:
+    """A bound of the rates of ``phase``, 1/s."""
+    return float(np.linalg.norm(balanced_state_matrix(phase.equations)[0], 1))
+
+
+def diffusion(phase: Phase, s: float, rate: float) -> Matrix:
     """A square root, shape (2n, 2n), of what white accelerations add in ``s`` >= 0 seconds.
 
     ``Q(s)``, the integral of ``Phi(r) B B^T Phi(r)^T`` for r from 0 to s, by quadrature over a
     step shorter than the fastest rate's inverse, and then by ``Q(2h) = Phi(h) Q(h) Phi(h)^T +
     Q(h)``. Only motion forward in time is needed, which never overflows. The noise on every
-    velocity has the intensity 1 m/s^1.5; contacts that are held get none.
+    velocity has the intensity 1 m/s^1.5; contacts that are held get none. ``rate`` is the
+    ``fastest_rate``.
     """
     n = phase.equations.n
     if not s:
         return np.zeros((2 * n, 2 * n))
-    rate = float(np.linalg.norm(balanced_state_matrix(phase.equations)[0], 1))
     doublings = max(0, math.ceil(math.log2(max(s * rate, 1.0))))
     h = math.ldexp(s, -doublings)
     columns = [

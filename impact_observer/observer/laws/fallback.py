@@ -6,6 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Differences, Ensemble
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts
@@ -34,9 +35,10 @@ class FallbackReplica:
         """The replica after an event."""
         if not change.hit:
             return before
-        near = np.vstack([before.x, before.x + _SMALL * before.unit.T])
-        x, *others = self._geometric.impacts(near, change.active, change.closed)
-        unit = (np.array(others) - x).T / _SMALL
+        x = self._geometric.impact(before.x, change.active, change.closed)
+        near = Ensemble(before.x, Differences(_SMALL * before.unit))
+        near = self._geometric.impact_ensemble(near, x, change.active, change.closed)
+        unit = near.differences / _SMALL
         return Fallback(x, np.maximum(before.largest, np.abs(x)), unit)
 
     def motion(self, t: float, before: Fallback, closed: Contacts) -> Callable[[float], Fallback]:

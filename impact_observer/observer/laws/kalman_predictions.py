@@ -16,7 +16,7 @@ from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixtur
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.estimation.missed_switch import insert_switch
-from impact_observer.estimation.model_error import ErrorKind, kicks
+from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts, Kind
 from impact_observer.observer.belief import Belief, Prediction
@@ -182,7 +182,8 @@ class MissedSwitchPrediction(Prediction):
         parts = [state.root, differences]
         level = mean_level(self._hypotheses, ErrorKind.RESTITUTION)
         if level and kind is Kind.IMPACT and not state.closed:
-            kicked = level * kicks(filter_.system, before.x, (dip.contact,))
+            assert self._bank.errors is not None, "a level is learned"
+            kicked = level * self._bank.errors.kicks(before.x, (dip.contact,))
             parts.append(np.pad(kicked, ((0, len(state.root) - size), (0, 0))))
         root = triangular(np.hstack(parts))
         self._stretches.append(self._begun(since, start + at, state, root))
