@@ -8,6 +8,8 @@ from pathlib import Path
 from impact_observer.cli.arguments import add_model, add_namespace, number, positive
 from impact_observer.errors import BagError, UsageError
 
+_MOST_HELD_BACK = 0.5
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
@@ -41,6 +43,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="reject no impact as spurious and insert no missed one",
     )
     parser.add_argument(
+        "--held-back",
+        metavar="SHARE",
+        type=number,
+        default=0.2,
+        help="share of the impacts, the last ones, on which a fit of the others is checked;"
+        " 0: none (default 0.2)",
+    )
+    parser.add_argument(
         "--check",
         action="store_true",
         help="only check whether the model fits the times",
@@ -67,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
         clock_error=None if args.clock_error < 0 else args.clock_error,
         horizon=args.horizon,
         trust_events=args.trust_events,
+        held_back=args.held_back,
         check=args.check,
         namespace=args.namespace,
         output=args.output,
@@ -83,6 +94,7 @@ def identify(
     clock_error: float | None = None,
     horizon: float | None = None,
     trust_events: bool = False,
+    held_back: float = 0.2,
     check: bool = False,
     namespace: str = "",
     output: Path | None = None,
@@ -114,6 +126,10 @@ def identify(
     from impact_observer.model.free_parameters import parametric_family
 
     _check_usage(free, output, plot, check=check, clock=clock_error)
+    if not 0 <= held_back <= _MOST_HELD_BACK:
+        raise UsageError(
+            f"--held-back: {held_back:g} found; expected a share from 0 to {_MOST_HELD_BACK:g}"
+        )
     with BagReader(bag, namespace) as reader:
         given = text_of_model(reader, model)
         parsed = parse_model(*given)
@@ -127,6 +143,7 @@ def identify(
                 clock=clock_error,
                 horizon=horizon,
                 trust_events=trust_events,
+                held_back=held_back,
                 progress=lambda what: progress.show(f"{family.system.name}: {what}"),
             )
         except BagError as error:
@@ -138,7 +155,7 @@ def identify(
     elif check:
         fit_report.print_check(found, checked)
     else:
-        fit_report.print_parameters(found)
+        fit_report.print_parameters(found, checked)
     lines = sys.stderr if json else sys.stdout
     if output is not None and good:
         output.write_text(fit_report.model_text(found, given, bag, output), encoding="utf-8")

@@ -3,13 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from impact_observer.identify.identification import Identification
-from impact_observer.states import Vector
-
-REJECTED = 1e-3
-"""Probability of the shifts under the model below which the model is rejected."""
+from impact_observer.identify.residuals import REJECTED, lags_of, probability_of_size, whiteness
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,23 +46,11 @@ def check_fit(found: Identification) -> FitCheck:
         by_contact[name] = (own.size, float(np.mean(own)), float(np.sqrt(np.mean(own**2))))
     size = None
     if found.declared:
-        weight = float(np.sum((shifts / found.clock) ** 2))
-        size = float(stats.chi2.sf(weight, max(found.freedom, 1)))
-    lags = max(1, min(10, shifts.size // 3))
+        size = probability_of_size(shifts, found.clock, found.freedom)
     return FitCheck(
         size=size,
-        white=_whiteness(shifts, lags),
-        lags=lags,
+        white=whiteness(shifts),
+        lags=lags_of(shifts),
         by_contact=by_contact,
         worst=max(names, key=lambda name: by_contact[name][2]),
     )
-
-
-def _whiteness(shifts: Vector, lags: int) -> float:
-    """Ljung and Box's probability of the autocorrelations of ``shifts``."""
-    K, power = shifts.size, float(np.sum(shifts**2))
-    if power == 0.0 or lags >= K:
-        return 1.0
-    lag = np.arange(1, lags + 1)
-    rho = np.array([float(shifts[k:] @ shifts[:-k]) for k in lag]) / power
-    return float(stats.chi2.sf(K * (K + 2) * np.sum(rho**2 / (K - lag)), lags))

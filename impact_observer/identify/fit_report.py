@@ -13,12 +13,15 @@ from impact_observer.identify.fit_check import FitCheck
 from impact_observer.identify.identification import Identification, combination
 from impact_observer.identify.model_edit import changes
 from impact_observer.identify.recorded_impacts import Hit
+from impact_observer.identify.residuals import REJECTED
 from impact_observer.model import parse_model
 from impact_observer.model.model_file import ModelText, edited, load_yaml
 from impact_observer.stamps import seconds_between
 
 _CORRELATED = 0.9
 """Correlation of two parameters above which it is printed."""
+_MANY = 0.25
+"""Share of outliers among the impacts above which a declared clock error is named."""
 _SHOWN = 6
 """Most rejected or inserted impacts that are printed."""
 
@@ -30,6 +33,10 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
     return {
         "name": family.system.name,
         "converged": found.converged,
+        "widened": found.widened,
+        "widened_because": [*_reasons(found, check)] if found.widened > 1.0 else [],
+        "held_back": found.held_back
+        and {**found.held_back._asdict(), "carries_over": found.held_back.carries_over},
         "fits": check.fits and found.converged,
         "parameters": {
             each.name: {
@@ -51,6 +58,8 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
         "initial_state_seconds": recording.start,
         "clock_error": found.clock,
         "clock_error_declared": found.declared,
+        "clock_error_with_all_accepted": found.accepted,
+        "doubted": found.doubted,
         "residual": found.rms,
         "degrees_of_freedom": found.freedom,
         "impacts": len(found.shifts),
@@ -71,9 +80,10 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
     }
 
 
-def print_parameters(found: Identification) -> None:
+def print_parameters(found: Identification, check: FitCheck) -> None:
     """Print the fitted parameters and how well they are determined."""
-    print_report(_parameter_table(found), [*_about_fit(found), *_about_parameters(found)])
+    lines = [*_about_fit(found), *_about_errors(found, check), *_about_parameters(found)]
+    print_report(_parameter_table(found), lines)
 
 
 def print_check(found: Identification, check: FitCheck) -> None:
@@ -106,13 +116,49 @@ def _about_fit(found: Identification) -> Iterator[str]:
     yield f"{len(found.shifts)} stamps {off}{declared}."
     if not found.converged:
         yield (
-            "The fit has not converged: no motion of the model explains these stamps."
-            " Do not use these values."
+            "The model does not fit: no motion of it explains these stamps. Do not use these"
+            " values. Begin with other values, or free other parameters (docs/identify.md)."
+        )
+    impacts = len(found.shifts) + len(found.recording.rejected)
+    if found.declared and found.doubted >= _MANY * impacts:
+        yield (
+            f"WARNING: --clock-error {found.clock:.3g} makes {found.doubted} of {impacts} impacts"
+            f" outliers. The shifts say {min(found.accepted, found.rms):.3g} s: leave it out or"
+            " declare that, unless the model is wrong."
         )
     if found.recording.rejected:
         yield _listed(found, found.recording.rejected, "rejected as spurious")
     if found.recording.inserted:
         yield _listed(found, found.recording.inserted, "inserted as missed")
+
+
+def _about_errors(found: Identification, check: FitCheck) -> Iterator[str]:
+    """Why standard errors are widened, and how the model does on what was held back."""
+    if found.widened > 1.0:
+        reasons = "; ".join(_reasons(found, check))
+        yield f"Standard errors are widened by a factor of {found.widened:.3g}: {reasons}."
+    if not found.converged or not found.family.size:
+        return
+    held = found.held_back
+    if held is None:
+        yield "No impacts were held back for a check."
+        return
+    declared = f"; {found.clock:.3g} s was declared" if found.declared else ""
+    yield (
+        f"{'' if held.carries_over else 'WARNING: the model does not carry over. '}Checked on the"
+        f" last {held.impacts} impacts: residuals {held.residual:.3g} s (fitted part"
+        f" {held.fitted:.3g} s{declared}). The values are from all impacts."
+    )
+
+
+def _reasons(found: Identification, check: FitCheck) -> Iterator[str]:
+    """What says that the shifts are not white errors of the clock."""
+    if check.size is not None and check.size < REJECTED:
+        yield f"shifts are {found.rms / found.clock:.3g} times the declared clock error"
+    if check.white < REJECTED:
+        yield "neighbouring shifts are correlated"
+    if not found.declared:
+        yield "without --clock-error an error of the model looks like one of the clock"
 
 
 def _listed(found: Identification, hits: frozenset[Hit], outcome: str) -> str:

@@ -1,7 +1,7 @@
 """From a recording of impact times to the parameters of its model."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -14,19 +14,20 @@ from impact_observer.identify.least_squares import (
     Solution,
     by_gaps,
     directions,
+    own_impacts,
     solved,
     start_of,
+    usual_size,
 )
 from impact_observer.identify.outliers import outliers_by_motion, outliers_by_observer
 from impact_observer.identify.recorded_impacts import Recording
+from impact_observer.identify.residuals import ROUNDED, HeldBack, widening
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode
 from impact_observer.stamps import seconds_between
 from impact_observer.states import Matrix, Vector, frozen
 
-ROUNDED = 1e-9 / np.sqrt(12)
-"""Standard deviation of a stamp that is wrong by its rounding only, s."""
 _ROUNDS = 12
 """Most rounds of rejecting and inserting impacts."""
 _SUSPICIOUS = 0.01
@@ -41,6 +42,8 @@ _WRONG = 0.03
 """Declared error of the model, as an error of the stamps relative to the time between two."""
 _ACCEPTED = 2 / 3
 """Least share of accepted, measured impacts in a recording that is explained."""
+_FEWEST = 3
+"""Fewest impacts that are held back, and fewest degrees of freedom of the fit of the others."""
 _PART = 1e-3
 """Smallest term of a combination, relative to the largest."""
 _MINOR = 0.2
@@ -55,7 +58,9 @@ class Identification:
         family: the given system and its free parameters.
         recording: the events, with rejected and inserted impacts.
         values: of the parameters, shape (p,), SI units.
-        covariance: of initial state and parameters, shape (2n + p, 2n + p).
+        covariance: of initial state and parameters, shape (2n + p, 2n + p), widened.
+        widened: factor by which standard errors are wider than white errors of the clock give
+            them, because the model does not explain the shifts so.
         start: initial state (q, u), shape (2n,), at ``recording.start``.
         clock: standard deviation of a stamp on which the errors rest, s.
         declared: whether it was declared; else it is estimated from the shifts.
@@ -69,12 +74,16 @@ class Identification:
         undetermined: combinations of parameters that the impacts do not determine: the change
             of each by name, in its unit.
         converged: whether the fit converged to a motion that explains the stamps.
+        held_back: the last impacts, predicted from a fit of the others; None if none are.
+        doubted: most impacts that were rejected and inserted in any search for outliers.
+        accepted: standard deviation of a stamp estimated with all impacts accepted, s.
     """
 
     family: ParametricFamily
     recording: Recording
     values: Vector
     covariance: Matrix
+    widened: float
     start: Vector
     clock: float
     declared: bool
@@ -86,6 +95,9 @@ class Identification:
     singular: Vector
     undetermined: tuple[dict[str, float], ...]
     converged: bool
+    held_back: HeldBack | None = None
+    doubted: int = 0
+    accepted: float = 0.0
 
     @property
     def errors(self) -> Vector:
@@ -123,6 +135,7 @@ def identify(
     clock: float | None = None,
     horizon: float | None = None,
     trust_events: bool = False,
+    held_back: float = 0.2,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Identification:
     """Fit the parameters of a family, and the initial state, to impact times.
@@ -133,6 +146,8 @@ def identify(
         clock: standard deviation of a stamp, s; None to estimate it.
         horizon: seconds of the recording that count; None for all.
         trust_events: whether to reject no impact as spurious and to insert no missed one.
+        held_back: share of the impacts, the last ones, on which a fit of the others is checked;
+            the values are from all impacts. With too few impacts none are held back.
         progress: receives what is being done.
 
     Raises:
@@ -154,17 +169,43 @@ def identify(
     recording = Recording(episode)
     progress("all impacts accepted")
     problem, solution = _fit(recording.problem(family))
-    found = _identification(recording, problem, solution, clock)
+    first = _identification(recording, problem, solution, clock)
+    accepted = max(usual_size(solution.shifts, solution.freedom), ROUNDED)
     least = _SUSPICIOUS * problem.interval if clock is None else _EXCESS * max(clock, 1e-9)
     if trust_events or (solution.converged and solution.rms <= least):
-        return found
+        checked = _held_back(problem, solution, held_back)
+        return replace(first, held_back=checked, accepted=accepted)
+    found, doubted = replace(first, converged=False), 0
     for wrong in (_WRONG * problem.interval, None):
         progress("searching spurious and missed impacts")
         recording = outliers_by_observer(family.system, Recording(episode), events, wrong)
-        found = _identification(*_without_outliers(recording, family, clock, progress), clock)
+        doubted = max(doubted, recording.outliers)
+        try:
+            recording, again, refit = _without_outliers(recording, family, clock, progress)
+        except IdentificationError:
+            continue  # too few impacts are left
+        doubted = max(doubted, recording.outliers)
+        found = _identification(recording, again, refit, clock)
         if found.converged:
+            problem, solution = again, refit
             break
-    return found
+    if not found.converged and first.converged and first.rms <= _SUSPICIOUS * problem.interval:
+        found = first  # a declared clock error that is too small
+    checked = _held_back(problem, solution, held_back) if found.converged else None
+    return replace(found, held_back=checked, doubted=doubted, accepted=accepted)
+
+
+def _held_back(problem: Problem, solution: Solution, share: float) -> HeldBack | None:
+    """The last impacts as the others predict them; None where one of the parts has too few."""
+    count = int(share * solution.counted.size)
+    if not problem.family.size or count < _FEWEST or solution.freedom - count < _FEWEST:
+        return None
+    moments = problem.moments[: solution.counted[-count]]
+    try:
+        _, first = _fit(problem._replace(moments=moments), solution.y)
+    except IdentificationError:
+        return None
+    return HeldBack.between(first, solution)
 
 
 def _without_outliers(
@@ -210,12 +251,12 @@ def _fit(
             "no force and no gap determines the size of the motion, which has the same impacts at"
             " any size; expected a gap that is not 0, or a force"
         )
-    if lost := combinations_of(problem, directions(problem, shot).undetermined):
+    if lost := combinations_of(problem, directions(problem, own_impacts(problem, y)).undetermined):
         words = "; ".join(combination(each) for each in lost)
         one = all(len(each) == 1 for each in lost)
         raise IdentificationError(
-            f"{words}: no impact moves by that, so impact times do not determine it;"
-            f" hold {'it' if one else 'one of them'} fixed"
+            f"{words}: with a suitable initial state no impact moves by that, so impact times do"
+            f" not determine it; hold {'it' if one else 'one of them'} fixed"
         )
     return problem, solved(problem, by_gaps(problem, y, robust=robust), robust=robust)
 
@@ -251,7 +292,8 @@ def _identification(
 ) -> Identification:
     family, n = problem.family, problem.family.system.n
     used = max(solution.rms if clock is None else clock, ROUNDED)
-    root = solution.root * used
+    widened = widening(solution, clock)
+    root = solution.root * used * widened
     covariance = root @ root.T
     found = directions(problem, solution.shot)
     own = covariance[2 * n :, 2 * n :] / np.outer(family.sizes, family.sizes)
@@ -260,13 +302,13 @@ def _identification(
     # With few stamps an axis is rotated a little: small terms may be well determined.
     axes = np.where(np.abs(axes) < _MINOR * np.max(np.abs(axes), axis=0, initial=0.0), 0.0, axes)
     weak = np.vstack([np.zeros((2 * n, axes.shape[1])), axes * family.sizes[:, None]])
-    changed = len(recording.rejected) + len(recording.inserted)
     hits, names = recording.hits(), family.system.contact_names
     return Identification(
         family=family,
         recording=recording,
         values=frozen(solution.y[2 * n :]),
         covariance=frozen(covariance),
+        widened=widened,
         start=frozen(solution.y[: 2 * n]),
         clock=used,
         declared=clock is not None,
@@ -279,5 +321,5 @@ def _identification(
         undetermined=combinations_of(problem, np.hstack([found.undetermined, weak])),
         converged=solution.converged
         and solution.rms <= _LOST * problem.interval
-        and solution.counted.size >= _ACCEPTED * (solution.counted.size + changed),
+        and solution.counted.size >= _ACCEPTED * (solution.counted.size + recording.outliers),
     )

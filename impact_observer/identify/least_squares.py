@@ -48,6 +48,8 @@ _LEAST = 1e-9
 """Smallest scale of gaps, m, and of shifts, s, in a robust fit."""
 _CAUCHY = 2.0
 """Scale of the Cauchy weights, over the usual shift."""
+_FAR = 3.0
+"""Distance of a model's own impacts from the stamps, in times between two, that is too far."""
 _FIRST = 8
 """Moments that the second try begins with."""
 
@@ -96,7 +98,8 @@ class Solution(NamedTuple):
         shifts: instants minus stamps, s, of the moments that count, shape (counted,).
         counted: indices of these moments.
         freedom: degrees of freedom of the shifts.
-        root: ``root root^T`` times the variance of a stamp is the covariance of ``y``.
+        root: how far an error of each stamp moves ``y``, shape (2n + p, counted):
+            ``root root^T`` times the variance of a stamp is the covariance of ``y``.
         converged: whether the steps converged.
     """
 
@@ -126,6 +129,27 @@ def start_of(problem: Problem) -> Vector:
     shot = problem.shot(y)
     y[: 2 * n] = linalg.lstsq(shot.by_start[:, : 2 * n], -shot.gaps, cond=RANK)[0]
     return y
+
+
+def own_impacts(problem: Problem, y: Vector) -> Shot:
+    """The motion of ``y`` switched where its own gaps vanish; at the stamps if that is far away.
+
+    What changes the size of a motion changes its gaps at the stamps, unless they are zero.
+    """
+    at_stamps = shot = problem.shot(y)
+    t = problem.stamps
+    for _ in range(_TRIES):
+        step = linalg.lstsq(shot.by_instant, shot.gaps, cond=RANK)[0]
+        t = t - step
+        if np.max(np.abs(t - problem.stamps)) > _FAR * problem.interval:
+            return at_stamps
+        with np.errstate(over="ignore", invalid="ignore"):
+            shot = problem.shot(y, t)
+        if not (np.all(np.isfinite(shot.gaps)) and np.all(np.isfinite(shot.by_instant))):
+            return at_stamps
+        if np.max(np.abs(step)) <= _LEAST * problem.interval:
+            return shot
+    return at_stamps
 
 
 def by_gaps(problem: Problem, y: Vector, *, robust: bool = False) -> Vector:
@@ -204,11 +228,12 @@ def directions(problem: Problem, shot: Shot) -> Directions:
     """The directions of ``y`` that the gaps determine, and the others.
 
     Directions are of unit length where states are in units of the motion's largest, and parameters
-    in units of their sizes.
+    in units of their sizes. Positions count between impacts too: at them a ball is at its floor.
     """
     n = problem.family.system.n
     reach = np.max(np.abs(shot.states), axis=0)
-    state = np.repeat([np.max(reach[:n]) or 1.0, np.max(reach[n:]) or 1.0], n)
+    speed = np.max(reach[n:])
+    state = np.repeat([max(np.max(reach[:n]), speed * problem.interval) or 1.0, speed or 1.0], n)
     units = np.concatenate([state, problem.family.sizes])
     found, right = linalg.svd(shot.by_start * units)[1:]
     singular = np.zeros(units.size)
@@ -367,7 +392,8 @@ def constrained_least_squares(A: Matrix, B: Matrix, d: Vector) -> tuple[Vector, 
         d: shape (r,).
 
     Returns:
-        ``x``, ``e`` and a root of the covariance of ``x`` where that of ``e`` is one.
+        ``x``, ``e``, and how far each of ``e`` moves ``x``, shape (k, c): a root of the covariance
+        of ``x`` where that of ``e`` is one.
     """
     k = A.shape[1]
     Q, R = linalg.qr(A)
@@ -375,4 +401,4 @@ def constrained_least_squares(A: Matrix, B: Matrix, d: Vector) -> tuple[Vector, 
     e = linalg.lstsq(left, Q[:, k:].T @ d)[0] if left.size else np.zeros(B.shape[1])
     free = linalg.null_space(left) if left.size else np.eye(B.shape[1])
     x = linalg.solve_triangular(R[:k], range_of_A @ (d - B @ e))
-    return x, e, linalg.solve_triangular(R[:k], range_of_A @ B @ free)
+    return x, e, linalg.solve_triangular(R[:k], range_of_A @ B @ free) @ free.T

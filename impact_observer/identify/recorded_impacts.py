@@ -39,6 +39,11 @@ class Recording:
         """Where the initial state holds, s since the epoch."""
         return seconds_between(self.episode.epoch, self.episode.start)
 
+    @property
+    def outliers(self) -> int:
+        """Number of impacts that are rejected or inserted."""
+        return len(self.rejected) + len(self.inserted)
+
     def with_outliers(self, rejected: Iterable[Hit], inserted: Iterable[Hit]) -> "Recording":
         """The same events, with other impacts rejected and inserted."""
         return replace(self, rejected=frozenset(rejected), inserted=frozenset(inserted))

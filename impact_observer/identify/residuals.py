@@ -1,0 +1,109 @@
+"""What the shifts of the stamps say of the model: whether it fits, and of its standard errors."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg, stats
+
+from impact_observer.identify.least_squares import Solution
+from impact_observer.states import Vector
+
+REJECTED = 1e-3
+"""Probability of the shifts under the model below which the model is rejected."""
+ROUNDED = 1e-9 / np.sqrt(12)
+"""Standard deviation of a stamp that is wrong by its rounding only, s."""
+_PARTS = 5
+"""Parts of a recording that are left out in turn."""
+_SINGULAR = 1e-2
+"""Share of a part's shifts below which they follow from the others: nothing is left to judge."""
+
+
+class HeldBack(NamedTuple):
+    """The last impacts of a recording, predicted from a fit of the earlier ones.
+
+    Attributes:
+        impacts: how many are held back.
+        residual: rms of what their stamps differ from the predictions, s: each from the fit of all
+            before it, over the uncertainty of that prediction in units of a stamp's error
+            (recursive residuals; Brown, Durbin and Evans, Techniques for testing the constancy of
+            regression relationships over time, 1975).
+        fitted: rms of the shifts of the fitted part, s.
+        probability: of a ratio this large if the model were right (Chow, Tests of equality
+            between sets of coefficients in two linear regressions, 1960).
+    """
+
+    impacts: int
+    residual: float
+    fitted: float
+    probability: float
+
+    @property
+    def carries_over(self) -> bool:
+        """Whether the predictions are as good as the fit."""
+        return self.probability >= REJECTED
+
+    @staticmethod
+    def between(first: Solution, every: Solution) -> "HeldBack":
+        """From a fit of the first impacts and one of all."""
+        impacts = every.shifts.size - first.shifts.size
+        more = max(float(np.sum(every.shifts**2) - np.sum(first.shifts**2)), 0.0)
+        residual = float(np.sqrt(more / impacts))
+        ratio = (residual / max(first.rms, ROUNDED)) ** 2
+        probability = float(stats.f.sf(ratio, impacts, max(first.freedom, 1)))
+        return HeldBack(impacts, residual, first.rms, probability)
+
+
+def probability_of_size(shifts: Vector, clock: float, freedom: int) -> float:
+    """Probability of shifts this large if stamps have the standard deviation ``clock``, s."""
+    return float(stats.chi2.sf(np.sum((shifts / clock) ** 2), max(freedom, 1)))
+
+
+def lags_of(shifts: Vector) -> int:
+    """Lags of the autocorrelations that are tested."""
+    return max(1, min(10, shifts.size // 3))
+
+
+def whiteness(shifts: Vector) -> float:
+    """Ljung and Box's probability of the autocorrelations of ``shifts``."""
+    K, power, lags = shifts.size, float(np.sum(shifts**2)), lags_of(shifts)
+    if power == 0.0 or lags >= K:
+        return 1.0
+    lag = np.arange(1, lags + 1)
+    rho = np.array([float(shifts[k:] @ shifts[:-k]) for k in lag]) / power
+    return float(stats.chi2.sf(K * (K + 2) * np.sum(rho**2 / (K - lag)), lags))
+
+
+def widening(solution: Solution, clock: float | None) -> float:
+    """Factor of the standard errors: 1 where white errors of the clock explain the shifts.
+
+    Otherwise errors of the model are among them. These need not average out, and no formula for
+    independent errors applies. The standard errors become those of a jackknife: each fifth of the
+    impacts is left out in turn, and the combination of unknowns that changes most counts.
+
+    Args:
+        solution: the fit.
+        clock: declared standard deviation of a stamp, s; None if only rounding is known.
+    """
+    shifts, least = solution.shifts, max(clock or 0.0, ROUNDED)
+    size = probability_of_size(shifts, least, solution.freedom)
+    if size >= REJECTED and whiteness(shifts) >= REJECTED:
+        return 1.0
+    rms = max(solution.rms, ROUNDED)
+    excess = 1.0 if clock is None else max(rms / least, 1.0)
+    return excess * max(_jackknife(solution) / rms, 1.0)
+
+
+def _jackknife(solution: Solution) -> float:
+    """The error of a stamp that gives the jackknife's variance in its largest direction, s."""
+    root = solution.root
+    scale = linalg.norm(root, axis=1, keepdims=True)
+    # rows of unit length: the combinations of shifts that the fit takes up
+    singular, right = linalg.svd(root / np.where(scale > 0, scale, 1.0), full_matrices=False)[1:]
+    taken = right[singular > 1e-12 * singular[0]]
+    remain = np.eye(root.shape[1]) - taken.T @ taken
+    changes = []
+    for part in np.array_split(np.arange(root.shape[1]), _PARTS):
+        own = linalg.pinvh(remain[np.ix_(part, part)], rtol=_SINGULAR)
+        changes.append(taken[:, part] @ own @ solution.shifts[part])
+    largest = linalg.norm(np.array(changes), 2) if taken.size else 0.0
+    return float(largest * np.sqrt((_PARTS - 1) / _PARTS))
