@@ -90,7 +90,7 @@ def widening(solution: Solution, clock: float | None) -> float:
         return 1.0
     rms = max(solution.rms, ROUNDED)
     excess = 1.0 if clock is None else max(rms / least, 1.0)
-    return excess * max(_jackknife(solution) / rms, 1.0)
+    return float(excess * max(_jackknife(solution) / rms, 1.0))
 
 
 def _jackknife(solution: Solution) -> float:

@@ -59,6 +59,31 @@ def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) 
     assert len(results["shifts"]["shift"]) == results["impacts"]
 
 
+def test_a_check_on_the_last_impacts_is_printed(
+    model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Unless none are held back."""
+    words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution"]
+    assert main(words) == 0
+    assert "Checked on the last" in capsys.readouterr().out
+    assert main([*words, "--held-back", "0"]) == 0
+    assert "No impacts were held back" in capsys.readouterr().out
+    assert main([*words, "--held-back", "0.9"]) == 2
+    assert "expected a share from 0 to 0.5" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_clock_error_that_makes_outliers_is_named(
+    model: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With what the shifts say of it, and how far standard errors are widened."""
+    words = ["identify", bag(ROUGH), "--model", str(model), "--free", "restitution"]
+    assert main([*words, "--clock-error", "1e-6"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "WARNING: --clock-error 1e-06 makes" in said
+    assert "times the declared clock error" in said
+
+
 @pytest.mark.slow
 def test_check_ends_with_1_where_the_model_does_not_fit(
     model: Path, capsys: pytest.CaptureFixture[str]

@@ -158,6 +158,94 @@ def test_too_few_impacts_are_refused() -> None:
         identify(parametric_family(model, FREE), sensed("two_mass")[:3])
 
 
+def bounced(restitution: float, free: list[str]) -> Identification:
+    """A fit to five seconds of a ball, from a first guess of its restitution."""
+    model = sample("bouncing_ball")
+    made = run(model.system, *model.initial_state(), seconds=5.0, rate=1.0)
+    floor = replace(model.system.contacts[0], restitution=restitution)
+    family = parametric_family(replace(model.system, contacts=(floor,)), free)
+    return identify(family, list(made.events))
+
+
+@pytest.mark.parametrize("guess", [0.9, 0.8])
+@pytest.mark.parametrize("free", ["mass-scale", "gap"])
+def test_what_another_initial_state_hides_is_named_before_fitting(guess: float, free: str) -> None:
+    """The weight is known: a heavier ball falls slower, from less high. A floor may be lower."""
+    with pytest.raises(IdentificationError, match=free) as caught:
+        bounced(guess, ["restitution", free])
+    assert "with a suitable initial state" in str(caught.value)
+    assert "restitution" not in str(caught.value)
+
+
+def test_a_short_recording_of_another_model_does_not_fit() -> None:
+    """Rejecting impacts leaves fewer than there are unknowns; a longer one would not help."""
+    model = sample("two_mass").system
+    stop = replace(model.contacts[0], restitution=0.9, gap=1.2 * model.contacts[0].gap)
+    family = parametric_family(
+        replace(model, K=1.3 * model.K, contacts=(stop,)), ["restitution", "gap"]
+    )
+    found = identify(family, sensed("two_mass", 1, jitter=1e-3)[:8], clock=1e-3)
+    assert not found.converged
+    assert found.held_back is None
+
+
+def test_standard_errors_of_exact_stamps_are_not_widened() -> None:
+    """Rounding explains the shifts. The last fifth of the impacts is predicted as well."""
+    model = sample("two_mass").system
+    found = identify(parametric_family(wrong(model), FREE), sensed("two_mass"))
+    assert found.widened == 1.0
+    held = found.held_back
+    assert held is not None
+    assert held.impacts == len(found.shifts) // 5
+    assert held.carries_over
+    assert held.residual < 2e-9
+
+
+def test_standard_errors_of_a_wrong_model_are_widened() -> None:
+    """A restitution that is 2 % off, held, moves the stiffness by many standard errors."""
+    model = sample("two_mass").system
+    stop = replace(model.contacts[0], restitution=1.02 * model.contacts[0].restitution)
+    family = parametric_family(replace(model, contacts=(stop,)), ["stiffness-scale"])
+    events = sensed("two_mass")
+    found = identify(family, events, clock=1e-4, trust_events=True)
+    error = abs(found.values[0] - 1) / found.errors[0]
+    assert error < 3
+    assert error * found.widened > 30
+    estimated = identify(family, events, trust_events=True)
+    np.testing.assert_allclose(estimated.errors, found.errors, rtol=1e-6)
+
+
+def test_a_model_that_drifts_does_not_carry_over() -> None:
+    """The clock runs faster in the last fifth, as if all springs were weaker."""
+    model = sample("two_mass").system
+    family = parametric_family(model, ["stiffness-scale"])
+    events = sensed("two_mass", jitter=1e-4)
+    late = events[-len(events) // 5].stamp
+    changed = [replace(e, stamp=e.stamp + max(e.stamp - late, 0) // 100) for e in events]
+    kept = identify(family, events, clock=1e-4, trust_events=True).held_back
+    lost = identify(family, changed, clock=1e-4, trust_events=True).held_back
+    assert kept is not None
+    assert kept.carries_over
+    assert lost is not None
+    assert not lost.carries_over
+    assert lost.residual > 10 * lost.fitted
+    short = identify(family, events[:9], clock=1e-4, trust_events=True)
+    assert short.held_back is None
+    assert identify(family, events, clock=1e-4, held_back=0.0).held_back is None
+
+
+@pytest.mark.slow
+def test_a_declared_clock_error_that_is_too_small_rejects_much() -> None:
+    """The fit of all impacts is kept; its shifts say what the clock is."""
+    model = sample("two_mass").system
+    events = sensed("two_mass", 1, jitter=1e-3)
+    found = identify(parametric_family(wrong(model), FREE), events, clock=1e-6)
+    assert found.converged
+    assert found.doubted >= len(events) / 4
+    assert found.accepted == pytest.approx(1e-3, rel=0.5)
+    assert np.all(np.abs(found.values - truth(found, model)) < 3 * found.errors)
+
+
 @pytest.mark.slow
 def test_check_rejects_a_wrong_model_and_accepts_the_right_one() -> None:
     """By the declared clock error, or by correlated shifts of successive impacts."""
