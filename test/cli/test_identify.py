@@ -57,6 +57,8 @@ def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) 
     assert found["value"] == pytest.approx(0.7, rel=1e-6)
     assert results["converged"]
     assert len(results["shifts"]["shift"]) == results["impacts"]
+    assert (results["widened"], results["widened_because"]) == (1.0, [])
+    assert results["held_back"]["carries_over"]
 
 
 def test_a_check_on_the_last_impacts_is_printed(

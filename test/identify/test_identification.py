@@ -177,6 +177,7 @@ def test_what_another_initial_state_hides_is_named_before_fitting(guess: float, 
     assert "restitution" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_short_recording_of_another_model_does_not_fit() -> None:
     """Rejecting impacts leaves fewer than there are unknowns; a longer one would not help."""
     model = sample("two_mass").system
