@@ -117,7 +117,7 @@ def _about_fit(found: Identification) -> Iterator[str]:
     if not found.converged:
         yield (
             "The model does not fit: no motion of it explains these stamps. Do not use these"
-            " values. Begin with other values, or free other parameters (docs/identify.md)."
+            " values. Begin with other values, or free other parameters (docs/misfit.md)."
         )
     impacts = len(found.shifts) + len(found.recording.rejected)
     if found.declared and found.doubted >= _MANY * impacts:
