@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -41,6 +41,7 @@ from impact_observer.observer import (
     law_named,
     make_observer,
 )
+from impact_observer.plant import Plant, simulate
 from impact_observer.ros import observer_node
 from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_node import ObserverNode
@@ -569,6 +570,28 @@ def test_events_that_contradict_what_was_declared_are_a_warning(
         values = {each.key: each.value for each in last.values}
         assert values["certified bound of V [J]"] == "refuted"
         assert values["synchronized"] == "False"
+
+
+def test_model_that_does_not_explain_the_impacts_is_a_warning(
+    ros_environment: dict[str, str],
+) -> None:
+    """The plant is 5 % stiffer than its model: diagnostics warn, and nothing is synchronized."""
+    assert ros_environment
+    stiffer = replace(SYSTEM, K=1.05 * SYSTEM.K)
+    start, end = [np.array([0.4, -0.3]), np.array([0.5, 0.2])], EPOCH + 30_000_000_000
+    plant = simulate(Plant(stiffer, *start, epoch=EPOCH), np.array([end]))
+    with rig_with(law="minimum-variance", rate=1.0) as rig:
+        rig.tick(end)
+        for each in plant.events:
+            rig.send(each)
+        rig.tick(end + 2_000_000_000)
+        rig.spinner.until(lambda: any("does not explain" in s.message for s in rig.diagnostics))
+        last = rig.diagnostics[-1]
+        assert last.level == DiagnosticStatus.WARN
+        values = {each.key: each.value for each in last.values}
+        assert values["synchronized"] == "False"
+        assert int(values[Remark.MISFIT.value]) > 0
+        assert "model error [m/s^1.5]" in values
 
 
 def logged(parameters: Mapping[str, object], monkeypatch: pytest.MonkeyPatch) -> list[str]:
