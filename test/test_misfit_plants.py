@@ -41,8 +41,8 @@ def test_exact_plant_is_the_packages_own(plant: WrongPlant) -> None:
     assert len(contacts) > 5
     assert found.contacts.tolist() == contacts
     errors = [seconds_between(a.stamp, b) for a, b in zip(own.events, found.stamps, strict=True)]
-    assert np.max(np.abs(errors)) < 1e-7
-    assert np.max(np.abs(own.states - found.states)[found.away()]) < 1e-6
+    assert np.max(np.abs(errors)) <= 1e-9
+    assert np.max(np.abs(own.states - found.states)[found.away()]) < 1e-9
 
 
 @pytest.mark.parametrize("eps", [0.3, 0.9])
