@@ -13,108 +13,37 @@ for each group of plants, a row for each run:
 - warning: events until minimum-variance warns that the model does not explain the impacts.
 
 Samples within 5 ms of a contact do not count. Below each table are the goals; exact plants have
-none. Plants with fewer than an impact a second run up to 2.3 times longer.
+none. Plants with fewer than an impact a second run up to 3.5 times longer.
 
-``--exact N`` counts false alarms on exact models instead (``benchmarks/misfit_alarms.py``).
+Instead, ``--exact N`` counts false alarms on exact models (``benchmarks/misfit_alarms.py``), and
+``--picture FILE`` draws error and standard deviation on one plant.
 """
 
 import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from fnmatch import fnmatch
+from pathlib import Path
 from typing import NamedTuple, get_args
 
 import numpy as np
 from joblib import Parallel, delayed
-from numpy.typing import NDArray
 from rich import box
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from benchmarks import misfit_alarms
-from benchmarks.harness import SkippedError, new_file
-from benchmarks.impacts import energy
-from benchmarks.misfit_motion import EPOCH, Array, Recording
-from benchmarks.misfit_plants import Group, plants
-from impact_observer import Options, make_observer
-from impact_observer.events import ImpactEvent, Kind, Switch
-from impact_observer.model import System
-from impact_observer.stamps import from_seconds
+from benchmarks import misfit_alarms, misfit_picture
+from benchmarks.harness import new_file
+from benchmarks.misfit_plants import Group, WrongPlant, plants
+from benchmarks.misfit_runs import ALLOWED, GEOMETRIC, Job, Outcome, length, outcome
 
-GEOMETRIC, FILTER = "geometric", "minimum-variance"
-LONGER = {"two_mass": 1.5, "three_mass": 2.3, "one_stop": 2.2}
-"""Factors of the length of runs, by model: 60 impacts or more in what are 60 s for others."""
-BEGIN = from_seconds(10.0)
-"""From the epoch on until errors count, ns."""
-EVERY = 3
-"""Of the samples of a recording, those that are compared."""
-ALLOWED = 10.0
-"""Deviations by which an estimate may be wrong while ``synchronized`` is true."""
 SOON = 40
 """Events within which a warning is expected."""
 NOTICEABLE = 0.01
 """Error of minimum-variance above which one is."""
-
-
-class Followed(NamedTuple):
-    """What a law estimated during a recording.
-
-    Attributes:
-        states: (q, u) at the samples, shape (samples, 2n).
-        covariances: shape (samples, 2n, 2n); (samples, 0, 0) of a law without any.
-        synchronized: shape (samples,).
-        warned: events until the first warning; None without one.
-    """
-
-    states: Array
-    covariances: Array
-    synchronized: NDArray[np.bool_]
-    warned: int | None
-
-
-class Job(NamedTuple):
-    """A run to be made, of the plant of this name."""
-
-    plant: str
-    seed: int
-    seconds: float
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """A run.
-
-    Attributes:
-        plant: name.
-        group: of the plant.
-        kind: of the misfit.
-        seed: of the run.
-        impacts: how many.
-        z: median of |error| over standard deviation.
-        flag: share of samples with ``synchronized`` and an error above ``ALLOWED`` deviations.
-        geometric: relative error.
-        filtered: that of minimum-variance.
-        warned: events until the first warning; None without one.
-    """
-
-    plant: str
-    group: Group
-    kind: str
-    seed: int
-    impacts: int
-    z: float
-    flag: float
-    geometric: float
-    filtered: float
-    warned: int | None
-
-    @property
-    def ratio(self) -> float:
-        """The error of minimum-variance over that of geometric."""
-        return self.filtered / self.geometric
 
 
 class Goal(NamedTuple):
@@ -123,89 +52,6 @@ class Goal(NamedTuple):
     text: str
     found: str
     is_met: bool
-
-
-def events(system: System, recording: Recording) -> Iterator[ImpactEvent]:
-    """What an ideal sensor reports."""
-    hits = zip(recording.stamps.tolist(), recording.contacts.tolist(), strict=True)
-    for k, (stamp, contact) in enumerate(hits, start=1):
-        switches = (Switch(system.contact_names[contact], Kind.IMPACT),)
-        yield ImpactEvent(stamp, switches, k, 1, EPOCH)
-
-
-def followed(system: System, recording: Recording, options: Options) -> Followed:
-    """The estimates at every ``EVERY``-th sample, each after the events up to its stamp."""
-    observer = make_observer(system, options)
-    waiting, warned = list(events(system, recording))[::-1], None
-    estimates = []
-    for stamp in recording.sample_stamps[::EVERY].tolist():
-        while waiting and waiting[-1].stamp <= stamp:
-            event = waiting.pop()
-            observer.receive(event)
-            if warned is None and observer.estimate(event.stamp).misfit:
-                warned = event.sequence
-        estimates.append(observer.estimate(stamp))
-    return Followed(
-        np.array([np.concatenate([each.q, each.u]) for each in estimates]),
-        np.array([each.covariance for each in estimates]),
-        np.array([each.synchronized for each in estimates]),
-        warned,
-    )
-
-
-def relative_error(system: System, states: Array, truth: Array) -> float:
-    """Square root of the median V over the mean energy of the motion; states (samples, 2n)."""
-    V, motion = energy(system, states - truth), energy(system, truth)
-    return float(np.sqrt(np.median(V) / np.mean(motion)))
-
-
-def consistency(errors: Array, covariances: Array) -> float:
-    """Median of |error| over standard deviation; shapes (samples, 2n), (samples, 2n, 2n)."""
-    deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.nanmedian(np.abs(errors) / deviations))
-
-
-def wrongly_synchronized(system: System, errors: Array, found: Followed) -> NDArray[np.bool_]:
-    """Samples with ``synchronized`` whose V is above ``ALLOWED**2`` times its expectation."""
-    n = system.n
-    of_q, of_u = found.covariances[:, :n, :n], found.covariances[:, n:, n:]
-    expected = (np.tensordot(of_q, system.K) + np.tensordot(of_u, system.M)) / 2
-    return np.asarray(found.synchronized & (energy(system, errors) > ALLOWED**2 * expected))
-
-
-def outcome(job: Job) -> Outcome | str:
-    """Run both laws; or why the run is skipped."""
-    (plant,) = (each for each in plants() if each.name == job.plant)
-    system = plant.model
-    try:
-        recording = plant.run(job.seed, job.seconds * LONGER.get(system.name, 1.0))
-    except SkippedError as why:
-        return f"{plant.name}: skipped: {why}"
-    at, truth = recording.sample_stamps[::EVERY], recording.states[::EVERY]
-    away = recording.away()[::EVERY]
-    late = away & (at >= EPOCH + BEGIN)
-    runs = {
-        law: followed(system, recording, Options(law=law, epoch=EPOCH))
-        for law in (GEOMETRIC, FILTER)
-    }
-    error = {
-        law: relative_error(system, each.states[late], truth[late]) for law, each in runs.items()
-    }
-    ours = runs[FILTER]
-    differences = ours.states - truth
-    return Outcome(
-        plant.name,
-        plant.group,
-        plant.kind,
-        job.seed,
-        recording.stamps.size,
-        consistency(differences[late], ours.covariances[late]),
-        float(np.mean(wrongly_synchronized(system, differences, ours)[away])),
-        error[GEOMETRIC],
-        error[FILTER],
-        ours.warned,
-    )
 
 
 def goals(outcomes: Sequence[Outcome]) -> list[Goal]:
@@ -297,6 +143,7 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--exact", type=int, default=0, metavar="N", help="false alarms in N events instead"
     )
+    parser.add_argument("--picture", type=new_file, metavar="FILE", help="draw the plant instead")
     given = parser.parse_args(args)
     if min(given.seeds, given.jobs) < 1 or not given.seconds > 10 or given.exact < 0:
         parser.error("expected --seeds, --jobs and --exact above 0, --seconds above 10")
@@ -308,7 +155,15 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
     ]
     if not given.plants:
         parser.error(f"no plant is named {' or '.join(given.names)} in that group")
+    if given.picture and len(given.plants) > 1:
+        parser.error(f"--picture: expected one plant, found {len(given.plants)}")
     return given
+
+
+def draw(plant: WrongPlant, seconds: float, path: Path) -> None:
+    """Draw the first run of a plant."""
+    recording = plant.run(0, length(plant.model, seconds))
+    misfit_picture.draw(plant.model, recording, path)
 
 
 def main(args: Sequence[str] | None = None) -> int:
@@ -318,6 +173,9 @@ def main(args: Sequence[str] | None = None) -> int:
         0; 2 for wrong use.
     """
     given, console = arguments(args), Console(width=max(Console().width, 110))
+    if given.picture:
+        draw(given.plants[0], given.seconds, given.picture)
+        return 0
     if given.exact:
         counts = misfit_alarms.run(given.exact, given.jobs)
         misfit_alarms.print_table(counts, console)

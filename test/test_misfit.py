@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 import systems
 
-from benchmarks.misfit import (
+from benchmarks.misfit import goals, main
+from benchmarks.misfit_alarms import most
+from benchmarks.misfit_motion import EPOCH, Recording
+from benchmarks.misfit_runs import (
     EVERY,
     GEOMETRIC,
     Followed,
@@ -12,14 +15,10 @@ from benchmarks.misfit import (
     Outcome,
     consistency,
     followed,
-    goals,
-    main,
     outcome,
     relative_error,
     wrongly_synchronized,
 )
-from benchmarks.misfit_alarms import most
-from benchmarks.misfit_motion import EPOCH, Recording
 from impact_observer import Options
 
 SYSTEM = systems.system(2.0, 0.0, 8.0, contacts=[([1.0], 0.1, 0.5)])
