@@ -86,7 +86,7 @@ def counted(job: Job) -> Count:
     warnings = [False]
     for message in SimulatedPlant(system, x, run).messages(job.sensor, job.seed):
         observer.receive(message.event)
-        warnings.append(observer.estimate(max(observer.last_event, EPOCH)).misfit)
+        warnings.append(bool(observer.estimate(max(observer.last_event, EPOCH)).misfit))
     begun = np.flatnonzero(np.diff(np.array(warnings, int)) > 0).size
     return Count(job.model, job.sensor.name, len(warnings) - 1, begun, sum(warnings))
 
