@@ -56,7 +56,7 @@ class ErrorAccounts:
         With each the logarithm of its probability.
         """
         size, deviation = abs(likelihood.normalised), likelihood.deviation
-        if not (len(here.hit) == 1 and likelihood.innovations and h.since > 0):
+        if not (here.hit and likelihood.innovations and h.since > 0):
             return
         chance, clocks = OTHER_ERROR, [h.clock]
         if h.error.level:
@@ -81,7 +81,7 @@ class ErrorAccounts:
     ) -> Hypothesis:
         """The ``posterior`` of ``h`` with its model error, matched to the event ``here``."""
         error = h.error
-        if error.level and len(here.hit) == 1:
+        if error.level and here.hit:
             unit, most = self._seen(h, error.kind, here), self._largest(h, error.kind, here)
             error = error.matched(likelihood.normalised, likelihood.deviation, unit, most)
         posterior = posterior._replace(error=error)

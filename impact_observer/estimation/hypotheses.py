@@ -115,6 +115,11 @@ class Hypothesis(NamedTuple):
         """The level of white accelerations, m/s^1.5."""
         return self.error.level if self.error.kind is ErrorKind.ACCELERATION else 0.0
 
+    def is_as_reported(self, event: tuple[int, int]) -> bool:
+        """Whether ``event``, the latest, happened as it was reported, and nothing before it."""
+        latest = [*takewhile(lambda note: note.event == event, reversed(self.notes))]
+        return all(note.ruling is Ruling.APPLIED and not note.reason for note in latest)
+
     def notes_on(self, event: tuple[int, int]) -> list[Note]:
         """Its notes on the contacts of ``event``, which is the latest."""
         latest = takewhile(lambda note: note.event == event, reversed(self.notes))
@@ -155,6 +160,13 @@ def probabilities(hypotheses: Sequence[Hypothesis]) -> Vector:
     weights = np.array([h.weight for h in hypotheses])
     found = np.exp(weights - weights.max())
     return np.asarray(found / found.sum())
+
+
+def error_share(hypotheses: Sequence[Hypothesis]) -> float:
+    """The probability that the model is in error."""
+    if not any(h.error.level for h in hypotheses):
+        return 0.0
+    return float(probabilities(hypotheses) @ [h.error.level > 0 for h in hypotheses])
 
 
 def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:

@@ -18,14 +18,25 @@ LATEST = 32
 """Innovations that are tested, the latest."""
 _FEWEST = 12
 """Innovations from which on they are tested, and events from which on an error is established."""
+ESTABLISHED = 0.9
+"""Probability of an error of the model from which on an event counts as one with an error."""
+_LATEST_EXCUSED = 16
+"""Events from which on those that need an excuse are counted: a spurious or missed impact, a
+restart."""
+_LEAST_EXPLAINED = 0.375
+"""Share of events that an exact model explains as they were reported, at least."""
 _LAGS = 4
+_LONG_RUN = 16
+"""Lags of the correlation that widens standard deviations."""
 _CLIPPED = 3.0
 """Innovation, in standard deviations, beyond which it counts as this: an outlier is no misfit."""
 MISFIT = (
     "the model does not explain the impacts: restitution, stiffness, damping, forces or gaps are"
-    " not the plant's; see docs/misfit.md"
+    " not the plant's, or the stamps are late or drift; see docs/misfit.md"
 )
 _BY_REPLICA = "; the estimate is the geometric replica's, which is nearer to the impacts"
+NEARER = 0.9
+"""Most that the residuals of the replica may be, over those of the filter, to prefer it."""
 _COMPARED = 16
 """Impacts at which the estimate and the geometric replica are compared, the latest."""
 
@@ -49,28 +60,37 @@ class Fit(NamedTuple):
 
     Attributes:
         innovations: the latest, in standard deviations, with their signs, clipped.
-        errors: events in a row at which the likeliest account has had an error of the model.
+        as_reported: of the latest events, whether an exact model explains them as they were
+            reported, without a spurious or missed impact or a restart.
+        errors: events in a row after which an error of the model has been ``ESTABLISHED``.
         by_clock: whether that account explains the innovations by errors of the clock.
         statistic: of the test; 0 while there are too few innovations.
         residuals: at the latest impacts.
     """
 
     innovations: tuple[float, ...] = ()
+    as_reported: tuple[bool, ...] = ()
     errors: int = 0
     by_clock: bool = False
     statistic: float = 0.0
     residuals: tuple[Residual, ...] = ()
 
     def after(
-        self, innovation: float | None, *, in_error: bool = False, by_clock: bool = False
+        self,
+        innovation: float | None,
+        *,
+        in_error: bool = False,
+        by_clock: bool = False,
+        as_reported: bool = True,
     ) -> "Fit":
         """The fit after an event; ``innovation`` is None where it measured nothing."""
+        explained = (*self.as_reported[-(LATEST - 1) :], as_reported and not in_error)
         if innovation is None:
-            return self
+            return self._replace(as_reported=explained)
         clipped = min(max(innovation, -_CLIPPED), _CLIPPED)
         latest = (*self.innovations[-(LATEST - 1) :], clipped)
         errors = self.errors + 1 if in_error else 0
-        return Fit(latest, errors, by_clock, _statistic(latest), self.residuals)
+        return Fit(latest, explained, errors, by_clock, _statistic(latest), self.residuals)
 
     def compared(self, latest: Residual) -> "Fit":
         """The same with the ``latest`` residual."""
@@ -79,7 +99,9 @@ class Fit(NamedTuple):
     @property
     def is_misfit(self) -> bool:
         """Whether the model does not explain the impacts."""
-        return self.errors >= _FEWEST or self.statistic > LARGEST_STATISTIC
+        n = len(self.as_reported)
+        is_excused = n >= _LATEST_EXCUSED and sum(self.as_reported) < _LEAST_EXPLAINED * n
+        return is_excused or self.errors >= _FEWEST or self.statistic > LARGEST_STATISTIC
 
     @property
     def is_established(self) -> bool:
@@ -97,25 +119,60 @@ class Fit(NamedTuple):
         return MISFIT + (_BY_REPLICA if self.prefers_replica else "")
 
     @property
+    def is_compared(self) -> bool:
+        """Whether the model does not fit, and filter and replica have been compared."""
+        return self.is_misfit and bool(self.residuals)
+
+    @property
+    def widening(self) -> float:
+        """By how much standard deviations are too small where innovations stay correlated.
+
+        The long-run standard deviation of the innovations, with Bartlett's weights (Newey and
+        West, A simple, positive semi-definite covariance matrix, 1987), the signs of correlations
+        left out. 1 unless even an account with an error of the model has such innovations.
+        """
+        if not (self.errors and self.statistic > LARGEST_STATISTIC):
+            return 1.0
+        n = min(_LONG_RUN + 1, len(self.innovations))
+        rho = _correlations(self.innovations, n - 1)
+        return math.sqrt(1 + 2 * sum((1 - k / n) * abs(r) for k, r in enumerate(rho, 1)))
+
+    @property
+    def replica_weight(self) -> float:
+        """The weight of the geometric replica beside the filter, by their residuals."""
+        by_filter, by_replica, _ = self._sizes
+        return by_filter**2 / (by_filter**2 + by_replica**2)
+
+    @property
     def prefers_replica(self) -> bool:
         """Whether the model does not fit, and the geometric replica is nearer to the impacts."""
-        if not (self.is_misfit and self.residuals):
+        if not self.is_compared:
             return False
-        by_filter, by_replica, _ = map(math.hypot, *self.residuals)
-        return by_replica < by_filter
+        by_filter, by_replica, _ = self._sizes
+        return by_replica < NEARER * by_filter
 
     @property
     def replica_level(self) -> float:
         """White accelerations that explain the residuals of the replica, m/s^1.5."""
-        _, by_replica, unit = map(math.hypot, *self.residuals)
+        _, by_replica, unit = self._sizes
         return by_replica / unit
+
+    @property
+    def _sizes(self) -> tuple[float, ...]:
+        """The residuals as root sums of squares."""
+        return tuple(math.hypot(*each) for each in zip(*self.residuals, strict=True))
 
 
 def _statistic(innovations: tuple[float, ...]) -> float:
     """Of the test on ``innovations``: large where neighbours have one sign, or alternate."""
-    nu = np.array(innovations)
-    if nu.size < _FEWEST or not nu.any():
+    n = len(innovations)
+    if n < _FEWEST or not any(innovations):
         return 0.0
-    rho = [nu[k:].dot(nu[:-k]) / nu.dot(nu) for k in range(1, _LAGS + 1)]
-    parts = [r * r / (nu.size - k) for k, r in enumerate(rho, 1)]
-    return float(nu.size * (nu.size + 2) * sum(parts))
+    rho = _correlations(innovations, _LAGS)
+    return n * (n + 2) * sum(r * r / (n - k) for k, r in enumerate(rho, 1))
+
+
+def _correlations(innovations: tuple[float, ...], lags: int) -> list[float]:
+    """Of the innovations with themselves 1, 2, ... events later, up to ``lags``."""
+    nu = np.array(innovations)
+    return [float(nu[k:] @ nu[:-k] / (nu @ nu)) for k in range(1, lags + 1)]

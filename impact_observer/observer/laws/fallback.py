@@ -1,6 +1,7 @@
 # ruff: noqa: D102 (overrides have the docstrings of ``Prediction``)
 """The geometric replica beside the filter: where that restarts, and the cheaper estimate."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Differences, Ensemble
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.misfit import Fit
 from impact_observer.estimation.square_root import triangular
 from impact_observer.events import Contacts
 from impact_observer.observer.belief import Belief, Fallback, Prediction
@@ -52,24 +54,46 @@ class FallbackReplica:
         return after
 
 
-class ReplicaPrediction(Prediction):
-    """Of the replica, where it is published instead of the likeliest hypothesis."""
+def combined(x: Vector, root: Matrix, replica: Fallback, fit: Fit) -> tuple[Vector, Matrix]:
+    """What is published in a misfit: one of filter and replica, with the covariance of both.
+
+    Args:
+        x: the filter's estimate, shape (2n,).
+        root: a root of its covariance, shape (2n, any).
+        replica: at the same instant.
+        fit: how far each is from the impacts.
+    """
+    weight, level = fit.replica_weight, fit.replica_level
+    distance = (x - replica.x)[:, None]
+    if fit.prefers_replica:
+        x, distance = replica.x, math.sqrt(1 - weight) * distance
+    else:
+        distance = math.sqrt(weight) * distance
+    own = math.sqrt(1 - weight) * fit.widening * root
+    parts = [own, math.sqrt(weight) * level * replica.unit, distance]
+    return x, np.hstack(parts)
+
+
+class MisfitPrediction(Prediction):
+    """Of filter and replica together, where the model does not fit."""
 
     def __init__(
-        self,
-        motion: Callable[[float], Fallback],
-        level: float,
-        prior: Callable[[float], Belief],
+        self, by_filter: Prediction, replica: Callable[[float], Fallback], fit: Fit
     ) -> None:
-        self._motion = motion
-        self._level = level
-        self._prior = prior
+        self._by_filter = by_filter
+        self._replica = replica
+        self._fit = fit
 
     def state(self, s: float) -> Vector:
-        return self._motion(s).x
+        return self._replica(s).x if self._fit.prefers_replica else self._by_filter.state(s)
 
     def root(self, s: float) -> Matrix:
-        return self._level * self._motion(s).unit
+        root = self._by_filter.root(s)
+        assert root is not None, "the filter has a covariance"
+        return combined(self._by_filter.state(s), root, self._replica(s), self._fit)[1]
+
+    def closed(self, s: float) -> Contacts | None:
+        return None if self._fit.prefers_replica else self._by_filter.closed(s)
 
     def belief(self, s: float) -> Belief:
-        return self._prior(s)
+        return self._by_filter.belief(s)

@@ -13,16 +13,22 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Differences, Ensemble
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, mixture, probabilities, published
+from impact_observer.estimation.hypotheses import (
+    Hypothesis,
+    error_share,
+    mixture,
+    probabilities,
+    published,
+)
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.misfit import Fit, Residual
+from impact_observer.estimation.misfit import ESTABLISHED, Fit, Residual
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.square_root import lengths
 from impact_observer.estimation.uncertainty import Uncertainty, spread
 from impact_observer.events import Contacts, Ruling
 from impact_observer.model import System
 from impact_observer.observer.belief import Belief, Fallback, Prediction
-from impact_observer.observer.laws.fallback import FallbackReplica, ReplicaPrediction
+from impact_observer.observer.laws.fallback import FallbackReplica, MisfitPrediction, combined
 from impact_observer.observer.laws.kalman_predictions import (
     MissedSwitchPrediction,
     MixturePrediction,
@@ -123,11 +129,12 @@ class MinimumVariance(Law):
         likeliest, errors = corrected[0], self._bank.errors
         fit = belief.fit.after(
             likeliest.innovation,
-            in_error=likeliest.error.level > 0,
+            in_error=error_share(corrected) > ESTABLISHED,
+            as_reported=likeliest.is_as_reported((change.stamp, change.sequence)),
             by_clock=errors is not None and errors.is_coarse(likeliest.clock),
         )
         best = published(corrected, misfit=fit.is_misfit)[0]
-        if len(change.hit) == 1 and best.innovation is not None:
+        if change.hit and best.innovation is not None:
             gap = before.gap(self.system, change.hit[0])
             fit = fit.compared(Residual(best.residual, *gap))
         return self._belief(corrected, fallback, fit, change)
@@ -143,13 +150,13 @@ class MinimumVariance(Law):
             predicted = self._bank.predict(hypotheses, t, s)
             return self._belief(predicted, motion(s), belief.fit)
 
-        fit = belief.fit
-        if fit.prefers_replica:
-            return ReplicaPrediction(motion, fit.replica_level, prior)
-        shown = published(hypotheses, misfit=fit.is_misfit)
-        if self.uncertainty.trusts_events:
-            return MixturePrediction(self._bank.filter, t, shown, prior)
-        return MissedSwitchPrediction(self._bank, t, shown, prior)
+        shown = published(hypotheses, misfit=belief.fit.is_misfit)
+        found: Prediction = (
+            MixturePrediction(self._bank.filter, t, shown, prior)
+            if self.uncertainty.trusts_events
+            else MissedSwitchPrediction(self._bank, t, shown, prior)
+        )
+        return MisfitPrediction(found, motion, belief.fit) if belief.fit.is_compared else found
 
     def _hypotheses_of(
         self, belief: Belief, closed: Contacts
@@ -207,10 +214,9 @@ class MinimumVariance(Law):
         if self._estimates_parameters:
             parameters = self._parameters(shown, root[size:])
         ensemble, root = best.state.ensemble, root[:size]
-        if fit.prefers_replica:
-            differences = Differences(best.state.differences[:size])
-            ensemble = Ensemble(fallback.x, differences)
-            root = fit.replica_level * fallback.unit
+        if fit.is_compared:
+            x, root = combined(ensemble.x, root, fallback, fit)
+            ensemble = Ensemble(x, Differences(best.state.differences[:size]))
         return Belief(
             ensemble,
             root,
