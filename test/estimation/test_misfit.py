@@ -51,9 +51,9 @@ def test_single_outliers_do_not_warn() -> None:
 
 
 def test_events_that_measure_nothing_do_not_count() -> None:
-    """The fit stays as it is."""
+    """The innovations stay as they are."""
     fit = fitted([1.0] * 5)
-    assert fit.after(None) is fit
+    assert fit.after(None).innovations == fit.innovations
 
 
 def test_error_of_the_model_that_lasts_is_a_misfit() -> None:
@@ -63,6 +63,16 @@ def test_error_of_the_model_that_lasts_is_a_misfit() -> None:
     fit = fitted(nu, in_error=True)
     assert fit.is_misfit
     assert not fit.after(0.3).is_misfit
+
+
+def test_events_that_need_an_excuse_are_a_misfit() -> None:
+    """Spurious, missed and restarted in turn, with few innovations; one in five is no misfit."""
+    fit, fair, nu = Fit(), Fit(), np.random.default_rng(10).normal(size=40).tolist()
+    for k in range(40):
+        fit = fit.after(None if k % 2 else 0.5, as_reported=k % 4 == 0)
+        fair = fair.after(nu[k], as_reported=k % 5 > 0)
+        assert not fair.is_misfit
+        assert fit.is_misfit == (k >= 15)
 
 
 def test_errors_of_a_clock_must_be_white_to_establish_the_fit() -> None:
