@@ -37,6 +37,7 @@ MISFIT = (
 _BY_REPLICA = "; the estimate is the geometric replica's, which is nearer to the impacts"
 NEARER = 0.9
 """Most that the residuals of the replica may be, over those of the filter, to prefer it."""
+_LEAST = 1e-150
 _COMPARED = 16
 """Impacts at which the estimate and the geometric replica are compared, the latest."""
 
@@ -159,8 +160,8 @@ class Fit(NamedTuple):
 
     @property
     def _sizes(self) -> tuple[float, ...]:
-        """The residuals as root sums of squares."""
-        return tuple(math.hypot(*each) for each in zip(*self.residuals, strict=True))
+        """The residuals as root sums of squares, each positive."""
+        return tuple(math.hypot(_LEAST, *each) for each in zip(*self.residuals, strict=True))
 
 
 def _statistic(innovations: tuple[float, ...]) -> float:

@@ -49,9 +49,10 @@ class MinimumVariance(Law):
     ``ImpactFilter`` corrects a state by events that are what they are reported to be;
     ``FilterBank`` weighs hypotheses of what else they may have been. The estimate is that of the
     likeliest hypothesis. Where it penetrates a stop by more than its standard deviation explains,
-    an impact was missed, and it jumps at the predicted instant. Where every event is trusted, the
-    clock's error is declared and no parameter is estimated, one hypothesis is enough: the belief
-    has a covariance and no bank.
+    an impact was missed, and it jumps at the predicted instant. Where the model does not explain
+    the impacts, a geometric replica is weighed beside it. Where every event is trusted, the errors
+    of clock and model are declared and no parameter is estimated, one hypothesis is enough: the
+    belief has a covariance and no bank.
 
     Attributes:
         clocks: possible standard deviations of a stamp, s.
@@ -206,7 +207,7 @@ class MinimumVariance(Law):
         fit: Fit,
         change: ContactChange | None = None,
     ) -> Belief:
-        """The belief of ``hypotheses``, of which the first is the likeliest."""
+        """The belief of ``hypotheses``, the likeliest first; it has the published one first."""
         shown = published(hypotheses, misfit=fit.is_misfit)
         best, size, root = shown[0], fallback.x.size, mixture(shown).root
         notes = best.notes_on((change.stamp, change.sequence)) if change else []
