@@ -18,7 +18,7 @@ LATEST = 32
 """Innovations that are tested, the latest."""
 _FEWEST = 12
 """Innovations from which on they are tested, and events from which on an error is established."""
-ESTABLISHED = 0.9
+ESTABLISHED = 0.8
 """Probability of an error of the model from which on an event counts as one with an error."""
 _LATEST_EXCUSED = 16
 """Events from which on those that need an excuse are counted: a spurious or missed impact, a
@@ -26,8 +26,6 @@ restart."""
 _LEAST_EXPLAINED = 0.375
 """Share of events that an exact model explains as they were reported, at least."""
 _LAGS = 4
-_LONG_RUN = 16
-"""Lags of the correlation that widens standard deviations."""
 _CLIPPED = 3.0
 """Innovation, in standard deviations, beyond which it counts as this: an outlier is no misfit."""
 MISFIT = (
@@ -125,20 +123,6 @@ class Fit(NamedTuple):
         return self.is_misfit and bool(self.residuals)
 
     @property
-    def widening(self) -> float:
-        """By how much standard deviations are too small where innovations stay correlated.
-
-        The long-run standard deviation of the innovations, with Bartlett's weights (Newey and
-        West, A simple, positive semi-definite covariance matrix, 1987), the signs of correlations
-        left out. 1 unless even an account with an error of the model has such innovations.
-        """
-        if not (self.errors and self.statistic > LARGEST_STATISTIC):
-            return 1.0
-        n = min(_LONG_RUN + 1, len(self.innovations))
-        rho = _correlations(self.innovations, n - 1)
-        return math.sqrt(1 + 2 * sum((1 - k / n) * abs(r) for k, r in enumerate(rho, 1)))
-
-    @property
     def replica_weight(self) -> float:
         """The weight of the geometric replica beside the filter, by their residuals."""
         by_filter, by_replica, _ = self._sizes
@@ -169,11 +153,6 @@ def _statistic(innovations: tuple[float, ...]) -> float:
     n = len(innovations)
     if n < _FEWEST or not any(innovations):
         return 0.0
-    rho = _correlations(innovations, _LAGS)
-    return n * (n + 2) * sum(r * r / (n - k) for k, r in enumerate(rho, 1))
-
-
-def _correlations(innovations: tuple[float, ...], lags: int) -> list[float]:
-    """Of the innovations with themselves 1, 2, ... events later, up to ``lags``."""
-    nu = np.array(innovations)
-    return [float(nu[k:] @ nu[:-k] / (nu @ nu)) for k in range(1, lags + 1)]
+    nu, lags = np.array(innovations), range(1, _LAGS + 1)
+    rho = [float(nu[k:] @ nu[:-k] / (nu @ nu)) for k in lags]
+    return n * (n + 2) * sum(r * r / (n - k) for r, k in zip(rho, lags, strict=True))

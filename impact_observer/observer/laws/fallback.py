@@ -69,8 +69,7 @@ def combined(x: Vector, root: Matrix, replica: Fallback, fit: Fit) -> tuple[Vect
         x, distance = replica.x, math.sqrt(1 - weight) * distance
     else:
         distance = math.sqrt(weight) * distance
-    own = math.sqrt(1 - weight) * fit.widening * root
-    parts = [own, math.sqrt(weight) * level * replica.unit, distance]
+    parts = [math.sqrt(1 - weight) * root, math.sqrt(weight) * level * replica.unit, distance]
     return x, np.hstack(parts)
 
 
