@@ -15,6 +15,9 @@ from impact_observer.stamps import NS_PER_S
 _TAIL = 2 * NS_PER_S
 """The part of a bag, from its end, that is searched for an observer's last state, ns."""
 
+_LEARNED = ("clock_error", "model error", "bounce error")
+"""What a filter with its defaults estimates besides the state."""
+
 
 @dataclass(frozen=True, slots=True)
 class ObserverTopics:
@@ -66,7 +69,7 @@ class ObserverTopics:
         name = node.removeprefix("observer").lstrip("_").replace("_", "-") or Options.law
         law = BUILT_IN.get(name, OpenLoop)  # of a law of another package nothing is assumed
         filters = law.has_covariance
-        return cls(prefix, law.has_bound, filters, ("clock_error",) if filters else ())
+        return cls(prefix, law.has_bound, filters, _LEARNED if filters else ())
 
 
 def observers_in(reader: BagReader) -> tuple[ObserverTopics, ...]:

@@ -67,7 +67,8 @@ def test_observe_writes_the_parameters_that_it_estimates(
         read = (each for _, each in reader.messages("/observer/state"))
         states = [read_estimate(each)[1] for each in read]
     names = [name for name, _, _ in states[0].parameters]
-    assert names == ["stiffness-scale", "restitution.stop"]
+    errors = ["model error", "bounce error"]
+    assert names == ["stiffness-scale", "restitution.stop", *errors]
     for k, right in enumerate((1.0, 0.7)):
         (_, _, before), (_, value, after) = states[0].parameters[k], states[-1].parameters[k]
         assert after < 1e-2 * before

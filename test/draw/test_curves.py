@@ -31,7 +31,7 @@ def test_topics_by_name_are_those_that_the_law_publishes(bag: Path) -> None:
     with BagReader(bag) as reader:
         found = {each.prefix: each for each in observers_in(reader)}
     assert found == {f"/{name}": ObserverTopics.of_node(name) for name in LAWS}
-    assert found["/observer_minimum_variance"].learned == ("clock_error",)
+    assert found["/observer_minimum_variance"].learned[0] == "clock_error"
 
 
 def test_an_observer_without_a_law_in_its_name_has_the_default_one() -> None:

@@ -27,7 +27,7 @@ from impact_observer.estimation import impact_filter
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import MOST_HYPOTHESES, FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.hypotheses import Hypothesis, published
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.joint import Joint
 from impact_observer.estimation.parametric import Map
@@ -40,7 +40,7 @@ from impact_observer.plant import Run
 from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between
 
 Array = NDArray[np.float64]
-FAULTY = Uncertainty(clock_error=0.0)
+FAULTY = Uncertainty(clock_error=0.0, model_error=0.0)
 
 
 @cache
@@ -59,12 +59,14 @@ def beliefs(watcher: Observer) -> list[Belief]:
 
 
 def mixture(belief: Belief) -> Array:
-    """Second moments of all hypotheses about the estimate."""
+    """Second moments of the published hypotheses about the estimate."""
     size = belief.x.size
     P = np.zeros((size, size))
-    for each in belief.hypotheses:
+    shown = published(belief.hypotheses, misfit=False)
+    total = sum(math.exp(each.weight) for each in shown)
+    for each in shown:
         differences, root = each.state.x - belief.x, each.state.root[:size]
-        P += math.exp(each.weight) * (root @ root.T + np.outer(differences, differences))
+        P += math.exp(each.weight) / total * (root @ root.T + np.outer(differences, differences))
     return P
 
 

@@ -282,7 +282,7 @@ def learning(sensor: SensorModel, declared: dict[str, Any], seed: int = 0) -> tu
 def test_clock_error_is_estimated(error: float) -> None:
     """Within a factor of 3.5."""
     watcher, end = learning(SensorModel(jitter=error), UNDECLARED, seed=1)
-    ((name, found, deviation),) = watcher.estimate(end).parameters
+    name, found, deviation = watcher.estimate(end).parameters[0]
     assert name == "clock_error"
     assert 1 / 3.5 < found / error < 3.5
     assert deviation < 3 * error
@@ -299,7 +299,7 @@ def test_clock_error_is_estimated_in_any_run(name: str) -> None:
             watcher = watching(model, x, UNDECLARED)
             for each in reported(name, 60.0, SensorModel(jitter=error), seed):
                 watcher.receive(each.event)
-            ((_, found, _),) = watcher.estimate(int(whole.stamps[-1])).parameters
+            _, found, _ = watcher.estimate(int(whole.stamps[-1])).parameters[0]
             assert 1 / 3.5 < found / error < 3.5
 
 

@@ -82,7 +82,8 @@ def test_estimates_are_shown_against_the_truth_of_their_stamp(bag: Path, seen: S
     plain, filters = seen.observers
     assert all(line.deviation is None for line in plain.lines)
     assert all(line.deviation is not None and line.deviation > 0 for line in filters.lines)
-    assert [name for name, _, _ in filters.learned] == ["clock_error"]
+    learned = [name for name, _, _ in filters.learned]
+    assert learned == ["clock_error", "model error", "bounce error"]
     assert (seen.model, seen.truth, seen.epoch, seen.simulated) == ("two_mass", True, EPOCH, False)
 
 
