@@ -3,7 +3,8 @@
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from setuptools import find_packages, setup
+from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
 
 NAME = "impact_observer"
 SHARE = Path("share", NAME)
@@ -31,6 +32,17 @@ def shared(*roots: str) -> list[tuple[str, list[str]]]:
     ]
 
 
+class BuildKernel(build_ext):
+    """Builds the kernel; colcon also runs this file where nothing is built."""
+
+    def finalize_options(self) -> None:
+        """Add pybind11's headers."""
+        import pybind11  # noqa: PLC0415
+
+        super().finalize_options()
+        self.include_dirs.append(pybind11.get_include())
+
+
 setup(
     name=NAME,
     version=manifest("version"),
@@ -39,8 +51,19 @@ setup(
     maintainer_email="maintainers@impact-observer.invalid",
     license="Apache-2.0",
     python_requires=">=3.10",
+    ext_modules=[
+        Extension(
+            f"{NAME}.kernel._kernel",
+            [f"{NAME}/kernel/kernel.cpp"],
+            depends=sorted(map(str, Path(NAME, "kernel").glob("*.hpp"))),
+            language="c++",
+            # The same bits on every processor: no -march, no contraction to fused operations.
+            extra_compile_args=["-std=c++17", "-O2", "-ffp-contract=off", "-g0"],
+        )
+    ],
+    cmdclass={"build_ext": BuildKernel},
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "kernel/*.pyi"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (str(SHARE), ["package.xml"]),

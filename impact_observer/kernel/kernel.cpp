@@ -1,0 +1,24 @@
+// The module impact_observer.kernel._kernel.
+#include "triangular.hpp"
+
+using namespace kernel;
+
+namespace {
+
+Array triangular(const Array& root) {
+    const View given = checked(root, "root", ANY, ANY);
+    Matrix whole(given.rows, std::max(given.rows, given.columns));
+    for (std::size_t i = 0; i < given.rows; ++i)
+        std::copy(given.row(i), given.row(i) + given.columns, whole.row(i));
+    make_triangular(whole);
+    Matrix found(given.rows, given.rows);
+    for (std::size_t i = 0; i < given.rows; ++i)
+        std::copy(whole.row(i), whole.row(i) + given.rows, found.row(i));
+    return to_python(found);
+}
+
+}  // namespace
+
+PYBIND11_MODULE(_kernel, module) {
+    module.def("triangular", &triangular, py::arg("root"));
+}
