@@ -8,6 +8,7 @@ from setuptools.command.build_ext import build_ext
 
 NAME = "impact_observer"
 SHARE = Path("share", NAME)
+KERNEL = Path(NAME, "kernel")
 
 
 def manifest(tag: str) -> str:
@@ -32,7 +33,7 @@ def shared(*roots: str) -> list[tuple[str, list[str]]]:
     ]
 
 
-class BuildKernel(build_ext):
+class BuildKernel(build_ext):  # type: ignore[misc]
     """Builds the kernel; colcon also runs this file where nothing is built."""
 
     def finalize_options(self) -> None:
@@ -54,11 +55,15 @@ setup(
     ext_modules=[
         Extension(
             f"{NAME}.kernel._kernel",
-            [f"{NAME}/kernel/kernel.cpp"],
-            depends=sorted(map(str, Path(NAME, "kernel").glob("*.hpp"))),
+            sorted(map(str, KERNEL.glob("*.cpp"))),
+            depends=sorted(map(str, KERNEL.glob("*.hpp"))),
             language="c++",
             # The same bits on every processor: no -march, no contraction to fused operations.
-            extra_compile_args=["-std=c++17", "-O2", "-ffp-contract=off", "-g0"],
+            extra_compile_args=[
+                *("-std=c++17", "-O2", "-ffp-contract=off"),
+                *("-fvisibility=hidden", "-g0", "-Wall", "-Wextra"),
+            ],
+            extra_link_args=["-Wl,--strip-all"],
         )
     ],
     cmdclass={"build_ext": BuildKernel},

@@ -19,7 +19,10 @@ class Room(NamedTuple):
 
 
 ROOMS: tuple[tuple[Room, ...], ...] = (
-    (Room("model", "systems, model files, elements, forcing, parameters", "ruamel.yaml"),),
+    (
+        Room("model", "systems, model files, elements, forcing, parameters", "ruamel.yaml"),
+        Room("kernel", "what is compiled, C++: formulas without their theory", "pybind11"),
+    ),
     (Room("dynamics", "flow of a phase, contact laws, guards and event location"),),
     (
         Room("plant", "event-driven and time-stepping plant, sensor and its faults"),

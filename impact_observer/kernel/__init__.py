@@ -1,4 +1,4 @@
-"""What is compiled: C++17 by pybind11, without theory; see ``_kernel.pyi``."""
+"""What is compiled: C++17 by pybind11, without theory; types are in ``_kernel.pyi``."""
 
 from impact_observer.kernel._kernel import triangular
 

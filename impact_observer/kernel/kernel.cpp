@@ -20,5 +20,6 @@ Array triangular(const Array& root) {
 }  // namespace
 
 PYBIND11_MODULE(_kernel, module) {
-    module.def("triangular", &triangular, py::arg("root"));
+    module.def("triangular", &triangular, py::arg("root"),
+               "A lower triangular square root, shape (d, d), of the same covariance; (d, any) is given.");
 }
