@@ -1,14 +1,20 @@
 """Installs impact_observer: by colcon as an ament_python package, or by pip."""
 
+import runpy
+import subprocess
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from setuptools import Extension, find_packages, setup
 from setuptools.command.build_ext import build_ext
+from setuptools.errors import PlatformError
 
 NAME = "impact_observer"
 SHARE = Path("share", NAME)
 KERNEL = Path(NAME, "kernel")
+CHECKSUM = runpy.run_path(str(KERNEL / "sources.py"))["checksum"]
 
 
 def manifest(tag: str) -> str:
@@ -36,12 +42,41 @@ def shared(*roots: str) -> list[tuple[str, list[str]]]:
 class BuildKernel(build_ext):  # type: ignore[misc]
     """Builds the kernel; colcon also runs this file where nothing is built."""
 
-    def finalize_options(self) -> None:
-        """Add pybind11's headers."""
-        import pybind11  # noqa: PLC0415
+    def build_extensions(self) -> None:
+        """Compile all files at once, or end with one line that names what is missing."""
+        with suppress(ImportError):  # pybind11-dev of Ubuntu is where compilers look by themselves
+            from pybind11 import get_include  # noqa: PLC0415
 
-        super().finalize_options()
-        self.include_dirs.append(pybind11.get_include())
+            self.compiler.add_include_dir(get_include())
+        self._check_compiler()
+        one = self.compiler.compile
+
+        def compile_all(sources: list[str], **options: object) -> list[str]:
+            with ThreadPoolExecutor() as pool:
+                objects = pool.map(lambda source: one([source], **options), sources)
+                return [name for names in objects for name in names]
+
+        self.compiler.compile = compile_all
+        super().build_extensions()
+
+    def _check_compiler(self) -> None:
+        """Let it find the headers of pybind11, which include those of Python."""
+        command = [*self.compiler.compiler_cxx, "-E", "-x", "c++", "-"]
+        command += [f"-I{folder}" for folder in self.compiler.include_dirs]
+        header = "#include <pybind11/pybind11.h>"
+        try:
+            done = subprocess.run(
+                command, input=header, capture_output=True, text=True, check=False
+            )
+        except FileNotFoundError:
+            raise PlatformError(
+                f"no C++ compiler {command[0]}: sudo apt install build-essential"
+            ) from None
+        if done.returncode:
+            missing = "pybind11: pip install pybind11, or sudo apt install pybind11-dev"
+            if "Python.h" in done.stderr:
+                missing = "Python.h: sudo apt install python3-dev"
+            raise PlatformError(f"{command[0]} finds no {missing}")
 
 
 setup(
@@ -57,6 +92,7 @@ setup(
             f"{NAME}.kernel._kernel",
             sorted(map(str, KERNEL.glob("*.cpp"))),
             depends=sorted(map(str, KERNEL.glob("*.hpp"))),
+            define_macros=[("KERNEL_CHECKSUM", f'"{CHECKSUM(KERNEL)}"')],
             language="c++",
             # The same bits on every processor: no -march, no contraction to fused operations.
             extra_compile_args=[

@@ -1,3 +1,5 @@
 from impact_observer.states import Matrix
 
+SOURCES: str
+
 def triangular(root: Matrix) -> Matrix: ...

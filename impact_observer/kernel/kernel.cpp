@@ -20,6 +20,7 @@ Array triangular(const Array& root) {
 }  // namespace
 
 PYBIND11_MODULE(_kernel, module) {
+    module.attr("SOURCES") = KERNEL_CHECKSUM;  // setup.py: of the files it was compiled from
     module.def("triangular", &triangular, py::arg("root"),
                "A lower triangular square root, shape (d, d), of the same covariance; (d, any) is given.");
 }

@@ -1,0 +1,62 @@
+"""A kernel that is missing or was built from other sources is an error that gives the remedy."""
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from impact_observer import kernel
+
+PACKAGE = Path(kernel.__file__).parents[1]
+IMPORT = """
+import sys
+sys.path.insert(0, sys.argv[1])
+try:
+    import impact_observer.kernel
+except ImportError as error:
+    print(error)
+"""
+REMEDY = "run ./dev setup, or pip install --no-build-isolation -e ."
+
+
+def delete_sources(folder: Path) -> None:
+    """As in a wheel."""
+    for path in folder.glob("*.[ch]pp"):
+        path.unlink()
+
+
+def change_sources(folder: Path) -> None:
+    """A comment more."""
+    with (folder / "kernel.cpp").open("a", encoding="utf-8") as file:
+        file.write("// changed\n")
+
+
+def delete_kernel(folder: Path) -> None:
+    """As in a fresh clone."""
+    for path in folder.glob("*.so"):
+        path.unlink()
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (delete_sources, None),
+        (change_sources, "was built from other sources"),
+        (delete_kernel, "is not built"),
+    ],
+)
+def test_import_names_the_remedy_for_a_missing_or_stale_kernel(
+    tmp_path: Path, change: Callable[[Path], None], problem: str | None
+) -> None:
+    """An ImportError of one line; a wheel has no sources and needs none."""
+    folder = tmp_path / PACKAGE.name / "kernel"
+    shutil.copytree(PACKAGE / "kernel", folder)
+    for name in ("__init__.py", "errors.py"):
+        shutil.copy(PACKAGE / name, folder.parent)
+    change(folder)
+    command = [sys.executable, "-c", IMPORT, str(tmp_path)]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert printed == (f"impact_observer.kernel {problem}: {REMEDY}\n" if problem else "")
