@@ -31,8 +31,8 @@ from rich.table import Table
 
 from benchmarks.harness import DisagreementError, new_file
 from impact_observer.model import read_model
-from impact_observer.sweep.case_runs import Outcome, run_case
-from impact_observer.sweep.engines import run_cases
+from impact_observer.sweep.case_runs import Outcome, run_batch
+from impact_observer.sweep.engines import run_batches
 from impact_observer.sweep.model_variants import model_variants
 from impact_observer.sweep.outcomes_file import write_outcomes
 from impact_observer.sweep.plan import Case, PlantSetup, Sweep, sensors_of
@@ -40,7 +40,7 @@ from impact_observer.sweep.plan import Case, PlantSetup, Sweep, sensors_of
 LAWS = ("geometric", "unilateral", "minimum-variance")
 JITTER = (0.0, 1e-3)
 WORKERS = 2
-Engine = Callable[[Sequence[Case]], "Iterator[Outcome]"]
+Engine = Callable[[Sequence[tuple[Case, ...]]], "Iterator[Outcome]"]
 
 
 def swept(runs: int) -> Sweep:
@@ -66,9 +66,9 @@ def engines() -> Iterator[dict[str, Engine]]:
     ) as cluster:
         address = cluster.scheduler_address
         yield {
-            "1 process": lambda cases: run_cases(cases, jobs=1),
-            "2 processes": lambda cases: run_cases(cases, jobs=WORKERS),
-            "Dask, 2 workers": lambda cases: run_cases(cases, scheduler=address),
+            "1 process": lambda batches: run_batches(batches, jobs=1),
+            "2 processes": lambda batches: run_batches(batches, jobs=WORKERS),
+            "Dask, 2 workers": lambda batches: run_batches(batches, scheduler=address),
         }
 
 
@@ -81,7 +81,7 @@ def check_equal(sweep: Sweep, contestants: Mapping[str, Engine]) -> None:
     found: dict[str, bytes] = {}
     with TemporaryDirectory() as folder:
         for name, engine in contestants.items():
-            outcomes = {each.case: each for each in engine([*sweep.cases()])}
+            outcomes = {each.case: each for each in engine([*sweep.batches()])}
             path = Path(folder) / "sweep.parquet"
             write_outcomes(path, sweep, outcomes)
             found[name] = path.read_bytes()
@@ -100,21 +100,21 @@ def seconds(work: Callable[[], object]) -> float:
 
 def serial(runs: int) -> None:
     """All cases in this process."""
-    for case in swept(runs).cases():
-        run_case(case)
+    for batch in swept(runs).batches():
+        run_batch(batch)
 
 
 def measured(runs: int, rounds: int) -> dict[str, list[float]]:
     """Seconds of each engine in each round; ``2 copies`` is the most that the machine can do."""
     sweep = swept(runs)
-    cases = [*sweep.cases()]
+    batches = [*sweep.batches()]
     times: dict[str, list[float]] = {}
     with engines() as contestants, ProcessPoolExecutor(WORKERS, get_context("spawn")) as pool:
         check_equal(sweep, contestants)
         list(pool.map(serial, [1] * WORKERS))
         for _ in track(range(rounds), "rounds", console=Console(stderr=True), transient=True):
             for name, engine in contestants.items():
-                taken = seconds(lambda engine=engine: list(engine(cases)))  # type: ignore[misc]
+                taken = seconds(lambda engine=engine: list(engine(batches)))  # type: ignore[misc]
                 times.setdefault(name, []).append(taken)
             taken = seconds(lambda: list(pool.map(serial, [runs] * WORKERS)))
             times.setdefault("2 copies", []).append(taken)

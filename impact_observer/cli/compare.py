@@ -141,7 +141,8 @@ def compare(
     from impact_observer.compare.error_tables import print_tables, write_csv
     from impact_observer.compare.metrics import metrics_of
     from impact_observer.compare.report import write_report
-    from impact_observer.draw.pictures import check_output, save
+    from impact_observer.draw.output import check_output
+    from impact_observer.draw.pictures import save
 
     if plot is not None:
         check_output(plot)

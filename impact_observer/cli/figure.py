@@ -97,7 +97,8 @@ def figure(
     from impact_observer.compare.error_pictures import lyapunov_picture
     from impact_observer.compare.error_tables import print_blindness, table_of_laws
     from impact_observer.compare.metrics import DISTANCE, metrics_of
-    from impact_observer.draw.pictures import check_output, save
+    from impact_observer.draw.output import check_output
+    from impact_observer.draw.pictures import save
     from impact_observer.draw.text_tables import console, fitted
     from impact_observer.model import read_model
     from impact_observer.observer import Options, make_observer

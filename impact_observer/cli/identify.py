@@ -189,6 +189,6 @@ def _check_usage(
         found = "exists already" if output.exists() else "its folder does not exist"
         raise UsageError(f"{output}: {found}; expected the name of a file to make")
     if plot is not None:
-        from impact_observer.draw.pictures import check_output
+        from impact_observer.draw.output import check_output
 
         check_output(plot)

@@ -67,7 +67,8 @@ def observe(
         BagError: the bag cannot be read, or contains no impact of the model's contacts.
         ImpactLawError: the impact law has no solution at an event.
     """
-    from impact_observer.draw.pictures import check_output, save
+    from impact_observer.draw.output import check_output
+    from impact_observer.draw.pictures import save
     from impact_observer.estimation.uncertainty import deviation_of
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import events_in, system_of

@@ -222,14 +222,15 @@ def sweep(
         KeyboardInterrupt: the file has the cases that are done.
     """
     from impact_observer.cli.progress import Progress
-    from impact_observer.draw.pictures import check_output
+    from impact_observer.draw.output import check_output
     from impact_observer.sweep.case_runs import plant_run
     from impact_observer.sweep.outcomes_file import read_outcomes, run_missing
     from impact_observer.sweep.summary import document, groups_of, print_groups
-    from impact_observer.sweep.summary_picture import against_of, save_picture
 
     check_output(output, (".parquet",))
     if plot is not None:
+        from impact_observer.sweep.summary_picture import against_of
+
         check_output(plot)
         against_of(wanted, against)
     elif against is not None:
@@ -250,6 +251,8 @@ def sweep(
         )
     groups = groups_of(wanted, outcomes.values())
     if plot is not None:
+        from impact_observer.sweep.summary_picture import save_picture
+
         save_picture(wanted, groups, plot, against=against)
     if json:
         print(json_module.dumps(document(wanted, groups, impacts), indent=2, allow_nan=False))

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.compare.error_curve import ErrorCurve, ErrorRows, error_type
-from impact_observer.compare.mismatch import REACH, Mismatch, window
+from impact_observer.compare.mismatch import REACH, Mismatch, windows
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError, DynamicsError
 from impact_observer.events import ImpactEvent, Verdict
-from impact_observer.io.pairing import Pairing, Pairs, Samples, arrived, sample_type
+from impact_observer.io.pairing import Pairing, Pairs, Samples, arrived, sample_type, samples_of
 from impact_observer.model import System
-from impact_observer.observer import Observer, replay
+from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_order import impacts_of
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
 from impact_observer.stamps import seconds_between
@@ -30,7 +30,7 @@ from impact_observer.states import Stamps, Vector
 
 SETTLED = 1e-2
 """Default of the ratio V over V at the start below which an estimate has settled."""
-_FLOOR = 10.0
+FLOOR = 10.0
 """V over V at the end up to which V counts as falling."""
 
 
@@ -106,7 +106,7 @@ class Comparison:
         """Fall of ``ln V`` when V is first near its end, and that stamp (ns)."""
         if not (self.V[0] > 0 and self.V[-1] > 0):
             return 0.0, int(self.stamps[-1])
-        near = int(np.flatnonzero(_FLOOR * self.V[-1] >= self.V)[0])
+        near = int(np.flatnonzero(FLOOR * self.V[-1] >= self.V)[0])
         return float(np.log(self.V[0] / self.V[near])), int(self.stamps[near])
 
 
@@ -181,21 +181,22 @@ class Comparator:
 
     def _find_windows(self, rows: Pairs, until: int) -> None:
         """Find the windows of all impacts before ``until`` (ns)."""
-        end = bisect_left(self._impacts, (until,))
+        last = bisect_left(self._impacts, (until,))
         speeds: dict[int, tuple[Vector, Vector]] = {}
         n = self._system.n
-        for impact, c in self._impacts[self._searched : end]:
+        for impact, c in self._impacts[self._searched : last]:
             if c not in speeds:
                 w = self._system.W[:, c]
                 speeds[c] = (rows["truth"][:, n:] @ w, rows["estimate"][:, n:] @ w)
             own = self._of_contact[c]
             before, after = bisect_left(own, impact), bisect_right(own, impact)
             others = [*own[max(before - 1, 0) : before], *own[after : after + 1]]
-            if (found := window(rows["stamp"], *speeds[c], impact, others)) is not None:
-                self._windows.append(found)
+            begin, end = map(int, windows(rows["stamp"], *speeds[c], impact, others))
+            if begin < end:
+                self._windows.append((begin, end))
                 self._mismatch.windows += 1
-                self._mismatch.longest = max(self._mismatch.longest, seconds_between(*found))
-        self._searched = max(self._searched, end)
+                self._mismatch.longest = max(self._mismatch.longest, seconds_between(begin, end))
+        self._searched = max(self._searched, last)
 
     def _count(self, pairs: Pairs) -> None:
         """Count pairs whose windows are all found."""
@@ -304,13 +305,13 @@ def compare_observer(
     verdicts: list[Verdict] = []
     with TemporaryFile() as file:
         made, row = 0, sample_type(2 * observer.system.n)
-        for item in replay(observer, events, stamps):
+        for item in replay_batches(observer, events, stamps):
             if isinstance(item, Verdict):
                 verdicts.append(item)
                 continue
-            values = (item.stamp, item.last_event, np.concatenate([item.q, item.u]))
-            file.write(np.array(values, dtype=row).tobytes())
-            made += 1
+            last_event = np.full(item.stamps.size, item.first.last_event)
+            file.write(samples_of(item.stamps, item.x, last_event).tobytes())
+            made += item.stamps.size
             progress(made, stamps.size)
         outcomes = outcomes_of(events, verdicts)
         if verdicts and not outcomes.instants.size and (needs_event or not made):

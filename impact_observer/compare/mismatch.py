@@ -41,29 +41,34 @@ class Mismatch:
     V: float = 0.0
 
 
-def window(
-    stamps: Stamps, truth: Vector, estimate: Vector, impact: int, others: Sequence[int] = ()
-) -> tuple[int, int] | None:
-    """The samples between the jumps of truth and estimate at an impact.
+def windows(
+    stamps: Stamps,
+    truth: Vector,
+    estimates: NDArray[np.float64],
+    impact: int,
+    others: Sequence[int] = (),
+) -> tuple[Stamps, Stamps]:
+    """The samples between the jumps of truth and estimates at an impact.
 
     Args:
         stamps: of the samples, ns, ascending, shape (samples,).
         truth: the true contact speed, gamma = w^T u, shape (samples,), m/s.
-        estimate: the estimated one, shape (samples,), m/s.
+        estimates: estimated ones, shape (..., samples), m/s.
         impact: stamp of the impact at which the estimate jumps, ns; where to look, ``REACH`` to
             both sides.
         others: stamps of the contact's other impacts, ns. A jump that is nearer to one of them
             belongs to that impact.
 
     Returns:
-        Stamps of the first sample between them and of the first one after both, ns; None where
-        there is no sample between the jumps, or the truth has no jump.
+        Stamps of the first sample between them and of the first one after both, ns, shape (...)
+        each; equal where there is no sample between the jumps, or the truth has no jump.
     """
+    nothing = np.full(estimates.shape[:-1], impact), np.full(estimates.shape[:-1], impact)
     low, high = np.searchsorted(stamps, [impact - REACH, impact + REACH + 1])
     low = max(int(low) - 2, 0)
     near, here = stamps[low:high], int(np.searchsorted(stamps[low:high], impact))
     if here >= near.size or near.size < 3:
-        return None
+        return nothing
     of_this_impact = np.ones(near.size, dtype=np.bool_)
     for other in others:
         of_this_impact &= np.abs(near - impact) <= np.abs(near - other)
@@ -71,32 +76,33 @@ def window(
     # Coarse samples show curvature as small steps: they are no jumps beside the largest one.
     largest = float(np.max(jumps, where=of_this_impact, initial=0.0))
     least = max(_LEAST * float(np.max(np.abs(truth[low:high]))), _ALIKE * largest)
-    of_truth = _nearest(jumps, least, here)
-    if of_truth is None or not of_this_impact[of_truth]:
-        return None
+    of_truth = int(_nearest(jumps, least, here))
+    if of_truth < 0 or not of_this_impact[of_truth]:
+        return nothing
     # An estimate that is wrong may jump by any amount at the stamp. Elsewhere only a jump like
     # that of the truth counts: a law that predicts the impact may jump before its stamp.
     least = _ALIKE * float(jumps[of_truth])
-    of_estimate = _nearest(_jumps(near, estimate[low:high]), least, here)
-    if of_estimate is None or not of_this_impact[of_estimate]:
-        of_estimate = here
-    first, last = sorted((of_truth, of_estimate))
-    return (int(near[first]), int(near[last])) if first < last else None
+    found = _nearest(_jumps(near, estimates[..., low:high]), least, here)
+    of_estimates = np.where((found >= 0) & of_this_impact[found], found, here)
+    return near[np.minimum(of_truth, of_estimates)], near[np.maximum(of_truth, of_estimates)]
 
 
-def _jumps(stamps: Stamps, speed: Vector) -> NDArray[np.float64]:
-    """By how much a contact speed rises at each sample beyond what its slope explains.
+def _jumps(stamps: Stamps, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """By how much a contact speed, shape (..., samples), rises beyond what its slope explains.
 
     The slope over a jump explains nothing, so a rise that follows a fall is set to zero.
     """
     steps, lengths = np.diff(speed), np.diff(stamps)
-    unexplained = steps[1:] - steps[:-1] * (lengths[1:] / lengths[:-1])
-    echo = (unexplained[1:] > 0) & (unexplained[:-1] < -_ALIKE * unexplained[1:])
-    unexplained[1:][echo] = 0.0
-    return np.concatenate([[0.0, 0.0], unexplained])
+    jumps = np.zeros(speed.shape)
+    jumps[..., 2:] = steps[..., 1:] - steps[..., :-1] * (lengths[1:] / lengths[:-1])
+    rise, before = jumps[..., 3:], jumps[..., 2:-1]
+    rise[(rise > 0) & (before < -_ALIKE * rise)] = 0.0
+    return jumps
 
 
-def _nearest(jumps: NDArray[np.float64], least: float, here: int) -> int | None:
-    """The sample nearest to ``here`` with a jump of more than ``least``."""
-    found = np.flatnonzero(jumps > least)
-    return int(found[np.argmin(np.abs(found - here))]) if found.size else None
+def _nearest(jumps: NDArray[np.float64], least: float, here: int) -> NDArray[np.intp]:
+    """The sample nearest to ``here`` with a jump of more than ``least``; -1 for none."""
+    far = jumps.shape[-1]
+    away = np.where(jumps > least, np.abs(np.arange(far) - here), far)
+    found = away.argmin(axis=-1)
+    return np.where(away.min(axis=-1) < far, found, -1)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import GifImagePlugin, Image
 
-from impact_observer.draw.pictures import check_output
+from impact_observer.draw.output import check_output
 from impact_observer.errors import UsageError
 
 Picture: TypeAlias = NDArray[np.uint8]

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from impact_observer.draw.output import check_output
 from impact_observer.errors import UsageError
 from impact_observer.states import Vector
 
@@ -111,17 +112,3 @@ def svg(figure: Figure) -> str:
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     text = file.getvalue()
     return text[text.index("<svg") :]
-
-
-def check_output(path: Path, suffixes: Sequence[str] = (".png", ".svg", ".pdf")) -> None:
-    """Raise unless a file can be written to ``path``; by default a picture.
-
-    Raises:
-        UsageError: it has none of the ``suffixes``, its folder does not exist, or it is a folder.
-    """
-    if path.suffix.lower() not in suffixes:
-        raise UsageError(f"{path}: expected a name that ends in {', '.join(suffixes)}")
-    if not path.absolute().parent.is_dir():
-        raise UsageError(f"{path}: no folder {path.parent}; make it first")
-    if path.is_dir():
-        raise UsageError(f"{path}: is a folder; expected the name of a file")

@@ -19,6 +19,7 @@ def distance(system: System, q: NDArray[np.float64], u: NDArray[np.float64]) -> 
 
     A seminorm where ``K`` is singular: it is zero for rigid-body displacements. Shape (...).
     """
-    kinetic = np.einsum("...i,...i->...", u @ system.M, u)
-    potential = np.einsum("...i,...i->...", q @ system.K, q)
+    q, u = np.moveaxis(q, -1, 0), np.moveaxis(u, -1, 0)  # sums over a first axis are fast
+    kinetic = np.einsum("i...,i...->...", np.tensordot(system.M, u, 1), u)
+    potential = np.einsum("i...,i...->...", np.tensordot(system.K, q, 1), q)
     return np.asarray((kinetic + potential) / 2)

@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.hypotheses import Hypothesis
@@ -104,6 +105,10 @@ class Prediction(ABC):
     @abstractmethod
     def belief(self, s: float) -> Belief:
         """The whole belief ``s`` seconds after the start: the prior of an event then."""
+
+    def replicas(self, s: Vector) -> NDArray[np.float64]:
+        """States (q, u) of all replicas at each of ``s`` seconds, shape (2n, samples, N)."""
+        return np.stack([self.belief(at).replicas.T for at in s.tolist()], axis=1)
 
     def root(self, s: float) -> Matrix | None:
         """``Belief.root`` after ``s`` seconds, without propagating the other replicas."""

@@ -1,5 +1,6 @@
 """Which events of a recording an observer applied, rejected or inserted in the end."""
 
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ class EventOutcomes:
 
     def until(self, stamp: int) -> int:
         """How many impacts had been used at ``stamp`` (ns)."""
-        return sum(at <= stamp for at, _ in self.impacts)
+        return bisect_right(self.impacts, stamp, key=lambda impact: impact[0])
 
 
 def outcomes_of(

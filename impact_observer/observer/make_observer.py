@@ -13,19 +13,23 @@ from impact_observer.model.elements import Element
 from impact_observer.observer.laws import law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
-from impact_observer.states import Vector
+from impact_observer.states import Matrix, Vector
 
 COMPILING = "compiling the update of minimum-variance: half a minute, once"
 """What users read while something is compiled."""
 
 
 def make_observer(
-    system: System, options: Options | None = None, elements: Sequence[Element] = ()
+    system: System,
+    options: Options | None = None,
+    elements: Sequence[Element] = (),
+    others: Matrix | None = None,
 ) -> Observer:
     """An observer of ``system`` that has received no event yet.
 
     ``options`` are None for the defaults. The system was assembled of ``elements``: their
-    parameters can be estimated one by one.
+    parameters can be estimated one by one. The ``others`` are initial states of the replicas that
+    run beside the estimate, shape (ensemble - 1, 2n); by default they are drawn.
 
     Raises:
         UsageError: an option cannot be used, by its name; or numba is not installed.
@@ -52,6 +56,7 @@ def make_observer(
         epoch=options.epoch,
         history=options.history,
         ensemble=options.ensemble,
+        others=others,
         agreed=options.agreed,
     )
 

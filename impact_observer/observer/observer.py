@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.dynamics import Scales
 from impact_observer.errors import ImpactObserverError, UsageError
@@ -20,7 +20,7 @@ from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
 from impact_observer.observer.verdicts import IssuedVerdicts, with_reasons
 from impact_observer.options import Options
-from impact_observer.stamps import from_seconds, seconds_between, text
+from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
     Estimate,
@@ -47,6 +47,7 @@ class Observer:
     Attributes:
         system: the system that plant and replica share.
         law: what the replica does at an event.
+        ensemble: how many replicas are run together.
         remarks: how often the stream of events was irregular, by kind.
     """
 
@@ -60,6 +61,7 @@ class Observer:
         epoch: int = 0,
         history: float = Options.history,
         ensemble: int = Options.ensemble,
+        others: Matrix | None = None,
         agreed: float = Options.agreed,
     ) -> None:
         """Make an observer that has received nothing yet.
@@ -72,6 +74,7 @@ class Observer:
             epoch: stamp of ``t = 0`` of the forcing, ns; 0 to take it from the events.
             history: how late an event may be and still be applied, s.
             ensemble: how many replicas are run together, at least one.
+            others: initial states of the others, shape (ensemble - 1, 2n); None for drawn ones.
             agreed: V distance at which they count as synchronized, relative to the energy.
 
         Raises:
@@ -85,7 +88,8 @@ class Observer:
         self.law = law
         self._initial = np.concatenate([q, u])
         self._root = law.uncertainty.root(system.n)
-        self._ensemble = ensemble
+        self.ensemble = ensemble
+        self._others = others
         self._test = SynchronizationTest(system, agreed)
         self._history = from_seconds(history)
         self._scales = Scales.of(system)
@@ -217,6 +221,17 @@ class Observer:
             yield Estimates(first, stamps[:count], x)
             stamps = stamps[count:]
 
+    def replicas(self, stamps: Stamps) -> NDArray[np.float64]:
+        """States (q, u) of all replicas, shape (2n, samples, N).
+
+        Args:
+            stamps: at which, ns, ascending, shape (samples,); no event lies between them.
+        """
+        assert self._timeline is not None, "there is an estimate"
+        entry = self._timeline.at(int(stamps[0]))
+        s = (stamps - entry.since) / NS_PER_S
+        return self._update.prediction(entry).replicas(s)
+
     def set_state(
         self,
         stamp: int,
@@ -241,7 +256,8 @@ class Observer:
         else:
             stamp = max(stamp, self._timeline.start.stamp)
             now = self._timeline.at(stamp)
-            first = self._entry_about(x, root, stamp, now.closed, now.latest)
+            replicas = spread(x, root, self.ensemble)
+            first = self._entry_of(replicas, root, stamp, now.closed, now.latest)
             self._timeline.restart(first, after=True)
             self._is_state_given = True
 
@@ -272,18 +288,22 @@ class Observer:
         return self.remarks[Remark.EPISODE] + self.remarks[Remark.EPOCH]
 
     def _first_entry(self, stamp: int) -> Entry:
-        return self._entry_about(self._initial, self._root, stamp)
+        if self._others is None:
+            replicas = spread(self._initial, self._root, self.ensemble)
+        else:
+            replicas = np.vstack([self._initial, self._others])
+        return self._entry_of(replicas, self._root, stamp)
 
-    def _entry_about(
+    def _entry_of(
         self,
-        x: Vector,
+        replicas: Matrix,
         root: Matrix,
         stamp: int,
         closed: Contacts = (),
         latest: LatestSequences | None = None,
     ) -> Entry:
-        """Replicas about ``x`` at ``stamp`` (ns), before any other event."""
-        belief = self.law.begin(spread(x, root, self._ensemble), root, closed)
+        """Replicas, shape (N, 2n), at ``stamp`` (ns), before any other event."""
+        belief = self.law.begin(replicas, root, closed)
         return initial_entry(stamp, belief, self._test.initial(belief), closed, latest)
 
     def _enter_run(self, event: ImpactEvent) -> str:

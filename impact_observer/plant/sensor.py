@@ -67,6 +67,11 @@ class SensorModel:
         values = ((field.name, getattr(self, field.name)) for field in fields(self))
         return {name: value if value is True else float(value) for name, value in values if value}
 
+    @property
+    def is_random(self) -> bool:
+        """Whether its events depend on a seed; the transport time changes their arrival only."""
+        return bool(self.jitter or self.missed or self.spurious or self.mislabelled)
+
     def check(self, system: System) -> None:
         """Raise unless this can be the sensor of ``system``.
 

@@ -1,18 +1,23 @@
-"""One case of a sweep: a run of the plant, its sensor, an observer, and metrics of its estimate.
+"""Cases of a sweep: a run of the plant, its sensor, an observer, and metrics of its estimate.
 
 A new metric is a field of ``Outcome`` with the name that it has in ``compare``; the column of the
 file follows.
 """
 
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
-from impact_observer.compare.comparison import compare_observer
-from impact_observer.compare.metrics import metrics_of
+import numpy as np
+
+from impact_observer.compare.comparison import Comparison, compare_observer
+from impact_observer.compare.metrics import METRICS
+from impact_observer.compare.replicas import compare_replicas
 from impact_observer.errors import ImpactObserverError
+from impact_observer.events import ImpactEvent
 from impact_observer.io.pairing import samples_of
-from impact_observer.model import Model, parse_model
-from impact_observer.observer import make_observer
+from impact_observer.model import Model, System, parse_model
+from impact_observer.observer import ReplicaLaw, initial_state, make_observer
 from impact_observer.plant import Plant, Run, simulate, simulate_sensor
 from impact_observer.sweep.plan import Case, PlantSetup
 
@@ -52,6 +57,11 @@ class Outcome:
     error: str = ""
 
 
+_NAMES = {each.name for each in fields(Outcome)}
+_SHOWN = tuple(each for each in METRICS if each.key in _NAMES)
+"""The metrics of an outcome."""
+
+
 def run_case(case: Case) -> Outcome:
     """The outcome of a case, which depends on nothing else.
 
@@ -64,6 +74,19 @@ def run_case(case: Case) -> Outcome:
     except Exception as error:  # noqa: BLE001 (a bug in one law must not stop the other cases)
         line = " ".join(f"{type(error).__name__}: {error}".split())
         return Outcome(case.number, error=line)
+
+
+def run_batch(cases: Sequence[Case]) -> list[Outcome]:
+    """The outcomes of one of ``Sweep.batches``: one observer runs all of its starts at once.
+
+    They are those of ``run_case`` but for rounding. Where a start fails, each runs by itself.
+    """
+    if len(cases) > 1:
+        try:
+            return _outcomes(cases)
+        except Exception:  # noqa: BLE001 (the start that has failed will say why)
+            pass
+    return [run_case(case) for case in cases]
 
 
 @lru_cache(maxsize=4)
@@ -85,6 +108,36 @@ def _parsed(text: str) -> Model:
 
 def _outcome(case: Case) -> Outcome:
     """The metrics; V is computed with the energy of the plant, also for another model."""
+    run, system, events = _sensed(case)
+    comparison = compare_observer(
+        make_observer(_parsed(case.variant.text).system, case.options),
+        events,
+        lambda: [samples_of(run.stamps, run.states)],
+        system=system,
+        settled=case.settled,
+        needs_event=False,
+    )
+    return _outcome_of(case, comparison, len(events))
+
+
+def _outcomes(cases: Sequence[Case]) -> list[Outcome]:
+    """The same for cases with equal events."""
+    first = cases[0]
+    run, system, events = _sensed(first)
+    model = _parsed(first.variant.text).system
+    others = [np.concatenate(initial_state(each.initial_state, model)) for each in cases[1:]]
+    options = replace(first.options, ensemble=len(cases))
+    observer = make_observer(model, options, others=np.array(others))
+    assert isinstance(observer.law, ReplicaLaw), "only these have batches"
+    observer.law.forgives = False
+    comparisons = compare_replicas(
+        observer, events, run.stamps, run.states, system=system, settled=first.settled
+    )
+    return [_outcome_of(*each, len(events)) for each in zip(cases, comparisons, strict=True)]
+
+
+def _sensed(case: Case) -> tuple[Run, System, list[ImpactEvent]]:
+    """The plant's run, the plant, and what its sensor reports."""
     run, system = plant_run(case.plant), _parsed(case.plant.text).system
     sensed = simulate_sensor(
         case.sensor,
@@ -95,14 +148,9 @@ def _outcome(case: Case) -> Outcome:
         seed=case.seed,
     )
     events = sorted((each.event for each in sensed), key=lambda each: (each.stamp, each.sequence))
-    comparison = compare_observer(
-        make_observer(_parsed(case.variant.text).system, case.options),
-        events,
-        lambda: [samples_of(run.stamps, run.states)],
-        system=system,
-        settled=case.settled,
-        needs_event=False,
-    )
-    metrics = metrics_of(comparison)
-    shown = {each.name: metrics[each.name] for each in fields(Outcome) if each.name in metrics}
-    return Outcome(case=case.number, events=len(events), **shown)
+    return run, system, events
+
+
+def _outcome_of(case: Case, comparison: Comparison, events: int) -> Outcome:
+    shown = {each.key: each.value(comparison) for each in _SHOWN}
+    return Outcome(case=case.number, events=events, **shown)

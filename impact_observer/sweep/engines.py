@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from impact_observer.sweep.case_runs import Outcome
     from impact_observer.sweep.plan import Case
 
+    Batches = Sequence[tuple[Case, ...]]
+
 _PATIENCE = 10.0
 """Longest wait for a scheduler, and for its first worker, s."""
 _CLOSING = 2.0
 """Longest wait for a scheduler at the end, s."""
 _AHEAD = 4
-"""Cases submitted to a cluster ahead, for each of its threads."""
+"""Batches submitted to a cluster ahead, for each of its threads."""
 _INSTALL = "pip install impact_observer[sweep]"
 
 
@@ -36,13 +38,13 @@ def one_thread() -> None:
         os.environ[f"{library}_NUM_THREADS"] = "1"
 
 
-def run_cases(
-    cases: "Sequence[Case]", *, jobs: int | None = None, scheduler: str | None = None
+def run_batches(
+    batches: "Batches", *, jobs: int | None = None, scheduler: str | None = None
 ) -> "Generator[Outcome, None, None]":
-    """Yield the outcomes of cases as they are finished.
+    """Yield the outcomes of batches as they are finished.
 
     Args:
-        cases: in any order.
+        batches: of cases, in any order.
         jobs: processes on this machine; None for as many as it has cores.
         scheduler: address of a Dask scheduler, whose workers run the cases instead.
 
@@ -50,15 +52,15 @@ def run_cases(
         UsageError: a package is missing, or the scheduler or its workers cannot be used.
         SweepError: processes have died.
     """
-    return _on_machine(cases, jobs) if scheduler is None else _on_cluster(cases, scheduler)
+    return _on_machine(batches, jobs) if scheduler is None else _on_cluster(batches, scheduler)
 
 
-def _on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome, None, None]":
+def _on_machine(batches: "Batches", jobs: int | None) -> "Generator[Outcome, None, None]":
     try:
         import joblib
     except ImportError as error:
         raise UsageError(f"sweep needs joblib ({error}); {_INSTALL}") from None
-    from impact_observer.sweep.case_runs import run_case
+    from impact_observer.sweep.case_runs import run_batch
 
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
         # One by one: laws differ in cost, and with batches some cores would be idle.
@@ -66,46 +68,49 @@ def _on_machine(cases: "Sequence[Case]", jobs: int | None) -> "Generator[Outcome
             n_jobs=-1 if jobs is None else jobs, return_as="generator_unordered", batch_size=1
         )
         try:
-            with closing(parallel(joblib.delayed(run_case)(case) for case in cases)) as outcomes:
-                yield from outcomes
+            with closing(
+                parallel(joblib.delayed(run_batch)(each) for each in batches)
+            ) as finished:
+                for outcomes in finished:
+                    yield from outcomes
         except BrokenExecutor as error:
             line = str(error).splitlines()[0]
             raise SweepError(f"a process of the sweep has died: {line}") from None
 
 
-def _on_cluster(cases: "Sequence[Case]", scheduler: str) -> "Generator[Outcome, None, None]":
+def _on_cluster(batches: "Batches", scheduler: str) -> "Generator[Outcome, None, None]":
     """Run cases by the workers of a Dask cluster, including those that join later."""
     try:
         from distributed import as_completed
     except ImportError as error:
         raise UsageError(f"--scheduler needs Dask ({error}); {_INSTALL}") from None
     from impact_observer.observer import law_named
-    from impact_observer.sweep.case_runs import run_case
+    from impact_observer.sweep.case_runs import run_batch
 
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # errors are raised as one line
-    laws = {case.options.law for case in cases if case.options.compiled}
+    laws = {case.observer.law for case, *_ in batches if case.observer.compiled}
     compiled = any(law_named(law).compiles for law in laws)
     with _connected(scheduler, compiled=compiled) as client:
-        waiting, running = iter(cases), 0
+        waiting, running = iter(batches), 0
         futures = as_completed(loop=client.loop, with_results=True)
         while True:
             try:
                 free = _AHEAD * sum(client.ncores().values()) - running
                 more = islice(waiting, max(free, 0))
-                started = [client.submit(run_case, each, pure=False) for each in more]
+                started = [client.submit(run_batch, each, pure=False) for each in more]
                 futures.update(started)
                 running += len(started)
                 if not running:
                     return
-                _, outcome = next(futures)
-                if isinstance(outcome, BaseException):  # of a cancelled future
-                    raise outcome
+                _, outcomes = next(futures)
+                if isinstance(outcomes, BaseException):  # of a cancelled future
+                    raise outcomes
             except Exception as error:  # noqa: BLE001 (lost workers and schedulers raise many kinds)
                 line = " ".join(f"{type(error).__name__}: {error}".split())
                 raise SweepError(f"{scheduler}: {line}") from None
             running -= 1
-            yield outcome
+            yield from outcomes
 
 
 @contextmanager

@@ -9,13 +9,13 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import asdict, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import get_args, get_type_hints
 
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.sweep.case_runs import Outcome
-from impact_observer.sweep.engines import run_cases
+from impact_observer.sweep.engines import run_batches
 from impact_observer.sweep.plan import Sweep
 
 try:
@@ -63,14 +63,14 @@ def write_outcomes(path: Path, sweep: Sweep, outcomes: Mapping[int, Outcome]) ->
     Raises:
         SweepError: it cannot be written.
     """
-    rows = [
-        {**case.labels, **asdict(outcomes[case.number])}
-        for case in sweep.cases()
-        if case.number in outcomes
-    ]
+    cases = [case for case in sweep.cases() if case.number in outcomes]
+    labels = [case.labels for case in cases]
+    found = [outcomes[case.number] for case in cases]
+    columns = {name: [each[name] for each in labels] for name in labels[0]}
+    columns |= {each.name: [getattr(o, each.name) for o in found] for each in fields(Outcome)}
     part = path.with_name(f".{path.name}.part")
     try:
-        pq.write_table(pa.Table.from_pylist(rows, _schema(sweep)), part, compression="zstd")
+        pq.write_table(pa.table(columns, _schema(sweep)), part, compression="zstd")
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)
@@ -120,14 +120,14 @@ def run_missing(
         SweepError: processes have died, or the file cannot be written.
         KeyboardInterrupt: with a line on what is done.
     """
-    missing = [case for case in sweep.cases() if case.number not in outcomes]
+    missing = [*sweep.batches(outcomes)]
     if not missing:
         return
     before = len(outcomes)
     progress(before)
     due = time.monotonic() + PERIOD
     try:
-        with closing(run_cases(missing, jobs=jobs, scheduler=scheduler)) as finished:
+        with closing(run_batches(missing, jobs=jobs, scheduler=scheduler)) as finished:
             for outcome in finished:
                 outcomes[outcome.case] = outcome
                 progress(len(outcomes))

@@ -6,21 +6,33 @@ same run share the seed: laws, sensors and models are compared on equal initial 
 random numbers of the sensor.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from itertools import product
+from functools import lru_cache
+from itertools import islice, product
 
 from impact_observer import __version__
 from impact_observer.compare.comparison import SETTLED
+from impact_observer.compare.error_curve import MOST_ROWS
 from impact_observer.errors import UsageError
 from impact_observer.model import parse_model
-from impact_observer.observer import Options, make_observer, options_of_laws
+from impact_observer.observer import (
+    Options,
+    ReplicaLaw,
+    law_named,
+    make_observer,
+    options_of_laws,
+)
 from impact_observer.plant import SensorModel, SensorSimulation
 from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import from_seconds, grid
 from impact_observer.states import Stamps
 from impact_observer.sweep.model_variants import ModelVariant
 
+BATCH = 512
+"""Most cases that are computed at once."""
+_SAMPLES = 2**22
+"""Most samples of all of these."""
 MOST_CASES = 10_000_000
 """The largest sweep: its outcomes are kept in memory."""
 FORMAT = 1
@@ -66,7 +78,8 @@ class Case:
         plant: its run.
         sensor: the sensor with its faults.
         variant: the model of the observer.
-        options: of the observer.
+        observer: its options, but for the initial state.
+        initial_state: of the observer, as users write it.
         settled: V over V at the start below which an estimate has settled.
     """
 
@@ -76,22 +89,36 @@ class Case:
     plant: PlantSetup
     sensor: SensorModel
     variant: ModelVariant
-    options: Options
+    observer: Options
+    initial_state: str
     settled: float = SETTLED
+
+    @property
+    def options(self) -> Options:
+        """Of the observer."""
+        return replace(self.observer, initial_state=self.initial_state)
 
     @property
     def labels(self) -> dict[str, Label]:
         """All that differs between cases of a sweep; the names are the same for all cases."""
-        values = {field.name: getattr(self.sensor, field.name) for field in fields(SensorModel)}
         return {
             "case": self.number,
-            "law": self.options.law,
+            "law": self.observer.law,
             "run": self.run,
             "seed": self.seed,
-            "initial": self.options.initial_state,
-            **{SENSOR + k: v if isinstance(v, bool) else float(v) for k, v in values.items()},
-            **{OFF + each.name: each.value for each in self.variant.parameters},
+            "initial": self.initial_state,
+            **_labels(self.sensor, self.variant),
         }
+
+
+@lru_cache
+def _labels(sensor: SensorModel, variant: ModelVariant) -> dict[str, Label]:
+    """The labels that all runs share."""
+    values = {field.name: getattr(sensor, field.name) for field in fields(SensorModel)}
+    return {
+        **{SENSOR + k: v if isinstance(v, bool) else float(v) for k, v in values.items()},
+        **{OFF + each.name: each.value for each in variant.parameters},
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,28 +175,41 @@ class Sweep:
         """All cases, in order of their numbers."""
         return self._cases(self.sensors, self.variants, self.runs)
 
+    def batches(self, done: Collection[int] = ()) -> Iterator[tuple[Case, ...]]:
+        """All cases, in parts that run together; without parts of which all are ``done``.
+
+        Cases that differ only in their start are an ensemble: ``run_batch`` computes them at once.
+        The parts are always the same, so that outcomes do not depend on what is done.
+        """
+        samples = self.plant.stamps.size
+        # Of more samples than MOST_ROWS a case alone keeps the peaks of V only.
+        most = min(BATCH, _SAMPLES // samples) if samples <= MOST_ROWS else 1
+        cases = self.cases()
+        while alike := (*islice(cases, self.runs),):
+            size = most if _differ_in_start(alike[0]) else 1
+            for start in range(0, self.runs, size):
+                batch = alike[start : start + size]
+                if not all(case.number in done for case in batch):
+                    yield batch
+
     def _cases(
         self, sensors: Sequence[SensorModel], variants: Sequence[ModelVariant], runs: int
     ) -> Iterator[Case]:
-        by_law = options_of_laws(self.options, self.laws)
+        own = replace(self.options, ensemble=1, epoch=self.plant.epoch)  # no estimate needs more
+        by_law = options_of_laws(own, self.laws)
         combinations = product(by_law, sensors, variants, range(runs))
-        for number, (own, sensor, variant, run) in enumerate(combinations):
-            seed = self.seed + run
-            initial = self.options.initial_state
-            options = replace(
-                own,
-                initial_state=f"random:{seed}" if initial == RANDOM else initial,
-                ensemble=1,  # estimates do not depend on it
-                epoch=self.plant.epoch,
-            )
-            yield Case(number, run, seed, self.plant, sensor, variant, options, self.settled)
+        for number, (observer, sensor, variant, run) in enumerate(combinations):
+            seed, start = self.seed + run, self.options.initial_state
+            start = f"{RANDOM}:{seed}" if start == RANDOM else start
+            settled = self.settled
+            yield Case(number, run, seed, self.plant, sensor, variant, observer, start, settled)
 
     @property
     def swept(self) -> dict[str, tuple[Label, ...]]:
         """The values of each label that has several, except law and run."""
         labels: dict[str, dict[Label, None]] = {}
         for sensor, variant in product(self.sensors, self.variants):
-            case = Case(0, 0, 0, self.plant, sensor, variant, self.options)
+            case = Case(0, 0, 0, self.plant, sensor, variant, self.options, "")
             for name, value in case.labels.items():
                 labels.setdefault(name, {})[value] = None
         return {name: (*values,) for name, values in labels.items() if len(values) > 1}
@@ -213,6 +253,13 @@ class Sweep:
             "options": options,
             "settled": self.settled,
         }
+
+
+def _differ_in_start(case: Case) -> bool:
+    """Whether other runs of a case differ from it only in their start, and move as it does."""
+    law = law_named(case.observer.law)
+    together = issubclass(law, ReplicaLaw) and law.phase is not ReplicaLaw.phase
+    return together and not case.sensor.is_random
 
 
 def sensors_of(faults: Mapping[str, Sequence[float | bool]]) -> tuple[SensorModel, ...]:

@@ -62,7 +62,7 @@ def groups_of(sweep: Sweep, outcomes: Iterable[Outcome]) -> list[CaseGroup]:
         cases = [*group]
         labels = {name: cases[0].labels[name] for name in names}
         own = [by_number[case.number] for case in cases]
-        found.append(_group(cases[0].options.law, labels, own))
+        found.append(_group(cases[0].observer.law, labels, own))
     return found
 
 

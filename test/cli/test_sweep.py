@@ -3,6 +3,7 @@
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -133,15 +134,16 @@ class Engine:
         self.stop_after = stop_after
 
     def __call__(
-        self, cases: Sequence[Case], *, jobs: int | None, scheduler: str | None
+        self, batches: Sequence[tuple[Case, ...]], *, jobs: int | None, scheduler: str | None
     ) -> Iterator[Outcome]:
-        """As ``run_cases``."""
+        """As ``run_batches``."""
         del jobs, scheduler
-        for case in reversed(cases):
-            if len(self.numbers) == self.stop_after:
-                raise KeyboardInterrupt
-            self.numbers.append(case.number)
-            yield case_runs.run_case(case)
+        for batch in reversed(batches):
+            for outcome in case_runs.run_batch(batch)[::-1]:
+                if len(self.numbers) == self.stop_after:
+                    raise KeyboardInterrupt
+                self.numbers.append(outcome.case)
+                yield outcome
 
 
 @pytest.mark.slow
@@ -154,17 +156,17 @@ def test_finished_cases_are_kept_and_not_run_again(
     """After Ctrl-C the same command goes on, in any order, and ends with the same file."""
     path = tmp_path / "sweep.parquet"
     first, second, third = Engine(5), Engine(), Engine()
-    monkeypatch.setattr(outcomes_file, "run_cases", first)
+    monkeypatch.setattr(outcomes_file, "run_batches", first)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 1
     line = "impact-observer: interrupted; 5 of 16 cases are done; the same command goes on\n"
     assert capsys.readouterr().err == line
     assert table_of(path)["case"] == sorted(first.numbers) == [11, 12, 13, 14, 15]
-    monkeypatch.setattr(outcomes_file, "run_cases", second)
+    monkeypatch.setattr(outcomes_file, "run_batches", second)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 0
     assert "has 5 of 16 cases already" in capsys.readouterr().out
     assert sorted(first.numbers + second.numbers) == [*range(SIZE)]
     assert path.read_bytes() == serial.read_bytes()
-    monkeypatch.setattr(outcomes_file, "run_cases", third)
+    monkeypatch.setattr(outcomes_file, "run_batches", third)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 0
     assert third.numbers == []
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
@@ -178,12 +180,12 @@ def test_the_file_is_written_from_time_to_time(
     monkeypatch.setattr(outcomes_file, "PERIOD", 0.0)
     monkeypatch.setattr(outcomes_file, "LOAD", 0.0)
 
-    def looking(cases: Sequence[Case], **_: object) -> Iterator[Outcome]:
-        for case in cases:
+    def looking(batches: Sequence[tuple[Case, ...]], **_: object) -> Iterator[Outcome]:
+        for case in chain.from_iterable(batches):
             yield Outcome(case.number, V_ratio=1.0)
             seen.append(len(table_of(path)["case"]))
 
-    monkeypatch.setattr(outcomes_file, "run_cases", looking)
+    monkeypatch.setattr(outcomes_file, "run_batches", looking)
     assert main(["sweep", *SMALL, "-o", str(path)]) == 0
     assert seen == [*range(1, SIZE + 1)]
 
@@ -221,7 +223,11 @@ def test_a_case_that_fails_is_a_row_and_exit_code_1(
             raise DynamicsError("no solution")
         return whole(case)
 
+    def all_broken(_: Sequence[Case]) -> list[Outcome]:
+        raise DynamicsError("one of them has no solution")
+
     monkeypatch.setattr(case_runs, "_outcome", broken)
+    monkeypatch.setattr(case_runs, "_outcomes", all_broken)
     words = ["sweep", "two_mass", "--runs", "5", "--duration", "1", "--jobs", "1", "--json"]
     for _ in range(2):
         assert main([*words, "-o", str(path)]) == 1

@@ -10,7 +10,7 @@ from systems import sample
 
 from impact_observer.compare.comparison import Comparator, Comparison, compare_observer
 from impact_observer.compare.error_curve import MOST_ROWS, ErrorCurve, error_type
-from impact_observer.compare.mismatch import window
+from impact_observer.compare.mismatch import windows
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError
 from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
@@ -126,10 +126,13 @@ def test_a_jump_of_the_estimate_at_the_next_impact_belongs_to_that_one() -> None
     falling = -np.arange(300) / 40.0
     truth = falling + 2.0 * (stamps >= first) + 2.0 * (stamps >= second)
     estimate = falling + 0.1 * (stamps >= first) + 2.0 * (stamps >= second)
-    assert window(stamps, truth, estimate, first, [second]) is None
-    assert window(stamps, truth, estimate, second, [first]) is None
-    alone = window(stamps, truth, estimate, first)
-    assert alone == (first, second), "without another impact it is this one's"
+    for impact, other in ((first, second), (second, first)):
+        begin, end = windows(stamps, truth, estimate, impact, [other])
+        assert begin == end
+    estimates = np.stack([estimate, truth])
+    begin, end = windows(stamps, truth, estimates, first)
+    assert begin.tolist() == [first, first]
+    assert end.tolist() == [second, first], "without another impact it is this one's"
 
 
 def test_a_spurious_impact_is_an_error_and_no_mismatch() -> None:

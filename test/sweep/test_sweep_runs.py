@@ -15,7 +15,7 @@ from systems import examples
 from impact_observer.compare import comparison
 from impact_observer.errors import DynamicsError, UsageError
 from impact_observer.model import Model, parse_model, read_model
-from impact_observer.observer import Observer, Options, initial_state, law_named, replay
+from impact_observer.observer import Observer, Options, initial_state, law_named, replay_batches
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import grid
 from impact_observer.sweep import case_runs
@@ -137,7 +137,7 @@ def test_metrics_are_those_of_a_single_run(stiffness: float) -> None:
 
 def test_a_case_that_fails_is_an_outcome_of_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     """For any exception; the other cases still run."""
-    whole = replay
+    whole = replay_batches
     problems: list[Exception] = [DynamicsError("no solution"), TypeError("a mistake\nin a law")]
 
     def broken(*arguments: object) -> object:
@@ -145,7 +145,7 @@ def test_a_case_that_fails_is_an_outcome_of_one_line(monkeypatch: pytest.MonkeyP
             raise problems.pop(0)
         return whole(*arguments)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(comparison, "replay", broken)
+    monkeypatch.setattr(comparison, "replay_batches", broken)
     sweep = swept(runs=4)
     outcomes = [run_case(case) for case in sweep.cases()]
     assert outcomes[0] == Outcome(0, error="no solution")

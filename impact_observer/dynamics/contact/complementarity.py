@@ -9,7 +9,7 @@ Columns of ``B`` that depend on each other are no special case.
 from collections.abc import Iterator
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
 from impact_observer.states import Matrix, Vector
 
@@ -62,8 +62,10 @@ def _candidates(B: Matrix, b: Vector) -> Iterator[Vector]:
 
 def nonnegative(A: Matrix, target: Vector) -> Vector | None:
     """The least squares solution ``y >= 0`` of ``A y = target``; None where the method cycles."""
+    from scipy.optimize import nnls  # noqa: PLC0415 (slow to import, and rarely needed)
+
     try:
-        return np.asarray(optimize.nnls(A, target)[0])
+        return np.asarray(nnls(A, target)[0])
     except RuntimeError:
         return None
 

@@ -140,6 +140,10 @@ class Flow(ABC):
             ``e^{As}``, shape (2n, 2n).
         """
 
+    def transitions(self, s: Vector) -> NDArray[np.float64]:
+        """``transition`` by each of ``s`` seconds, shape (2n, samples, 2n)."""
+        return np.stack([self.transition(at) for at in s.tolist()], axis=1)
+
     def moved(self, motion: Motion, s: float) -> tuple[Vector, Matrix]:
         """``state`` of a motion of this flow, equal to the bit, and ``transition`` after ``s``."""
         return motion.state(s), self.transition(s)

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 
 from impact_observer.dynamics import Clutches, Motion, Phase
@@ -28,7 +29,13 @@ class ReplicaLaw(Law):
 
     A law must define ``impact`` and may define ``motion``. The other methods make it faster for
     many replicas, or certify a bound where the energy that each event removes is known.
+
+    Attributes:
+        forgives: whether a replica other than the estimate keeps its state where its impact has
+            no solution; otherwise that is an error.
     """
+
+    forgives: bool = True
 
     def __init_subclass__(cls) -> None:
         """Reset the shortcuts of a method that ``cls`` redefines, unless it redefines them."""
@@ -134,10 +141,12 @@ class ReplicaLaw(Law):
         return Ensemble.of(np.concatenate([x[None], others]))
 
     def _impacts_if_solvable(self, replicas: Matrix, active: Contacts, closed: Contacts) -> Matrix:
-        """``impacts``; a replica whose impact has no solution keeps its state."""
+        """``impacts``; see ``forgives`` for one whose impact has no solution."""
         try:
             return self.impacts(replicas, active, closed)
         except ImpactLawError:
+            if not self.forgives:
+                raise
             if len(replicas) == 1:
                 return replicas
             each = [self._impacts_if_solvable(x[None], active, closed) for x in replicas]
@@ -182,6 +191,9 @@ class _OwnMotions(Prediction):
         belief = self._belief
         return Belief(Ensemble.of(replicas), None, belief.bound, belief.inconsistent)
 
+    def replicas(self, s: Vector) -> NDArray[np.float64]:
+        return np.stack([motion.states(s).T for motion in self._motions], axis=2)
+
 
 class _CommonPhase(Prediction):
     """All replicas in one linear phase: their differences share one transition matrix."""
@@ -206,3 +218,9 @@ class _CommonPhase(Prediction):
         else:
             after = Ensemble(self._first.state(s), before.since)
         return Belief(after, None, self._belief.bound, self._belief.inconsistent)
+
+    def replicas(self, s: Vector) -> NDArray[np.float64]:
+        differences = np.pad(self._belief.ensemble.differences, ((0, 0), (1, 0)))
+        found = self._phase.flow.transitions(s) @ differences
+        found += self._first.states(s).T[..., None]
+        return found

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from impact_observer.dynamics import Motion, Phase
+from impact_observer.dynamics import Motion
 from impact_observer.dynamics.contact.complementarity import complementary
 from impact_observer.dynamics.contact.sweeping import SweepingProcess
 from impact_observer.estimation.contact_change import ContactChange
@@ -52,11 +52,6 @@ class Unilateral(Geometric):
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed; the other gaps never turn negative."""
         return self._sweeping.motion(t, x, closed)
-
-    def phase(self, closed: Contacts) -> Phase | None:
-        """None: replicas reach their stops at different times."""
-        del closed
-        return None
 
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
         """Every replica after its own impact, or projected where contacts open."""
