@@ -25,7 +25,8 @@ def manifest(tag: str) -> str:
 
 def requirements(name: str) -> list[str]:
     """Returns the packages of requirements/<name>.txt."""
-    lines = Path("requirements", f"{name}.txt").read_text(encoding="utf-8").splitlines()
+    folder = Path(__file__).resolve().parent / "requirements"  # colcon links to this file only
+    lines = (folder / f"{name}.txt").read_text(encoding="utf-8").splitlines()
     return [line for line in lines if line and not line.startswith("#")]
 
 
@@ -44,6 +45,10 @@ class BuildKernel(build_ext):  # type: ignore[misc]
 
     def build_extensions(self) -> None:
         """Compile all files at once, or end with one line that names what is missing."""
+        if not self.debug:
+            for each in self.extensions:
+                each.extra_compile_args.append("-g0")
+                each.extra_link_args.append("-Wl,--strip-all")
         with suppress(ImportError):  # pybind11-dev of Ubuntu is where compilers look by themselves
             from pybind11 import get_include  # noqa: PLC0415
 
@@ -97,9 +102,8 @@ setup(
             # The same bits on every processor: no -march, no contraction to fused operations.
             extra_compile_args=[
                 *("-std=c++17", "-O2", "-ffp-contract=off"),
-                *("-fvisibility=hidden", "-g0", "-Wall", "-Wextra"),
+                *("-fvisibility=hidden", "-Wall", "-Wextra"),
             ],
-            extra_link_args=["-Wl,--strip-all"],
         )
     ],
     cmdclass={"build_ext": BuildKernel},

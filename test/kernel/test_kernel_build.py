@@ -1,5 +1,6 @@
-"""A kernel that is missing or was built from other sources is an error that gives the remedy."""
+"""A kernel that is missing, stale or cannot be built is an error that gives the remedy."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -60,3 +61,15 @@ def test_import_names_the_remedy_for_a_missing_or_stale_kernel(
     command = [sys.executable, "-c", IMPORT, str(tmp_path)]
     printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert printed == (f"impact_observer.kernel {problem}: {REMEDY}\n" if problem else "")
+
+
+def test_building_without_a_compiler_is_one_line(tmp_path: Path) -> None:
+    """The line names the packages that are missing."""
+    compiler = str(tmp_path / "g++")
+    command = [sys.executable, "setup.py", "-q", "build_ext", f"-b{tmp_path}", f"-t{tmp_path}"]
+    environment = os.environ | {"CXX": compiler}
+    done = subprocess.run(
+        command, cwd=PACKAGE.parent, env=environment, capture_output=True, text=True, check=False
+    )
+    last = done.stderr.splitlines()[-1]
+    assert last == f"error: no C++ compiler {compiler}: sudo apt install build-essential"
