@@ -13,8 +13,11 @@ namespace kernel {
 
 namespace py = pybind11;
 
-// What Python hands over: float64, any order, converted only if it is an array of numbers.
-using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
+// What Python hands over: any order, type and alignment, copied only where these are others.
+template <class T>
+using ArrayOf = py::array_t<T, py::array::c_style | py::array::forcecast |
+                                   py::detail::npy_api::NPY_ARRAY_ALIGNED_>;
+using Array = ArrayOf<double>;
 
 // A row-major matrix that somebody else owns; a vector is a matrix with one column.
 struct View {
