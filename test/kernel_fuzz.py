@@ -229,7 +229,9 @@ def has_nan(value: object) -> bool:
     """Whether a NaN is in an array, or in an array of a tuple."""
     if isinstance(value, tuple):
         return any(map(has_nan, value))
-    return isinstance(value, np.ndarray) and value.dtype.kind in "fc" and bool(np.isnan(value).any())
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fc":
+        return bool(np.isnan(value).any())
+    return False
 
 
 def main(seed: int, count: int) -> None:
