@@ -116,7 +116,6 @@ setup(
     ],
     install_requires=requirements("run"),
     extras_require={
-        "compiled": ["numba>=0.58"],
         "mp4": ["imageio-ffmpeg>=0.4.5"],
         "parquet": ["pyarrow>=14"],
         "sweep": ["distributed>=2023.8", "joblib>=1.4", "pyarrow>=14"],

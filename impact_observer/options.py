@@ -223,11 +223,6 @@ class Options:
     history: float = option(
         10.0, "how late an event may arrive and still be applied", "s", low=0.001
     )
-    compiled: bool = option(
-        False,
-        "minimum-variance: compile the update by numba; takes half a minute once, then a second at"
-        " each start",
-    )
 
     def __post_init__(self) -> None:
         """Check every value."""

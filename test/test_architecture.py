@@ -113,8 +113,8 @@ def test_modules_import_only_rooms_below_their_own() -> None:
 
 
 def test_core_needs_numpy_and_scipy_only() -> None:
-    """No ROS, no bags, no command line; YAML and a compiler in one place each."""
-    extra = {"model/model_file.py": {"ruamel"}, "estimation/compiled.py": {"numba"}}
+    """No ROS, no bags, no command line; YAML in one place."""
+    extra = {"model/model_file.py": {"ruamel"}}
     for path in modules(*CORE):
         allowed = {PACKAGE.name, *ALLOWED, *extra.get(str(path.relative_to(PACKAGE)), ())}
         for name in imports(path):

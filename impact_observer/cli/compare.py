@@ -181,14 +181,12 @@ def _compare_one(
     from impact_observer.compare.bag_comparison import compare_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
-    from impact_observer.observer import COMPILING, make_observer, needs_compiling
+    from impact_observer.observer import make_observer
 
     with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
         progress.show(f"{bag}: reading")
         read = model_of(reader, model)
         alone = [replace(each, ensemble=1) for each in observers]
-        if any(map(needs_compiling, alone)):
-            progress.show(COMPILING)
         made = [make_observer(read.system, each, read.elements) for each in alone]
 
         def show(what: str, done: int, total: int) -> None:

@@ -42,13 +42,11 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.observed_bag import observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
-    from impact_observer.observer import COMPILING, make_observer, needs_compiling
+    from impact_observer.observer import make_observer
 
     chosen = observer_options(args, args.law)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
         read = model_of(reader, args.model)
-        if needs_compiling(chosen):
-            progress.show(COMPILING)
         observer = make_observer(read.system, chosen, read.elements)
 
         def show(done: int, total: int) -> None:

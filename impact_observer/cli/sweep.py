@@ -150,9 +150,7 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
         UsageError, ModelError: they cannot be used.
     """
     from impact_observer.cli.compare import laws_in
-    from impact_observer.cli.progress import Progress
     from impact_observer.model import read_model
-    from impact_observer.observer import COMPILING, needs_compiling, options_of_laws
     from impact_observer.sweep.model_variants import model_variants
     from impact_observer.sweep.plan import RANDOM, PlantSetup, Sweep, sensors_of
 
@@ -160,21 +158,18 @@ def sweep_in(args: argparse.Namespace) -> "Sweep":
     model.initial_state()
     faults = {each.name: getattr(args, _SENSOR + each.name) for each in SWEPT}
     options, laws = observer_options(args, ""), laws_in(args.laws)
-    with Progress(sys.stderr if args.json else None) as progress:
-        if any(map(needs_compiling, options_of_laws(options, laws))):
-            progress.show(COMPILING)
-        return Sweep(
-            plant=PlantSetup(
-                replace(model, provenance={}).text(), args.duration, args.rate, args.epoch
-            ),
-            laws=laws,
-            sensors=sensors_of({name: values for name, values in faults.items() if values}),
-            variants=model_variants(model, _by_name(args.off)),
-            runs=args.runs,
-            seed=args.seed,
-            options=replace(options, initial_state=args.initial_state or RANDOM, law="geometric"),
-            settled=args.settled,
-        )
+    return Sweep(
+        plant=PlantSetup(
+            replace(model, provenance={}).text(), args.duration, args.rate, args.epoch
+        ),
+        laws=laws,
+        sensors=sensors_of({name: values for name, values in faults.items() if values}),
+        variants=model_variants(model, _by_name(args.off)),
+        runs=args.runs,
+        seed=args.seed,
+        options=replace(options, initial_state=args.initial_state or RANDOM, law="geometric"),
+        settled=args.settled,
+    )
 
 
 def _by_name(off: Sequence[tuple[str, tuple[float, ...]]]) -> dict[str, tuple[float, ...]]:

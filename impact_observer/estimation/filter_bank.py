@@ -17,8 +17,8 @@ from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.forecast import Flight, Forecast
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch, Note
-from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.likelihood import Likelihood
+from impact_observer.estimation.impact_filter import Asked, ImpactFilter
+from impact_observer.estimation.likelihood import CERTAIN, Likelihood
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Kind, Ruling
@@ -61,14 +61,24 @@ class _Branch(NamedTuple):
     """One interpretation of an event.
 
     Attributes:
-        weight: logarithm of its probability.
-        make: makes the hypothesis.
-        expected: whether the event came about when it was predicted.
+        weight: logarithm of its probability, without the likelihood of ``here``.
+        before: the hypothesis before it, with the clock and the model error that it assumes.
+        here: what the event was; None for nothing.
+        reason: of its notes.
+        likelihood: of ``here``.
     """
 
     weight: float
-    make: Callable[[], Hypothesis]
-    expected: bool = False
+    before: Hypothesis
+    here: ContactChange | None = None
+    reason: str = ""
+    likelihood: Likelihood = CERTAIN
+
+    @property
+    def asked(self) -> Asked:
+        """What the filter is asked; of an event that was something."""
+        assert self.here is not None, "an event"
+        return Asked(self.here, self.before.state, self.before.clock, self.likelihood)
 
 
 class FilterBank:
@@ -107,101 +117,126 @@ class FilterBank:
 
         ``restarts`` makes those of a restart.
         """
-        weights = [each.weight_before(change.contacts) for each in hypotheses]
-        leading = max(weights) + LEADING
-        branches = [
-            branch
-            for each, weight in zip(hypotheses, weights, strict=True)
-            for branch in self._branches(change, each, leads=weight >= leading)
-        ]
+        branches = self._branches(change, hypotheses)
         branches.sort(key=lambda branch: branch.weight, reverse=True)
         enough = branches[0].weight + NEGLIGIBLE
         likely = [each for each in branches if each.weight >= enough][:MOST_HYPOTHESES]
-        made = [each.make() for each in likely]
-        made = self._distinct([h for h in made if h.state.is_finite])
-        if not (self._trusts_estimate or branches[0].expected):
+        expected = self._is_expected(branches[0])
+        made = self._distinct([h for h in self._made(change, likely) if h.state.is_finite])
+        if not (self._trusts_estimate or expected):
             made = sorted([*made, *_restarted(change, made, restarts())], key=_weight)
         total = _total(made)
         return tuple(h._replace(weight=h.weight - total) for h in made)
 
-    def _branches(self, change: ContactChange, h: Hypothesis, *, leads: bool) -> Iterator[_Branch]:
-        """The interpretations of an event under ``h``; more of them if ``h`` ``leads``."""
-        here = change.from_closed(h.state.closed)
-        if not here.hit and here.before == here.closed:
-            yield self._spurious_event(change, h, "its contact is not closed")
-            return
-        true, likelihood = self._true_event(change, h, here, self._reported)
-        yield true
+    def _branches(self, change: ContactChange, hypotheses: Sequence[Hypothesis]) -> list[_Branch]:
+        """The interpretations of an event; more of them under hypotheses that lead."""
+        weights = [each.weight_before(change.contacts) for each in hypotheses]
+        leading = max(weights) + LEADING
+        found, true = [], []
+        for h, weight in zip(hypotheses, weights, strict=True):
+            here = change.from_closed(h.state.closed)
+            if not here.hit and here.before == here.closed:
+                found.append(self._spurious_event(change, h, "its contact is not closed"))
+            else:
+                prior = h.weight_before(here.contacts)
+                true.append((weight, _Branch(prior + self._reported, h, here)))
+        weighed = self._weighed([each for _, each in true])
+        others = [
+            other
+            for (weight, _), each in zip(true, weighed, strict=True)
+            for other in self._others(change, each, leads=weight >= leading)
+        ]
+        nothing = [
+            self._spurious_event(change, each.before, _excuse(each.likelihood))
+            for each in weighed
+            if self._spurious > -math.inf
+        ]
+        return [*found, *weighed, *nothing, *self._weighed(others)]
+
+    def _weighed(self, branches: Sequence[_Branch]) -> list[_Branch]:
+        """``branches`` with the likelihoods of what the event was."""
+        likelihoods = self.filter.likelihoods([each.asked for each in branches])
+        return [
+            each._replace(weight=each.weight + likelihood.density, likelihood=likelihood)
+            for each, likelihood in zip(branches, likelihoods, strict=True)
+        ]
+
+    def _others(self, change: ContactChange, true: _Branch, *, leads: bool) -> Iterator[_Branch]:
+        """Alternatives to the branch in which the event is ``true``."""
+        h, here, likelihood = true.before, true.here, true.likelihood
+        assert here is not None, "it is true"
+        prior = h.weight_before(here.contacts)
+        depth = max(likelihood.innovations.values(), default=-1.0)
         for clock in self._next_clocks.get(h.clock, ()) if leads else ():
             chance = self._reported + CLOCK_CHANGE
-            yield self._true_event(change, h._replace(clock=clock), here, chance)[0]
+            yield _Branch(prior + chance, h._replace(clock=clock), here)
         if leads and self.errors is not None:
             for other, chance in self.errors.others(h, here, likelihood):
-                yield self._true_event(change, other, here, self._reported + chance)[0]
-        depth = max(likelihood.innovations.values(), default=-1.0)
-        if self._spurious > -math.inf:
-            size = f"innovation of {depth:.3g} standard deviations"
-            likely = "" if depth > SURPRISE else "more likely than an impact with an "
-            yield self._spurious_event(change, h, f"spurious: {likely}{size}")
+                yield _Branch(prior + self._reported + chance, other, here)
         if leads and depth > SURPRISE and not self._trusts_estimate:
             for factor in WIDENING:
                 wider = h._replace(state=self.filter.widened(h.state, factor * depth))
                 reason = f"accepted: the covariance is made {factor * depth:.3g} times wider"
-                yield self._true_event(change, wider, here, RESTART, reason)[0]
+                yield _Branch(prior + RESTART, wider, here, reason)
         impact = len(change.hit) == 1 and here.before == here.closed
-        if impact and self._mislabelled > -math.inf and not true.expected:
-            yield from self._mislabelled_events(change, h)
+        if impact and self._mislabelled > -math.inf and not self._is_expected(true):
+            closed = h.state.closed
+            contacts = range(self.filter.system.m)
+            others = [i for i in contacts if i not in (*change.hit, *closed)]
+            for i in others:
+                other_contact = change._replace(before=closed, hit=(i,), closed=closed)
+                weight = h.weight_before((i,)) + self._mislabelled - math.log(len(others))
+                reason = f"mislabelled: it hit {self.filter.system.contact_names[i]}"
+                yield _Branch(weight, h, other_contact, reason)
 
-    def _true_event(
-        self,
-        change: ContactChange,
-        h: Hypothesis,
-        here: ContactChange,
-        chance: float,
-        reason: str = "",
-    ) -> tuple[_Branch, Likelihood]:
-        """The event was ``here``, of the logarithmic prior probability ``chance``."""
-        likelihood, posterior = self.filter.correct(here, h.state, h.clock)
-        contacts = here.contacts
-        weight = h.weight_before(contacts) + chance + likelihood.density
+    def _is_expected(self, branch: _Branch) -> bool:
+        """Whether the event came about when it was predicted."""
+        if branch.here is None:
+            return False
+        likelihood = branch.likelihood
+        soon = likelihood.density > len(branch.here.contacts) * self._rate
+        return soon and max(likelihood.innovations.values(), default=0.0) < SURPRISE
 
-        def make() -> Hypothesis:
-            innovations = {
-                reported: likelihood.innovations[i]
-                for reported, i in zip(change.contacts, contacts, strict=False)
-                if i in likelihood.innovations
-            }
-            notes = _noted(h, change, (Ruling.APPLIED, reason), innovations)
-            after = Hypothesis(posterior(), h.clock, weight, notes)
-            if innovations:
-                nu = likelihood.normalised
-                after = after._replace(innovation=nu, residual=nu * likelihood.deviation)
-            return after if self.errors is None else self.errors.after(h, here, likelihood, after)
+    def _made(self, change: ContactChange, branches: Sequence[_Branch]) -> list[Hypothesis]:
+        """The hypotheses of ``branches`` after the event."""
+        true = [each for each in branches if each.here is not None]
+        after = iter(self.filter.posteriors([each.asked for each in true]))
+        return [
+            self._rejected(change, each)
+            if each.here is None
+            else self._accepted(change, each, each.here, next(after))
+            for each in branches
+        ]
 
-        depth = max(likelihood.innovations.values(), default=0.0)
-        soon = likelihood.density > len(contacts) * self._rate
-        return _Branch(weight, make, soon and depth < SURPRISE), likelihood
+    def _accepted(
+        self, change: ContactChange, branch: _Branch, here: ContactChange, state: GaussianState
+    ) -> Hypothesis:
+        """The event was ``here``, and leads to ``state``."""
+        h, likelihood = branch.before, branch.likelihood
+        innovations = {
+            reported: likelihood.innovations[i]
+            for reported, i in zip(change.contacts, here.contacts, strict=False)
+            if i in likelihood.innovations
+        }
+        notes = _noted(h, change, (Ruling.APPLIED, branch.reason), innovations)
+        after = Hypothesis(state, h.clock, branch.weight, notes)
+        if innovations:
+            nu = likelihood.normalised
+            after = after._replace(innovation=nu, residual=nu * likelihood.deviation)
+        return after if self.errors is None else self.errors.after(h, here, likelihood, after)
+
+    @staticmethod
+    def _rejected(change: ContactChange, branch: _Branch) -> Hypothesis:
+        """The event was nothing."""
+        h = branch.before
+        notes = _noted(h, change, (Ruling.REJECTED, branch.reason), {})
+        return h._replace(
+            weight=branch.weight, notes=notes, penetrating=NOTHING, missed=(), innovation=None
+        )
 
     def _spurious_event(self, change: ContactChange, h: Hypothesis, reason: str) -> _Branch:
         odds = self._spurious if self._spurious > -math.inf else 0.0
-        weight = h.penalised_weight + len(change.contacts) * odds
-
-        def make() -> Hypothesis:
-            notes = _noted(h, change, (Ruling.REJECTED, reason), {})
-            return h._replace(
-                weight=weight, notes=notes, penetrating=NOTHING, missed=(), innovation=None
-            )
-
-        return _Branch(weight, make)
-
-    def _mislabelled_events(self, change: ContactChange, h: Hypothesis) -> Iterator[_Branch]:
-        system, closed = self.filter.system, h.state.closed
-        others = [i for i in range(system.m) if i not in (*change.hit, *closed)]
-        for i in others:
-            here = change._replace(before=closed, hit=(i,), closed=closed)
-            chance = self._mislabelled - math.log(len(others))
-            reason = f"mislabelled: it hit {system.contact_names[i]}"
-            yield self._true_event(change, h, here, chance, reason)[0]
+        return _Branch(h.penalised_weight + len(change.contacts) * odds, h, None, reason)
 
     def _distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The likeliest of those with the same latest decisions, in order (N-scan pruning).
@@ -284,6 +319,13 @@ class FilterBank:
         member = members.with_given_restitution(self.filter.member(state))
         flight = self._flight(member, t, state.closed)
         return Forecast(flight, self.filter.predict(t, state, model_error), state, members, t)
+
+
+def _excuse(likelihood: Likelihood) -> str:
+    """Why an event of this likelihood as a true one is spurious."""
+    depth = max(likelihood.innovations.values(), default=-1.0)
+    likely = "" if depth > SURPRISE else "more likely than an impact with an "
+    return f"spurious: {likely}innovation of {depth:.3g} standard deviations"
 
 
 def _restarted(

@@ -1,13 +1,11 @@
 """The Kalman filter of impact times: prediction, likelihood and correction by one event."""
 
 import math
-from collections.abc import Callable
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.dynamics import KEPT
-from impact_observer.estimation.compiled import Single, compiled_single
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.joint import Expected, Joint
@@ -15,7 +13,6 @@ from impact_observer.estimation.likelihood import (
     STILL,
     Likelihood,
     likelihood_of,
-    likelihood_of_single,
     outlier_likelihood,
 )
 from impact_observer.estimation.linear import LinearPrediction
@@ -24,7 +21,6 @@ from impact_observer.estimation.parametric import Sensitivity, leading_triangula
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import rested
 from impact_observer.estimation.saltation import STATE_ROUNDING
-from impact_observer.estimation.single import ROUNDS, Contact, single
 from impact_observer.estimation.square_root import lengths, product, triangular
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Contacts
@@ -38,8 +34,24 @@ _SHORT = 1e-8
 """Flights that a plant may neglect before it is at rest, relative to the model's time scale."""
 _BACK = 8.0
 """Longest flow back from a stamp, in time constants of the fastest fading motion."""
-_NEAR = 1e-7
-"""Most a stamp may be off for one expansion of the jump, relative to the model's time scale."""
+ROUNDS = 6
+"""Most linearisations of a measurement about its own posterior."""
+
+
+class Asked(NamedTuple):
+    """An event under one hypothesis.
+
+    Attributes:
+        change: what the event was.
+        state: before it.
+        clock: standard deviation of its stamp, s.
+        likelihood: of the event, if it is known.
+    """
+
+    change: ContactChange
+    state: GaussianState
+    clock: float
+    likelihood: Likelihood | None = None
 
 
 class ImpactFilter:
@@ -81,21 +93,7 @@ class ImpactFilter:
         declared = ProcessNoise(model_error, unknowns.drift * unknowns.deviations)
         self._declared = declared
         self.noise = declared if model_error or np.any(declared.drift) else None
-        self._near = 0.0
-        if system.forcing.sampled is None and not unknowns.family.size:  # smooth, constant model
-            decay = self.members.given.moving.rates(()).decay
-            self._near = _NEAR / max(decay, 1.0 / self.phases.scales.timescale)
-        self._contact = lru_cache(KEPT)(self._contact_of)
-        self._single: Single = single
-
-    def compile(self) -> None:
-        """Compile the update by a single impact, if the system has any; see ``compiled.py``.
-
-        Raises:
-            UsageError: ``numba`` is not installed.
-        """
-        if self._near:
-            self._single = compiled_single()
+        self._is_smooth = system.forcing.sampled is None and not unknowns.family.size
 
     def begin(self, state: GaussianState) -> GaussianState:
         """``state`` with its closed contacts at rest."""
@@ -120,41 +118,63 @@ class ImpactFilter:
 
     def correct(
         self, change: ContactChange, state: GaussianState, clock: float
-    ) -> tuple[Likelihood, Callable[[], GaussianState]]:
-        """The likelihood of an event, and a function that returns the posterior state.
+    ) -> tuple[Likelihood, GaussianState]:
+        """The likelihood of an event, and the posterior state."""
+        asked = Asked(change, state, clock)
+        (likelihood,) = self.likelihoods([asked])
+        (posterior,) = self.posteriors([asked._replace(likelihood=likelihood)])
+        return likelihood, posterior
 
-        Nearly every event is an impact of one contact, while none is closed, near its predicted
-        instant: ``single`` does it at once. Any other event goes through a joint normal vector of
-        instant and state. ``clock`` is the standard deviation of the stamp, s.
-        """
-        alone = len(change.hit) == 1 and not (change.before or change.closed)
-        if self._near and alone and not state.constants.size:
-            arrays = state.x, state.root, state.differences
-            x, root, differences = (np.array(each, order="C") for each in arrays)
-            contact = self._contact(change.hit[0])
-            near, after, fit = self._single(
-                float(change.t), change.flown, (x, root, differences), clock, contact
+    def likelihoods(self, asked: Sequence[Asked]) -> list[Likelihood]:
+        """The likelihoods of events, each if it is what it is reported to be."""
+        found = [
+            None if self._by_kernel(each.change) else self._likelihood_of(each) for each in asked
+        ]
+        for contact, which in self._grouped(asked):
+            some = [asked[i] for i in which]
+            clocks = np.array([each.clock for each in some])
+            states = [each.state for each in some]
+            fits = self.members.given.impact(contact).fits(some[0].change.t, states, clocks)
+            for i, fit in zip(which, fits.tolist(), strict=True):
+                found[i] = Likelihood.of_single(contact, *fit)
+        return [each for each in found if each is not None]
+
+    def posteriors(self, asked: Sequence[Asked]) -> list[GaussianState]:
+        """The states after events."""
+        found = [
+            each.state if self._by_kernel(each.change) else self._posterior_of(each)
+            for each in asked
+        ]
+        for contact, which in self._grouped(asked):
+            some = [asked[i] for i in which]
+            change, clocks = some[0].change, np.array([each.clock for each in some])
+            after = self.members.given.impact(contact).posteriors(
+                change.t, change.flown, [each.state for each in some], clocks
             )
-            if near:
-                x, root, differences = after
-                posterior = GaussianState(x, state.constants, root, differences)
-                return likelihood_of_single(change.hit[0], *fit), lambda: posterior
-        prior = self.joint_prior(change, state, clock)
-        likelihood = self.likelihood(change, prior)
-        return likelihood, lambda: self.posterior(
-            change, self.joint_posterior(change, prior, likelihood)
-        )
+            for i, state in zip(which, after, strict=True):
+                found[i] = GaussianState(*state)
+        return found
 
-    def _contact_of(self, contact: int) -> Contact:
-        """The constants of an impact of one contact while none is closed, for ``single``."""
-        member = self.members.given
-        rows, gap = member.guard((), (contact,), True)
-        jump = member.jump((contact,), (), ())
-        H, D, _ = np.ascontiguousarray(gap.maps)
-        scale = self.phases.scales.of_sizes
-        forcing, rest = self.system.forcing, float(rows.rest[0])
-        forces = np.array(forcing.frequency), forcing.jet_rows(2)
-        return forces, (gap.now, H, D, rest), (jump.now, jump.maps), scale, self._near
+    def _by_kernel(self, change: ContactChange) -> bool:
+        """Whether an event is an impact of one contact while none is closed."""
+        alone = len(change.hit) == 1 and not (change.before or change.closed)
+        return alone and self._is_smooth
+
+    def _grouped(self, asked: Sequence[Asked]) -> Iterator[tuple[int, list[int]]]:
+        """Contacts that impact alone, and where they are asked for."""
+        found: dict[int, list[int]] = {}
+        for i, each in enumerate(asked):
+            if self._by_kernel(each.change):
+                found.setdefault(each.change.hit[0], []).append(i)
+        yield from found.items()
+
+    def _likelihood_of(self, asked: Asked) -> Likelihood:
+        """By the general methods, as ``_posterior_of``."""
+        return self.likelihood(asked.change, self.joint_prior(*asked[:3]))
+
+    def _posterior_of(self, asked: Asked) -> GaussianState:
+        prior, change = self.joint_prior(*asked[:3]), asked.change
+        return self.posterior(change, self.joint_posterior(change, prior, asked.likelihood))
 
     def joint_prior(self, change: ContactChange, state: GaussianState, clock: float) -> Joint:
         """The prior of the event's instant and the state then.
@@ -209,8 +229,7 @@ class ImpactFilter:
             if found.parameters:
                 bounds = self.members.bound_correction(found.theta, found.root, found.of_theta)
                 found = found._replace(z=found.z + bounds)
-            if not (settled and self._is_near(change, found)):
-                found = self._at_estimated_instant(change, found, member)
+            found = self._at_estimated_instant(change, found, member)
             if settled:
                 break
         return found
@@ -289,10 +308,6 @@ class ImpactFilter:
             rows.rounding(self.phases.scales.sizes(x) if change.hit else x, forces[0]),
         )
 
-    def _is_near(self, change: ContactChange, joint: Joint) -> bool:
-        far = max(abs(joint.e), abs(float(joint.root[0, 0])))
-        return far <= self._near and not (change.before or change.closed)
-
     def _at_estimated_instant(
         self, change: ContactChange, joint: Joint, member: Member | None = None
     ) -> Joint:
@@ -332,11 +347,10 @@ class ImpactFilter:
             gamma = member.gaps(change.hit).c[:, :n].dot(joint.x[n:])
             pressed = change.pressed(member.newton, gamma)
         jet = member.jump(pressed, change.before, change.closed)
-        about = joint.e if self._is_near(change, joint) else 0.0
-        x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t), about)
+        x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, noise = product(joint.own, D, E)
         x = x + mean
-        if e := joint.e - about:
+        if e := joint.e:
             x += e * (H[:, 0] + E * (e / 2))
         whole, moved, differences = joint.root, H.dot(joint.own), joint.differences[1:].copy()
         if differences.size:

@@ -40,6 +40,17 @@ class Likelihood(NamedTuple):
     deviation: float = math.inf
     linear: tuple[Expected, Correction, list[float]] | None = None
 
+    @classmethod
+    def of_single(
+        cls, contact: int, density: float, normalised: float, deviation: float
+    ) -> "Likelihood":
+        """Of an impact of one contact."""
+        return cls(density, {contact: abs(normalised)}, normalised, deviation)
+
+
+CERTAIN = Likelihood(0.0, {})
+"""Of what measures nothing."""
+
 
 def likelihood_of(contacts: Contacts, expected: Expected, prior: Joint) -> Likelihood:
     """The likelihood of an event at ``contacts``, given its predicted measurement.
@@ -61,19 +72,6 @@ def likelihood_of(contacts: Contacts, expected: Expected, prior: Joint) -> Likel
     deviation = update.deviations[0]
     normalised = float(innovation[0]) / deviation
     return Likelihood(density, innovations, normalised, deviation, (expected, update, white))
-
-
-def likelihood_of_single(
-    contact: int, white: float, deviation: float, slope: float, spread: float
-) -> Likelihood:
-    """The likelihood of an impact of one contact.
-
-    Its gap has the innovation ``white``, in standard deviations, the standard ``deviation`` of
-    either sign, m, and a ``slope``, m/s, with the standard deviation ``spread``.
-    """
-    density = _density(white, deviation, slope, spread) + _from_above(slope, spread)
-    normalised = float(white) if deviation > 0 else -float(white)
-    return Likelihood(density, {contact: abs(normalised)}, normalised, abs(float(deviation)))
 
 
 def _density(white: float, deviation: float, slope: float, spread: float) -> float:

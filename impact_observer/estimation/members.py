@@ -13,6 +13,7 @@ from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRates
 from impact_observer.events import Contacts
+from impact_observer.kernel._kernel import FreeMotion, Impact, Sizes
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
@@ -47,6 +48,25 @@ class MovingSystem:
     def newton(self) -> ImpactLaw:
         """The impact law with its masses."""
         return ImpactLaw(self.system)
+
+    @cached_property
+    def free(self) -> FreeMotion:
+        """Its motion while no contact is closed, without sampled forces, for the kernel."""
+        n, forcing, inverse = self.system.n, self.system.forcing, self.phase(()).inverse
+        rates = self.rates(())
+        rate = max(self._rate(()), *forcing.frequency.tolist(), 0.0)
+        cosine, sine = forcing.cosine @ inverse.T, forcing.sine @ inverse.T
+        constant = inverse @ forcing.constant
+        return FreeMotion(
+            rates.A[n:], constant, forcing.frequency, cosine, sine, rate, rates.decay
+        )
+
+    @cached_property
+    def sizes(self) -> Sizes:
+        """What its states are rounded against, for the kernel."""
+        scales = self.phases.scales
+        squares = np.maximum(scales.squares, 0.0)
+        return Sizes(scales.modes, scales.spread, squares, scales.timescale)
 
     def flow_map(self, t: float, x: Vector, s: float, closed: Contacts) -> Map:
         """The flow from ``t`` (s since the epoch) over ``s`` seconds, also back, about ``x``.
@@ -90,12 +110,20 @@ class Member:
         self.guard = lru_cache(KEPT)(self._guard_of)
         self.mirror = lru_cache(KEPT)(self._mirror_of)
         self.jump = lru_cache(KEPT)(self._jump_of)
+        self.impact = lru_cache(KEPT)(self._impact_of)
 
     @cached_property
     def projection(self) -> PositionProjection:
         """Its position projection."""
         own = self.moving.system is self.system
         return self.moving.phases.projection if own else PositionProjection(self.system)
+
+    def _impact_of(self, contact: int) -> Impact:
+        """An impact of one contact while none is closed."""
+        w, kick = self.system.W[:, contact], -self.newton.kick(contact)
+        return Impact(
+            self.moving.free, self.moving.sizes, w, kick, float(self.system.q_r[contact])
+        )
 
     def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> tuple[Measured, Jet]:
         """The guards of an event, and their expansions in the phase before it.

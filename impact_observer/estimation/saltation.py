@@ -78,7 +78,7 @@ class Jet(NamedTuple):
     Attributes:
         now: value, slope and E as rows, each shape (k,), of (1, y, f, df/dt, d2f/dt2),
             shape (3 k, 1 + 2n + 3n).
-        maps: derivatives of each of the three by ``y``, shape (3, k, 2n).
+        maps: derivatives of value and slope by ``y``, shape (2, k, 2n).
     """
 
     now: Matrix
@@ -88,22 +88,15 @@ class Jet(NamedTuple):
     def of(cls, *rows: list[Matrix | Vector]) -> "Jet":
         """From the parts of ``now``: one row each for value, slope and E."""
         now = np.concatenate([np.column_stack(row) for row in rows])
-        return cls(now, np.array([row[1] for row in rows]))
+        return cls(now, np.array([row[1] for row in rows[:2]]))
 
-    def expanded(self, y: Vector, forces: Matrix, e: float = 0.0) -> Expansion:
-        """The expansion about ``(e, y)``, which is itself of second order in ``e``.
+    def expanded(self, y: Vector, forces: Matrix) -> Expansion:
+        """The expansion about ``(0, y)``.
 
-        ``forces`` are f and its first two derivatives at the instant of ``y``, shape (3, n); the
-        jump is ``e`` seconds earlier.
+        ``forces`` are f and its first two derivatives at the instant of ``y``, shape (3, n).
         """
         now = self.now.dot(np.concatenate([_ONE, y, forces.ravel()])).reshape(3, -1)
-        (_, k, d), maps, E = self.maps.shape, self.maps, now[2]
-        if e:
-            onward = np.array([[1.0, e, e * e / 2], [0.0, 1.0, e]])
-            now, maps = onward.dot(now), onward.dot(maps.reshape(3, -1)).reshape(2, k, d)
-        H = np.empty((k, 1 + d))
-        H[:, 0], H[:, 1:] = now[1], maps[0]
-        return Expansion(now[0], H, maps[1], E)
+        return Expansion(now[0], np.column_stack([now[1], self.maps[0]]), self.maps[1], now[2])
 
 
 class Measured(NamedTuple):

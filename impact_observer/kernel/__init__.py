@@ -13,7 +13,10 @@ if checksum(Path(__file__).parent) not in {_compiled.SOURCES, ""}:  # "": instal
     raise KernelError("was built from other sources")
 
 from impact_observer.kernel._kernel import (  # another kernel may not have them
+    FreeMotion,
+    Impact,
+    Sizes,
     triangular,
 )
 
-__all__ = ["triangular"]
+__all__ = ["FreeMotion", "Impact", "Sizes", "triangular"]

@@ -3,6 +3,8 @@
 
 using namespace kernel;
 
+void bind_estimation(py::module_& module);
+
 namespace {
 
 Array triangular(const Array& root) {
@@ -21,6 +23,7 @@ Array triangular(const Array& root) {
 
 PYBIND11_MODULE(_kernel, module) {
     module.attr("SOURCES") = KERNEL_CHECKSUM;  // setup.py: of the files it was compiled from
+    bind_estimation(module);
     module.def("triangular", &triangular, py::arg("root"),
                "A lower triangular square root, shape (d, d), of the same covariance; (d, any) is given.");
 }

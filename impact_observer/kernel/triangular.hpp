@@ -8,33 +8,50 @@
 
 namespace kernel {
 
-// Turns the rows of `root`, d x c with c >= d, by Householder reflections from the right until it
-// is lower triangular: the same covariance root root^T. What is right of the first d columns
+// The sum of a_j b_j, four partial sums at once.
+inline double dot(const double* a, const double* b, std::size_t n) {
+    double sums[4] = {0.0, 0.0, 0.0, 0.0};
+    std::size_t j = 0;
+    for (; j + 4 <= n; j += 4)
+        for (std::size_t k = 0; k < 4; ++k) sums[k] += a[j + k] * b[j + k];
+    double rest = 0.0;
+    for (; j < n; ++j) rest += a[j] * b[j];
+    return ((sums[0] + sums[1]) + (sums[2] + sums[3])) + rest;
+}
+
+// y += a x
+inline void add(double a, const double* x, double* y, std::size_t n) {
+    for (std::size_t j = 0; j < n; ++j) y[j] += a * x[j];
+}
+
+// Turns the columns of `root` from column k on by one Householder reflection, so that row k
+// becomes zero right of its entry k: the same covariance root root^T. Rows above k are zero there.
+inline void reflect(Matrix& root, std::size_t k) {
+    const std::size_t c = root.columns - k - 1;
+    double *row = root.row(k), *tail = row + k + 1;
+    double size = 0.0;
+    for (std::size_t j = 0; j < c; ++j) size = std::max(size, std::abs(tail[j]));
+    if (size == 0.0) return;
+    size = std::max(size, std::abs(row[k]));
+    double squares = (row[k] / size) * (row[k] / size);
+    for (std::size_t j = 0; j < c; ++j) squares += (tail[j] / size) * (tail[j] / size);
+    const double end = -std::copysign(size * std::sqrt(squares), row[k]);
+    const double along = (end - row[k]) / end, scale = row[k] - end;
+    for (std::size_t j = 0; j < c; ++j) tail[j] /= scale;
+    for (std::size_t i = k + 1; i < root.rows; ++i) {
+        double* other = root.row(i) + k;
+        const double seen = along * (other[0] + dot(other + 1, tail, c));
+        other[0] -= seen;
+        add(-seen, tail, other + 1, c);
+    }
+    row[k] = end;
+    std::fill(tail, tail + c, 0.0);
+}
+
+// Turns `root`, d x c with c >= d, until it is lower triangular; right of the first d columns it
 // becomes zero.
 inline void make_triangular(Matrix& root) {
-    const std::size_t d = root.rows, c = root.columns;
-    for (std::size_t k = 0; k < d; ++k) {
-        double* row = root.row(k);
-        double size = 0.0;
-        for (std::size_t j = k + 1; j < c; ++j) size = std::max(size, std::abs(row[j]));
-        if (size == 0.0) continue;
-        size = std::max(size, std::abs(row[k]));
-        double squares = 0.0;
-        for (std::size_t j = k; j < c; ++j) squares += (row[j] / size) * (row[j] / size);
-        const double end = -std::copysign(size * std::sqrt(squares), row[k]);
-        const double along = (end - row[k]) / end, scale = row[k] - end;
-        for (std::size_t j = k + 1; j < c; ++j) row[j] /= scale;
-        for (std::size_t i = k + 1; i < d; ++i) {
-            double* other = root.row(i);
-            double seen = other[k];
-            for (std::size_t j = k + 1; j < c; ++j) seen += other[j] * row[j];
-            seen *= along;
-            other[k] -= seen;
-            for (std::size_t j = k + 1; j < c; ++j) other[j] -= seen * row[j];
-        }
-        row[k] = end;
-        std::fill(row + k + 1, row + c, 0.0);
-    }
+    for (std::size_t k = 0; k < root.rows; ++k) reflect(root, k);
 }
 
 }  // namespace kernel

@@ -7,10 +7,8 @@ from impact_observer.events import Contacts
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.laws import Law, ReplicaLaw, law_named, law_names
 from impact_observer.observer.make_observer import (
-    COMPILING,
     initial_state,
     make_observer,
-    needs_compiling,
     options_of_laws,
 )
 from impact_observer.observer.observer import Observer
@@ -19,7 +17,6 @@ from impact_observer.observer.synchronization import LARGEST_INNOVATION
 from impact_observer.options import Options
 
 __all__ = [
-    "COMPILING",
     "LARGEST_INNOVATION",
     "Belief",
     "ContactChange",
@@ -36,7 +33,6 @@ __all__ = [
     "law_named",
     "law_names",
     "make_observer",
-    "needs_compiling",
     "options_of_laws",
     "replay",
     "replay_batches",

@@ -15,9 +15,6 @@ from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
 from impact_observer.states import Matrix, Vector
 
-COMPILING = "compiling the update of minimum-variance: half a minute, once"
-"""What users read while something is compiled."""
-
 
 def make_observer(
     system: System,
@@ -32,7 +29,7 @@ def make_observer(
     run beside the estimate, shape (ensemble - 1, 2n); by default they are drawn.
 
     Raises:
-        UsageError: an option cannot be used, by its name; or numba is not installed.
+        UsageError: an option cannot be used, by its name.
     """
     options = options or Options()
     law = law_named(options.law)
@@ -46,12 +43,9 @@ def make_observer(
         options.mislabelled,
         _unknown_parameters(system, options, elements),
     )
-    chosen = law(system, uncertainty)
-    if options.compiled:
-        chosen.compile()
     return Observer(
         system,
-        chosen,
+        law(system, uncertainty),
         *initial_state(options.initial_state, system),
         epoch=options.epoch,
         history=options.history,
@@ -113,15 +107,6 @@ def initial_state(text: str, system: System) -> tuple[Vector, Vector]:
                 f"initial state {text!r}: {x.size} numbers, expected {2 * n}: {order}"
             )
     return system.checked_state(x[:n], x[n:])
-
-
-def needs_compiling(options: Options) -> bool:
-    """Whether making the observer compiles something, or reads what was compiled.
-
-    Raises:
-        UsageError: its law is not installed.
-    """
-    return options.compiled and law_named(options.law).compiles
 
 
 def options_of_laws(options: Options, laws: Sequence[str]) -> list[Options]:

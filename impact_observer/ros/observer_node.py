@@ -23,22 +23,17 @@ from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import MessageError
-from impact_observer.model import Model, read_model
+from impact_observer.model import read_model
 from impact_observer.observer import (
-    COMPILING,
     LARGEST_INNOVATION,
-    Observer,
-    Options,
     initial_state,
     make_observer,
-    needs_compiling,
 )
 from impact_observer.ros import parameters
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.serialized import EstimateSerializer, read_impact
-from impact_observer.ros.session import interruptible
 from impact_observer.ros.subscribing import waiting_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
@@ -53,8 +48,6 @@ _MAX_EVENTS_TIME = 5_000_000
 """Longest time for that, ns."""
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=0.01)
 """How long to wait for subscribers within a backlog."""
-_MIN_COMPILE_TIME = 2.0
-"""A compilation that takes longer is logged, s; a shorter one read the cache."""
 
 
 class ObserverNode(Node):
@@ -75,7 +68,7 @@ class ObserverNode(Node):
         model = read_model(values.text("model"))
         system = model.system
         self._initial = initial_state(options.initial_state, system)
-        self._observer = self._build_observer(options, model)
+        self._observer = make_observer(model.system, options, model.elements)
         self._serializer = EstimateSerializer(system.coordinates)
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
@@ -112,18 +105,6 @@ class ObserverNode(Node):
         self._jump = self.get_clock().create_jump_callback(
             backwards, post_callback=self._on_clock_back
         )
-
-    def _build_observer(self, options: Options, model: Model) -> Observer:
-        """The observer; a long compilation is logged, and Ctrl-C ends it."""
-        if not needs_compiling(options):
-            return make_observer(model.system, options, model.elements)
-        self.get_logger().info(COMPILING)
-        begun = time.monotonic()
-        with interruptible():
-            observer = make_observer(model.system, options, model.elements)
-        if (took := time.monotonic() - begun) > _MIN_COMPILE_TIME:
-            self.get_logger().info(f"compiled in {took:.0f} s")
-        return observer
 
     def _publisher(self, interface: interfaces.Interface) -> Publisher:
         topic = f"~/{interface.name.rpartition('/')[2]}"

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_REPEAT = 0.2
-"""Time after which an interrupt is raised again, s."""
 
 
 def require_ros() -> None:
@@ -66,39 +64,6 @@ class Stop:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """For long computations: signals, also one before this block, raise ``KeyboardInterrupt``."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = {each: signal.getsignal(each) for each in (*_SIGNALS, signal.SIGALRM)}
-    for handler in previous.values():  # a signal may have come just before
-        stop = getattr(handler, "__self__", None)
-        if isinstance(stop, Stop) and stop.requested:
-            raise KeyboardInterrupt
-
-    def raised(number: int, frame: FrameType | None) -> None:
-        handler = previous[signal.Signals(number)]
-        if callable(handler) and not interrupted:
-            interrupted.append(number)
-            handler(number, frame)
-        # An exception within a callback from C, such as llvmlite's, is ignored: raise it again.
-        signal.setitimer(signal.ITIMER_REAL, _REPEAT)
-        raise KeyboardInterrupt
-
-    interrupted: list[int] = []
-    for each in previous:
-        signal.signal(each, raised)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        for each, handler in previous.items():
-            if handler is not None:  # None for a handler that is not Python's
-                signal.signal(each, handler)
 
 
 @contextmanager

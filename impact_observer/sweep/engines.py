@@ -5,7 +5,6 @@ import os
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing, contextmanager, suppress
-from importlib.util import find_spec
 from itertools import islice
 from typing import TYPE_CHECKING
 
@@ -84,14 +83,11 @@ def _on_cluster(batches: "Batches", scheduler: str) -> "Generator[Outcome, None,
         from distributed import as_completed
     except ImportError as error:
         raise UsageError(f"--scheduler needs Dask ({error}); {_INSTALL}") from None
-    from impact_observer.observer import law_named
     from impact_observer.sweep.case_runs import run_batch
 
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # errors are raised as one line
-    laws = {case.observer.law for case, *_ in batches if case.observer.compiled}
-    compiled = any(law_named(law).compiles for law in laws)
-    with _connected(scheduler, compiled=compiled) as client:
+    with _connected(scheduler) as client:
         waiting, running = iter(batches), 0
         futures = as_completed(loop=client.loop, with_results=True)
         while True:
@@ -114,7 +110,7 @@ def _on_cluster(batches: "Batches", scheduler: str) -> "Generator[Outcome, None,
 
 
 @contextmanager
-def _connected(scheduler: str, *, compiled: bool) -> "Iterator[Client]":
+def _connected(scheduler: str) -> "Iterator[Client]":
     """A client of a cluster whose workers can run the cases."""
     from distributed import Client
     from distributed import TimeoutError as LateError  # not the builtin one in Python 3.10
@@ -127,15 +123,15 @@ def _connected(scheduler: str, *, compiled: bool) -> "Iterator[Client]":
         line = " ".join(str(error).split())
         raise UsageError(f"--scheduler {scheduler}: cannot be reached: {line}") from None
     try:
-        _check_workers(client, scheduler, compiled=compiled)
+        _check_workers(client, scheduler)
         yield client
     finally:
         with suppress(LateError, OSError):  # the scheduler may be gone
             client.close(timeout=_CLOSING)
 
 
-def _check_workers(client: "Client", scheduler: str, *, compiled: bool) -> None:
-    """Raise UsageError if there are no workers, or one lacks this version or a needed compiler."""
+def _check_workers(client: "Client", scheduler: str) -> None:
+    """Raise UsageError if there are no workers, or one lacks this version."""
     from distributed import TimeoutError as LateError
 
     try:
@@ -150,21 +146,16 @@ def _check_workers(client: "Client", scheduler: str, *, compiled: bool) -> None:
             f"--scheduler {scheduler}: a worker cannot use this package ({line}); install it and"
             " impact_observer[sweep] there too"
         ) from None
-    for worker, (version, has_numba) in installed.items():
+    for worker, version in installed.items():
         if version != __version__:
             raise UsageError(
                 f"--scheduler {scheduler}: worker {worker} has impact_observer {version}; expected"
                 f" {__version__}, as here"
             )
-        if compiled and not has_numba:
-            raise UsageError(
-                f"--scheduler {scheduler}: worker {worker} has no numba, which --compiled needs;"
-                " pip install impact_observer[compiled] there too, or leave --compiled out"
-            )
 
 
-def _installed() -> tuple[str, bool]:
-    """Version of the package, and whether there is numba, on the worker that calls this."""
+def _installed() -> str:
+    """Version of the package on the worker that calls this."""
     from impact_observer import __version__ as found
 
-    return found, find_spec("numba") is not None
+    return found

@@ -228,8 +228,6 @@ class Sweep:
     def description(self) -> dict[str, object]:
         """All that the outcomes depend on, as JSON can hold it."""
         left_out = {"law", "ensemble", "epoch"}  # set by each case
-        if not self.options.compiled:  # machine code may differ in the last bit
-            left_out.add("compiled")
         options = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in asdict(self.options).items()

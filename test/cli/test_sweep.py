@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 
 from impact_observer.cli.main import main
 from impact_observer.errors import DynamicsError
-from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.sweep import case_runs, engines, outcomes_file
 from impact_observer.sweep.case_runs import Outcome
 from impact_observer.sweep.plan import Case
@@ -100,30 +99,6 @@ def test_a_cluster_without_workers_is_one_line(
     line = f"impact-observer: --scheduler {address}: has no workers; start some\n"
     assert capsys.readouterr().err == line
     assert [*tmp_path.iterdir()] == []
-
-
-@pytest.mark.slow
-def test_a_worker_without_the_compiler_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Before any case has failed for it, and only where a law has something to compile."""
-    distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr(ImpactFilter, "compile", lambda _: None)  # this process has one
-    monkeypatch.setattr(engines, "find_spec", lambda _: None)
-    path = tmp_path / "sweep.parquet"
-    with distributed.LocalCluster(
-        n_workers=1, processes=False, dashboard_address=None, silence_logs=50
-    ) as cluster:
-        address = cluster.scheduler_address
-        words = ["sweep", "two_mass", "--runs", "1", "--duration", "1", "--compiled"]
-        words += ["--scheduler", address, "-o", str(path)]
-        assert main([*words, "--laws", "geometric,minimum-variance"]) == 2
-        line = capsys.readouterr().err
-        assert line.startswith(f"impact-observer: --scheduler {address}: worker ")
-        assert "has no numba, which --compiled needs; pip install impact_observer[comp" in line
-        assert len(line.splitlines()) == 1
-        assert not path.exists()
-        assert main([*words, "--laws", "geometric"]) == 0
 
 
 class Engine:

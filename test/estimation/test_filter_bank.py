@@ -23,14 +23,11 @@ from systems import (
     without_faults,
 )
 
-from impact_observer.estimation import impact_filter
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import MOST_HYPOTHESES, FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, published
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.joint import Joint
-from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
@@ -151,28 +148,6 @@ def test_trusting_every_event_is_the_plain_filter(name: str) -> None:
     np.testing.assert_allclose(np.concatenate([last.q, last.u]), state, atol=1e-13)
     np.testing.assert_allclose(last.covariance, root @ root.T, rtol=1e-4, atol=1e-26)
     assert not any(each.hypotheses for each in beliefs(watcher))
-
-
-def test_event_that_is_near_needs_one_expansion(monkeypatch: pytest.MonkeyPatch) -> None:
-    """State and covariance equal those of an expansion at the estimated instant."""
-    model, start, whole = truth("three_mass", 20.0)
-    x = start + np.random.default_rng(0).normal(size=start.size)
-    end = int(whole.stamps[-1]) + 1234
-    moved = Joint.propagated
-    looks: list[float] = []
-
-    def counted(joint: Joint, s: float, map_: Map, turn: Array | None = None) -> Joint:
-        looks.append(s)
-        return moved(joint, s, map_, turn)
-
-    monkeypatch.setattr(Joint, "propagated", counted)
-    state, root = by_hand(model, x, whole.events, end)
-    assert not looks
-    monkeypatch.setattr(impact_filter, "_NEAR", 0.0)
-    far = by_hand(model, x, whole.events, end)
-    assert looks
-    np.testing.assert_allclose(far[0], state, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(far[1] @ far[1].T, root @ root.T, rtol=1e-5, atol=1e-26)
 
 
 @pytest.mark.slow

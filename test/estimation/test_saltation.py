@@ -85,22 +85,6 @@ def test_jump_is_expanded_as_its_exact_map(
     np.testing.assert_allclose(found.H[:n, 0], 0, atol=1e-14)  # positions do not notice
 
 
-def test_jump_is_expanded_about_an_instant_nearby() -> None:
-    """The remainder is of third order; that of its slope, of second."""
-    _, _, jet, jumped = jump((), (), (0,))
-    y, e = np.random.default_rng(6).normal(size=2 * FORCED.n), 1e-4
-    found = jet.expanded(y, forces(FORCED, T), e)
-    np.testing.assert_allclose(found.value, jumped(e, y), atol=1e-9)
-    first, _ = differences(lambda later: jumped(e + later, y))
-    np.testing.assert_allclose(found.H[:, 0], first, atol=1e-5)
-    for dy in np.eye(2 * FORCED.n):
-        np.testing.assert_allclose(
-            found.H[:, 1:] @ dy, jumped(e, y + dy) - jumped(e, y), atol=1e-10
-        )
-        mixed = differences(lambda d, dy=dy: jumped(e + d, y + dy) - jumped(e + d, y))[0]  # type: ignore[misc]
-        np.testing.assert_allclose(found.D @ dy, mixed, atol=1e-5)
-
-
 @pytest.mark.slow
 @examples(8)
 @given(st.data())

@@ -76,7 +76,6 @@ def test_options_name_what_cannot_be_used() -> None:
         ("clock_error", "a", "-1 to 0.1 s"),
         ("initial_deviation", 2.0, "a text"),
         ("estimate_parameters", "restitution", "a tuple of texts"),
-        ("compiled", "yes", "true | false"),
     ],
 )
 def test_an_option_of_the_wrong_type_or_out_of_range_is_refused(

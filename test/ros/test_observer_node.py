@@ -1,12 +1,9 @@
 """The observer node: estimates on topics, verdicts, services, diagnostics."""
 
-import gc
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,23 +15,18 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
 from impact_observer_msgs.srv import SetState
 from processes import Spinner, ros_arguments, running_node, spinning
-from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from impact_observer.errors import UsageError
-from impact_observer.estimation import impact_filter
-from impact_observer.estimation.compiled import compiled_single
-from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.events import ImpactEvent as Event
 from impact_observer.events import Kind, Remark, Ruling, Switch
 from impact_observer.io.interfaces import EVENTS, STATES, Quality
 from impact_observer.io.messages import read_estimate
 from impact_observer.model import read_model
 from impact_observer.observer import (
-    COMPILING,
     Observer,
     Options,
     initial_state,
@@ -42,7 +34,6 @@ from impact_observer.observer import (
     make_observer,
 )
 from impact_observer.plant import Plant, simulate
-from impact_observer.ros import observer_node
 from impact_observer.ros.message_classes import ros_messages
 from impact_observer.ros.observer_node import ObserverNode
 from impact_observer.ros.qos import qos_profile
@@ -594,59 +585,11 @@ def test_model_that_does_not_explain_the_impacts_is_a_warning(
         assert "model error [m/s^1.5]" in values
 
 
-def logged(parameters: Mapping[str, object], monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What a node logs while it is made."""
-    found = list[str]()
-    with spinning(ros_arguments({**PARAMETERS, **parameters})) as spinner:
-        with monkeypatch.context() as patch:
-            patch.setattr(RcutilsLogger, "info", lambda _, text: found.append(text))
-            node = ObserverNode()
-        spinner.add(node)
-    return found
-
-
-def test_a_node_logs_that_it_compiles_and_how_long_it_took(
-    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A short time is not logged; laws that are not compiled log nothing."""
-    assert ros_environment
-    clock, taken = [100.0], [0.5]
-
-    def compiling(_: ImpactFilter) -> None:
-        clock[0] += taken[0]
-
-    now = SimpleNamespace(monotonic=lambda: clock[0], monotonic_ns=time.monotonic_ns)
-    monkeypatch.setattr(observer_node, "time", now)
-    monkeypatch.setattr(ImpactFilter, "compile", compiling)
-    given = {"law": "minimum-variance", "compiled": True}
-    assert COMPILING not in logged({"compiled": True}, monkeypatch)
-    assert clock == [100.0]
-    soon = logged(given, monkeypatch)
-    assert clock == [100.5]
-    assert [text for text in soon if "compil" in text] == [COMPILING]
-    taken[0] = 30.0
-    late = logged(given, monkeypatch)
-    assert [text for text in late if "compil" in text] == [COMPILING, "compiled in 30 s"]
-
-
 def refused(parameters: Mapping[str, object]) -> str:
     """The error of a node that cannot start."""
     with spinning(ros_arguments({**parameters})), pytest.raises(UsageError) as error:
         ObserverNode()
     return str(error.value)
-
-
-def test_a_node_without_the_compiler_ends_in_one_line(
-    ros_environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """That names what to install."""
-    assert ros_environment
-    monkeypatch.setitem(sys.modules, "numba", None)
-    monkeypatch.setattr(impact_filter, "compiled_single", compiled_single.__wrapped__)
-    line = refused({**PARAMETERS, "law": "minimum-variance", "compiled": True})
-    gc.collect()  # the error held the node, and that its subscription to the clock
-    assert line.startswith("compiled needs numba")
-    assert "impact_observer[compiled]" in line
 
 
 def test_a_node_that_falls_behind_skips_estimates_but_not_the_first(rig: Rig) -> None:

@@ -163,24 +163,6 @@ def test_a_signal_ends_a_node_with_exit_code_0(
     assert "Traceback" not in errors
 
 
-def test_a_signal_ends_a_node_that_compiles(
-    ros_environment: dict[str, str], tmp_path: Path
-) -> None:
-    """At once, although compiling takes half a minute."""
-    pytest.importorskip("numba")
-    wanted = {"model": "two_mass", "law": "minimum-variance", "compiled": True}
-    environment = ros_environment | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    with (
-        running_node("observer", ros_arguments(wanted), environment) as process,
-        spinning() as spinner,
-    ):
-        spinner.until(lambda: "observer" in spinner.probe.get_node_names())
-        spinner.settle()
-        code, _ = interrupt(process, signal.SIGINT)  # llvmlite may report an ignored interrupt
-    assert code == 0
-    assert not [*tmp_path.rglob("*.nbi")], "it was not done yet"
-
-
 @pytest.mark.parametrize(
     ("module", "parameters", "expected"),
     [

@@ -23,7 +23,6 @@ class Law(ABC):
         has_bound: whether it certifies a bound of V.
         has_covariance: whether it estimates a covariance.
         learns: whether it estimates unknown parameters of the model.
-        compiles: whether it has something to compile.
         system: what plant and replicas share.
         uncertainty: as declared by the user.
     """
@@ -33,7 +32,6 @@ class Law(ABC):
     has_bound: ClassVar[bool] = False
     has_covariance: ClassVar[bool] = False
     learns: ClassVar[bool] = False
-    compiles: ClassVar[bool] = False
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the law for one ``system``.
@@ -44,13 +42,6 @@ class Law(ABC):
         self.system = system
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
         self.uncertainty.root(system.n)
-
-    def compile(self) -> None:  # noqa: B027 (most laws have nothing to compile)
-        """Compile the numerics of an event to machine code; nothing unless the law ``compiles``.
-
-        Raises:
-            UsageError: the compiler is not installed.
-        """
 
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:

@@ -61,7 +61,6 @@ class MinimumVariance(Law):
     name: ClassVar[str] = "minimum-variance"
     has_covariance: ClassVar[bool] = True
     learns: ClassVar[bool] = True
-    compiles: ClassVar[bool] = True
 
     def __init__(self, system: System, uncertainty: Uncertainty | None = None) -> None:
         """Prepare the filter.
@@ -95,14 +94,6 @@ class MinimumVariance(Law):
         )
         self._single = self.uncertainty.trusts_events and not self._estimates_parameters
 
-    def compile(self) -> None:
-        """Compile the correction by nearly every event.
-
-        Raises:
-            UsageError: ``numba`` is not installed.
-        """
-        self._bank.filter.compile()
-
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """The declared covariance, with closed contacts at rest."""
         state = self._bank.filter.begin(self._declared(replicas, root, closed))
@@ -119,8 +110,8 @@ class MinimumVariance(Law):
             assert belief.root is not None, "a belief of another law"
             x, differences = belief.x, belief.ensemble.differences
             prior = GaussianState(x, np.zeros(0), belief.root, differences, change.before)
-            likelihood, posterior = self._bank.filter.correct(change, prior, self.clocks[0])
-            state, innovations = posterior(), likelihood.innovations
+            likelihood, state = self._bank.filter.correct(change, prior, self.clocks[0])
+            innovations = likelihood.innovations
             fit = belief.fit.after(likelihood.normalised if innovations else None)
             return Belief(state.ensemble, state.root, innovations=innovations, fit=fit)
         hypotheses, fallback = self._hypotheses_of(belief, change.before)

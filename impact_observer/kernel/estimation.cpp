@@ -1,0 +1,176 @@
+// The bindings of the Kalman step.
+#include "kalman.hpp"
+
+using namespace kernel;
+using namespace kernel::kalman;
+
+namespace {
+
+Vector vector(const Array& a, const char* name, py::ssize_t size) {
+    const View v = checked(a, name, size);
+    return Vector(v.data, v.data + v.size());
+}
+
+Matrix matrix(const Array& a, const char* name, std::size_t rows, std::size_t columns) {
+    return Matrix(checked(a, name, py::ssize_t(rows), py::ssize_t(columns)));
+}
+
+double positive(double value, const char* name) {
+    if (!(value >= 0 && std::isfinite(value)))
+        throw py::value_error(std::string(name) + ": expected a finite number, 0 or more");
+    return value;
+}
+
+Motion motion_of(const Array& lower, const Array& constant, const Array& frequency,
+                 const Array& cosine, const Array& sine, double rate, double decay) {
+    const View whole = checked(lower, "lower", ANY, ANY);
+    const std::size_t n = whole.rows;
+    if (n == 0 || whole.columns != 2 * n) throw py::value_error("lower: expected shape (n, 2n)");
+    Motion found;
+    found.lower = Matrix(whole);
+    found.constant = vector(constant, "constant", py::ssize_t(n));
+    found.frequency = vector(frequency, "frequency", ANY);
+    found.cosine = matrix(cosine, "cosine", found.frequency.size(), n);
+    found.sine = matrix(sine, "sine", found.frequency.size(), n);
+    found.rate = std::max(positive(rate, "rate"), LEAST);
+    found.decay = positive(decay, "decay");
+    found.prepare();
+    return found;
+}
+
+Sizes sizes_of(const Array& modes, const Array& spread, const Array& squares, double timescale) {
+    const View whole = checked(modes, "modes", ANY, ANY);
+    const std::size_t n = whole.rows;
+    return {matrix(modes, "modes", n, n), matrix(spread, "spread", n, n),
+            vector(squares, "squares", py::ssize_t(n)), positive(timescale, "timescale")};
+}
+
+Impact impact_of(const Motion& motion, const Sizes& sizes, const Array& w, const Array& kick,
+                 double rest) {
+    const auto n = py::ssize_t(motion.n());
+    if (sizes.modes.rows != motion.n()) throw py::value_error("sizes: of another system");
+    if (!std::isfinite(rest)) throw py::value_error("rest: not finite");
+    return {motion,  sizes, vector(w, "w", n), vector(kick, "kick", n), rest};
+}
+
+// The arrays of states (x, constants, root, differences, ...), kept alive, and views of them.
+struct Priors {
+    std::vector<Array> kept;
+    std::vector<Prior> priors;
+
+    Priors(const py::sequence& states, const Array& clocks, std::size_t size, bool has_clock) {
+        const std::size_t count = states.size();
+        const View clock = checked(clocks, "clocks", py::ssize_t(has_clock ? count : 0));
+        kept.reserve(4 * count);
+        for (std::size_t b = 0; b < count; ++b) {
+            const auto state = states[b].cast<py::tuple>();
+            if (state.size() < 4) throw py::value_error("states: expected tuples of arrays");
+            const View x = take(state[0], "x", py::ssize_t(size), 0);
+            const View constants = take(state[1], "constants", ANY, 0);
+            const auto d = py::ssize_t(size + constants.size());
+            const View root = take(state[2], "root", d, ANY);
+            const View differences = take(state[3], "differences", d, ANY);
+            const double deviation =
+                has_clock ? clock[b] : std::numeric_limits<double>::infinity();
+            if (deviation < 0) throw py::value_error("clocks: expected 0 or more");
+            priors.push_back({x, constants, root, differences, deviation});
+        }
+    }
+
+   private:
+    // A vector where columns are 0.
+    View take(const py::object& given, const char* name, py::ssize_t rows, py::ssize_t columns) {
+        Array array = Array::ensure(given);
+        if (!array) {
+            PyErr_Clear();
+            throw py::value_error(std::string(name) + ": expected an array of numbers");
+        }
+        kept.push_back(array);
+        return columns ? checked(array, name, rows, columns) : checked(array, name, rows);
+    }
+};
+
+double instant(double t, double flown) {
+    if (!std::isfinite(t) || !std::isfinite(flown)) throw py::value_error("t: not finite");
+    return t;
+}
+
+Array fits(const Impact& impact, double t, const py::sequence& states, const Array& clocks) {
+    const Priors given(states, clocks, impact.motion.size(), true);
+    instant(t, 0.0);
+    Matrix found(given.priors.size(), 3);
+    {
+        const py::gil_scoped_release released;
+        for (std::size_t b = 0; b < given.priors.size(); ++b) {
+            const Fit fit = impact.fit(t, given.priors[b]);
+            found(b, 0) = fit.density;
+            found(b, 1) = fit.normalised;
+            found(b, 2) = fit.deviation;
+        }
+    }
+    return to_python(found);
+}
+
+Array flat(const Matrix& m) {
+    Array found(py::ssize_t(m.data.size()));
+    std::copy(m.data.begin(), m.data.end(), found.mutable_data());
+    return found;
+}
+
+template <class Step>
+py::list stepped(const Priors& given, Step step) {
+    std::vector<Posterior> found(given.priors.size());
+    {
+        const py::gil_scoped_release released;
+        for (std::size_t b = 0; b < found.size(); ++b) found[b] = step(given.priors[b]);
+    }
+    py::list states;
+    for (const Posterior& each : found)
+        states.append(py::make_tuple(flat(each.x), flat(each.constants), to_python(each.root),
+                                     to_python(each.differences)));
+    return states;
+}
+
+py::list posteriors(const Impact& impact, double t, double flown, const py::sequence& states,
+                    const Array& clocks) {
+    instant(t, flown);
+    const Priors given(states, clocks, impact.motion.size(), true);
+    return stepped(given, [&](const Prior& prior) { return impact.posterior(t, flown, prior); });
+}
+
+py::list missed(const Impact& impact, double t, double flown, const py::sequence& states) {
+    instant(t, flown);
+    const Priors given(states, Array(py::ssize_t(0)), impact.motion.size(), false);
+    return stepped(given, [&](const Prior& prior) { return impact.missed(t, flown, prior); });
+}
+
+Array flown(const Motion& motion, double t, const Array& x, double s) {
+    instant(t, s);
+    if (std::abs(s) * motion.rate > MOST_STEPS) throw py::value_error("s: too long");
+    Matrix found(1, motion.size());
+    found.data = motion.flown(t, vector(x, "x", py::ssize_t(motion.size())), s);
+    return flat(found);
+}
+
+}  // namespace
+
+void bind_estimation(py::module_& module) {
+    py::class_<Motion>(module, "FreeMotion", "Motion between impacts: du/dt = lower x + forces.")
+        .def(py::init(&motion_of), py::arg("lower"), py::arg("constant"), py::arg("frequency"),
+             py::arg("cosine"), py::arg("sine"), py::arg("rate"), py::arg("decay"))
+        .def("flown", &flown, py::arg("t"), py::arg("x"), py::arg("s"),
+             "The state s seconds after x at t, by Taylor's series: for short times.");
+    py::class_<Sizes>(module, "Sizes", "What states are rounded against; see dynamics.sizes.")
+        .def(py::init(&sizes_of), py::arg("modes"), py::arg("spread"), py::arg("squares"),
+             py::arg("timescale"));
+    py::class_<Impact>(module, "Impact", "An impact of one contact while none is closed.")
+        .def(py::init(&impact_of), py::arg("motion"), py::arg("sizes"), py::arg("w"),
+             py::arg("kick"), py::arg("rest"))
+        .def("fits", &fits, py::arg("t"), py::arg("states"), py::arg("clocks"),
+             "For each state: logarithm of the density of the instant, 1/s; innovation, in standard\n"
+             "deviations; and its standard deviation, m: shape (states, 3).")
+        .def("posteriors", &posteriors, py::arg("t"), py::arg("flown"), py::arg("states"),
+             py::arg("clocks"), "The states after the impact, at its stamp t.")
+        .def("missed", &missed, py::arg("t"), py::arg("flown"), py::arg("states"),
+             "The same where it was not reported, near the zero t of the gap.");
+}
