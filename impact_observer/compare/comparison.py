@@ -106,7 +106,7 @@ class Comparison:
         """Fall of ``ln V`` when V is first near its end, and that stamp (ns)."""
         if not (self.V[0] > 0 and self.V[-1] > 0):
             return 0.0, int(self.stamps[-1])
-        near = int(np.flatnonzero(FLOOR * self.V[-1] >= self.V)[0])
+        near = int(np.argmax(FLOOR * self.V[-1] >= self.V))
         return float(np.log(self.V[0] / self.V[near])), int(self.stamps[near])
 
 

@@ -1,12 +1,34 @@
 """Bags: topics, messages, reader and writer, without ROS.
 
 Bags are read and written by ``rosbags``; nothing in this room imports ``rclpy``. The same tables
-and conversions serve the nodes, which bring their own message classes.
+and conversions serve the nodes, which bring their own message classes. The names below are
+imported when they are first used: comparisons without a bag need none of them.
 """
 
-from impact_observer.io.interfaces import Quality
-from impact_observer.io.messages import EstimateError, JointState
-from impact_observer.io.reader import BagReader
-from impact_observer.io.writer import BagWriter, copy_topics
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from impact_observer.io.interfaces import Quality
+    from impact_observer.io.messages import EstimateError, JointState
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.writer import BagWriter, copy_topics
+
+_HOME = {
+    "BagReader": "reader",
+    "BagWriter": "writer",
+    "EstimateError": "messages",
+    "JointState": "messages",
+    "Quality": "interfaces",
+    "copy_topics": "writer",
+}
+"""Where each public name is defined."""
 
 __all__ = ["BagReader", "BagWriter", "EstimateError", "JointState", "Quality", "copy_topics"]
+
+
+def __getattr__(name: str) -> object:
+    """A public name, imported from its module."""
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -172,11 +172,11 @@ def _state_part(name: str, values: ArrayLike, n: int) -> Vector:
         raise UsageError(f"{name}: is not made of numbers only; expected {n} numbers") from None
     if array.shape != (n,):
         raise UsageError(f"{name}: {array.size} values, expected {n}, one a coordinate")
-    if not np.all(np.isfinite(array)):
+    largest = np.abs(array).max()
+    if not np.isfinite(largest):
         raise UsageError(f"{name}: {array.tolist()} is not finite; every value must be a number")
-    if np.any(np.abs(array) > LARGEST_STATE):
-        found = np.max(np.abs(array))
-        raise UsageError(f"{name}: {found:g} is too large; expected at most {LARGEST_STATE:g}")
+    if largest > LARGEST_STATE:
+        raise UsageError(f"{name}: {largest:g} is too large; expected at most {LARGEST_STATE:g}")
     return array
 
 
