@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from impact_observer.model import Model, System, parse_model, read_model
-    from impact_observer.observer import Observer, law_named, make_observer, replay
+    from impact_observer.observer import Observer, law_named
+    from impact_observer.observer.make_observer import make_observer
+    from impact_observer.observer.replay import replay
     from impact_observer.options import Options
     from impact_observer.plant import Plant, simulate
     from impact_observer.stamps import grid

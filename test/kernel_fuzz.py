@@ -100,9 +100,18 @@ def work() -> None:
     from systems import EPOCH, PRESSED
 
     from impact_observer import Options, Plant, grid, make_observer, read_model, simulate
-    from impact_observer.kernel import triangular
+    from impact_observer.dynamics import Phases, Watched
+    from impact_observer.kernel import divided, triangular
 
     triangular(np.arange(12.0).reshape(3, 4))
+    divided(np.array([[-1.0], [1j], [-1j]]), np.arange(3.0))
+    phase = Phases(PRESSED).phase()
+    motion = phase.start(0.3, np.array([0.1, -0.2, 0.5, 0.0]))
+    motion.each(np.linspace(0.0, 1.0, 5))
+    view = phase.flow.view(Watched.gaps(PRESSED, [0, 1]).functions(PRESSED.forcing))
+    trace = None if view is None else view.of(motion)
+    assert trace is not None
+    trace.known(0.1, 0.2)
     stamps = grid(EPOCH, EPOCH + 4_000_000_000, 10.0)
     starts = [(model.system, *model.initial_state()) for model in map(read_model, MODELS)]
     starts.append((PRESSED, np.array([0.1, -0.2]), np.array([0.5, 0.0])))

@@ -14,9 +14,26 @@ if checksum(Path(__file__).parent) not in {_compiled.SOURCES, ""}:  # "": instal
 
 from impact_observer.kernel._kernel import (  # another kernel may not have them
     FreeMotion,
+    Guards,
     Impact,
+    ModalFlow,
+    ModalMotion,
+    RootSearch,
     Sizes,
+    Trace,
+    divided,
     triangular,
 )
 
-__all__ = ["FreeMotion", "Impact", "Sizes", "triangular"]
+__all__ = [
+    "FreeMotion",
+    "Guards",
+    "Impact",
+    "ModalFlow",
+    "ModalMotion",
+    "RootSearch",
+    "Sizes",
+    "Trace",
+    "divided",
+    "triangular",
+]

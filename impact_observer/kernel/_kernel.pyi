@@ -1,6 +1,9 @@
 from collections.abc import Sequence
 from typing import TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from impact_observer.states import Matrix, Vector
 
 SOURCES: str
@@ -38,3 +41,41 @@ class Impact:
     def missed(
         self, t: float, flown: float, states: Sequence[tuple[object, ...]]
     ) -> list[State]: ...
+
+class ModalFlow:
+    def __init__(
+        self,
+        splitting: tuple[Matrix, Matrix, Matrix, Matrix, NDArray[np.bool_]],
+        waves: tuple[Vector, NDArray[np.uint64]],
+        response: Matrix,
+        load: Matrix,
+        near: NDArray[np.bool_],
+        driven: NDArray[np.bool_],
+        energy: Matrix,
+        small: float,
+        young: float,
+    ) -> None: ...
+    def start(self, t: float, x: Vector) -> ModalMotion: ...
+    def transition(self, s: float) -> Matrix: ...
+
+class ModalMotion:
+    t: float
+    def state(self, s: float, /) -> Vector: ...
+    def states(self, s: Vector, /) -> Matrix: ...
+    def each(self, s: Vector, /) -> Matrix: ...
+
+class Guards:
+    def __init__(
+        self, flow: ModalFlow, seen: Matrix, reach: Matrix, harmonics: Matrix, constant: Vector
+    ) -> None: ...
+    def trace(self, motion: ModalMotion, shift: Vector) -> Trace: ...
+
+class Trace:
+    def known(self, s: float, stop: float) -> tuple[Matrix, Matrix, Vector]: ...
+
+class RootSearch:
+    looks: int
+    def __init__(self, trace: Trace, window: float, end: float, start: float = 0.0) -> None: ...
+    def first(self, horizon: float) -> tuple[float, tuple[int, ...]] | None: ...
+
+def divided(points: NDArray[np.complex128], s: Vector) -> NDArray[np.complex128]: ...

@@ -87,4 +87,8 @@ inline Array to_python(const Matrix& m) {
     return found;
 }
 
+inline Array to_python(const std::vector<double>& values) {
+    return Array(py::ssize_t(values.size()), values.data());
+}
+
 }  // namespace kernel

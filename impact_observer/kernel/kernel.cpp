@@ -1,4 +1,5 @@
 // The module impact_observer.kernel._kernel.
+#include "bindings.hpp"
 #include "triangular.hpp"
 
 using namespace kernel;
@@ -26,4 +27,5 @@ PYBIND11_MODULE(_kernel, module) {
     bind_estimation(module);
     module.def("triangular", &triangular, py::arg("root"),
                "A lower triangular square root, shape (d, d), of the same covariance; (d, any) is given.");
+    bind_dynamics(module);
 }

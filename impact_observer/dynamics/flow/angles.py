@@ -23,13 +23,16 @@ class Angles:
 
     Attributes:
         frequency: ``omega``, shape (h,), rad/s.
+        turns: in a nanosecond, in parts of 2^-128: their high and low 64 bits, shape (h, 2).
     """
 
     def __init__(self, frequency: Vector) -> None:
         """Count the turns in a nanosecond."""
         self.frequency = frequency
         turns = [Fraction(omega) / (_TURN * NS_PER_S) for omega in frequency.tolist()]
-        parts = [round(each * _UNIT) for each in turns]
+        parts = [round(each * _UNIT) % _UNIT for each in turns]
+        halves = [divmod(each, 1 << 64) for each in parts]
+        self.turns = np.array(halves, dtype=np.uint64).reshape(-1, 2)
         self._each = list(zip(frequency.tolist(), parts, strict=True))
 
     def at(self, t: float) -> list[float]:

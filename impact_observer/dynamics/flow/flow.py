@@ -8,17 +8,17 @@ to either: ``sampled.py``.
 """
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from impact_observer.kernel import Trace
 from impact_observer.model import Forcing
 from impact_observer.states import Matrix, Vector
 
-if TYPE_CHECKING:
-    from impact_observer.dynamics.flow.waves import View
+Complex = NDArray[np.complex128]
 
 
 class Equations(Protocol):
@@ -71,7 +71,7 @@ def balanced_state_matrix(system: Equations) -> tuple[Matrix, Vector]:
     return np.asarray(unit[:, None] * A / unit), unit
 
 
-class Motion(ABC):
+class Motion(Protocol):
     """One solution of a linear phase, from its initial state.
 
     Attributes:
@@ -81,7 +81,7 @@ class Motion(ABC):
     t: float
 
     @abstractmethod
-    def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def states(self, s: NDArray[np.float64], /) -> NDArray[np.float64]:
         """States at ``s`` seconds after the phase's start.
 
         Args:
@@ -91,11 +91,11 @@ class Motion(ABC):
             States (q, u), shape (samples, 2n).
         """
 
-    def state(self, s: float) -> Vector:
+    def state(self, s: float, /) -> Vector:
         """The state (q, u), shape (2n,), at ``s`` seconds after the phase's start."""
         return np.asarray(self.states(np.array([s]))[0])
 
-    def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def each(self, s: NDArray[np.float64], /) -> NDArray[np.float64]:
         """``state`` at many instants, equal to the bit, where ``states`` may round differently.
 
         Args:
@@ -121,6 +121,17 @@ class Functions(NamedTuple):
     constant: Vector
 
 
+class View(ABC):
+    """Functions of the motions of one flow, in closed form."""
+
+    @abstractmethod
+    def of(self, motion: Motion, shift: Vector | None = None) -> Trace | None:
+        """The functions along ``motion``; None where it has no closed form.
+
+        ``shift``, shape (w,), is added to their constants.
+        """
+
+
 class Flow(ABC):
     """The flow of one linear phase."""
 
@@ -128,7 +139,7 @@ class Flow(ABC):
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
 
-    def view(self, functions: Functions) -> "View | None":  # noqa: ARG002
+    def view(self, functions: Functions) -> View | None:  # noqa: ARG002
         """``functions`` of this flow's motions in closed form; None where there is none."""
         return None
 

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.flow.flow import Flow, Functions, Motion
+from impact_observer.dynamics.flow.flow import Flow, Functions, Motion, View
 from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
-from impact_observer.dynamics.flow.waves import Aging, View, Waves
+from impact_observer.kernel import Trace
 from impact_observer.states import Matrix, Vector
 
 
@@ -97,8 +97,8 @@ class _HeldView(View):
         self._inner = inner
         self._position = position
 
-    def of(self, motion: Motion) -> Waves | Aging | None:
+    def of(self, motion: Motion, shift: Vector | None = None) -> Trace | None:
         if not isinstance(motion, _HeldMotion) or motion.inner is None:
             return None
-        waves = self._inner.of(motion.inner)
-        return None if waves is None else waves.shifted(self._position @ motion.rest)
+        rest = self._position @ motion.rest
+        return self._inner.of(motion.inner, rest if shift is None else rest + shift)

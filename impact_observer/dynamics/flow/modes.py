@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.dynamics.flow.divided_differences import Complex
 from impact_observer.dynamics.flow.double_double import product
 from impact_observer.dynamics.flow.eigenmodes import congruence, diagonal, modes_of
-from impact_observer.dynamics.flow.few import MANY
-from impact_observer.dynamics.flow.flow import Equations
+from impact_observer.dynamics.flow.flow import Complex, Equations
 from impact_observer.states import Matrix, Vector
 
 _PROPORTIONAL = 1e-12
@@ -20,8 +18,6 @@ _RIGID = 1e-15
 """``omega^2`` that counts as zero, relative to the stiffest mode's, times n."""
 _WORST_CONDITION = 1e3
 """Condition of the modes, in units of energy, beyond which digits would be lost."""
-_DEAD = -100.0
-"""Its exponential is nothing beside any number that a model can bring about."""
 
 
 class Rates(NamedTuple):
@@ -39,60 +35,6 @@ class Rates(NamedTuple):
     oscillates: NDArray[np.bool_]
     slow: Vector
 
-    def propagated(self, s: Vector) -> NDArray[np.float64]:
-        """``c`` and ``S`` of ``e^{Js} = c + S (J - a)``, shape (2, n, samples)."""
-        if (alive := self._alive(s)) is not None:
-            found = np.zeros((2, alive.size, s.size))
-            found[:, alive] = self._of(alive).propagated(s)
-            return found
-        a, d, swings = self.a[:, None], self.d[:, None], self.oscillates[:, None]
-        found = np.empty((2, self.a.size, s.size))
-        decay, angle = np.exp(a * s), d * s
-        if swings.all():
-            np.multiply(decay, np.cos(angle), out=found[0])
-            np.multiply(decay, np.sin(angle), out=found[1])
-            found[1] /= d
-            return found
-        slow = np.exp(self.slow[:, None] * s)
-        width = 2 * np.where(swings, 0.0, angle)
-        ratio = np.where(width == 0, 1.0, -np.expm1(-width) / np.where(width == 0, 1.0, width))
-        found[0] = np.where(swings, decay * np.cos(angle), slow * (1 + np.exp(-width)) / 2)
-        found[1] = np.where(swings, decay * s * np.sinc(angle / np.pi), slow * s * ratio)
-        return found
-
-    def largest(self, start: Vector, stop: Vector) -> NDArray[np.float64]:
-        """Bounds on ``|c|`` and ``|S|`` along intervals, shape (2, n, intervals).
-
-        No eigenvalue has a positive real part, so ``|c| <= e^{as}`` and, with the slow eigenvalue
-        for ``a`` where a pair does not oscillate, ``|S| <= e^{as} min(s, 1/d)``.
-        """
-        if (alive := self._alive(start)) is not None:
-            found = np.zeros((2, alive.size, start.size))
-            found[:, alive] = self._of(alive).largest(start, stop)
-            return found
-        found = np.empty((2, self.a.size, start.size))
-        np.exp(np.multiply.outer(self.slow, start), out=found[0])
-        still = np.divide(1.0, self.d, out=np.full(self.d.shape, np.inf), where=self.d > 0)
-        np.multiply(found[0], np.minimum(stop, still[:, None]), out=found[1])
-        return found
-
-    def _alive(self, s: Vector) -> NDArray[np.bool_] | None:
-        """Which of many pairs have not died away; None where it is not worth while to ask."""
-        if self.a.size < MANY or not s.size:
-            return None
-        alive = self.slow * s.min() > _DEAD
-        return None if alive.all() else np.asarray(alive)
-
-    def _of(self, which: NDArray[np.bool_]) -> "Rates":
-        """Those of some of the pairs."""
-        return Rates(self.a[which], self.d[which], self.oscillates[which], self.slow[which])
-
-    def beside(self, frequency: Vector) -> "Rates":
-        """The same pairs and, after them, harmonics, shape (h,), rad/s, as pairs of their own."""
-        none, always = np.zeros(frequency.shape), np.ones(frequency.shape, dtype=np.bool_)
-        more = (none, frequency, always, none)
-        return Rates(*(np.concatenate(both) for both in zip(self, more, strict=True)))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Modes:
@@ -105,9 +47,6 @@ class Modes:
         proportional: whether a pair is a coordinate, to ``M``-orthonormal shapes, and its
             velocity; otherwise it is an eigenvector's two parts, or two real eigenvectors.
         rates: ``a`` and ``d``. Derived.
-        deviator: ``J - a``, shape (n, 2, 2), 1/s. Derived.
-        shapes: of many proportional pairs, and what gives their coordinates, shape (n, n) each.
-            Derived.
     """
 
     T: Matrix
@@ -115,46 +54,48 @@ class Modes:
     J: NDArray[np.float64]
     proportional: bool
     rates: Rates = field(init=False)
-    deviator: NDArray[np.float64] = field(init=False)
-    shapes: tuple[Matrix, Matrix] | None = field(init=False)
 
     def __post_init__(self) -> None:
         """Derive the eigenvalues."""
         J = self.J
         a = (J[:, 0, 0] + J[:, 1, 1]) / 2
-        deviator = J - a[:, None, None] * np.eye(2)
-        d2 = deviator[:, 0, 0] ** 2 + deviator[:, 0, 1] * deviator[:, 1, 0]
+        d2 = (J[:, 0, 0] - a) ** 2 + J[:, 0, 1] * J[:, 1, 0]
         d, oscillates = np.sqrt(np.abs(d2)), d2 < 0
         determinant = J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0]
         fast = a - np.where(oscillates, 0.0, d)
         # The slow eigenvalue a + d would cancel; the product of both is the determinant.
         slow = np.where(oscillates | (fast == 0), a, determinant / np.where(fast == 0, 1.0, fast))
         object.__setattr__(self, "rates", Rates(a, d, oscillates, slow))
-        object.__setattr__(self, "deviator", deviator)
-        n, shapes = len(J), None
-        if self.proportional and n >= MANY:
-            parts = self.T[:n, 0::2], self.T_inverse[0::2, :n]
-            shapes = np.ascontiguousarray(parts[0]), np.ascontiguousarray(parts[1])
-        object.__setattr__(self, "shapes", shapes)
 
-    def states(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """``T y`` of pairs ``y``, shape (n, 2, samples), shape (2n, samples)."""
-        n, _, samples = y.shape
-        if self.shapes is None:
-            return np.asarray(self.T @ y.reshape(2 * n, samples))
-        moving = np.flatnonzero(y.any(axis=(1, 2)))  # mostly slow ones, which come first
-        k = int(moving[-1]) + 1 if moving.size else 1
-        shapes, y = self.shapes[0][:, :k], y[:k]
-        if samples == 1:  # a matrix is read faster for one vector and again than for two
-            return np.concatenate([shapes @ y[:, 0, 0], shapes @ y[:, 1, 0]])[:, None]
-        found = (shapes @ y.reshape(k, 2 * samples)).reshape(n, 2, samples)
-        return np.asarray(found.swapaxes(0, 1).reshape(2 * n, samples))
+    @property
+    def splitting(self) -> tuple[Matrix, Matrix, Matrix, Matrix, NDArray[np.bool_]]:
+        """What the kernel needs: ``T`` and its inverse, or shapes; blocks; rates."""
+        n, T, T_inverse = len(self.J), self.T, self.T_inverse
+        if self.proportional:
+            T, T_inverse = T[:n, 0::2], T_inverse[0::2, :n]
+        a, d, oscillates, slow = self.rates
+        return T, T_inverse, self.J.reshape(n, 4), np.stack([a, d, slow], axis=1), oscillates
 
-    def pairs(self, x: Vector) -> Matrix:
-        """``T^-1 x``, shape (n, 2), of a state (q, u), shape (2n,)."""
-        if self.shapes is None:
-            return (self.T_inverse @ x).reshape(-1, 2)
-        return np.stack([self.shapes[1] @ part for part in x.reshape(2, -1)], axis=1)
+    @property
+    def energy(self) -> Matrix:
+        """Twice the energy of a pair's unit values, shape (n, 2), to its condition at worst."""
+        found = np.ones((len(self.J), 2))
+        if self.proportional:
+            found[:, 0] = -self.J[:, 1, 0]
+        return found
+
+    def pushed(self, acceleration: Matrix) -> NDArray[np.float64]:
+        """Loads of the pairs, shape (n, 2, k), under accelerations, shape (n, k)."""
+        n, k = acceleration.shape
+        return np.reshape(self.T_inverse[:, n:] @ acceleration, (n, 2, k))
+
+    def reach(self, inertia: Vector) -> Matrix:
+        """Length of each pair's positions and velocities, shape (2, 2n).
+
+        ``inertia`` are the roots of the masses of the coordinates, shape (n,).
+        """
+        parts = self.T.reshape(2, inertia.size, -1) * inertia[:, None]
+        return np.asarray(np.linalg.norm(parts, axis=1))
 
     @property
     def eigenvalues(self) -> tuple[Complex, Complex]:

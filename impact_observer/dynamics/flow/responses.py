@@ -3,10 +3,10 @@
 import numpy as np
 from scipy import linalg
 
-from impact_observer.dynamics.flow.divided_differences import divided, first
-from impact_observer.dynamics.flow.flow import Equations, balanced_state_matrix
+from impact_observer.dynamics.flow.flow import Complex, Equations, balanced_state_matrix
 from impact_observer.dynamics.flow.modes import Modes
 from impact_observer.dynamics.flow.sampled import Propagators, Response, ResponseValues
+from impact_observer.kernel import divided
 from impact_observer.states import Matrix, Vector
 
 
@@ -48,10 +48,8 @@ class ProportionalResponse(Response):
     def closed_form(self, h: Vector) -> Propagators:
         """Of (n, 2, 2) and twice (n, 2, 1) a time."""
         one, two = self._points
-        s, zero = h[:, None], np.zeros(1, dtype=np.complex128)
-        S0 = first(one, two, s).real
-        S1 = divided((one, two, zero), s).real
-        S2 = divided((one, two, zero, zero), s).real
+        zero = np.zeros_like(one)
+        S0, S1, S2 = (_divided((one, two, zero, zero)[:k], h).real for k in (2, 3, 4))
         position = np.stack([-self._stiffness * S1, S0], axis=-1)
         velocity = np.stack(
             [-self._stiffness * S0, -self._damping * S0 - self._stiffness * S1], axis=-1
@@ -90,10 +88,9 @@ class EigenResponse(Response):
 
     def closed_form(self, h: Vector) -> Propagators:
         """Of (r, 1, 1) a time."""
-        s, zero = h[:, None], np.zeros(1, dtype=np.complex128)
-        change = np.expm1(self._values * s)
-        step = first(self._values, zero, s)
-        ramp = divided((self._values, zero, zero), s)
+        zero = np.zeros_like(self._values)
+        change = np.expm1(self._values * h[:, None])
+        step, ramp = (_divided((self._values, zero, zero)[:k], h) for k in (2, 3))
         return Propagators(*(part[..., None, None] for part in (change, step, ramp)))
 
     def states(self, y: ResponseValues) -> Matrix:
@@ -135,3 +132,8 @@ class DenseResponse(Response):
     def states(self, y: ResponseValues) -> Matrix:
         """States (q, u), shape (samples, 2n)."""
         return np.asarray(y[..., 0].real / self._unit)
+
+
+def _divided(points: tuple[Complex, ...], h: Vector) -> Complex:
+    """Divided differences of the exponential, shape (times, modes)."""
+    return divided(np.stack(points), h)

@@ -11,10 +11,9 @@ near resonance, where that would lose all digits: there the response since the p
 ``(exp[l1, mu] + exp[l1, l2, mu] (J - l1)) b`` in divided differences of the exponential.
 So it is for a while where the steady response is huge against the state, as that of a load on
 a soft spring: then both are rounded to the motion's own size. No constant here is a time.
-"""
 
-import math
-from functools import cache, cached_property
+What is the same for all motions is prepared here; the kernel computes motions (``motion.hpp``).
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,22 +21,26 @@ from scipy import linalg
 
 from impact_observer.dynamics.flow.angles import Angles
 from impact_observer.dynamics.flow.dense import DenseFlow
-from impact_observer.dynamics.flow.divided_differences import Complex
-from impact_observer.dynamics.flow.driven import Driven
-from impact_observer.dynamics.flow.few import product_with
-from impact_observer.dynamics.flow.flow import Equations, Flow, Functions, Motion
+from impact_observer.dynamics.flow.flow import (
+    Complex,
+    Equations,
+    Flow,
+    Functions,
+    Motion,
+    View,
+)
 from impact_observer.dynamics.flow.modes import Modes, split
 from impact_observer.dynamics.flow.responses import response_of
 from impact_observer.dynamics.flow.sampled import SampledFlow
-from impact_observer.dynamics.flow.turning import Steady, Turning
-from impact_observer.dynamics.flow.waves import Aging, Rows, View, Waves
+from impact_observer.kernel import Guards, ModalFlow, ModalMotion, Trace
 from impact_observer.states import Matrix, Vector
 
 _RESONANCE = 1e-2
 """Distance of a forcing frequency from an eigenvalue that is near, over the rates of both."""
 _HUGE = 30.0
 """Steady response, over the state, that would cost digits while the motion is young."""
-_NOW = np.zeros(1)
+_CANCELLED = 8.0
+"""Size of what cancels in a function, over what it counts for in its scale."""
 
 
 def flow_of(system: Equations, shapes: Matrix | None = None) -> Flow:
@@ -60,217 +63,92 @@ class SpectralFlow(Flow):
     """Flow of a system in its modes."""
 
     def __init__(self, system: Equations, modes: Modes) -> None:
-        """Prepare eigenvalues, steady responses and the pairs that resonate."""
-        self._n = system.n
-        self._inertia, self._sprung = product_with(system.M), product_with(system.K)
+        """Prepare steady responses and the pairs that resonate."""
         self.modes = modes
-        self._prepare_forcing(system, modes)
-
-    def _prepare_forcing(self, system: Equations, modes: Modes) -> None:
+        self._inertia = linalg.cho_factor(system.M)
+        self._pulls = np.hstack([system.K, system.C])
         forcing = system.forcing
         mu = 1j * np.concatenate([[0.0], forcing.frequency])
         forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine])
-        acceleration = linalg.solve(system.M, forces.T, assume_a="pos")
-        pushed = np.concatenate([np.zeros(acceleration.shape), acceleration]).T
-        loads = np.stack([modes.pairs(each) for each in pushed], axis=1)
-        constant, cosine, sine = np.split(loads, [1, mu.size], axis=1)
-        beta = np.concatenate([constant, cosine - 1j * sine], axis=1)
+        load = modes.pushed(linalg.cho_solve(self._inertia, forces.T))
+        beta = load[:, :, : mu.size].astype(np.complex128)
+        beta[..., 1:] -= 1j * load[:, :, mu.size :]
         one, two = modes.eigenvalues
         distance = np.minimum(abs(mu - one[:, None]), abs(mu - two[:, None]))
         fastest = float(np.max(np.abs(np.concatenate([one, two, mu]))))
-        forced = np.any(beta != 0, axis=2)
+        self._time = 1.0 / fastest if fastest > 0 else 0.0
+        forced = np.any(beta != 0, axis=1)
         # Eigenvalues that are found all together are rounded to the fastest of them.
         rates = np.abs(one)[:, None] + np.abs(mu) if modes.proportional else fastest
         near = forced & (distance <= _RESONANCE * rates)
         far = forced & ~near
-        # Steady response of the pairs away from resonance, (mu - J)^{-1} beta by Cramer's rule.
-        e, f = mu - modes.J[:, 0, 0][:, None], mu - modes.J[:, 1, 1][:, None]
-        g, h = modes.J[:, 0, 1][:, None], modes.J[:, 1, 0][:, None]
-        determinant = np.where(far, e * f - g * h, 1.0)
-        response = np.stack(
-            [f * beta[..., 0] + g * beta[..., 1], h * beta[..., 0] + e * beta[..., 1]], axis=1
+        response = _steady(modes, mu, beta, far)
+        weights = modes.energy
+        small = float(np.sqrt(np.sum(weights * np.sum(np.abs(response), axis=2) ** 2))) / _HUGE
+        young = 1.0 / float(np.min(distance[far], initial=np.inf))
+        real = np.concatenate([response.real, -response.imag[..., 1:]], axis=2)
+        self._kernel = ModalFlow(
+            modes.splitting,
+            (forcing.frequency, Angles(forcing.frequency).turns),
+            real.reshape(2 * system.n, -1),
+            load.reshape(2 * system.n, -1),
+            near,
+            forced,
+            weights,
+            small,
+            young,
         )
-        response = np.where(far[:, None, :], response / determinant[:, None, :], 0.0)
-        steady = modes.states(response.real) + 1j * modes.states(response.imag)
-        self._steady_constant = steady[:, 0].real
-        self._steady_cosine, self._steady_sine = steady[:, 1:].real, -steady[:, 1:].imag
-        self._angles = Angles(forcing.frequency)
-        self._small = self.energy(np.abs(steady).sum(axis=1)) / _HUGE
-        # Motions that are not so small are recognised by their speed, with one product.
-        least = float(linalg.eigvalsh(system.M)[0]) if modes.shapes is None else 0.0
-        self._slow = self._small**2 / least if least > 0 else math.inf
-        self._young = 1.0 / np.min(distance[far], initial=np.inf)
-        self.near = Driven(modes, beta, self._angles, near)
-        self.all = Driven(modes, beta, self._angles, forced)
-
-    @cached_property
-    def turning(self) -> Turning | None:
-        """One state alone, in a cheaper way; None where not all modes turn, or some resonate.
-
-        Nor is it of many modes, where calls cost less than what is multiplied.
-        """
-        few = self.modes.shapes is None
-        if not (few and self.near.nothing and Turning.suits(self.modes)):
-            return None
-        parts = (self._steady_constant, self._steady_cosine, self._steady_sine)
-        return Turning(self.modes, Steady(self._angles, *parts))
-
-    def view(self, functions: Functions) -> View:
-        """Of motions young and old."""
-        return _SpectralView(self, functions)
-
-    def rows(self, functions: Functions, *, young: bool) -> Rows:
-        """What ``functions`` see of the pairs, and of harmonics with a steady response or none."""
-        rows, harmonics, constant = functions
-        seen = rows @ self.modes.T
-        if young:
-            return Rows(self.modes, seen, (self._angles, harmonics, constant), self.all)
-        steady = rows @ (self._steady_cosine - 1j * self._steady_sine)
-        constant = constant + rows @ self._steady_constant
-        return Rows(self.modes, seen, (self._angles, harmonics + steady, constant), self.near)
-
-    def energy(self, x: Vector) -> float:
-        """Size of a state (q, u), shape (2n,), square root of twice its energy."""
-        q, u = x[: self._n], x[self._n :]
-        return math.sqrt(max(float(u.dot(self._inertia(u)) + q.dot(self._sprung(q))), 0.0))
 
     def start(self, t: float, x: Vector) -> Motion:
         """The motion through ``x`` at ``t``."""
-        old = _SpectralMotion(self, t, x)
-        u = x[self._n :]
-        if float(u.dot(u)) < self._slow and self.energy(x) < self._small:
-            return _YoungMotion(self, self.modes.pairs(x), old, self._young)
-        return old
+        return self._kernel.start(t, x)
+
+    def view(self, functions: Functions) -> View:
+        """Of all motions."""
+        rows, harmonics, constant = functions
+        seen = Guards(
+            self._kernel,
+            rows @ self.modes.T,
+            self._cancelled(rows) @ np.abs(self.modes.T),
+            np.hstack([harmonics.real, harmonics.imag]),
+            constant,
+        )
+        return _SpectralView(seen, constant.size)
 
     def transition(self, s: float) -> Matrix:
         """``T e^{Js} T^{-1}``, shape (2n, 2n)."""
-        if self.turning is not None:
-            return self.turning.transition(s)
-        c, S = self.modes.rates.propagated(np.array([s]))[..., None]
-        blocks = c * np.eye(2) + S * self.modes.deviator
-        T = self.modes.T
-        moved = np.einsum("xpi,pij->xpj", T.reshape(-1, self._n, 2), blocks)
-        return np.asarray(moved.reshape(T.shape) @ self.modes.T_inverse)
+        return self._kernel.transition(s)
 
-    def moved(self, motion: Motion, s: float) -> tuple[Vector, Matrix]:
-        """Both of what turns by the same."""
-        if self.turning is None or not isinstance(motion, _SpectralMotion):
-            return super().moved(motion, s)
-        return self.turning.moved(motion.turned(self.turning), s)
+    def _cancelled(self, rows: Matrix) -> Matrix:
+        """What may cancel in ``rows x``, shape (w, 2n), where all of ``x`` moves.
 
-    def steady(self, t: float, s: Vector) -> NDArray[np.float64]:
-        """Steady response of all pairs away from resonance ``s`` after ``t``, (2n, samples)."""
-        if not self._angles.frequency.size:
-            return np.broadcast_to(self._steady_constant[:, None], (2 * self._n, s.size))
-        angle = self._angles.after(t, s)
-        found: NDArray[np.float64] = self._steady_cosine @ np.cos(angle)
-        found += self._steady_sine @ np.sin(angle)
-        found += self._steady_constant[:, None]
-        return found
-
-    def homogeneous(self, z: Matrix, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Free response of pairs ``z``, shape (n, 2), shape (n, 2, samples)."""
-        c, S = self.modes.rates.propagated(s)[:, :, None]
-        found: NDArray[np.float64] = c * z[..., None]
-        found += S * (self.modes.deviator @ z[..., None])
-        return found
-
-    def assemble(self, y: NDArray[np.float64]) -> NDArray[np.float64]:
-        """States from pairs: ``x = T y``, shape (2n, samples)."""
-        return self.modes.states(y)
-
-    def each(self, y: NDArray[np.float64], t: float, s: Vector) -> NDArray[np.float64]:
-        """``assemble(y) + steady(t, s)`` as for each sample alone, shape (samples, 2n).
-
-        The products are those of a matrix with one column, over and over: one product with many
-        columns may add up in another order.
+        Also by what pulls at it within the time scale: a body may rest while others move.
         """
-        found = self.modes.T @ _columns(y)
-        if not self._angles.frequency.size:
-            return np.asarray((found + self._steady_constant[:, None])[..., 0])
-        angle = self._angles.after(t, s)
-        steady = self._steady_cosine @ _columns(np.cos(angle))
-        steady += self._steady_sine @ _columns(np.sin(angle))
-        steady += self._steady_constant[:, None]
-        return np.asarray((found + steady)[..., 0])
-
-
-def _columns(samples: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What comes with samples last as one column a sample, shape (samples, rows, 1)."""
-    rows = samples.reshape(-1, samples.shape[-1])
-    return np.ascontiguousarray(rows.T)[..., None]
-
-
-class _SpectralMotion(Motion):
-    """Steady response, free motion of pairs from ``z`` on, and the answer of those resonant."""
-
-    def __init__(self, flow: SpectralFlow, t: float, x: Vector) -> None:
-        self._flow = flow
-        self.t = t
-        self._x = x
-        self._zeta: Complex | None = None
-
-    @cached_property
-    def z(self) -> Matrix:
-        return self._flow.modes.pairs(self._x - self._flow.steady(self.t, _NOW)[:, 0])
-
-    def state(self, s: float) -> Vector:
-        turning = self._flow.turning
-        return super().state(s) if turning is None else turning.state(self.turned(turning), s)
-
-    def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        flow = self._flow
-        y = flow.near.response(self.t, flow.homogeneous(self.z, s), s)
-        return np.ascontiguousarray((flow.assemble(y) + flow.steady(self.t, s)).T)
-
-    def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        flow = self._flow
-        if flow.turning is not None:
-            return flow.turning.each(self.turned(flow.turning), s)
-        if not flow.near.nothing or flow.modes.shapes is not None:
-            return super().each(s)  # what is near resonance, or left out, depends on the others
-        return flow.each(flow.homogeneous(self.z, s), self.t, s)
-
-    def turned(self, turning: Turning) -> Complex:
-        """``zeta`` at the start, computed when first needed."""
-        if self._zeta is None:
-            self._zeta = turning.start(self.t, self._x)
-        return self._zeta
+        n, time = rows.shape[1] // 2, self._time
+        q, u = (linalg.cho_solve(self._inertia, part.T).T for part in np.split(rows, [n], axis=1))
+        pulled = time**2 / 2 * np.abs(q @ self._pulls) + time * np.abs(u @ self._pulls)
+        return np.asarray((np.abs(rows) + pulled) / _CANCELLED)
 
 
 class _SpectralView(View):
-    """Functions of motions young and old; what they need is prepared when first asked for."""
+    def __init__(self, guards: Guards, count: int) -> None:
+        self._guards = guards
+        self._none = np.zeros(count)
 
-    def __init__(self, flow: SpectralFlow, functions: Functions) -> None:
-        self._rows = cache(lambda young: flow.rows(functions, young=young))
-
-    def of(self, motion: Motion) -> Waves | Aging | None:
-        if not isinstance(motion, _SpectralMotion | _YoungMotion):
+    def of(self, motion: Motion, shift: Vector | None = None) -> Trace | None:
+        if not isinstance(motion, ModalMotion):
             return None
-        if isinstance(motion, _SpectralMotion):
-            return self._rows(False).waves(motion.t, motion.z)
-        early = self._rows(True).waves(motion.t, motion.z)
-        return Aging(early, self._rows(False).waves(motion.t, motion.old.z), motion.young)
+        return self._guards.trace(motion, self._none if shift is None else shift)
 
 
-class _YoungMotion(Motion):
-    """A motion that is small against the steady response, which it has not had time to reach."""
+def _steady(modes: Modes, mu: Complex, beta: Complex, far: NDArray[np.bool_]) -> Complex:
+    """``(mu - J)^{-1} beta`` of the pairs ``far`` from resonance, shape (n, 2, 1 + h).
 
-    def __init__(self, flow: SpectralFlow, z: Matrix, old: _SpectralMotion, young: float) -> None:
-        self._flow = flow
-        self.t = old.t
-        self.z = z
-        self.old = old
-        self.young = young
-
-    def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        young = s < self.young
-        if not young.any():
-            return self.old.states(s)
-        flow, early = self._flow, s[young]
-        y = flow.all.response(self.t, flow.homogeneous(self.z, early), early)
-        found = np.empty((s.size, 2 * self.z.shape[0]))
-        found[young] = flow.assemble(y).T
-        if not young.all():
-            found[~young] = self.old.states(s[~young])
-        return found
+    By Cramer's rule; ``mu`` has shape (1 + h,), ``beta`` (n, 2, 1 + h), ``far`` (n, 1 + h).
+    """
+    e, f = mu - modes.J[:, 0, 0][:, None], mu - modes.J[:, 1, 1][:, None]
+    g, h = modes.J[:, 0, 1][:, None], modes.J[:, 1, 0][:, None]
+    determinant = np.where(far, e * f - g * h, 1.0)
+    one, two = beta[:, 0], beta[:, 1]
+    response = np.stack([f * one + g * two, h * one + e * two], axis=1)
+    return np.asarray(np.where(far[:, None], response / determinant[:, None], 0.0))

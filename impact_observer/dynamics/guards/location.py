@@ -5,6 +5,8 @@ Where the bound stays above zero no crossing can hide; elsewhere the interval is
 bound decides.
 """
 
+from abc import ABC, abstractmethod
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +15,9 @@ from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase
 from impact_observer.dynamics.guards.bounds import Bounds
 from impact_observer.dynamics.guards.roots import ROOT, Suspect, root, traced
-from impact_observer.dynamics.guards.traces import StateTrace, Trace, WaveTrace
+from impact_observer.dynamics.guards.traces import Trace
 from impact_observer.dynamics.guards.watched import Watched
+from impact_observer.kernel import RootSearch
 from impact_observer.states import Vector
 
 DEPTH = 1e-13
@@ -67,7 +70,8 @@ class Search:
         """
         self.window = window
         self.forcing = phase.equations.forcing
-        self._bounds = Bounds(phase, watched, least)
+        self._count = watched.constant.size
+        self._bounds = cache(lambda: Bounds(phase, watched, least))
         self._view = phase.flow.view(watched.functions(self.forcing))
 
     def first(self, motion: Motion, horizon: float, start: float = 0.0) -> Crossing | None:
@@ -83,33 +87,19 @@ class Search:
             that are zero there. Crossings no deeper than ``DEPTH`` of a function's scale may be
             passed over.
         """
-        if not self._bounds.watched.constant.size:
-            return None
-        horizon = min(horizon, self.forcing.end - motion.t)
-        return self._first_closely(self._trace(motion), start, horizon)
+        found = self.along(motion, start).first(horizon)
+        return None if found is None or found.s > horizon else found
 
-    def along(self, motion: Motion) -> "Hunt":
-        """A search along ``motion`` from its start, which can be extended again and again."""
-        return Hunt(self, self._trace(motion))
+    def along(self, motion: Motion, start: float = 0.0) -> "Hunt":
+        """A search along ``motion`` from ``start`` s on, which can be extended again and again."""
+        end = self.forcing.end - motion.t
+        closed = None if self._view is None else self._view.of(motion)
+        if closed is not None:
+            return _ClosedHunt(RootSearch(closed, self.window, end, start))
+        trace = Trace(motion, self._bounds(), self.forcing) if self._count else None
+        return _SampledHunt(self, trace, start, end)
 
     def first_within(self, trace: Trace, start: float, stop: float) -> Crossing | None:
-        """As ``first``; where the motion has a closed form long stretches are looked at first.
-
-        Only parts that the bounds leave in doubt are looked at closely, in steps that the fastest
-        mode determines; most motions have little of that mode.
-        """
-        if stop - start <= self.window or not isinstance(trace, WaveTrace):
-            return self._first_closely(trace, start, stop)
-        s = start + (stop - start) * _GRID
-        s[-1] = stop
-        low = trace.lower(trace.rough(s), np.diff(s))
-        for j in np.flatnonzero(low.min(axis=1) < 0):
-            found = self.first_within(trace, float(s[j]), float(s[j + 1]))
-            if found is not None:
-                return found
-        return None
-
-    def _first_closely(self, trace: Trace, start: float, stop: float) -> Crossing | None:
         """The first crossing from ``start`` to ``stop``, s, by windows."""
         while start < stop:
             s = self._grid(trace.motion.t, start, min(start + self.window, stop))
@@ -118,13 +108,6 @@ class Search:
                 return found
             start = float(s[-1])
         return None
-
-    def _trace(self, motion: Motion) -> Trace:
-        """The functions along ``motion``, in closed form where there is one."""
-        waves = None if self._view is None else self._view.of(motion)
-        if waves is None:
-            return StateTrace(motion, self._bounds, self.forcing)
-        return WaveTrace(motion, self._bounds, waves)
 
     def _grid(self, t: float, start: float, stop: float) -> Vector:
         """Ends of intervals from ``start`` on, up to ``stop`` or so many knots of the forcing.
@@ -198,32 +181,45 @@ class Search:
         return self._first_in(trace, s, scale)
 
 
-class Hunt:
+class Hunt(ABC):
     """A search along one motion that goes on where it has stopped.
 
-    It looks at whole stretches, each twice as long as the one before, and beyond what is asked
-    for: what it finds does not depend on who asks when.
+    What it finds does not depend on who asks when.
     """
 
-    def __init__(self, search: Search, trace: Trace) -> None:
-        """Begin at the start of the motion of ``trace``."""
-        self._search = search
-        self._trace = trace
-        self._length = search.window
-        self._end = search.forcing.end - trace.motion.t
-        self._reached = 0.0
-
+    @abstractmethod
     def first(self, horizon: float) -> Crossing | None:
         """The first crossing, if all before ``horizon`` s had to be looked at to find it."""
-        if self._trace.nothing:
+
+
+class _ClosedHunt(Hunt):
+    """By the kernel, in closed form."""
+
+    def __init__(self, hunt: RootSearch) -> None:
+        self._hunt = hunt
+
+    def first(self, horizon: float) -> Crossing | None:
+        found = self._hunt.first(horizon)
+        return None if found is None else Crossing(*found)
+
+
+class _SampledHunt(Hunt):
+    """It looks at whole stretches, each twice as long as the one before."""
+
+    def __init__(self, search: Search, trace: Trace | None, start: float, end: float) -> None:
+        self._search = search
+        self._trace = trace
+        self._length, self._end, self._reached = search.window, end, start
+        self._found: Crossing | None = None
+
+    def first(self, horizon: float) -> Crossing | None:
+        if self._trace is None:
             return None
-        while self._reached <= horizon and self._reached < self._end:
+        while self._found is None and self._reached <= horizon and self._reached < self._end:
             start, self._reached = self._reached, min(self._reached + self._length, self._end)
             self._length *= 2
-            found = self._search.first_within(self._trace, start, self._reached)
-            if found is not None:
-                return found
-        return None
+            self._found = self._search.first_within(self._trace, start, self._reached)
+        return self._found
 
 
 def _crossing(trace: Trace, s: float, which: int, scale: Vector) -> Crossing:

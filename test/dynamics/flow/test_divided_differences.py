@@ -7,9 +7,18 @@ import precise
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from systems import examples, numbers
 
-from impact_observer.dynamics.flow.divided_differences import divided, first, second
+from impact_observer.kernel import divided
+
+Points = tuple[complex, ...]
+
+
+def found_at(points: Points, s: float) -> complex:
+    """One divided difference."""
+    return complex(divided(np.array(points)[:, None], np.array([s]))[0, 0])
+
 
 S = np.array([1e-9, 1e-3, 0.3, 1.0, 4.0])
 POINTS = {
@@ -31,15 +40,14 @@ def test_divided_differences_agree_with_ninety_digits(
     points: tuple[complex, complex, complex],
 ) -> None:
     """Every order of the points gives the same number, within rounding."""
-    a, b, c = (np.array([z]) for z in points)
-    for s in S:
-        at = np.array([s])
+    a, b, c = points
+    for s in S.tolist():
         one = precise.divided_difference(points[:2], s)
         two = precise.divided_difference(points, s)
-        for found in (first(a, b, at), first(b, a, at)):
-            assert abs(found[0] - one) < 2e-15 * s
+        for pair in ((a, b), (b, a)):
+            assert abs(found_at(pair, s) - one) < 2e-15 * s
         for order in ((a, b, c), (c, a, b), (b, c, a), (c, b, a)):
-            assert abs(second(*order, at)[0] - two) < 5e-15 * s**2
+            assert abs(found_at(order, s) - two) < 5e-15 * s**2
 
 
 @examples(50)
@@ -48,12 +56,11 @@ def test_divided_differences_agree_with_ninety_digits_anywhere(
     real: tuple[float, ...], imaginary: tuple[float, ...], s: float
 ) -> None:
     """Points on a grid coincide often, in one part or in both."""
-    points = [complex(x, y) for x, y in zip(real, imaginary, strict=True)]
-    a, b, c = (np.array([z]) for z in points)
+    points = tuple(complex(x, y) for x, y in zip(real, imaginary, strict=True))
     expected = precise.divided_difference(points, s)
-    assert abs(second(a, b, c, np.array([s]))[0] - expected) <= 1e-14 * s**2
+    assert abs(found_at(points, s) - expected) <= 1e-14 * s**2
     expected = precise.divided_difference(points[:2], s)
-    assert abs(first(a, b, np.array([s]))[0] - expected) <= 4e-15 * s
+    assert abs(found_at(points[:2], s) - expected) <= 4e-15 * s
 
 
 RAMPS = {
@@ -79,15 +86,32 @@ def test_divided_differences_of_more_points_agree_with_ninety_digits(
     for s in S:
         expected = precise.divided_difference(points, s)
         for order in (points, points[::-1], points[1:] + points[:1]):
-            found = divided([np.array([z]) for z in order], np.array([s]))[0]
+            found = found_at(order, float(s))
             assert abs(found - expected) < 1e-14 * s**k / math.factorial(k)
 
 
 def test_divided_differences_of_many_points_are_those_of_each() -> None:
-    """Arrays broadcast: one column a triple, one row an instant."""
-    a, b, c = (np.array([points[i] for points in POINTS.values()]) for i in range(3))
-    together = second(a, b, c, S[:, None])
+    """One column a triple, one row an instant."""
+    points = np.array(list(POINTS.values())).T
+    together = divided(points, S)
     assert together.shape == (S.size, len(POINTS))
-    for i in range(len(POINTS)):
-        alone = second(a[i : i + 1], b[i : i + 1], c[i : i + 1], S)
-        np.testing.assert_array_equal(together[:, i], alone)
+    for j, triple in enumerate(POINTS.values()):
+        for i, s in enumerate(S.tolist()):
+            assert together[i, j] == found_at(triple, s)
+
+
+@pytest.mark.parametrize(
+    ("points", "s"),
+    [
+        (np.zeros((1, 2)), np.ones(1)),
+        (np.zeros((9, 2)), np.ones(1)),
+        (np.zeros(3), np.ones(1)),
+        (np.full((2, 1), np.nan), np.ones(1)),
+        (np.zeros((2, 1)), np.array([np.inf])),
+        (np.zeros((2, 1)), np.ones((1, 1))),
+    ],
+)
+def test_wrong_arrays_are_refused(points: NDArray[np.complex128], s: NDArray[np.float64]) -> None:
+    """Of another shape, or not finite."""
+    with pytest.raises(ValueError, match=r"points|s:"):
+        divided(points.astype(complex), s)

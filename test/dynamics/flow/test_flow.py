@@ -294,11 +294,3 @@ def test_difference_of_two_motions_goes_on_by_the_transition(data: st.DataObject
     dense = DenseFlow(model).transition(s)
     scale = np.max(np.abs(dense)) * (1 + np.max(np.abs(model.K)))
     np.testing.assert_allclose(flow.transition(s), dense, atol=1e-11 * scale)
-
-
-def test_modes_that_hardly_oscillate_do_not_turn() -> None:
-    """A damping ratio of 0.999 is answered by real functions; one of 0.9 turns."""
-    slow, fast = oscillator(2 * 0.999, 1.0), oscillator(2 * 0.9, 1.0)
-    assert spectral(slow).turning is None
-    assert spectral(fast).turning is not None
-    assert spectral(system(np.eye(2), np.zeros((2, 2)), np.diag([1.0, 0.0]))).turning is None

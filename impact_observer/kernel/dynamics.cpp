@@ -1,0 +1,242 @@
+// Flow, guards and event location for Python.
+#include <pybind11/complex.h>
+#include <pybind11/stl.h>
+
+#include "bindings.hpp"
+#include "search.hpp"
+
+namespace kernel {
+
+namespace {
+
+using Flags = py::array_t<bool, py::array::c_style | py::array::forcecast>;
+using Counts = py::array_t<std::uint64_t, py::array::c_style | py::array::forcecast>;
+
+Time time_of(const py::object& t) {
+    Time found{py::cast<double>(t)};
+    if (py::hasattr(t, "remainder")) {
+        found.exact = true;
+        found.ns = py::cast<std::int64_t>(t.attr("ns"));
+        found.remainder = py::cast<double>(t.attr("remainder"));
+    }
+    if (!std::isfinite(found.seconds) || !std::isfinite(found.remainder))
+        throw py::value_error("t: not finite");
+    return found;
+}
+
+double finite(double value, const char* name) {
+    if (!std::isfinite(value)) throw py::value_error(std::string(name) + ": not finite");
+    return value;
+}
+
+// A motion and its start as Python gave it.
+struct Started {
+    py::object t;
+    std::shared_ptr<const Motion> motion;
+};
+
+std::vector<Pair> pairs_of(const Array& J, const Array& rates, const Flags& oscillates) {
+    const View four = checked(J, "J", ANY, 4);
+    const View each = checked(rates, "rates", py::ssize_t(four.rows), 3);
+    if (oscillates.ndim() != 1 || oscillates.shape(0) != J.shape(0))
+        throw py::value_error("oscillates: shape " + shape_of(oscillates));
+    std::vector<Pair> found(four.rows);
+    for (std::size_t p = 0; p < found.size(); ++p) {
+        Pair& pair = found[p];
+        pair.a = each(p, 0), pair.d = each(p, 1), pair.slow = each(p, 2);
+        pair.oscillates = oscillates.data()[p];
+        std::copy(four.row(p), four.row(p) + 4, pair.J);
+        for (std::size_t k = 0; k < 4; ++k) pair.D[k] = pair.J[k] - (k % 3 == 0 ? pair.a : 0.0);
+    }
+    return found;
+}
+
+Harmonics harmonics_of(const Array& frequency, const Counts& turns) {
+    const View each = checked(frequency, "frequency", ANY);
+    if (turns.ndim() != 2 || turns.shape(0) != frequency.shape(0) || turns.shape(1) != 2)
+        throw py::value_error("turns: shape " + shape_of(turns) + "; expected (h, 2)");
+    Harmonics found;
+    for (std::size_t k = 0; k < each.rows; ++k) {
+        found.frequency.push_back(each[k]);
+        found.turns.push_back(Turns(turns.data()[2 * k]) << 64 | turns.data()[2 * k + 1]);
+    }
+    return found;
+}
+
+// The loads of those pairs and harmonics that are marked, n x (1 + h).
+std::vector<Drive> drives_of(const Flow& flow, const View& load, const Flags& marked) {
+    const std::size_t n = flow.modes.n, h = flow.harmonics.size();
+    if (marked.ndim() != 2 || std::size_t(marked.shape(0)) != n ||
+        std::size_t(marked.shape(1)) != 1 + h)
+        throw py::value_error("near, driven: shape " + shape_of(marked) + "; expected (n, 1 + h)");
+    std::vector<Drive> found;
+    for (std::size_t p = 0; p < n; ++p)
+        for (std::size_t k = 0; k <= h; ++k) {
+            if (!marked.data()[p * (1 + h) + k]) continue;
+            const Pair& pair = flow.modes.pairs[p];
+            Drive drive;
+            drive.pair = p, drive.harmonic = k;
+            drive.one = pair.oscillates ? Complex(pair.a, pair.d) : Complex(pair.slow);
+            drive.two = pair.oscillates ? std::conj(drive.one) : Complex(2 * pair.a - pair.slow);
+            drive.mu = k == 0 ? Complex(0.0) : Complex(0.0, flow.harmonics.frequency[k - 1]);
+            for (std::size_t i = 0; i < 2; ++i)
+                drive.beta[i] = {load(2 * p + i, k), k == 0 ? 0.0 : -load(2 * p + i, k + h)};
+            for (std::size_t i = 0; i < 2; ++i)
+                drive.turned[i] = pair.D[2 * i] * drive.beta[0] + pair.D[2 * i + 1] * drive.beta[1] +
+                                  (pair.a - drive.one) * drive.beta[i];
+            found.push_back(drive);
+        }
+    return found;
+}
+
+std::shared_ptr<Flow> make_flow(const py::tuple& splitting, const py::tuple& waves,
+                                const Array& response, const Array& load, const Flags& near,
+                                const Flags& all, const Array& energy, double small, double young) {
+    const auto part = [](const py::tuple& of, std::size_t k) { return py::cast<Array>(of[k]); };
+    const auto pairs = pairs_of(part(splitting, 2), part(splitting, 3), py::cast<Flags>(splitting[4]));
+    const py::ssize_t n = py::ssize_t(pairs.size());
+    const Array T = part(splitting, 0), T_inverse = part(splitting, 1);
+    const py::ssize_t size = T.ndim() == 2 && T.shape(0) == n ? n : 2 * n;
+    const Harmonics harmonics = harmonics_of(part(waves, 0), py::cast<Counts>(waves[1]));
+    const py::ssize_t columns = 1 + 2 * py::ssize_t(harmonics.size());
+    auto flow = std::make_shared<Flow>(Flow{
+        Modes(pairs, checked(T, "T", size, size), checked(T_inverse, "T_inverse", size, size)),
+        harmonics, Matrix(checked(response, "response", 2 * n, columns)), {}, {},
+        Matrix(checked(energy, "energy", n, 2)), finite(small, "small"), finite(young, "young")});
+    const View loads = checked(load, "load", 2 * n, columns);
+    flow->near = drives_of(*flow, loads, near);
+    flow->all = drives_of(*flow, loads, all);
+    return flow;
+}
+
+Started start(const std::shared_ptr<Flow>& flow, const py::object& t, const Array& x) {
+    const View state = checked(x, "x", py::ssize_t(2 * flow->modes.n));
+    return {t, std::make_shared<Motion>(flow, time_of(t), state.data)};
+}
+
+Array transition(const Flow& flow, double s) { return to_python(flow.modes.transition(finite(s, "s"))); }
+
+Array state(const Started& started, double s) {
+    Array found(py::ssize_t(2 * started.motion->flow->modes.n));
+    started.motion->state(finite(s, "s"), found.mutable_data());
+    return found;
+}
+
+Array states(const Started& started, const Array& s) {
+    const View at = checked(s, "s", ANY);
+    const std::size_t size = 2 * started.motion->flow->modes.n;
+    Array found({at.rows, size});
+    double* rows = found.mutable_data();
+    const Motion& motion = *started.motion;
+    const py::gil_scoped_release unlocked;
+    for (std::size_t i = 0; i < at.rows; ++i) motion.state(at[i], rows + i * size);
+    return found;
+}
+
+std::shared_ptr<Guards> make_guards(const std::shared_ptr<Flow>& flow, const Array& seen,
+                                    const Array& reach, const Array& harmonics,
+                                    const Array& constant) {
+    const py::ssize_t n = py::ssize_t(flow->modes.n), h = py::ssize_t(flow->harmonics.size());
+    const View rows = checked(seen, "seen", ANY, 2 * n);
+    const py::ssize_t w = py::ssize_t(rows.rows);
+    const View waves = checked(harmonics, "harmonics", w, 2 * h), level = checked(constant, "constant", w);
+    std::vector<Complex> amplitudes(std::size_t(w * h));
+    for (std::size_t k = 0; k < amplitudes.size(); ++k) {
+        const std::size_t i = k / std::size_t(h), j = k % std::size_t(h);
+        amplitudes[k] = {waves(i, j), waves(i, std::size_t(h) + j)};
+    }
+    return std::make_shared<Guards>(flow, Matrix(rows), Matrix(checked(reach, "reach", w, 2 * n)),
+                                    amplitudes, std::vector<double>(level.data, level.data + w));
+}
+
+Trace trace(const std::shared_ptr<Guards>& guards, const Started& started, const Array& shift) {
+    if (started.motion->flow != guards->flow) throw py::value_error("motion: of another flow");
+    const View added = checked(shift, "shift", py::ssize_t(guards->w));
+    return Trace(guards, started.motion, {added.data, added.data + added.rows});
+}
+
+// What the search knows of each function at s: value, derivatives, a bound on each up to `stop`,
+// and what it is rounded against.
+py::tuple known(Trace& trace, double s, double stop) {
+    if (!(finite(s, "s") >= 0) || !(finite(stop, "stop") >= s))
+        throw py::value_error("s, stop: expected 0 <= s <= stop");
+    trace.look(s);
+    Matrix derivatives(ORDERS, trace.size()), bounds(ORDERS, trace.size());
+    std::vector<double> scales;
+    for (std::size_t i = 0; i < trace.size(); ++i) {
+        scales.push_back(trace.scale(i));
+        for (std::size_t k = 0; k < ORDERS; ++k) {
+            derivatives(k, i) = trace.derivative(k, i);
+            bounds(k, i) = trace.largest(k, i, stop) + (k ? 0.0 : std::abs(trace.constant(i)));
+        }
+    }
+    return py::make_tuple(to_python(derivatives), to_python(bounds), to_python(scales));
+}
+
+using Search = Hunt<Trace>;
+
+Search hunt(const Trace& trace, double window, double end, double start) {
+    if (!(window > 0) || std::isnan(end) || !(start >= 0))
+        throw py::value_error("window, end, start: out of range");
+    return Search(trace, window, end, start);
+}
+
+py::object first(Search& search, double horizon) {
+    finite(horizon, "horizon");
+    const std::optional<Crossing>* found;
+    {
+        const py::gil_scoped_release unlocked;
+        found = &search.first(horizon);
+    }
+    if (!*found) return py::none();
+    return py::make_tuple((*found)->s, py::tuple(py::cast((*found)->which)));
+}
+
+using Points = py::array_t<Complex, py::array::c_style | py::array::forcecast>;
+
+// Divided differences of the exponential on the columns of `points` at each s, (samples, columns).
+Points differences(const Points& points, const Array& s) {
+    const View at = checked(s, "s", ANY);
+    if (points.ndim() != 2 || points.shape(0) < 2 || std::size_t(points.shape(0)) > MOST_POINTS)
+        throw py::value_error("points: shape " + shape_of(points) + "; expected (2 to 8, any)");
+    const std::size_t count = std::size_t(points.shape(0)), columns = std::size_t(points.shape(1));
+    for (std::size_t k = 0; k < count * columns; ++k)
+        if (!std::isfinite(std::abs(points.data()[k]))) throw py::value_error("points: not finite");
+    Points found({at.rows, columns});
+    Complex column[MOST_POINTS];
+    for (std::size_t j = 0; j < columns; ++j) {
+        for (std::size_t k = 0; k < count; ++k) column[k] = points.data()[k * columns + j];
+        for (std::size_t i = 0; i < at.rows; ++i)
+            found.mutable_data()[i * columns + j] = divided(column, count, at[i]);
+    }
+    return found;
+}
+
+}  // namespace
+
+void bind_dynamics(py::module_& module) {
+    py::class_<Flow, std::shared_ptr<Flow>>(module, "ModalFlow")
+        .def(py::init(&make_flow), py::arg("splitting"), py::arg("waves"), py::arg("response"),
+             py::arg("load"), py::arg("near"), py::arg("driven"), py::arg("energy"), py::arg("small"),
+             py::arg("young"))
+        .def("start", &start, py::arg("t"), py::arg("x"))
+        .def("transition", &transition, py::arg("s"));
+    py::class_<Started>(module, "ModalMotion")
+        .def_readonly("t", &Started::t)
+        .def("state", &state, py::arg("s"))
+        .def("states", &states, py::arg("s"))
+        .def("each", &states, py::arg("s"));
+    py::class_<Guards, std::shared_ptr<Guards>>(module, "Guards")
+        .def(py::init(&make_guards), py::arg("flow").none(false), py::arg("seen"), py::arg("reach"),
+             py::arg("harmonics"), py::arg("constant"))
+        .def("trace", &trace, py::arg("motion"), py::arg("shift"));
+    py::class_<Trace>(module, "Trace").def("known", &known, py::arg("s"), py::arg("stop"));
+    py::class_<Search>(module, "RootSearch")
+        .def(py::init(&hunt), py::arg("trace"), py::arg("window"), py::arg("end"),
+             py::arg("start") = 0.0)
+        .def_readonly("looks", &Search::looks)
+        .def("first", &first, py::arg("horizon"));
+    module.def("divided", &differences, py::arg("points"), py::arg("s"));
+}
+
+}  // namespace kernel

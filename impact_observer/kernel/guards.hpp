@@ -1,0 +1,210 @@
+// Functions of a motion in closed form, with all derivatives and a bound on each.
+#pragma once
+
+#include <array>
+
+#include "motion.hpp"
+
+namespace kernel {
+
+constexpr std::size_t ORDERS = 9;  // derivatives 0 to 8
+
+// Functions rows x + Re(harmonics e^{i omega t}) + constant of the motions of one flow.
+// With r T = (r_1, .., r_n), a part for each pair, the k-th derivative of what a pair does freely
+// is r_p J_p^k e^{J_p s} z_p. A harmonic has a factor i omega for each derivative. An answer to a
+// load has r_p J_p^k in place of r_p and, besides, more and more of the load itself.
+struct Guards {
+    // What differs between a young motion and one with a steady response.
+    struct View {
+        const std::vector<Drive>* drives;
+        std::vector<double> constant;                // w
+        std::vector<Complex> harmonics;              // ORDERS x w x h
+        std::vector<Complex> loads, turned, direct;  // ORDERS x w x drives
+    };
+
+    std::shared_ptr<const Flow> flow;
+    std::size_t w;
+    std::array<Matrix, ORDERS> rows;  // r J^k, w x 2n
+    Matrix reach;  // what entries of r T are rounded against, w x 2n
+    View early, late;
+
+    // `seen` is r T; `harmonics` w x h; `constant` w.
+    Guards(std::shared_ptr<const Flow> of, Matrix seen, Matrix rounded,
+           const std::vector<Complex>& harmonics, const std::vector<double>& constant)
+        : flow(std::move(of)), w(seen.rows), reach(std::move(rounded)) {
+        rows[0] = std::move(seen);
+        for (std::size_t k = 1; k < ORDERS; ++k) {
+            rows[k] = Matrix(w, 2 * flow->modes.n);
+            for (std::size_t i = 0; i < w; ++i)
+                for (std::size_t p = 0; p < flow->modes.n; ++p) {
+                    const double *J = flow->modes.pairs[p].J, *r = rows[k - 1].row(i) + 2 * p;
+                    rows[k](i, 2 * p) = r[0] * J[0] + r[1] * J[2];
+                    rows[k](i, 2 * p + 1) = r[0] * J[1] + r[1] * J[3];
+                }
+        }
+        early = view(flow->all, harmonics, constant);
+        std::vector<Complex> steady = harmonics;
+        std::vector<double> level = constant;
+        const std::size_t h = flow->harmonics.size();
+        const Matrix& response = flow->response;
+        for (std::size_t i = 0; i < w; ++i)
+            for (std::size_t k = 0; k < response.rows; ++k) {
+                level[i] += rows[0](i, k) * response(k, 0);
+                for (std::size_t j = 0; j < h; ++j)
+                    steady[i * h + j] +=
+                        rows[0](i, k) * Complex(response(k, 1 + j), -response(k, 1 + h + j));
+            }
+        late = view(flow->near, steady, level);
+    }
+
+  private:
+    View view(const std::vector<Drive>& drives, const std::vector<Complex>& harmonics,
+              const std::vector<double>& constant) const {
+        const std::size_t h = flow->harmonics.size(), r = drives.size();
+        View found{&drives, constant, harmonics, {}, {}, {}};
+        found.harmonics.resize(ORDERS * w * h);
+        for (std::size_t k = w * h; k < ORDERS * w * h; ++k)
+            found.harmonics[k] = found.harmonics[k - w * h] *
+                                 Complex(0.0, flow->harmonics.frequency[k % h]);
+        for (auto* part : {&found.loads, &found.turned, &found.direct}) part->resize(ORDERS * w * r);
+        for (std::size_t k = 0; k < ORDERS; ++k)
+            for (std::size_t i = 0; i < w; ++i)
+                for (std::size_t j = 0; j < r; ++j) {
+                    const Drive& drive = drives[j];
+                    const double* row = rows[k].row(i) + 2 * drive.pair;
+                    const std::size_t at = (k * w + i) * r + j;
+                    found.loads[at] = row[0] * drive.beta[0] + row[1] * drive.beta[1];
+                    found.turned[at] = row[0] * drive.turned[0] + row[1] * drive.turned[1];
+                    if (k > 0)
+                        found.direct[at] =
+                            drive.mu * found.direct[at - w * r] + found.loads[at - w * r];
+                }
+        return found;
+    }
+};
+
+// The functions along one motion: `look` goes to an instant, the others tell what is there.
+class Trace {
+  public:
+    // `shift` is added to the constants.
+    Trace(std::shared_ptr<const Guards> of, std::shared_ptr<const Motion> along,
+          std::vector<double> shift)
+        : guards(std::move(of)), motion(std::move(along)), added(std::move(shift)),
+          n(guards->flow->modes.n), h(motion->angles.size()), y(2 * n), decay(n), waves(2 * h) {
+        enter();
+    }
+
+    std::size_t size() const { return guards->w; }
+
+    // Until when the functions keep the form that they have there, s.
+    double smooth_until() const { return early ? motion->flow->young : INFINITY; }
+
+    void look(double to) {
+        s = to;
+        if (early != motion->is_young(s)) enter();
+        const std::vector<double>& z = motion->free(early);
+        for (std::size_t p = 0; p < n; ++p) {
+            const Pair& pair = guards->flow->modes.pairs[p];
+            const Propagated by = pair.dead(s) ? Propagated{0, 0, 0} : pair.propagated(s);
+            for (std::size_t k = 0; k < 2; ++k)
+                y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
+            decay[p] = by.decay;
+        }
+        motion->waves(s, waves.data());
+        for (std::size_t j = 0; j < view->drives->size(); ++j)
+            (*view->drives)[j].answers(s, &phi[2 * j]);
+    }
+
+    // A derivative of one function there.
+    double derivative(std::size_t order, std::size_t i) const {
+        const double* row = guards->rows[order].row(i);
+        const std::size_t k = order * size() + i, r = phase.size();
+        double found = order == 0 ? constant(i) : 0.0;
+        for (std::size_t p = 0; p < 2 * n; ++p) found += row[p] * y[p];
+        for (std::size_t j = 0; j < h; ++j) {
+            const Complex& amplitude = view->harmonics[k * h + j];
+            found += amplitude.real() * waves[j] - amplitude.imag() * waves[h + j];
+        }
+        for (std::size_t j = 0; j < r; ++j) {
+            const std::size_t of = (*view->drives)[j].harmonic;
+            const Complex turn = of ? Complex(waves[of - 1], waves[h + of - 1]) : Complex(1.0);
+            const Complex answer = view->loads[k * r + j] * phi[2 * j] +
+                                   view->turned[k * r + j] * phi[2 * j + 1];
+            found += (answer * phase[j] + view->direct[k * r + j] * turn).real();
+        }
+        return found;
+    }
+
+    double constant(std::size_t i) const { return view->constant[i] + added[i]; }
+
+    // A bound on one derivative, less the constant, from there to `stop`.
+    double largest(std::size_t order, std::size_t i, double stop) {
+        const std::size_t k = order * size() + i, r = phase.size();
+        if (sizes[order].rows == 0) prepare(order);
+        const double *flat = sizes[order].row(i), *value = flat + n, *rate = value + n;
+        double found = 0.0;
+        for (std::size_t p = 0; p < n; ++p)
+            found += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
+        for (std::size_t j = 0; j < h; ++j) found += std::abs(view->harmonics[k * h + j]);
+        for (std::size_t j = 0; j < r; ++j) {
+            const Drive& drive = (*view->drives)[j];
+            found += std::abs(view->direct[k * r + j]);
+            found += std::abs(view->loads[k * r + j]) * kernel::largest(drive.one, drive.mu, stop);
+            found += std::abs(view->turned[k * r + j]) *
+                     kernel::largest(drive.one, drive.two, drive.mu, stop);
+        }
+        return found;
+    }
+
+    // What one function is rounded against there.
+    double scale(std::size_t i) {
+        double found = std::abs(constant(i)) + largest(0, i, s);
+        for (std::size_t p = 0; p < n; ++p) found += decay[p] * rounded(i, p);
+        return found;
+    }
+
+  private:
+    std::shared_ptr<const Guards> guards;
+    std::shared_ptr<const Motion> motion;
+    std::vector<double> added;
+    std::size_t n, h;
+    std::vector<double> y, decay, waves;
+    std::vector<Complex> phi, phase;
+    std::array<Matrix, ORDERS> sizes;  // of each pair: amplitude, c's and S's, w x 3n
+    Matrix rounded;  // w x n
+    double s = 0.0;
+    bool early = false;
+    const Guards::View* view = nullptr;
+
+    // Take the form that the motion has at s.
+    void enter() {
+        early = motion->is_young(s);
+        view = early ? &guards->early : &guards->late;
+        phi.resize(2 * view->drives->size());
+        phase.clear();
+        for (const Drive& drive : *view->drives) phase.push_back(motion->phase(drive.harmonic));
+        sizes = {};
+        const std::vector<double>& z = motion->free(early);
+        rounded = Matrix(size(), n);
+        for (std::size_t i = 0; i < size(); ++i)
+            for (std::size_t p = 0; p < n; ++p)
+                rounded(i, p) = guards->reach(i, 2 * p) * std::abs(z[4 * p]) +
+                                guards->reach(i, 2 * p + 1) * std::abs(z[4 * p + 1]);
+    }
+
+    void prepare(std::size_t order) {
+        const std::vector<double>& z = motion->free(early);
+        sizes[order] = Matrix(size(), 3 * n);
+        for (std::size_t i = 0; i < size(); ++i)
+            for (std::size_t p = 0; p < n; ++p) {
+                const double *row = guards->rows[order].row(i) + 2 * p, *of = &z[4 * p];
+                const double A = row[0] * of[0] + row[1] * of[1];
+                const double B = row[0] * of[2] + row[1] * of[3];
+                sizes[order](i, p) = guards->flow->modes.pairs[p].amplitude(A, B);
+                sizes[order](i, n + p) = std::abs(A);
+                sizes[order](i, 2 * n + p) = std::abs(B);
+            }
+    }
+};
+
+}  // namespace kernel
