@@ -14,6 +14,7 @@ from benchmarks import (
     compare_bag,
     ensemble,
     events,
+    kernel,
     observe_bag,
     plant_run,
     report,
@@ -28,6 +29,7 @@ def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
     """All benchmarks; ``seconds`` is the length of the bags to observe and to compare."""
     return (
         plant_run.BENCHMARK,
+        plant_run.IMPACTS,
         topic.BENCHMARK,
         *observe_bag.benchmarks(seconds),
         bulk_bag.BENCHMARK,
@@ -36,6 +38,7 @@ def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
         *events.benchmarks(),
         bar.BENCHMARK,
         start.BENCHMARK,
+        *kernel.benchmarks(seconds),
     )
 
 

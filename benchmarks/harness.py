@@ -65,11 +65,11 @@ class Contest:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """An upper bound of a metric.
+    """An upper bound of a ratio's median, or of the least of the rounds.
 
     Attributes:
         most: the largest value that meets the goal.
-        peer: whose metric ours is divided by; empty for our own metric, in its unit.
+        peer: whose metric ours is divided by; empty for the least of ours, in its unit.
         metric: its name.
     """
 

@@ -1,0 +1,206 @@
+"""What the compiled kernel is for, and its price: chains, a filter in real time, building it.
+
+The cost of an observer is the processor time of the whole command ``observe`` with
+``--law minimum-variance`` and default options on a recording with true states at 100 Hz, less that
+of the same command on a recording without an impact, over the recorded seconds.
+"""
+
+import resource
+import subprocess
+import sys
+import time
+from functools import partial
+from importlib.util import find_spec
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.fast_bags import EPOCH, fast_model
+from benchmarks.harness import Benchmark, Contest, Goal, Metrics, SkippedError
+from impact_observer.model import Model, parse_model
+from impact_observer.plant import Plant, simulate
+from impact_observer.stamps import from_seconds
+
+ROOT = Path(__file__).resolve().parents[1]
+CHAINS = (20, 100)
+RUN = 20.0
+"""Of a chain, s."""
+DRILL = 40.8
+"""Speed-up over the sample two_mass: 32 hits a second."""
+JITTER = ("--jitter", "1e-4")
+NOISE = (*JITTER, "--missed", "0.2", "--spurious")
+
+
+def chain(n: int) -> Model:
+    """``n`` unit masses in a row on a wall, driven at the three that hit stops."""
+    names = ["ground", *(f"x{k + 1}" for k in range(n))]
+    bodies = ", ".join(f"{{name: {name}, mass: 1}}" for name in names[1:])
+    springs = [
+        f"{{between: [{a}, {b}], stiffness: {20 * n}, damping: {0.02 * n}}}"
+        for a, b in pairwise(names)
+    ]
+    hit = [names[k] for k in (n // 3, 2 * n // 3, n)]
+    forces = [
+        f"{{body: {body}, amplitude: 20, frequency: {frequency}, phase: {phase}}}"
+        for body, frequency, phase in zip(hit, (5.3, 8.1, 6.7), range(3), strict=True)
+    ]
+    stops = [
+        f"{{name: at_{body}, body: {body}, limit: 0.2, side: above, restitution: 0.6}}"
+        for body in hit
+    ]
+    text = f"""
+name: chain_{n}
+bodies: [{bodies}]
+springs: [{", ".join(springs)}]
+forces: [{", ".join(forces)}]
+stops: [{", ".join(stops)}]
+initial_state: {{position: {[0] * n}, velocity: {[0] * n}}}
+"""
+    return parse_model(text, f"chain_{n}")
+
+
+def prepare_chains(_: Path) -> Contest:
+    """Chains whose flow is prepared: it is made up to the first impact."""
+    models = {f"n = {n}": chain(n) for n in CHAINS}
+
+    def ours(_: Path) -> Metrics:
+        return {name: _seconds_of(model) for name, model in models.items()}
+
+    work = f"chains of {CHAINS[0]} and {CHAINS[1]} masses, three stops, {RUN:g} s, impacts only"
+    return Contest(work, ours, units=dict.fromkeys(models, "s"))
+
+
+def _seconds_of(model: Model) -> float:
+    """Processor time of a run after its first impact, s."""
+    end = EPOCH + from_seconds(RUN)
+    plant = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    first = plant.next_switching(end)
+    assert first is not None
+    plant.cross(first)
+    begin = time.process_time()
+    simulate(plant, np.array([end]))
+    return time.process_time() - begin
+
+
+class Recording(NamedTuple):
+    """A recorded rig: its model and the faults of its sensor, as ``simulate`` takes them."""
+
+    model: Model
+    faults: dict[str, tuple[str, ...]]
+    goals: tuple[float, ...]
+
+
+RECORDINGS = {
+    "drill": Recording(
+        fast_model(DRILL),
+        {"exact": (), "20 % missed, 5 false a second": (*NOISE, "5")},
+        (0.03, 0.15),
+    ),
+    "chain_20": Recording(
+        chain(20), {"jitter": JITTER, "20 % missed, 2 false a second": (*NOISE, "2")}, (0.15, 0.4)
+    ),
+    "chain_100": Recording(chain(100), {"jitter": JITTER}, (1.0,)),
+}
+
+
+def prepare_filter(folder: Path, recording: Recording, seconds: float) -> Contest:
+    """Record the rig with each kind of faults, and without an impact."""
+    model = folder / "model.yaml"
+    model.write_text(recording.model.text(), encoding="utf-8")
+    simulated = ("simulate", str(model), "--seed", "1", "--duration")
+    _command(*simulated, "0.001", "-o", str(folder / "empty"))
+    bags = {name: folder / f"bag_{k}" for k, name in enumerate(recording.faults)}
+    for name, faults in recording.faults.items():
+        _command(*simulated, f"{seconds}", *faults, "-o", str(bags[name]))
+
+    def ours(place: Path) -> Metrics:
+        start = _observed(folder / "empty", place / "empty")
+        return {
+            name: (_observed(bag, place / bag.name) - start) / seconds
+            for name, bag in bags.items()
+        }
+
+    work = f"{recording.model.system.name}, {seconds:g} s, jitter 0.1 ms where not exact"
+    return Contest(
+        f"{work}; processor time of observe per second", ours, units=dict.fromkeys(bags, "s")
+    )
+
+
+def _observed(bag: Path, output: Path) -> float:
+    """Processor time of observing ``bag``, s."""
+    return _command("observe", str(bag), "--law", "minimum-variance", "-o", str(output))
+
+
+def _command(*arguments: str) -> float:
+    """The processor time of ``impact-observer`` with these arguments, s."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    _python("-m", "impact_observer", *arguments)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def _python(*arguments: str, folder: Path | None = None) -> str:
+    """What a Python process prints."""
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SkippedError(done.stderr.strip() or f"exit code {done.returncode}")
+    return done.stdout
+
+
+def prepare_import(_: Path) -> Contest:
+    """In a process that has imported NumPy."""
+    code = "import numpy, time; t = time.perf_counter(); import impact_observer.kernel"
+    code += "; print(time.perf_counter() - t)"
+    _need_kernel()
+    return Contest("after NumPy", lambda _: {"import": float(_python("-c", code))}, units=_IMPORT)
+
+
+def prepare_build(_: Path) -> Contest:
+    """Of a checkout: what ``pip install`` does more than before there was a kernel."""
+    _need_kernel()
+
+    def ours(place: Path) -> None:
+        _python("setup.py", "-q", "build_ext", f"-b{place}", f"-t{place}", folder=ROOT)
+
+    return Contest("compiling and linking", ours)
+
+
+def _need_kernel() -> None:
+    if find_spec("impact_observer.kernel") is None:
+        raise SkippedError("no kernel in this version")
+
+
+_IMPORT = {"import": "s"}
+
+
+def benchmarks(seconds: float) -> tuple[Benchmark, ...]:
+    """All of them; ``seconds`` is the length of recordings."""
+    cost = "what does minimum-variance cost per second of the rig?"
+    filters = [
+        Benchmark(
+            f"filter_{name}",
+            cost,
+            partial(prepare_filter, recording=each, seconds=seconds),
+            tuple(Goal(most, metric=m) for m, most in zip(each.faults, each.goals, strict=True)),
+            rounds=3,
+        )
+        for name, each in RECORDINGS.items()
+    ]
+    chains = (Goal(5e-3, metric="n = 20"), Goal(20e-3, metric="n = 100"))
+    return (
+        Benchmark("plant_chain", "what do many coordinates cost?", prepare_chains, chains),
+        *filters,
+        Benchmark(
+            "kernel_import",
+            "how long does importing the kernel take?",
+            prepare_import,
+            (Goal(5e-3, metric="import"),),
+            rounds=15,
+        ),
+        Benchmark(
+            "kernel_build", "how long does it compile?", prepare_build, (Goal(30.0),), rounds=1
+        ),
+    )
