@@ -218,8 +218,8 @@ def sweep(
     """
     from impact_observer.cli.progress import Progress
     from impact_observer.draw.output import check_output
-    from impact_observer.sweep.case_runs import plant_run
     from impact_observer.sweep.outcomes_file import read_outcomes, run_missing
+    from impact_observer.sweep.plan import plant_run
     from impact_observer.sweep.summary import document, groups_of, print_groups
 
     check_output(output, (".parquet",))

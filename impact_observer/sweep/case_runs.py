@@ -18,8 +18,8 @@ from impact_observer.events import ImpactEvent
 from impact_observer.io.pairing import samples_of
 from impact_observer.model import Model, System, parse_model
 from impact_observer.observer import ReplicaLaw, initial_state, make_observer
-from impact_observer.plant import Plant, Run, simulate, simulate_sensor
-from impact_observer.sweep.plan import Case, PlantSetup
+from impact_observer.plant import Run, simulate_sensor
+from impact_observer.sweep.plan import Case, plant_run
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,18 +87,6 @@ def run_batch(cases: Sequence[Case]) -> list[Outcome]:
         except Exception:  # noqa: BLE001 (the start that has failed will say why)
             pass
     return [run_case(case) for case in cases]
-
-
-@lru_cache(maxsize=4)
-def plant_run(plant: PlantSetup) -> Run:
-    """The run of the plant, which all cases of a sweep share.
-
-    Raises:
-        ModelError: the model is invalid, or has no initial state.
-        ImpactLawError, DynamicsError: its motion has no solution.
-    """
-    model = _parsed(plant.text)
-    return simulate(Plant(model.system, *model.initial_state(), epoch=plant.epoch), plant.stamps)
 
 
 @lru_cache(maxsize=64)

@@ -15,9 +15,9 @@ from impact_observer.observer import Options, make_observer
 from impact_observer.observer.laws import BUILT_IN, Geometric
 from impact_observer.states import Vector
 from impact_observer.sweep import case_runs, plan
-from impact_observer.sweep.case_runs import Outcome, plant_run, run_batch, run_case
+from impact_observer.sweep.case_runs import Outcome, run_batch, run_case
 from impact_observer.sweep.model_variants import model_variants
-from impact_observer.sweep.plan import PlantSetup, Sweep, sensors_of
+from impact_observer.sweep.plan import PlantSetup, Sweep, plant_run, sensors_of
 
 LAWS = ("open-loop", "kinematic", "geometric")
 COUNTED = ("case", "events", "impacts_used", "switches_rejected", "impacts_inserted", "error")
@@ -189,6 +189,14 @@ def test_batches_are_the_same_whatever_is_done(monkeypatch: pytest.MonkeyPatch) 
     assert [case for batch in every for case in batch] == [*sweep.cases()]
     assert [*sweep.batches({0, 1, 2, 4, 13, 15})] == [*every[1:5], every[6], *every[8:]]
     assert [*sweep.batches(range(sweep.size))] == []
+
+
+def test_batches_are_small_where_contacts_stay_closed() -> None:
+    """Each replica then moves by itself: a whole batch would take minutes."""
+    faults: Values = {"impacts_only": [False, True]}
+    model = sample("bouncing_ball")
+    sweep = swept(model, "geometric", faults=faults, runs=20)
+    assert [len(each) for each in sweep.batches()] == [8, 8, 4, 20]
 
 
 class Picky(Geometric):

@@ -18,7 +18,7 @@ from impact_observer.model import Model, parse_model, read_model
 from impact_observer.observer import Observer, Options, initial_state, law_named, replay_batches
 from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
 from impact_observer.stamps import grid
-from impact_observer.sweep import case_runs
+from impact_observer.sweep import plan
 from impact_observer.sweep.case_runs import Outcome, run_case
 from impact_observer.sweep.model_variants import ParameterValue, model_variants
 from impact_observer.sweep.plan import PlantSetup, Sweep, sensors_of
@@ -86,7 +86,7 @@ def test_a_case_is_a_value_that_can_be_sent_elsewhere() -> None:
     sent = pickle.loads(pickle.dumps(case))
     assert sent == case
     assert hash(sent) == hash(case)
-    case_runs.plant_run.cache_clear()
+    plan.plant_run.cache_clear()
     assert run_case(sent) == run_case(case)
 
 
