@@ -305,7 +305,7 @@ def compare_observer(
     verdicts: list[Verdict] = []
     with TemporaryFile() as file:
         made, row = 0, sample_type(2 * observer.system.n)
-        for item in replay_batches(observer, events, stamps):
+        for item in replay_batches(observer, events, stamps, only_states=True):
             if isinstance(item, Verdict):
                 verdicts.append(item)
                 continue

@@ -20,7 +20,7 @@ from impact_observer.io.pairing import arrived
 from impact_observer.model import System
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
-from impact_observer.stamps import seconds_between
+from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps
 
 _AT_ONCE = 2**15
@@ -122,19 +122,18 @@ def _errors(
 ) -> _ReplicaErrors:
     """Run the observer; see ``compare_replicas``."""
     n, done, size = system.n, 0, observer.ensemble
-    near = np.unique(
-        np.concatenate([np.empty(0, int), *(_about(stamps, e.stamp) for e in events)])
-    )
+    about = [_about(stamps, event.stamp) for event in events]
+    near = np.unique(np.concatenate([np.empty(0, int), *about]))
     V, speeds = np.empty((stamps.size, size)), np.empty((system.m, near.size, size))
     last_event = np.empty(stamps.size, dtype=np.int64)
     at_once = max(_AT_ONCE // size, 1)
     verdicts: list[Verdict] = []
-    for item in replay_batches(observer, events, stamps):
+    for item in replay_batches(observer, events, stamps, only_states=True):
         if isinstance(item, Verdict):
             verdicts.append(item)
             continue
         if item.first.stamp != stamps[done]:
-            raise BagError(f"{observer.law.name}: no estimate at the first sample")
+            break
         end = done + item.stamps.size
         last_event[done:end] = item.first.last_event
         for begin in range(done, end, at_once):
@@ -146,6 +145,10 @@ def _errors(
             chosen = error[n:, near[low:high] - rows.start]
             speeds[:, low:high] = np.tensordot(system.W.T, chosen, 1)
         done = end
+    if done < stamps.size:
+        raise BagError(
+            f"{observer.law.name}: no estimate at the sample {text(int(stamps[done]))} s"
+        )
     if not np.isfinite(V).all():
         raise DynamicsError(f"{observer.law.name}: a replica has left all bounds")
     outcomes = outcomes_of(events, verdicts)

@@ -200,10 +200,11 @@ class Observer:
         covariance.flat[:: len(root) + 1] += (STATE_ROUNDING * self._scales.sizes(x, s)) ** 2
         return frozen(covariance)
 
-    def estimates(self, stamps: Stamps) -> Iterator[Estimates]:
+    def estimates(self, stamps: Stamps, *, only_states: bool = False) -> Iterator[Estimates]:
         """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
 
-        They are equal in every bit.
+        They are equal in every bit. With ``only_states`` what else changes between events, such
+        as a covariance, is that of the first of many.
 
         Raises:
             UsageError: as ``estimate``.
@@ -213,7 +214,7 @@ class Observer:
             assert self._timeline is not None, "there is an estimate"
             x, count = np.concatenate([first.q, first.u])[None], 1
             entry, end = self._timeline.interval(first.stamp)
-            if (prediction := self._update.prediction(entry)).is_plain:
+            if (prediction := self._update.prediction(entry)).is_plain or only_states:
                 count = stamps.size if end is None else int(np.searchsorted(stamps, end))
             if count > 1:
                 s = np.array([seconds_between(entry.since, at) for at in stamps[1:count].tolist()])

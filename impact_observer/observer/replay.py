@@ -42,9 +42,16 @@ def replay(
 
 
 def replay_batches(
-    observer: Observer, events: Sequence[ImpactEvent], stamps: Stamps
+    observer: Observer,
+    events: Sequence[ImpactEvent],
+    stamps: Stamps,
+    *,
+    only_states: bool = False,
 ) -> Iterator[Estimates | Verdict]:
-    """``replay`` with the estimates between two events in batches."""
+    """``replay`` with the estimates between two events in batches.
+
+    See ``Observer.estimates`` for ``only_states``.
+    """
     pending = _in_order_of_sending(events)[::-1]
     while stamps.size:
         while pending and _due(pending[-1], observer) <= stamps[0]:
@@ -54,7 +61,8 @@ def replay_batches(
             end = min(int(np.searchsorted(stamps, _due(pending[-1], observer))), end)
         here, stamps = stamps[:end], stamps[end:]
         if observer.start is not None:
-            yield from observer.estimates(here[np.searchsorted(here, observer.start) :])
+            known = here[np.searchsorted(here, observer.start) :]
+            yield from observer.estimates(known, only_states=only_states)
     while pending:
         yield from observer.receive(pending.pop().event)
 

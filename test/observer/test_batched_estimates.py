@@ -52,6 +52,10 @@ def test_estimates_are_those_of_each_stamp_alone(law: str) -> None:
     stamps = np.unique([*grid(EPOCH, EPOCH + 3 * NS_PER_S, 200.0).tolist(), *own])
     together = checked(watcher, stamps)
     assert sum(together) == stamps.size
+    states = list(watcher.estimates(stamps, only_states=True))
+    alone = [np.concatenate([each.q, each.u]) for each in map(watcher.estimate, stamps.tolist())]
+    np.testing.assert_array_equal(np.concatenate([each.x for each in states]), alone)
+    assert max(each.stamps.size for each in states) > 10
     assert law == "minimum-variance" or max(together) > 10
     assert checked(watcher, np.repeat(stamps[:9], 2))
 

@@ -140,10 +140,10 @@ def test_a_case_that_fails_is_an_outcome_of_one_line(monkeypatch: pytest.MonkeyP
     whole = replay_batches
     problems: list[Exception] = [DynamicsError("no solution"), TypeError("a mistake\nin a law")]
 
-    def broken(*arguments: object) -> object:
+    def broken(*arguments: object, **options: object) -> object:
         if problems:
             raise problems.pop(0)
-        return whole(*arguments)  # type: ignore[arg-type]
+        return whole(*arguments, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(comparison, "replay_batches", broken)
     sweep = swept(runs=4)

@@ -7,7 +7,7 @@ geometric law the gaps stay closed in both.
 """
 
 from abc import abstractmethod
-from bisect import bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -114,13 +114,21 @@ class Piecewise(Motion):
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """States (q, u) at ``s`` seconds, shape (samples, 2n)."""
+        return self._by_parts(s, Phase.states)
+
+    def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``state`` at each of ``s`` seconds, equal to the bit, shape (samples, 2n)."""
+        return self._by_parts(s, Phase.each)
+
+    def _by_parts(
+        self, s: Vector, states: Callable[[Phase, Motion, Vector], NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
         self._extend(float(np.max(s, initial=0.0)))
-        starts = [part.start for part in self._parts]
-        which = np.array([bisect_right(starts, at) - 1 for at in s.tolist()], dtype=int)
+        which = np.searchsorted([part.start for part in self._parts], s, side="right") - 1
         found = np.empty((s.size, 2 * self._clutches.system.n))
         for k in np.unique(which):
             part, mine = self._parts[k], which == k
-            found[mine] = part.phase.states(part.motion, s[mine] - part.start)
+            found[mine] = states(part.phase, part.motion, s[mine] - part.start)
         return found
 
     def _extend(self, until: float) -> None:

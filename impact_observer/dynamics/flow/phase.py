@@ -115,6 +115,12 @@ class Phase:
         n = self.equations.n
         return np.hstack([x[:, :n] @ self.Q.T + self.rest, x[:, n:]])
 
+    def each(self, motion: Motion, s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """``states`` at each of ``s`` alone, which may round differently."""
+        if not self.fixed:
+            return motion.each(s)
+        return np.concatenate([self.states(motion, at) for at in s[:, None]])
+
     def transition(self, s: float) -> Matrix:
         """Propagation of the difference of two states (q, u) by ``s`` seconds, shape (2n, 2n)."""
         found = self.flow.transition(s)
