@@ -30,7 +30,7 @@ from impact_observer.states import Stamps, Vector
 
 SETTLED = 1e-2
 """Default of the ratio V over V at the start below which an estimate has settled."""
-FLOOR = 10.0
+_FLOOR = 10.0
 """V over V at the end up to which V counts as falling."""
 
 
@@ -106,8 +106,13 @@ class Comparison:
         """Fall of ``ln V`` when V is first near its end, and that stamp (ns)."""
         if not (self.V[0] > 0 and self.V[-1] > 0):
             return 0.0, int(self.stamps[-1])
-        near = int(np.argmax(FLOOR * self.V[-1] >= self.V))
+        near = int(np.argmax(is_near_end(self.V)))
         return float(np.log(self.V[0] / self.V[near])), int(self.stamps[near])
+
+
+def is_near_end(V: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Where V, samples first, is near its last value; zero has no logarithm and is not."""
+    return np.asarray((V > 0) & (_FLOOR * V[-1] >= V))
 
 
 class Comparator:

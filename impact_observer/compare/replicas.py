@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.compare.comparison import FLOOR, Comparison
+from impact_observer.compare.comparison import Comparison, is_near_end
 from impact_observer.compare.mismatch import REACH, Mismatch, windows
 from impact_observer.dynamics.lyapunov import distance
 from impact_observer.errors import BagError, DynamicsError
@@ -83,7 +83,7 @@ def compare_replicas(
     for row in np.flatnonzero(np.count_nonzero(counts, axis=1)[1:] < every.size) + 1:
         V[row] = np.where(counts[row], V[row], V[row - 1])
     last = stamps.size - 1 - counts[::-1].argmax(axis=0)
-    near = np.maximum(np.argmax(FLOOR * V[-1] >= V, axis=0), first)
+    near = np.maximum(np.argmax(is_near_end(V), axis=0), first)
     rises = np.max(np.diff(V, axis=0), axis=0, initial=0.0)
     above = settled * V[0] < V
     since = np.where(above.any(axis=0), stamps.size - above[::-1].argmax(axis=0), first)

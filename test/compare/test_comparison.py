@@ -107,6 +107,17 @@ def test_a_late_jump_is_a_mismatch_and_no_error(delay: int) -> None:
     assert early.mismatch.samples == delay * len(RUN.events), "whichever of the two is late"
 
 
+def test_rates_are_finite_where_an_estimate_is_exact_for_a_moment() -> None:
+    """V is zero there, which has no logarithm; the rate is that of the fall before the end."""
+    truth, estimate = samples_of(RUN.stamps, RUN.states), samples_of(RUN.stamps, RUN.states)
+    decay = np.exp(-np.arange(RUN.stamps.size) / 2000)
+    estimate["x"][:, 1] += decay
+    estimate["x"][9_000] = truth["x"][9_000]
+    found = compared([truth], [estimate], RUN.events)
+    assert found.V.min() == 0.0
+    assert found.rate_per_second == pytest.approx(1.0, rel=1e-9)
+
+
 def test_jumps_at_the_same_sample_are_no_mismatch() -> None:
     """Whatever the size of the estimate's jump, up or down, and with openings among the events."""
     for factor in (0.1, 1.0, -0.7):
