@@ -92,7 +92,25 @@ def copied(value: Any) -> Any:  # noqa: ANN401
     """The same with arrays of its own: the caller may change them later."""
     if isinstance(value, np.ndarray):
         return value.copy()
-    return tuple(map(copied, value)) if isinstance(value, tuple) else value
+    if isinstance(value, (tuple, list)):
+        return [*map(copied, value)] if isinstance(value, list) else tuple(map(copied, value))
+    return value
+
+
+def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
+    """Call what plants and observers do not call, on objects that they have made."""
+    from impact_observer.kernel import divided, triangular
+
+    triangular(np.arange(12.0).reshape(3, 4))
+    divided(np.array([[-1.0], [1j], [-1j]]), np.arange(3.0))
+    free, _, w = calls["Impact.__init__"][0].given[:3]
+    free.flown(0.1, np.ones(2 * w.size), 0.2)
+    impact, t, flown, states, _ = calls["Impact.posteriors"][0].given
+    impact.missed(t, flown, states)
+    trace = calls["RootSearch.__init__"][0].given[0]
+    trace.known(0.1, 0.2)
+    motion = calls["Guards.trace"][0].given[1]
+    motion.each(np.linspace(0.0, 1.0, 5))
 
 
 def work() -> None:
@@ -100,18 +118,7 @@ def work() -> None:
     from systems import EPOCH, PRESSED
 
     from impact_observer import Options, Plant, grid, make_observer, read_model, simulate
-    from impact_observer.dynamics import Phases, Watched
-    from impact_observer.kernel import divided, triangular
 
-    triangular(np.arange(12.0).reshape(3, 4))
-    divided(np.array([[-1.0], [1j], [-1j]]), np.arange(3.0))
-    phase = Phases(PRESSED).phase()
-    motion = phase.start(0.3, np.array([0.1, -0.2, 0.5, 0.0]))
-    motion.each(np.linspace(0.0, 1.0, 5))
-    view = phase.flow.view(Watched.gaps(PRESSED, [0, 1]).functions(PRESSED.forcing))
-    trace = None if view is None else view.of(motion)
-    assert trace is not None
-    trace.known(0.1, 0.2)
     stamps = grid(EPOCH, EPOCH + 4_000_000_000, 10.0)
     starts = [(model.system, *model.initial_state()) for model in map(read_model, MODELS)]
     starts.append((PRESSED, np.array([0.1, -0.2]), np.array([0.5, 0.0])))
@@ -127,11 +134,16 @@ def work() -> None:
 
 
 class Wrong:
-    """Arguments that differ from good ones, drawn from a seed."""
+    """Arguments that differ from good ones, drawn from a seed.
+
+    Attributes:
+        last: what was changed in the last ones.
+    """
 
     def __init__(self, seed: int, recorder: Recorder) -> None:
         """Take objects of the kernel from what was recorded."""
         self._draw = random.Random(seed)
+        self.last = ""
         found = [
             value for kept in recorder.calls.values() for call in kept for value in call.given
         ]
@@ -140,8 +152,10 @@ class Wrong:
     def arguments(self, call: Call) -> tuple[tuple[Any, ...], dict[str, Any]]:
         """Those of a call, one or two of them wrong."""
         given, named = list(call.given), dict(call.named)
+        self.last = ""
         places = [*range(len(given)), *named]
         for place in self._draw.sample(places, min(len(places), self._draw.choice((1, 1, 2)))):
+            self.last += f"; argument {place}"
             if isinstance(place, str):
                 named[place] = self.value(named[place])
             else:
@@ -152,18 +166,23 @@ class Wrong:
 
     def value(self, good: Any) -> Any:  # noqa: ANN401
         """Something else of the same kind, or now and then of another."""
-        if self._draw.random() < 0.05:
-            return self._draw.choice(NUMBERS)
-        if isinstance(good, np.ndarray):
-            return self._draw.choice(ARRAYS)(good.copy(), self._draw)
-        if isinstance(good, (tuple, list)) and good:
+        if isinstance(good, (tuple, list)) and good and self._draw.random() < 0.95:
             parts = list(good)
             k = self._draw.randrange(len(parts))
             if self._draw.random() < 0.2:
                 del parts[k]
             else:
                 parts[k] = self.value(parts[k])
-            return type(good)(parts)
+            return tuple(parts) if isinstance(good, tuple) else parts
+        found = self._single(good)
+        self.last += f"; instead of {good!r:.500}: {found!r:.500}"
+        return found
+
+    def _single(self, good: Any) -> Any:  # noqa: ANN401
+        if self._draw.random() < 0.05:
+            return self._draw.choice(NUMBERS)
+        if isinstance(good, np.ndarray):
+            return self._draw.choice(ARRAYS)(good.copy(), self._draw)
         if self._objects and isinstance(good, tuple({type(each) for each in self._objects})):
             return self._draw.choice(self._objects)
         if isinstance(good, (int, float)) and self._draw.random() < 0.3:
@@ -221,8 +240,7 @@ def tried(call: Call, wrong: Wrong) -> str:
         SystemError: the kernel returned without a result and without an error.
     """
     given, named = wrong.arguments(call)
-    text = f"{call.name}{given!r:.2000} {named!r:.1000}".replace("\n", " ")
-    sys.stderr.write(f"{text}\n")
+    sys.stderr.write(f"{call.name} {' '.join(wrong.last.split())}\n")
     sys.stderr.flush()
     signal.alarm(SECONDS)
     try:
@@ -235,8 +253,8 @@ def tried(call: Call, wrong: Wrong) -> str:
 
 
 def has_nan(value: object) -> bool:
-    """Whether a NaN is in an array, or in an array of a tuple."""
-    if isinstance(value, tuple):
+    """Whether a NaN is in an array, or in an array of a tuple or list."""
+    if isinstance(value, (tuple, list)):
         return any(map(has_nan, value))
     if isinstance(value, np.ndarray) and value.dtype.kind in "fc":
         return bool(np.isnan(value).any())
@@ -247,6 +265,7 @@ def main(seed: int, count: int) -> None:
     """Record, then make ``count`` wrong calls of each function."""
     recorder = Recorder(kernel_loaded.MODULE)
     work()
+    use_what_only_tests_use(recorder.calls)
     calls = {name: [*kept] for name, kept in recorder.calls.items()}
     wrong = Wrong(seed, recorder)
     if "asan" not in os.environ.get("LD_PRELOAD", ""):  # which reserves far more than it uses

@@ -9,8 +9,8 @@ namespace kernel {
 
 namespace {
 
-using Flags = py::array_t<bool, py::array::c_style | py::array::forcecast>;
-using Counts = py::array_t<std::uint64_t, py::array::c_style | py::array::forcecast>;
+using Flags = ArrayOf<bool>;
+using Counts = ArrayOf<std::uint64_t>;
 
 Time time_of(const py::object& t) {
     Time found{py::cast<double>(t)};
@@ -192,7 +192,7 @@ py::object first(Search& search, double horizon) {
     return py::make_tuple((*found)->s, py::tuple(py::cast((*found)->which)));
 }
 
-using Points = py::array_t<Complex, py::array::c_style | py::array::forcecast>;
+using Points = ArrayOf<Complex>;
 
 // Divided differences of the exponential on the columns of `points` at each s, (samples, columns).
 Points differences(const Points& points, const Array& s) {

@@ -88,6 +88,7 @@ struct Motion {
     Vector series(Vector x, double s, Next next) const {
         const double turns = std::abs(s) * rate;
         if (turns == 0.0) return x;
+        if (std::isnan(turns)) return Vector(x.size(), turns);  // a deviation has overflowed
         const std::size_t steps = std::size_t(std::ceil(turns));
         const double h = s / double(steps);
         for (std::size_t step = 0; step < steps; ++step) {
