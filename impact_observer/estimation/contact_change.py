@@ -68,7 +68,7 @@ class ContactChange(NamedTuple):
     @property
     def opened(self) -> Contacts:
         """Contacts that open."""
-        return tuple(i for i in self.before if i not in self.closed)
+        return tuple(i for i in self.before if i not in self.closed) if self.before else ()
 
     @property
     def contacts(self) -> Contacts:

@@ -97,9 +97,11 @@ class ErrorAccounts:
 
     def kicks(self, x: Vector, hit: Contacts) -> Matrix:
         """What an error of 1 of the restitution adds at an impact at the state ``x``, (2n, k)."""
-        n, which = self._system.n, list(hit)
-        found = np.zeros((2 * n, len(which)))
-        found[n:] = self._unit_kicks[:, which] * np.abs(x[n:] @ self._system.W[:, which])
+        n = self._system.n
+        found = np.zeros((2 * n, len(hit)))
+        for k, contact in enumerate(hit):
+            speed = abs(float(self._system.W[:, contact].dot(x[n:])))
+            found[n:, k] = self._unit_kicks[:, contact] * speed
         return found
 
     def _root(self, h: Hypothesis, kind: ErrorKind) -> Matrix:
@@ -131,5 +133,7 @@ class ErrorAccounts:
 
 def with_error(state: GaussianState, added: Matrix) -> GaussianState:
     """``state`` with another error ``added``, one independent part a column, shape (2n, any)."""
-    missing = len(state.root) - len(added)
-    return state._replace(root=np.hstack([state.root, np.pad(added, ((0, missing), (0, 0)))]))
+    (d, columns), (size, more) = state.root.shape, added.shape
+    root = np.zeros((d, columns + more))
+    root[:, :columns], root[:size, columns:] = state.root, added
+    return state._replace(root=root)

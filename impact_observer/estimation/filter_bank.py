@@ -6,7 +6,7 @@ Multiple hypothesis tracking (Blackman and Popoli, Design and Analysis of Modern
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -14,7 +14,7 @@ from scipy import special
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.error_accounts import ErrorAccounts
-from impact_observer.estimation.forecast import Flight, Forecast
+from impact_observer.estimation.forecast import Dip, Flight, Forecast, dips_of
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch, Note
 from impact_observer.estimation.impact_filter import Asked, ImpactFilter
@@ -37,12 +37,22 @@ LEADING = -3.0
 """Logarithm of a probability, relative to the largest: alternatives are tried above it."""
 MOST_HYPOTHESES = 64
 """Hypotheses that are kept, besides restarts; twice as many before an event."""
-NEGLIGIBLE = -16.0
-"""Logarithm of a probability, relative to the largest: hypotheses below it are dropped."""
+LEAST_HYPOTHESES = 8
+"""The same of a large state."""
+_WORK = 1024
+"""Numbers in the states of all hypotheses that are kept, of a state that is not small or large."""
+NEGLIGIBLE = 1e-4
+"""Probability that the least likely hypotheses after an event may have together to be dropped."""
+UNLIKELY = -16.0
+"""Logarithm of a probability, relative to the largest, below which none is kept before an event:
+there they have not paid for what they penetrate.
+"""
 SCAN = 3
 """Latest notes, times the coordinates, in which two hypotheses that are kept must differ."""
 POSSIBLE = 0.5
 """Depth of a dip, in standard deviations, from which on it may have been an impact."""
+LATE = 4.0
+"""Deviations of a stamp by which an impact may seem to be before an event, and be after it."""
 CONFIDENT = 3.0
 """The same for a dip that is not over yet."""
 _MOST_MISSED = 256
@@ -107,6 +117,7 @@ class FilterBank:
         self._rate = -math.log(filter_.phases.scales.timescale)
         spurious, true = _logs(uncertainty.spurious)
         self._spurious = spurious - true + math.log(SPURIOUS_RATE) + self._rate
+        self._most = min(MOST_HYPOTHESES, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._scan = SCAN * filter_.system.n
         self._flight = lru_cache(_FLIGHTS)(Flight)
 
@@ -119,8 +130,7 @@ class FilterBank:
         """
         branches = self._branches(change, hypotheses)
         branches.sort(key=lambda branch: branch.weight, reverse=True)
-        enough = branches[0].weight + NEGLIGIBLE
-        likely = [each for each in branches if each.weight >= enough][:MOST_HYPOTHESES]
+        likely = branches[: min(_likely(branches), self._most)]
         expected = self._is_expected(branches[0])
         made = self._distinct([h for h in self._made(change, likely) if h.state.is_finite])
         if not (self._trusts_estimate or expected):
@@ -243,7 +253,7 @@ class FilterBank:
 
         Those that differ in older decisions only have nearly the same state.
         """
-        if len(made) == 1:
+        if len(made) <= 1:
             return [*made]
         found: dict[object, Hypothesis] = {}
         for h in made:
@@ -261,64 +271,117 @@ class FilterBank:
         One that penetrates a stop branches: the stop was missed by the sensor, or the estimate
         is in error.
         """
+        levels = [each.acceleration_error for each in hypotheses]
         if self._trusts_events:
+            states = self.filter.priors(t, s, [each.state for each in hypotheses], levels)
             return tuple(
-                h._replace(
-                    state=self.filter.predict(t, h.state, h.acceleration_error).prior(s),
-                    since=h.since + s,
-                )
-                for h in hypotheses
+                h._replace(state=state, since=h.since + s)
+                for h, state in zip(hypotheses, states, strict=True)
             )
         found: list[Hypothesis] = []
-        best = -math.inf
-        for each in sorted(hypotheses, key=_weight):
-            found.extend(self._paths(each, t, s, best + NEGLIGIBLE))
-            best = max(path.weight for path in found)
+        waiting = [(t, s, hypotheses)]
+        while waiting:
+            t, s, group = waiting.pop(0)
+            dips = self._dips(t, s, group)
+            found += self._flown(t, s, group, dips)
+            enough = max(path.weight for path in found) + UNLIKELY
+            for h, some in zip(group, dips, strict=True):
+                waiting += self._inserted(h, some, t, s, enough)
         found.sort(key=_weight)
-        enough = found[0].weight + NEGLIGIBLE
-        likely = [each for each in found[: 2 * MOST_HYPOTHESES] if each.weight >= enough]
+        enough = found[0].weight + UNLIKELY
+        likely = [each for each in found[: 2 * self._most] if each.weight >= enough]
         return tuple(sorted(likely, key=lambda each: each.penalised_weight, reverse=True))
 
-    def _paths(self, h: Hypothesis, t: float, left: float, enough: float) -> Iterator[Hypothesis]:
-        """``h`` ``left`` seconds later, without missed switches, then with one, two and so on.
+    def _dips(self, t: float, s: float, group: Sequence[Hypothesis]) -> list[list[Dip]]:
+        """Of each hypothesis the dips in the ``s`` seconds after ``t``."""
+        found: list[list[Dip]] = [[] for _ in group]
+        free = [i for i, h in enumerate(group) if self.filter.gaps(h.state.closed, s)]
+        if free:
+            states = [group[i].state for i in free]
+            levels = [group[i].acceleration_error for i in free]
+            for i, dips in zip(
+                free, dips_of(self.filter, t, s, states, levels) or (), strict=True
+            ):
+                found[i] = dips
+        for i in {*range(len(group))} - {*free}:
+            h = group[i]
+            found[i] = self.forecast(t, h.state, h.acceleration_error).dips(s)
+        return found
 
-        No more are inserted below ``enough``, the logarithm of a probability.
-        """
-        while True:
-            forecast = self.forecast(t, h.state, h.acceleration_error)
-            dips = forecast.dips(left)
-            over = sum(dip.unlikely for dip in dips if dip.over)
-            penetrating = {dip.contact: dip.unlikely for dip in dips if not dip.over}
-            state = forecast.prediction.prior(left)
+    def _flown(
+        self, t: float, s: float, group: Sequence[Hypothesis], dips: Sequence[Sequence[Dip]]
+    ) -> Iterator[Hypothesis]:
+        """``group`` ``s`` seconds after ``t``; each pays for the dips it goes through."""
+        levels = [each.acceleration_error for each in group]
+        states = self.filter.priors(t, s, [each.state for each in group], levels)
+        for h, state, found in zip(group, states, dips, strict=True):
+            some = [dip for dip in found if not _is_now(dip, s, h.clock)]
+            if not some:
+                yield h._replace(state=state, penetrating=NOTHING, since=h.since + s)
+                continue
+            over = sum(dip.unlikely for dip in some if dip.over)
+            penetrating = {dip.contact: dip.unlikely for dip in some if not dip.over}
             yield h._replace(
                 state=state,
                 weight=h.weight + over,
                 penetrating=penetrating,
-                since=h.since + left,
+                since=h.since + s,
             )
-            likely = (dip for dip in dips if dip.depth > (POSSIBLE if dip.over else CONFIDENT))
-            dip = next(likely, None)
-            if dip is None or self._missed == -math.inf or len(h.missed) >= _MOST_MISSED:
-                return
-            at = forecast.root(dip)
-            t, left = t + at, left - at
-            before = forecast.prediction.prior(at)
-            state, kind = insert_switch(self.filter, t, before, dip)
-            missed = (*h.missed, MissedSwitch(dip.contact, kind, left, dip.depth))
-            weight = h.weight + self._missed + float(special.log_ndtr(dip.depth))
-            if weight < enough:
-                return
-            h = h._replace(state=state, weight=weight, missed=missed)
-            if self.errors is not None:
-                hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
-                h = self.errors.kicked(h, before.x, hit)
+
+    def _inserted(
+        self, h: Hypothesis, dips: Sequence[Dip], t: float, left: float, enough: float
+    ) -> Iterator[tuple[float, float, tuple[Hypothesis, ...]]]:
+        """``h`` after its first dip as a missed switch: instant, seconds left, hypothesis.
+
+        None below ``enough``, the logarithm of a probability.
+        """
+        likely = (
+            dip
+            for dip in dips
+            if dip.depth > (POSSIBLE if dip.over else CONFIDENT)
+            and not _is_now(dip, left, h.clock)
+        )
+        dip = next(likely, None)
+        if dip is None or self._missed == -math.inf or len(h.missed) >= _MOST_MISSED:
+            return
+        weight = h.weight + self._missed + float(special.log_ndtr(dip.depth))
+        if weight < enough:
+            return
+        at = dip.began
+        if at is None:
+            at = self.forecast(t, h.state, h.acceleration_error).root(dip)
+        t, left = t + at, left - at
+        (before,) = self.filter.priors(t - at, at, [h.state], [h.acceleration_error])
+        state, kind = insert_switch(self.filter, t, before, dip)
+        missed = (*h.missed, MissedSwitch(dip.contact, kind, left, dip.depth))
+        h = h._replace(state=state, weight=weight, missed=missed)
+        if self.errors is not None:
+            hit = (dip.contact,) if kind is Kind.IMPACT and not state.closed else ()
+            h = self.errors.kicked(h, before.x, hit)
+        yield t, left, (h,)
 
     def forecast(self, t: float, state: GaussianState, model_error: float = 0.0) -> Forecast:
         """The prediction of ``state`` from ``t`` (s since the epoch) on, with its penetrations."""
+        prediction = self.filter.predict(t, state, model_error)
+        flight = partial(self._flight_of, t, state)
+        return Forecast(flight, prediction, state, self.filter, t=t, level=model_error)
+
+    def _flight_of(self, t: float, state: GaussianState) -> Flight:
         members = self.filter.members
         member = members.with_given_restitution(self.filter.member(state))
-        flight = self._flight(member, t, state.closed)
-        return Forecast(flight, self.filter.predict(t, state, model_error), state, members, t)
+        return self._flight(member, t, state.closed)
+
+
+def _is_now(dip: Dip, now: float, clock: float) -> bool:
+    """Whether an impact comes so late that it may be after the event, of which the stamp errs."""
+    return not dip.over and now - (dip.below if dip.began is None else dip.began) <= LATE * clock
+
+
+def _likely(ordered: Sequence[_Branch] | Sequence[Hypothesis]) -> int:
+    """How many of ``ordered``, the likeliest first, are kept."""
+    weights = np.array([each.weight for each in ordered])
+    shares = np.cumsum(np.exp(weights - weights[0]))
+    return 1 + int(np.searchsorted(shares, (1 - NEGLIGIBLE) * shares[-1]))
 
 
 def _excuse(likelihood: Likelihood) -> str:

@@ -5,16 +5,17 @@ more than its deviation explains, an impact or a release was missed.
 """
 
 import math
-from collections.abc import Iterator
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize, special
 
 from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
-from impact_observer.estimation.members import Member, Members
+from impact_observer.estimation.members import Member
 from impact_observer.estimation.saltation import Measured
 from impact_observer.events import Contacts, Kind
 from impact_observer.states import Matrix, Vector
@@ -47,7 +48,9 @@ class Dip(NamedTuple):
         below: the first sample at which it is negative, s.
         deepest: where it is deepest, s.
         depth: there, in standard deviations.
+        unlikely: logarithm of the probability that an error of the estimate is so large.
         over: whether it becomes positive again.
+        began: where it becomes negative, s, if that was found with it.
     """
 
     contact: int
@@ -57,12 +60,9 @@ class Dip(NamedTuple):
     below: float
     deepest: float
     depth: float
+    unlikely: float
     over: bool
-
-    @property
-    def unlikely(self) -> float:
-        """Logarithm of the probability that an error of the estimate is so large."""
-        return float(special.log_ndtr(-self.depth))
+    began: float | None = None
 
 
 class _Samples(NamedTuple):
@@ -144,6 +144,24 @@ class Flight:
         return offset
 
 
+def dips_of(
+    filter_: ImpactFilter,
+    t: float,
+    duration: float,
+    states: Sequence[GaussianState],
+    levels: Sequence[float],
+) -> list[list[Dip]] | None:
+    """All dips of states that start at ``t``, of the same closed contacts; see ``Forecast.dips``.
+
+    None where the kernel does not find them.
+    """
+    gaps = filter_.gaps(states[0].closed, duration)
+    if gaps is None:
+        return None
+    found = gaps.dips(t, duration, states, np.array(levels))
+    return [[Dip(dip[0], Kind.IMPACT, *dip) for dip in some] for some in found]
+
+
 class Forecast:
     """The prediction of one state until the next event, and its penetrations.
 
@@ -153,27 +171,42 @@ class Forecast:
 
     def __init__(
         self,
-        flight: Flight,
+        flight: Callable[[], Flight],
         prediction: LinearPrediction,
         state: GaussianState,
-        members: Members,
+        filter_: ImpactFilter,
+        *,
         t: float,
+        level: float = 0.0,
     ) -> None:
-        """The ``prediction`` from ``state`` at ``t`` (s since the epoch), along ``flight``."""
+        """The ``prediction`` from ``state`` at ``t`` (s since the epoch).
+
+        The accelerations have white noise of this ``level``, m/s^1.5. ``flight`` prepares the
+        guard functions where the kernel does not.
+        """
         self.prediction = prediction
-        self._flight = flight
+        self._prepare = flight
         self._state = state
-        self._members = members
+        self._filter = filter_
+        self._members = filter_.members
         self._t = t
+        self._level = level
+
+    @cached_property
+    def _flight(self) -> Flight:
+        return self._prepare()
 
     def dips(self, duration: float) -> list[Dip]:
         """All dips within ``duration`` seconds, in the order in which they begin."""
+        found = dips_of(self._filter, self._t, duration, [self._state], [self._level])
+        if found is not None:
+            return found[0]
         if not (self._flight.contacts and duration > 0):
             return []
         samples = self._flight.over(duration)
         values = samples.values(self._state.x)
-        found = [dip for j in range(values.shape[1]) for dip in self._of(j, samples, values[:, j])]
-        return sorted(found, key=lambda dip: dip.below)
+        dips = [dip for j in range(values.shape[1]) for dip in self._of(j, samples, values[:, j])]
+        return sorted(dips, key=lambda dip: dip.below)
 
     def _of(self, j: int, samples: _Samples, values: Vector) -> Iterator[Dip]:
         """The dips of one function."""
@@ -188,6 +221,7 @@ class Forecast:
             depth = -float(values[deepest]) + min(float(values[0]), 0.0) * (first == 0)
             if depth <= _SHALLOW * self._flight.rounding(j, at, x):
                 continue  # rounding; or it rises from the start: the jump there was a little early
+            deep = -float(values[deepest]) / self._deviation(j, at)
             yield Dip(
                 self._flight.contacts[j],
                 Kind.IMPACT if j < self._flight.gaps else Kind.OPEN,
@@ -195,7 +229,8 @@ class Forecast:
                 float(s[max(first - 1, 0)]),
                 float(s[first]),
                 at,
-                -float(values[deepest]) / self._deviation(j, at),
+                deep,
+                float(special.log_ndtr(-deep)),
                 last < len(values) - 1,
             )
 
@@ -246,6 +281,8 @@ class Forecast:
     def root(self, dip: Dip) -> float:
         """Where the function of a dip falls through zero, s."""
         above, below = dip.above, dip.below
+        if dip.began is not None:
+            return dip.began
         if below == 0 or not self._value(dip.which, above) > 0 > self._value(dip.which, below):
             return below  # negative from the start, or rounded otherwise when evaluated alone
         found = optimize.brentq(
@@ -259,6 +296,9 @@ class Forecast:
         def beyond(at: float) -> float:
             return self._value(dip.which, at) + depth * self._deviation(dip.which, at)
 
+        if gaps := self._filter.gaps(self._state.closed, dip.deepest):
+            found = dip.which, dip.above, dip.deepest, depth
+            return gaps.root(self._t, self._state, self._level, *found)
         if not beyond(dip.above) > 0 > beyond(dip.deepest):
             return dip.deepest
         return float(optimize.brentq(beyond, dip.above, dip.deepest, xtol=_LEAST, rtol=_ROOT))

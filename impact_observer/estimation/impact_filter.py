@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.estimation.square_root import lengths, product, triangular
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Contacts
+from impact_observer.kernel._kernel import Gaps
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
@@ -32,6 +34,8 @@ _NO_TIME = 1e-15
 """Time in which nothing moves, s."""
 _SHORT = 1e-8
 """Flights that a plant may neglect before it is at rest, relative to the model's time scale."""
+_LONGEST = 1e4
+"""Longest flight that is followed step by step, in the inverse of the fastest rate."""
 _BACK = 8.0
 """Longest flow back from a stamp, in time constants of the fastest fading motion."""
 ROUNDS = 6
@@ -94,6 +98,7 @@ class ImpactFilter:
         self._declared = declared
         self.noise = declared if model_error or np.any(declared.drift) else None
         self._is_smooth = system.forcing.sampled is None and not unknowns.family.size
+        self._longest = _LONGEST / max(self.members.given.moving.rate, 1e-6)
 
     def begin(self, state: GaussianState) -> GaussianState:
         """``state`` with its closed contacts at rest."""
@@ -106,11 +111,14 @@ class ImpactFilter:
 
         The accelerations have white noise of ``model_error``, m/s^1.5, besides the declared one.
         """
-        noise = self.noise
-        if model_error:
-            declared, drift = self._declared
-            noise = ProcessNoise(math.hypot(declared, model_error), drift)
-        return LinearPrediction(t, state, self.members, noise)
+        return LinearPrediction(t, state, self.members, self._noise(model_error))
+
+    def _noise(self, model_error: float) -> ProcessNoise | None:
+        """The declared process noise, and white accelerations of ``model_error``, m/s^1.5."""
+        if not model_error:
+            return self.noise
+        declared, drift = self._declared
+        return ProcessNoise(math.hypot(declared, model_error), drift)
 
     def member(self, state: GaussianState | Joint) -> Member:
         """The system with the parameters of an estimate."""
@@ -128,7 +136,7 @@ class ImpactFilter:
     def likelihoods(self, asked: Sequence[Asked]) -> list[Likelihood]:
         """The likelihoods of events, each if it is what it is reported to be."""
         found = [
-            None if self._by_kernel(each.change) else self._likelihood_of(each) for each in asked
+            None if self.is_alone(each.change) else self._likelihood_of(each) for each in asked
         ]
         for contact, which in self._grouped(asked):
             some = [asked[i] for i in which]
@@ -142,7 +150,7 @@ class ImpactFilter:
     def posteriors(self, asked: Sequence[Asked]) -> list[GaussianState]:
         """The states after events."""
         found = [
-            each.state if self._by_kernel(each.change) else self._posterior_of(each)
+            each.state if self.is_alone(each.change) else self._posterior_of(each)
             for each in asked
         ]
         for contact, which in self._grouped(asked):
@@ -155,8 +163,8 @@ class ImpactFilter:
                 found[i] = GaussianState(*state)
         return found
 
-    def _by_kernel(self, change: ContactChange) -> bool:
-        """Whether an event is an impact of one contact while none is closed."""
+    def is_alone(self, change: ContactChange) -> bool:
+        """Whether an event is an impact of one contact while none is closed: for the kernel."""
         alone = len(change.hit) == 1 and not (change.before or change.closed)
         return alone and self._is_smooth
 
@@ -164,7 +172,7 @@ class ImpactFilter:
         """Contacts that impact alone, and where they are asked for."""
         found: dict[int, list[int]] = {}
         for i, each in enumerate(asked):
-            if self._by_kernel(each.change):
+            if self.is_alone(each.change):
                 found.setdefault(each.change.hit[0], []).append(i)
         yield from found.items()
 
@@ -175,6 +183,41 @@ class ImpactFilter:
     def _posterior_of(self, asked: Asked) -> GaussianState:
         prior, change = self.joint_prior(*asked[:3]), asked.change
         return self.posterior(change, self.joint_posterior(change, prior, asked.likelihood))
+
+    def priors(
+        self, t: float, s: float, states: Sequence[GaussianState], levels: Sequence[float]
+    ) -> list[GaussianState]:
+        """``states`` at ``t`` (s since the epoch), ``s`` seconds later, while nothing switches.
+
+        Each has white accelerations of its own level, m/s^1.5, besides the declared ones.
+        """
+        if self.members.moving:
+            return [
+                self.predict(t, state, level).prior(s)
+                for state, level in zip(states, levels, strict=True)
+            ]
+        found, moving = [], self.members.given.moving
+        shared: dict[Contacts, tuple[Vector, Vector, Matrix]] = {}
+        for state, level in zip(states, levels, strict=True):
+            closed, x = state.closed, state.x
+            if closed not in shared:
+                shared[closed] = x, *moving.phase(closed).moved(t, x, s)
+            about, after, map_ = shared[closed]
+            if x is not about:
+                after = after + map_.dot(x - about)
+            prior = state.propagated(after, map_)
+            if noise := self._noise(level):
+                over = partial(moving.diffusion, closed)
+                root = noise.added_to(prior.root, state.x.size, over, s)
+                prior = prior._replace(root=root)
+            found.append(prior)
+        return found
+
+    def gaps(self, closed: Contacts, s: float) -> Gaps | None:
+        """The kernel's gaps for ``s`` seconds while contacts are ``closed``; None if not by it."""
+        if closed or not self._is_smooth or s > self._longest:
+            return None
+        return self.members.given.free_gaps
 
     def joint_prior(self, change: ContactChange, state: GaussianState, clock: float) -> Joint:
         """The prior of the event's instant and the state then.

@@ -13,7 +13,7 @@ from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRates
 from impact_observer.events import Contacts
-from impact_observer.kernel._kernel import FreeMotion, Impact, Sizes
+from impact_observer.kernel._kernel import FreeMotion, Gaps, Impact, Sizes
 from impact_observer.model import System
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.states import Matrix, Vector
@@ -50,15 +50,19 @@ class MovingSystem:
         return ImpactLaw(self.system)
 
     @cached_property
+    def rate(self) -> float:
+        """A bound of all rates while no contact is closed, 1/s."""
+        return float(max(self._rate(()), *self.system.forcing.frequency, 0.0))
+
+    @cached_property
     def free(self) -> FreeMotion:
         """Its motion while no contact is closed, without sampled forces, for the kernel."""
         n, forcing, inverse = self.system.n, self.system.forcing, self.phase(()).inverse
         rates = self.rates(())
-        rate = max(self._rate(()), *forcing.frequency.tolist(), 0.0)
         cosine, sine = forcing.cosine @ inverse.T, forcing.sine @ inverse.T
         constant = inverse @ forcing.constant
         return FreeMotion(
-            rates.A[n:], constant, forcing.frequency, cosine, sine, rate, rates.decay
+            rates.A[n:], constant, forcing.frequency, cosine, sine, self.rate, rates.decay
         )
 
     @cached_property
@@ -124,6 +128,12 @@ class Member:
         return Impact(
             self.moving.free, self.moving.sizes, w, kick, float(self.system.q_r[contact])
         )
+
+    @cached_property
+    def free_gaps(self) -> Gaps:
+        """All gaps while no contact is closed."""
+        W = self.system.W.T
+        return Gaps(self.moving.free, self.moving.sizes, W, self.system.q_r)
 
     def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> tuple[Measured, Jet]:
         """The guards of an event, and their expansions in the phase before it.

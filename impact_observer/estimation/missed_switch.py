@@ -47,6 +47,9 @@ def posterior_of_missed(
     The instant is the root of the estimate's own guard. It measures nothing, and its error follows
     from that of the state. A contact that closes may neglect the speed ``leftover``, m/s.
     """
+    if filter_.is_alone(change) and not leftover:
+        impact = filter_.members.given.impact(change.hit[0])
+        return GaussianState(*impact.missed(change.t, 0.0, [state])[0])
     x, root, member = state.x, state.root, filter_.member(state)
     contacts = change.contacts[:1]
     _, jet = member.guard(change.before, contacts, bool(change.hit))

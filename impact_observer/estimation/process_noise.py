@@ -39,8 +39,9 @@ class ProcessNoise(NamedTuple):
         """
         columns = [root]
         if self.model_error and s > 0:
-            added = self.model_error * diffusion_over(s)
-            columns.append(np.pad(added, ((0, len(root) - size), (0, 0))))
+            added = np.zeros((len(root), size))
+            added[:size] = self.model_error * diffusion_over(s)
+            columns.append(added)
         if np.any(self.drift) and s > 0 and len(root) > size:
             added = np.diag(self.drift * math.sqrt(s / 60.0))
             columns.append(np.pad(added, ((size, len(root) - size - len(added)), (0, 0))))

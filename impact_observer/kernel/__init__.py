@@ -14,6 +14,7 @@ if checksum(Path(__file__).parent) not in {_compiled.SOURCES, ""}:  # "": instal
 
 from impact_observer.kernel._kernel import (  # another kernel may not have them
     FreeMotion,
+    Gaps,
     Guards,
     Impact,
     ModalFlow,
@@ -27,6 +28,7 @@ from impact_observer.kernel._kernel import (  # another kernel may not have them
 
 __all__ = [
     "FreeMotion",
+    "Gaps",
     "Guards",
     "Impact",
     "ModalFlow",

@@ -79,3 +79,23 @@ class RootSearch:
     def first(self, horizon: float) -> tuple[float, tuple[int, ...]] | None: ...
 
 def divided(points: NDArray[np.complex128], s: Vector) -> NDArray[np.complex128]: ...
+
+class Gaps:
+    def __init__(self, motion: FreeMotion, sizes: Sizes, W: Matrix, rest: Vector) -> None: ...
+    def dips(
+        self,
+        t: float,
+        duration: float,
+        states: Sequence[tuple[object, ...]],
+        levels: Vector,
+    ) -> list[list[tuple[int, float, float, float, float, float, bool, float]]]: ...
+    def root(
+        self,
+        t: float,
+        state: tuple[object, ...],
+        level: float,
+        contact: int,
+        above: float,
+        below: float,
+        depth: float = 0.0,
+    ) -> float: ...

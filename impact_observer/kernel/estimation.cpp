@@ -1,5 +1,5 @@
 // The bindings of the Kalman step.
-#include "kalman.hpp"
+#include "gaps.hpp"
 
 using namespace kernel;
 using namespace kernel::kalman;
@@ -152,6 +152,53 @@ Array flown(const Motion& motion, double t, const Array& x, double s) {
     return flat(found);
 }
 
+Gaps gaps_of(const Motion& motion, const Sizes& sizes, const Array& W, const Array& rest) {
+    const View rows = checked(W, "W", ANY, py::ssize_t(motion.n()));
+    if (sizes.modes.rows != motion.n()) throw py::value_error("sizes: of another system");
+    return {motion, sizes, Matrix(rows), vector(rest, "rest", py::ssize_t(rows.rows))};
+}
+
+double duration_of(const Gaps& gaps, double t, double duration) {
+    instant(t, duration);
+    if (!(duration >= 0 && duration * gaps.motion.rate < 1e5))
+        throw py::value_error("duration: expected 0 or more, and not too many periods");
+    return duration;
+}
+
+py::list dips(const Gaps& gaps, double t, double duration, const py::sequence& states,
+              const Array& levels) {
+    duration_of(gaps, t, duration);
+    const Priors given(states, Array(py::ssize_t(0)), gaps.motion.size(), false);
+    const View level = checked(levels, "levels", py::ssize_t(given.priors.size()));
+    std::vector<std::vector<Dip>> found(given.priors.size());
+    {
+        const py::gil_scoped_release released;
+        for (std::size_t b = 0; b < found.size(); ++b)
+            found[b] = gaps.dips(t, duration, given.priors[b], level[b]);
+    }
+    py::list each_state;
+    for (const auto& some : found) {
+        py::list each;
+        for (const Dip& d : some)
+            each.append(py::make_tuple(d.contact, d.above, d.below, d.deepest, d.depth, d.unlikely,
+                                       d.over, d.began));
+        each_state.append(each);
+    }
+    return each_state;
+}
+
+double root_of(const Gaps& gaps, double t, const py::tuple& state, double level,
+               std::size_t contact, double above, double below, double depth) {
+    const Priors given(py::make_tuple(state), Array(py::ssize_t(0)), gaps.motion.size(), false);
+    if (contact >= gaps.W.rows) throw py::value_error("contact: there is none of this number");
+    if (!(above <= below && std::isfinite(depth) && level >= 0 && std::isfinite(level)))
+        throw py::value_error("above, below, depth, level: expected finite numbers in order");
+    duration_of(gaps, t, above);
+    duration_of(gaps, t, below);
+    const py::gil_scoped_release released;
+    return gaps.root(t, given.priors[0], level, contact, above, below, depth);
+}
+
 }  // namespace
 
 void bind_estimation(py::module_& module) {
@@ -173,4 +220,12 @@ void bind_estimation(py::module_& module) {
              py::arg("clocks"), "The states after the impact, at its stamp t.")
         .def("missed", &missed, py::arg("t"), py::arg("flown"), py::arg("states"),
              "The same where it was not reported, near the zero t of the gap.");
+    py::class_<Gaps>(module, "Gaps", "Predicted gaps while no contact is closed.")
+        .def(py::init(&gaps_of), py::arg("motion"), py::arg("sizes"), py::arg("W"), py::arg("rest"))
+        .def("dips", &dips, py::arg("t"), py::arg("duration"), py::arg("states"),
+             py::arg("levels"), "Where gaps are negative, for each state: contact, above, below,\n"
+             "deepest, depth, unlikely, over, began; see Dip in gaps.hpp.")
+        .def("root", &root_of, py::arg("t"), py::arg("state"), py::arg("level"),
+             py::arg("contact"), py::arg("above"), py::arg("below"), py::arg("depth") = 0.0,
+             "Where a gap plus depth deviations falls through zero, s.");
 }

@@ -48,23 +48,33 @@ struct Motion {
                 if (lower(i, j) != 0.0) filled[i].push_back(j);
     }
 
-    // A x
+    // to = A x
+    void rates(const double* x, double* to) const {
+        for (std::size_t i = 0; i < n(); ++i) {
+            double sum = 0.0;
+            for (const std::size_t j : filled[i]) sum += lower(i, j) * x[j];
+            to[i] = x[n() + i];
+            to[n() + i] = sum;
+        }
+    }
+
+    // to = row A
+    void row_rates(const double* row, double* to) const {
+        std::fill(to, to + n(), 0.0);
+        std::copy(row, row + n(), to + n());
+        for (std::size_t i = 0; i < n(); ++i)
+            for (const std::size_t j : filled[i]) to[j] += row[n() + i] * lower(i, j);
+    }
+
     Vector rates(const Vector& x) const {
         Vector found(size());
-        for (std::size_t i = 0; i < n(); ++i) {
-            found[i] = x[n() + i];
-            for (const std::size_t j : filled[i]) found[n() + i] += lower(i, j) * x[j];
-        }
+        rates(x.data(), found.data());
         return found;
     }
 
-    // row A
     Vector row_rates(const Vector& row) const {
         Vector found(size());
-        for (std::size_t i = 0; i < n(); ++i) {
-            found[n() + i] += row[i];
-            for (const std::size_t j : filled[i]) found[j] += row[n() + i] * lower(i, j);
-        }
+        row_rates(row.data(), found.data());
         return found;
     }
 
@@ -74,63 +84,65 @@ struct Motion {
         if (k == 0) add(factor, constant.data(), u, n());
         for (std::size_t i = 0; i < frequency.size(); ++i) {
             const double omega = frequency[i], angle = omega * t;
-            const double turned[4] = {std::cos(angle), -std::sin(angle), -std::cos(angle),
-                                      std::sin(angle)};
-            const double size = factor * std::pow(omega, k);
-            add(size * turned[k % 4], cosine.row(i), u, n());
-            add(size * turned[(k + 3) % 4], sine.row(i), u, n());
+            const double one = k ? -omega * std::sin(angle) : std::cos(angle);
+            const double two = k ? omega * std::cos(angle) : std::sin(angle);
+            add(factor * one, cosine.row(i), u, n());
+            add(factor * two, sine.row(i), u, n());
         }
     }
 
-    // The sum of Taylor's series of a motion over s seconds, step by step where s is long:
-    // next(term, h, k, done) makes the term of order k + 1 from that of order k.
+    // Taylor's series of what moves by `next`, over s seconds: next(term, to) makes to = A term.
+    // Forces from t on are added where they are asked for.
     template <class Next>
-    Vector series(Vector x, double s, Next next) const {
+    void moved(Vector& x, double s, const double* t, Next next) const {
         const double turns = std::abs(s) * rate;
-        if (turns == 0.0) return x;
-        if (std::isnan(turns)) return Vector(x.size(), turns);  // a deviation has overflowed
-        const std::size_t steps = std::size_t(std::ceil(turns));
-        const double h = s / double(steps);
+        if (turns == 0.0) return;
+        if (!(turns < 1e9)) return x.assign(x.size(), NAN);  // a deviation has overflowed
+        const std::size_t steps = std::size_t(std::ceil(turns)), h_count = t ? frequency.size() : 0;
+        const double h = s / double(steps), turn = turns / double(steps);
+        Vector term(size()), other(size()), even(h_count), odd(h_count);
         for (std::size_t step = 0; step < steps; ++step) {
-            Vector term = x;
-            double size = 1.0;
-            for (int k = 0; size > EPS / 16; ++k) {
-                term = next(term, h, k, double(step) * h);
-                size *= turns / double(steps) / (k + 1);
-                add(1.0, term.data(), x.data(), x.size());
+            term = x;
+            for (std::size_t i = 0; i < h_count; ++i) {
+                const double angle = frequency[i] * (*t + double(step) * h);
+                even[i] = std::cos(angle), odd[i] = std::sin(angle);
+            }
+            double size_of_term = 1.0;
+            for (int k = 0; size_of_term > EPS / 16; ++k) {
+                next(term.data(), other.data());
+                double* u = other.data() + n();
+                if (t && k == 0) add(1.0, constant.data(), u, n());
+                for (std::size_t i = 0; i < h_count; ++i) {  // h^k / k! times derivative k
+                    add(even[i], cosine.row(i), u, n());
+                    add(odd[i], sine.row(i), u, n());
+                    const double by = frequency[i] * h / (k + 1), before = even[i];
+                    even[i] = -by * odd[i], odd[i] = by * before;
+                }
+                for (std::size_t i = 0; i < size(); ++i) {
+                    term[i] = other[i] * (h / (k + 1));
+                    x[i] += term[i];
+                }
+                size_of_term *= turn / (k + 1);
             }
         }
-        return x;
     }
 
     // The state s seconds after x at t
-    Vector flown(double t, const Vector& x, double s) const {
-        double power = 1.0;  // h^k / k!
-        return series(x, s, [&](const Vector& term, double h, int k, double done) {
-            power = k ? power * h / k : 1.0;
-            Vector found = rates(term);
-            force(t + done, k, power, found);
-            for (double& each : found) each *= h / (k + 1);
-            return found;
-        });
+    Vector flown(double t, Vector x, double s) const {
+        moved(x, s, &t, [&](const double* term, double* to) { rates(term, to); });
+        return x;
     }
 
     // Phi(s) x
-    Vector carried(const Vector& x, double s) const {
-        return series(x, s, [&](const Vector& term, double h, int k, double) {
-            Vector found = rates(term);
-            for (double& each : found) each *= h / (k + 1);
-            return found;
-        });
+    Vector carried(Vector x, double s) const {
+        moved(x, s, nullptr, [&](const double* term, double* to) { rates(term, to); });
+        return x;
     }
 
     // row Phi(s)
-    Vector seen(const Vector& row, double s) const {
-        return series(row, s, [&](const Vector& term, double h, int k, double) {
-            Vector found = row_rates(term);
-            for (double& each : found) each *= h / (k + 1);
-            return found;
-        });
+    Vector seen(Vector row, double s) const {
+        moved(row, s, nullptr, [&](const double* term, double* to) { row_rates(term, to); });
+        return row;
     }
 };
 

@@ -1,0 +1,182 @@
+// Gaps that an estimate predicts, while no contact is closed: where they fall below zero.
+//
+// Gaps of the plant are never negative. Where those of the estimate fall below zero by more than its
+// deviation explains, an impact was missed.
+#pragma once
+
+#include "kalman.hpp"
+
+namespace kernel::kalman {
+
+constexpr double FINE = 6.0;           // samples in the inverse of the fastest rate: 38 a period
+constexpr double MOST_SAMPLES = 4096;  // of a flight; in a longer one their distance is larger
+constexpr int FINER = 8;               // additional samples in the first interval
+constexpr double SHALLOW = 8.0;        // depth of a dip that is rounding, in its deviations
+
+// An interval in which a gap is negative. Times are seconds after the start.
+struct Dip {
+    std::size_t contact;
+    double above, below;  // the last sample at which it is positive, the first where it is not
+    double deepest;       // where it is deepest
+    double depth;         // there, in standard deviations
+    double unlikely;      // logarithm of the probability that an error of the estimate is so large
+    bool over;            // whether it becomes positive again
+    double began;         // where it becomes negative
+};
+
+class Gaps {
+   public:
+    Motion motion;
+    Sizes sizes;
+    Matrix W;     // a row each contact, m x n
+    Vector rest;  // gaps at rest, m
+
+    // All dips in the next `duration` seconds, in the order in which they begin. `level` is that of
+    // white accelerations, m/s^1.5.
+    std::vector<Dip> dips(double t, double duration, const Prior& prior, double level) const {
+        std::vector<Dip> found;
+        if (!(duration > 0)) return found;
+        const Samples samples = sampled(t, duration, vector(prior.x));
+        Vector scale;
+        for (std::size_t j = 0; j < W.rows; ++j) {
+            Vector s = samples.s, values(s.size());
+            bool is_low = false;
+            for (std::size_t k = 0; k < s.size(); ++k) values[k] = gap(j, samples.x.row(k));
+            add_minima(t, j, samples, s, values);
+            for (const double each : values) is_low = is_low || each < 0;
+            if (!is_low) continue;
+            if (scale.empty()) scale = sizes.of(prior.x.data, 0.0);
+            double size = std::abs(rest[j]);
+            for (std::size_t i = 0; i < motion.n(); ++i) size += std::abs(W(j, i)) * scale[i];
+            for (std::size_t k = 0; k < s.size(); ++k) {
+                if (values[k] >= 0) continue;
+                const std::size_t first = k;
+                std::size_t lowest = k;
+                for (; k < s.size() && values[k] < 0; ++k)
+                    if (values[k] < values[lowest]) lowest = k;
+                // A gap that rises from the start: the jump there was a little early.
+                const double depth = -values[lowest] + (first ? 0.0 : std::min(values[0], 0.0));
+                const double rounding =
+                    (64 * EPS + EPS * (t + s[lowest]) / sizes.timescale) * size;
+                if (depth <= SHALLOW * rounding) continue;
+                const double sigma =
+                    std::hypot(deviation(j, s[lowest], prior.root, level), rounding);
+                const double deep = -values[lowest] / sigma;
+                found.push_back({j, s[first ? first - 1 : 0], s[first], s[lowest], deep,
+                                 log_normal(-deep), k < s.size(), 0.0});
+                Dip& dip = found.back();
+                dip.began = root(t, prior, level, j, dip.above, dip.below, 0.0);
+            }
+        }
+        std::stable_sort(found.begin(), found.end(),
+                         [](const Dip& a, const Dip& b) { return a.below < b.below; });
+        return found;
+    }
+
+    // Where a gap plus `depth` deviations falls through zero between `above` and `below`, s.
+    double root(double t, const Prior& prior, double level, std::size_t j, double above,
+                double below, double depth) const {
+        const Vector start = motion.flown(t, vector(prior.x), above);
+        const auto value = [&](double s) {
+            const Vector x = motion.flown(t + above, start, s - above);
+            return gap(j, x.data()) + (depth > 0 ? depth * deviation(j, s, prior.root, level) : 0.0);
+        };
+        double low = above, high = below, at_low = value(low), at_high = value(high);
+        if (!(at_low > 0 && 0 > at_high)) return below;
+        // Regula falsi, where the end that stays counts half (Illinois).
+        const double enough = depth > 0 ? 1e-13 : 4 * EPS;
+        for (int turn = 0; turn < 100 && high - low > enough * high; ++turn) {
+            double s = low + (high - low) * (at_low / (at_low - at_high));
+            if (!(s > low && s < high)) s = low + (high - low) / 2;
+            if (!(s > low && s < high)) break;
+            const double now = value(s);
+            if (now > 0) {
+                low = s, at_low = now, at_high /= 2;
+            } else {
+                high = s, at_high = now, at_low /= 2;
+                if (now == 0) break;
+            }
+        }
+        return high;
+    }
+
+   private:
+    struct Samples {
+        Vector s;
+        Matrix x;  // a state each row
+    };
+
+    static Vector vector(const View& v) { return Vector(v.data, v.data + v.size()); }
+
+    double gap(std::size_t j, const double* x) const {
+        return dot(W.row(j), x, motion.n()) + rest[j];
+    }
+
+    // Samples of a flight; a flight after an impact may be short.
+    Samples sampled(double t, double duration, Vector x) const {
+        const double wanted = std::ceil(duration * FINE / sizes.timescale);
+        const auto count = std::size_t(std::min(std::max(wanted, 4.0), MOST_SAMPLES));
+        const std::size_t last = count + FINER;
+        Samples found{Vector(last + 1), Matrix(last + 1, x.size())};
+        std::copy(x.begin(), x.end(), found.x.row(0));
+        const double first = duration / double(count);
+        for (std::size_t k = 1; k <= last; ++k) {
+            found.s[k] = k <= FINER ? std::ldexp(first, 3 * (int(k) - FINER - 1))
+                                    : duration * (double(k - FINER) / double(count));
+            x = motion.flown(t + found.s[k - 1], std::move(x), found.s[k] - found.s[k - 1]);
+            std::copy(x.begin(), x.end(), found.x.row(k));
+        }
+        return found;
+    }
+
+    // Adds the minima between samples that are, or may be, below zero.
+    void add_minima(double t, std::size_t j, const Samples& samples, Vector& s,
+                    Vector& values) const {
+        Vector more_s, more;
+        std::vector<std::size_t> where;
+        for (std::size_t k = 1; k + 1 < s.size(); ++k) {
+            const double falls = values[k] - values[k - 1], rises = values[k + 1] - values[k];
+            if (!(falls <= 0 && rises >= 0)) continue;
+            const double h = s[k] - s[k - 1], next = s[k + 1] - s[k];
+            const double bend = std::max((rises / next - falls / h) / (h + next), 1e-15);
+            const double slope = falls / h + bend * h;  // of the parabola, in the middle
+            if (!(values[k] - slope * slope / (4 * bend) <= values[k] / 2)) continue;
+            const double at = s[k] - slope / (2 * bend);
+            const std::size_t from = at < s[k] ? k - 1 : k;
+            Vector x(samples.x.row(from), samples.x.row(from) + motion.size());
+            x = motion.flown(t + s[from], std::move(x), at - s[from]);
+            where.push_back(from + 1), more_s.push_back(at), more.push_back(gap(j, x.data()));
+        }
+        for (std::size_t i = where.size(); i-- > 0;) {
+            s.insert(s.begin() + std::ptrdiff_t(where[i]), more_s[i]);
+            values.insert(values.begin() + std::ptrdiff_t(where[i]), more[i]);
+        }
+    }
+
+    // Standard deviation of gap j after s seconds; white accelerations add the integral of the
+    // squares of w^T Phi(r)_u, here by Simpson's rule.
+    double deviation(std::size_t j, double s, const View& root, double level) const {
+        const std::size_t n = motion.n();
+        Vector row(2 * n);
+        std::copy(W.row(j), W.row(j) + n, row.begin());
+        double added = 0.0;
+        if (level > 0) {
+            const double wanted = std::ceil(s * FINE / sizes.timescale / 2);
+            const double count = 2 * std::clamp(wanted, 1.0, MOST_SAMPLES / 2), h = s / count;
+            for (double k = 0; k < count; ++k) {
+                row = motion.seen(std::move(row), h);
+                const double weight = k + 1 == count ? 1 : std::fmod(k, 2) == 0 ? 4 : 2;
+                added += weight * dot(row.data() + n, row.data() + n, n) * h / 3;
+            }
+        } else {
+            row = motion.seen(std::move(row), s);
+        }
+        double squares = level * level * added;
+        Vector sums(root.columns);
+        for (std::size_t i = 0; i < 2 * n; ++i) add(row[i], root.row(i), sums.data(), root.columns);
+        for (const double each : sums) squares += each * each;
+        return std::sqrt(squares);
+    }
+};
+
+}  // namespace kernel::kalman
