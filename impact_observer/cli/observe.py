@@ -63,7 +63,8 @@ def run(args: argparse.Namespace) -> int:
         for line in parameter_lines(observer):
             progress.line(line)
         if unexplained := observer.remarks[Remark.MISFIT]:
-            progress.line(f"warning: at {unexplained} events {MISFIT}")
+            latest = observer.estimate(observer.last_event).misfit
+            progress.line(f"warning: at {unexplained} events {latest or MISFIT}")
     if rulings and not rulings[Ruling.APPLIED]:
         none = f"{args.bag}: none of its {sum(rulings.values())} impacts and releases was applied"
         if rulings[Ruling.REJECTED] == sum(rulings.values()):

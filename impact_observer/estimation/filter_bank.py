@@ -99,9 +99,16 @@ class FilterBank:
     """
 
     def __init__(
-        self, filter_: ImpactFilter, uncertainty: Uncertainty, clocks: Sequence[float] = ()
+        self,
+        filter_: ImpactFilter,
+        uncertainty: Uncertainty,
+        clocks: Sequence[float] = (),
+        most: int = MOST_HYPOTHESES,
     ) -> None:
-        """A bank for the ``uncertainty``; ``clocks``: standard deviations of stamps, s."""
+        """A bank for the ``uncertainty``.
+
+        ``clocks`` are standard deviations of stamps, s; ``most`` hypotheses are kept at most.
+        """
         self.filter = filter_
         self._next_clocks = {
             clock: (*clocks[max(i - 1, 0) : i], *clocks[i + 1 : i + 2])
@@ -117,7 +124,7 @@ class FilterBank:
         self._rate = -math.log(filter_.phases.scales.timescale)
         spurious, true = _logs(uncertainty.spurious)
         self._spurious = spurious - true + math.log(SPURIOUS_RATE) + self._rate
-        self._most = min(MOST_HYPOTHESES, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
+        self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._scan = SCAN * filter_.system.n
         self._flight = lru_cache(_FLIGHTS)(Flight)
 
@@ -229,7 +236,7 @@ class FilterBank:
             if i in likelihood.innovations
         }
         notes = _noted(h, change, (Ruling.APPLIED, branch.reason), innovations)
-        after = Hypothesis(state, h.clock, branch.weight, notes)
+        after = Hypothesis(state, h.clock, branch.weight, notes, subset=h.subset)
         if innovations:
             nu = likelihood.normalised
             after = after._replace(innovation=nu, residual=nu * likelihood.deviation)
@@ -258,7 +265,7 @@ class FilterBank:
         found: dict[object, Hypothesis] = {}
         for h in made:
             decisions = (note.decision for note in h.notes[-self._scan :])
-            same = (h.clock, h.error.kind, *decisions)
+            same = (h.clock, h.error.kind, h.subset, *decisions)
             if same not in found or found[same].weight < h.weight:
                 found[same] = h
         return sorted(found.values(), key=_weight)

@@ -85,6 +85,7 @@ class Hypothesis(NamedTuple):
         innovation: of the last event, in standard deviations; positive where the predicted gap
             was negative. None where it was rejected or measured nothing.
         residual: the same in m.
+        subset: which of the parameters it estimates, as a number; 0 for all.
     """
 
     state: GaussianState
@@ -98,6 +99,7 @@ class Hypothesis(NamedTuple):
     kicks: Matrix = NO_KICKS
     innovation: float | None = None
     residual: float = 0.0
+    subset: int = 0
 
     @property
     def penalised_weight(self) -> float:

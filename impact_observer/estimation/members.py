@@ -15,7 +15,7 @@ from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRat
 from impact_observer.events import Contacts
 from impact_observer.kernel._kernel import FreeMotion, Gaps, Impact, Sizes
 from impact_observer.model import System
-from impact_observer.model.parametric_family import ParametricFamily
+from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.states import Matrix, Vector
 
 _FAR = 0.5
@@ -104,9 +104,12 @@ class Member:
         newton: its impact law.
     """
 
-    def __init__(self, system: System, values: Vector, moving: MovingSystem) -> None:
-        """A system whose motion between impacts is ``moving``."""
+    def __init__(
+        self, system: System, values: Vector, moving: MovingSystem, numbers: Coefficients
+    ) -> None:
+        """A system whose motion between impacts is ``moving``; ``numbers`` are of ``values``."""
         self.system = system
+        self._numbers = numbers
         self.values = values
         self.moving = moving
         self.newton = moving.newton if moving.system is system else ImpactLaw(system)
@@ -145,7 +148,7 @@ class Member:
         return rows, rows.along(moving.rates(before))
 
     def _mirror_of(self, pressed: Contacts) -> Mirror:
-        return Mirror.of(self.system, self.newton.jump(pressed), pressed)
+        return Mirror.of(self.system, self.newton.jump(pressed), pressed, self._numbers)
 
     def _jump_of(self, pressed: Contacts, before: Contacts, closed: Contacts) -> Jet:
         """The jump at an impact between phases in which ``before`` and ``closed`` are closed."""
@@ -181,6 +184,7 @@ class Members:
         self.gap_sensitivity = lru_cache(KEPT)(self._gap_sensitivity)
         self._at = lru_cache(KEPT)(self._member)
         self._moving = lru_cache(KEPT)(self._motion)
+        self._mirror = lru_cache(KEPT)(self._mirror_at)
         self.given = self.at(family.nominal)
 
     def at(self, values: Vector) -> Member:
@@ -220,12 +224,16 @@ class Members:
 
     def impact(self, values: Vector, x: Vector, pressed: Contacts) -> Map:
         """The mirror of an impact in which ``pressed`` take part; see ``dynamics.Mirror``."""
-        # The model's motion, but with the masses of this member.
-        heavy = self.motion(np.where(self._weighs, values, self.family.nominal))
-        numbers = self.family.at(values)
-        J = heavy.newton.jump(pressed, numbers.eps)
-        mirror = Mirror.of(heavy.system, J, pressed, numbers.gap)
+        mirror = self._mirror(tuple(values.tolist()), pressed)
         return Map(mirror.J @ x + mirror.offset, mirror.J)
+
+    def _mirror_at(self, values: tuple[float, ...], pressed: Contacts) -> Mirror:
+        # The model's motion, but with the masses of this member.
+        theta = np.array(values)
+        heavy = self.motion(np.where(self._weighs, theta, self.family.nominal))
+        numbers = self.family.at(theta)
+        J = heavy.newton.jump(pressed, numbers.eps)
+        return Mirror.of(heavy.system, J, pressed, numbers)
 
     def steps(self, theta: Vector, root: Matrix) -> Vector:
         """Steps of finite differences by the first q parameters: about their standard deviations.
@@ -273,7 +281,8 @@ class Members:
     def _member(self, values: tuple[float, ...]) -> Member:
         theta, moving = np.array(values), self._moving(values[: self.moving])
         same = np.array_equal(theta[self.moving :], self.family.nominal[self.moving :])
-        return Member(moving.system if same else self.family.system_at(theta), theta, moving)
+        system = moving.system if same else self.family.system_at(theta)
+        return Member(system, theta, moving, self.family.at(theta))
 
     def _motion(self, values: tuple[float, ...]) -> MovingSystem:
         """The motion with the first parameters at ``values``, the others as given."""

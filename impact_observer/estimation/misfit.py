@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.states import Vector
+
 LARGEST_STATISTIC = 32.0
 """Of the test; above it the model does not explain the impacts."""
 DOUBTFUL_STATISTIC = 16.0
@@ -25,6 +27,20 @@ _LATEST_EXCUSED = 16
 restart."""
 _LEAST_EXPLAINED = 0.375
 """Share of events that an exact model explains as they were reported, at least."""
+_DOUBTED = 6
+"""Events in a row with an established error of the model, from which on parameters of the model
+are estimated too."""
+_DOUBTED_STATISTIC = 24.0
+"""Of the test; above it they are estimated as well. An exact model seldom gets there."""
+_RECENT = 5
+"""Impacts at which an account with other parameters is compared, the latest."""
+_CLEARLY = 0.5
+"""Most that the residuals of that account may be, over those of the filter, if it refutes the
+model."""
+_SIGNIFICANT = 5.0
+"""Change of a parameter, in standard deviations, that refutes the model then."""
+_EXPLAINED = 0.8
+"""Share of the latest events that other parameters explain, at least, to be the right ones."""
 _LAGS = 4
 _CLIPPED = 3.0
 """Innovation, in standard deviations, beyond which it counts as this: an outlier is no misfit."""
@@ -47,11 +63,13 @@ class Residual(NamedTuple):
         filter: of the account that the filter publishes, m.
         replica: of the geometric replica beside it, m.
         unit: standard deviation of that, if accelerations were white noise of 1 m/s^1.5, s^1.5.
+        account: of the account that estimates parameters, m; NaN while there is none.
     """
 
     filter: float
     replica: float
     unit: float
+    account: float = math.nan
 
 
 class Fit(NamedTuple):
@@ -65,6 +83,7 @@ class Fit(NamedTuple):
         by_clock: whether that account explains the innovations by errors of the clock.
         statistic: of the test; 0 while there are too few innovations.
         residuals: at the latest impacts.
+        is_refuted: whether other parameters explain the latest impacts clearly better.
     """
 
     innovations: tuple[float, ...] = ()
@@ -73,6 +92,7 @@ class Fit(NamedTuple):
     by_clock: bool = False
     statistic: float = 0.0
     residuals: tuple[Residual, ...] = ()
+    is_refuted: bool = False
 
     def after(
         self,
@@ -89,18 +109,52 @@ class Fit(NamedTuple):
         clipped = min(max(innovation, -_CLIPPED), _CLIPPED)
         latest = (*self.innovations[-(LATEST - 1) :], clipped)
         errors = self.errors + 1 if in_error else 0
-        return Fit(latest, explained, errors, by_clock, _statistic(latest), self.residuals)
+        statistic = _statistic(latest)
+        return self._replace(
+            innovations=latest,
+            as_reported=explained,
+            errors=errors,
+            by_clock=by_clock,
+            statistic=statistic,
+        )
 
     def compared(self, latest: Residual) -> "Fit":
         """The same with the ``latest`` residual."""
         return self._replace(residuals=(*self.residuals[-(_COMPARED - 1) :], latest))
+
+    def beside(self, change: float) -> "Fit":
+        """The same beside an account with other parameters.
+
+        ``change`` of the parameters is the largest, in standard deviations.
+        """
+        is_refuted = change > _SIGNIFICANT and len(self.residuals) >= _RECENT
+        if is_refuted:
+            by_filter, *_, by_account = self._recent
+            is_refuted = by_account < _CLEARLY * by_filter
+        return self._replace(is_refuted=is_refuted)
 
     @property
     def is_misfit(self) -> bool:
         """Whether the model does not explain the impacts."""
         n = len(self.as_reported)
         is_excused = n >= _LATEST_EXCUSED and sum(self.as_reported) < _LEAST_EXPLAINED * n
-        return is_excused or self.errors >= _FEWEST or self.statistic > LARGEST_STATISTIC
+        is_correlated = self.statistic > LARGEST_STATISTIC
+        return is_excused or is_correlated or self.errors >= _FEWEST or self.is_refuted
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether the model may not explain the impacts: parameters are worth an estimate."""
+        latest = self.as_reported[-_FEWEST:]
+        is_excused = len(latest) == _FEWEST and 2 * sum(latest) < _FEWEST
+        is_correlated = self.statistic > _DOUBTED_STATISTIC
+        return self.is_misfit or is_excused or is_correlated or self.errors >= _DOUBTED
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the model explains nearly all of the latest events, without any doubt."""
+        n = len(self.as_reported)
+        is_doubted = self.errors or self.statistic > DOUBTFUL_STATISTIC
+        return not is_doubted and n >= _FEWEST and sum(self.as_reported) >= _EXPLAINED * n
 
     @property
     def is_established(self) -> bool:
@@ -110,37 +164,55 @@ class Fit(NamedTuple):
         tested = len(self.innovations) >= _FEWEST and self.statistic <= DOUBTFUL_STATISTIC
         return tested and not self.is_misfit
 
-    @property
-    def message(self) -> str:
-        """The warning of a misfit; empty while the model fits."""
+    def message(self, account: str = "") -> str:
+        """The warning of a misfit; empty while the model fits.
+
+        ``account`` is what explains the impacts instead, if that is published.
+        """
         if not self.is_misfit:
             return ""
-        return MISFIT + (_BY_REPLICA if self.prefers_replica else "")
+        return MISFIT + (account or (_BY_REPLICA if self.prefers_replica else ""))
 
     @property
     def is_compared(self) -> bool:
         """Whether the model does not fit, and filter and replica have been compared."""
         return self.is_misfit and bool(self.residuals)
 
-    @property
-    def replica_weight(self) -> float:
-        """The weight of the geometric replica beside the filter, by their residuals."""
-        by_filter, by_replica, _ = self._sizes
-        return by_filter**2 / (by_filter**2 + by_replica**2)
+    def shares(self, *, with_account: bool) -> Vector:
+        """The weights of filter, replica and perhaps account in what is published.
+
+        By the inverse squares of their residuals.
+        """
+        sizes = self._recent if with_account else self._sizes
+        shares = np.array(sizes)[[0, 1, 3][: 2 + with_account]] ** -2.0
+        return np.asarray(shares / shares.sum())
 
     @property
     def prefers_replica(self) -> bool:
         """Whether the model does not fit, and the geometric replica is nearer to the impacts."""
         if not self.is_compared:
             return False
-        by_filter, by_replica, _ = self._sizes
+        by_filter, by_replica, *_ = self._sizes
         return by_replica < NEARER * by_filter
 
     @property
     def replica_level(self) -> float:
         """White accelerations that explain the residuals of the replica, m/s^1.5."""
-        _, by_replica, unit = self._sizes
+        _, by_replica, unit, _ = self._sizes
         return by_replica / unit
+
+    @property
+    def prefers_account(self) -> bool:
+        """Whether the model does not fit, and an account with other parameters is the nearest."""
+        if not (self.is_misfit and len(self.residuals) >= _RECENT):
+            return False
+        by_filter, by_replica, _, by_account = self._recent
+        return by_account < NEARER * min(by_filter, by_replica)
+
+    @property
+    def _recent(self) -> tuple[float, ...]:
+        """The same of the latest few."""
+        return tuple(math.hypot(_LEAST, *p) for p in zip(*self.residuals[-_RECENT:], strict=True))
 
     @property
     def _sizes(self) -> tuple[float, ...]:

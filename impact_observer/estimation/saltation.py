@@ -18,6 +18,7 @@ from scipy import linalg
 from impact_observer.dynamics.flow.phase import Phase
 from impact_observer.events import Contacts
 from impact_observer.model import System
+from impact_observer.model.parametric_family import Coefficients
 from impact_observer.states import Matrix, Vector
 
 ROUNDING = 4 * float(np.finfo(np.float64).eps)
@@ -160,11 +161,21 @@ class Measured(NamedTuple):
         )
 
 
+def _impulse_delay(numbers: Coefficients, pressed: list[int]) -> float:
+    """How long after its onset the impulse of an impact is centred, s; the mean of its contacts.
+
+    A gap that is zero again after the contact time ``T`` has moved by ``gamma- T`` and by its
+    change of speed, ``-(1 + eps) gamma-``, since the centre: this is ``eps T / (1 + eps)``.
+    """
+    eps = numbers.eps[pressed]
+    return float(np.mean(numbers.contact_time[pressed] * eps / (1 + eps)))
+
+
 class Mirror(NamedTuple):
     """The jump ``x+ = J x- + offset``: a gap that is left is reversed like its speed.
 
     So ``gamma e = g`` stays true, and a jump that is a little early or late leaves the positions
-    as they are.
+    as they are. A contact that lasts is an impulse after the onset, which lags the positions.
 
     Attributes:
         J: shape (2n, 2n).
@@ -176,17 +187,26 @@ class Mirror(NamedTuple):
 
     @classmethod
     def of(
-        cls, system: System, J: Matrix, pressed: Contacts, gaps: Vector | None = None
+        cls,
+        system: System,
+        J: Matrix,
+        pressed: Contacts,
+        numbers: Coefficients | None = None,
     ) -> "Mirror":
         """The mirror of ``u+ = J u-`` in which ``pressed`` take part.
 
-        ``gaps`` in the rest position replace the system's, shape (m,), m.
+        ``numbers`` have the gaps instead of the system's, and the contact times.
         """
         n, P = system.n, list(pressed)
-        q_r, offset = (system.q_r if gaps is None else gaps)[P], np.zeros(2 * n)
+        q_r, offset = (system.q_r if numbers is None else numbers.gap)[P], np.zeros(2 * n)
+        whole, kick = linalg.block_diag(J, J), J - np.eye(n)
         if P:
-            offset[:n] = (J - np.eye(n)) @ linalg.lstsq(system.W[:, P].T, q_r)[0]
-        return cls(linalg.block_diag(J, J), offset)
+            offset[:n] = kick @ linalg.lstsq(system.W[:, P].T, q_r)[0]
+        if P and numbers is not None and np.any(numbers.contact_time[P]):
+            late = _impulse_delay(numbers, P)
+            whole[:n, n:] = -late * kick
+            whole[n:, n:] += late * np.linalg.solve(system.M, system.C @ kick)
+        return cls(whole, offset)
 
     def between(self, before: StateRates, after: StateRates) -> Jet:
         """The expansions of the state after the jump, at the instant of the one before."""

@@ -89,7 +89,7 @@ class UnknownParameters:
             names.append(name)
             if sign:
                 declared[name] = _number(text, number)
-        found = parametric_family(system, names, elements, clock=False).parameters
+        found = parametric_family(system, names, elements, observed=True).parameters
         parameters = tuple(sorted(found, key=lambda each: not each.moves))
         deviations = []
         for each in parameters:

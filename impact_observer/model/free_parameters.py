@@ -12,6 +12,7 @@ from impact_observer.model.system import System
 from impact_observer.states import Matrix
 
 OFFSET = "clock-offset"
+CONTACT_TIME = "contact-time"
 UNITS = {
     "restitution": "",
     "gap": "m",
@@ -24,6 +25,7 @@ UNITS = {
     "forcing-amplitude": "",
     "forcing-phase": "rad",
     OFFSET: "s",
+    CONTACT_TIME: "s",
 }
 """Kinds of free parameters and their SI units; empty for a ratio."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
@@ -32,7 +34,7 @@ _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
 """Largest value of a scale, and the inverse of its least."""
 _LONGEST = 0.1
-"""Largest offset of a clock, s."""
+"""Largest offset of a clock, and longest contact, s."""
 
 
 def parametric_family(
@@ -40,7 +42,7 @@ def parametric_family(
     wanted: Sequence[str],
     elements: Sequence[Element] = (),
     *,
-    clock: bool = True,
+    observed: bool = False,
 ) -> ParametricFamily:
     """The family of systems that differ from ``system`` in the ``wanted`` parameters.
 
@@ -51,7 +53,9 @@ def parametric_family(
         UsageError: a name is unknown, given twice, or does not go with another.
     """
     available = {
-        each.name: each for each in _all(system, elements) if clock or each.name != OFFSET
+        each.name: each
+        for each in _all(system, elements)
+        if each.name.partition(".")[0] != (OFFSET if observed else CONTACT_TIME)
     }
     names: list[str] = []
     for name in wanted:
@@ -91,6 +95,8 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
         name, gap = contact.name, contact.gap
         yield parameter(f"restitution.{name}", contact.restitution, (0.0, 1.0), 1.0, eps=one)
         yield parameter(f"gap.{name}", gap, free, abs(gap) or 1.0, gap=one)
+        most = (0.0, _LONGEST)
+        yield parameter(f"{CONTACT_TIME}.{name}", 0.0, most, _LONGEST, contact_time=one)
     for kind, part in _SCALES.items():
         if np.any(whole := getattr(system, part)):
             yield parameter(f"{kind}-scale", 1.0, ratio, 1.0, **{part: whole})

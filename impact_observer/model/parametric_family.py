@@ -20,6 +20,7 @@ class Coefficients:
         eps: restitution, shape (m,).
         amplitude: of the harmonics, relative to the model's, shape (h,).
         phase: by which the harmonics lead the model's, shape (h,), rad.
+        contact_time: how long an impact lasts, shape (m,), s; no ``System`` has it.
     """
 
     M: Matrix
@@ -29,12 +30,14 @@ class Coefficients:
     eps: Vector
     amplitude: Vector
     phase: Vector
+    contact_time: Vector
 
     @classmethod
     def of(cls, system: System) -> "Coefficients":
         """Those of ``system``."""
-        h = system.forcing.frequency.size
-        return cls(system.M, system.C, system.K, system.q_r, system.eps, np.ones(h), np.zeros(h))
+        h, rigid = system.forcing.frequency.size, np.zeros(system.m)
+        harmonics = np.ones(h), np.zeros(h)
+        return cls(system.M, system.C, system.K, system.q_r, system.eps, *harmonics, rigid)
 
     @classmethod
     def change(cls, system: System, **parts: Matrix) -> "Coefficients":

@@ -1,7 +1,8 @@
 """What an observer carries from one event to the next, and its prediction in between."""
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.hypotheses import Hypothesis, published
 from impact_observer.estimation.misfit import Fit
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -29,17 +30,43 @@ class Fallback(NamedTuple):
             included, shape (2n,).
         unit: a root of the covariance that white accelerations of 1 m/s^1.5 give its error,
             shape (2n, 2n).
+        lag: its error, of first order, if contacts last as long as they may, shape (2n,).
     """
 
     x: Vector
     largest: Vector
     unit: Matrix
+    lag: Vector
 
     def gap(self, system: System, contact: int) -> tuple[float, float]:
         """The gap of a contact, m, and its standard deviation for that covariance, m."""
         w, n = system.W[:, contact], system.n
         deviation = float(np.linalg.norm(w.dot(self.unit[:n])))
         return float(w.dot(self.x[:n]) + system.q_r[contact]), deviation
+
+
+class Account(NamedTuple):
+    """What is estimated beside the law's own hypotheses while the model is doubted.
+
+    Attributes:
+        hypotheses: with parameters of the model, the likeliest first.
+        fit: how they have explained the events since they began.
+        residual: the gap that it predicted at the last impact, m; NaN before any.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    fit: Fit = Fit()
+    residual: float = math.nan
+
+    @property
+    def published(self) -> Sequence[Hypothesis]:
+        """Those whose mixture is published, the estimate's own first."""
+        return published(self.hypotheses, misfit=self.fit.is_misfit)
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether its parameters explain the impacts."""
+        return self.fit.is_explained
 
 
 class Belief(NamedTuple):
@@ -60,6 +87,8 @@ class Belief(NamedTuple):
         hypotheses: of a law that carries several, the likeliest first; empty for others. The
             estimate is that of the first, the covariance that of the whole mixture.
         fallback: where such a law restarts; None for others.
+        account: of parameters, while the model is doubted.
+        misfit: the warning that the model does not explain the impacts; empty while it does.
     """
 
     ensemble: Ensemble
@@ -73,6 +102,8 @@ class Belief(NamedTuple):
     fit: Fit = Fit()
     hypotheses: tuple[Hypothesis, ...] = ()
     fallback: Fallback | None = None
+    account: Account | None = None
+    misfit: str = ""
 
     @property
     def x(self) -> Vector:

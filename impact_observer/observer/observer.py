@@ -187,7 +187,7 @@ class Observer:
             and self._test.is_synchronized(entry.synchronization, root),
             bound=-1.0 if belief.bound is None else belief.bound,
             inconsistent=belief.inconsistent,
-            misfit=belief.fit.message,
+            misfit=belief.misfit,
             clock_offset=belief.clock_offset,
             parameters=belief.parameters,
             last_sequence=entry.key.sequence if is_event else 0,

@@ -246,9 +246,14 @@ class ObserverNode(Node):
         self._last = estimate
 
     def _log_misfit(self, estimate: Estimate) -> None:
-        """Log when the model ceases to explain the impacts, and when it does again."""
+        """Log when the model ceases to explain the impacts, and when it does again.
+
+        And once more when other parameters do.
+        """
         before = "" if self._last is None else self._last.misfit
-        if estimate.misfit and not before:
+        estimated = {name for name, *_ in estimate.parameters}
+        known = set() if self._last is None else {name for name, *_ in self._last.parameters}
+        if estimate.misfit and (not before or not estimated <= known):
             self.get_logger().warning(estimate.misfit)
         elif before and not estimate.misfit:
             self.get_logger().info("the model explains the impacts again")

@@ -36,11 +36,11 @@ def test_patterns_warn_and_white_innovations_end_the_warning(pattern: list[float
     rng = np.random.default_rng(6)
     fit = fitted(np.resize(pattern, 20) * (1 + 0.1 * rng.normal(size=20)))
     assert fit.is_misfit
-    assert fit.message.startswith(MISFIT)
+    assert fit.message().startswith(MISFIT)
     for each in rng.normal(size=40):
         fit = fit.after(float(each))
     assert not fit.is_misfit
-    assert not fit.message
+    assert not fit.message()
 
 
 def test_single_outliers_do_not_warn() -> None:
@@ -92,5 +92,64 @@ def test_nearer_replica_is_preferred_in_a_misfit_only() -> None:
         fit, misfit = fit.compared(residual), misfit.compared(residual)
     assert misfit.prefers_replica
     assert misfit.replica_level == pytest.approx(0.1)
-    assert "geometric" in misfit.message
+    assert "geometric" in misfit.message()
     assert not fit.prefers_replica
+
+
+def compared(fit: Fit, *residuals: Residual) -> Fit:
+    """The same after so many impacts."""
+    for each in residuals:
+        fit = fit.compared(each)
+    return fit
+
+
+def test_other_parameters_refute_a_model_if_they_changed_and_are_clearly_nearer() -> None:
+    """At five impacts in a row: half the gaps, by parameters five deviations off the model's."""
+    near, far = Residual(0.02, 0.03, 0.1, 0.001), Residual(0.02, 0.03, 0.1, 0.015)
+    fit = fitted(np.random.default_rng(11).normal(size=12))
+    assert not compared(fit, *[near] * 4).beside(50.0).is_misfit
+    refuted = compared(fit, *[near] * 5).beside(50.0)
+    assert refuted.is_misfit
+    assert refuted.prefers_account
+    assert not refuted.beside(3.0).is_misfit
+    assert not compared(fit, *[far] * 5).beside(50.0).is_misfit
+    before = Residual(0.02, 0.03, 0.1)  # the account has only begun
+    assert not compared(fit, *[near] * 3, before, near).beside(50.0).is_misfit
+
+
+def test_nearest_of_three_is_published_with_weights_by_their_gaps() -> None:
+    """Inverse squares of the latest five; without an account those of the latest sixteen."""
+    misfit = compared(fitted(np.ones(20)), *[Residual(9.0, 9.0, 1.0)] * 11)
+    misfit = compared(misfit, *[Residual(0.2, 0.4, 1.0, 0.1)] * 5)
+    assert misfit.prefers_account
+    shares = misfit.shares(with_account=True)
+    np.testing.assert_allclose(shares, np.array([4.0, 1.0, 16.0]) / 21)
+    two = misfit.shares(with_account=False)
+    assert two[0] == pytest.approx(two[1], rel=1e-3)
+
+
+def test_parameters_explain_if_the_latest_events_raise_no_doubt() -> None:
+    """Four in five as reported, none of them by an error of the model at last."""
+    nu = np.random.default_rng(12).normal(size=40)
+    assert not fitted(nu[:9]).is_explained
+    assert fitted(nu[:12]).is_explained
+    assert not fitted(nu[:12]).after(0.3, in_error=True).is_explained
+    assert not fitted(np.ones(20)).is_explained
+    rejected = fitted(nu[:20])
+    for _ in range(6):
+        assert rejected.is_explained == (0.8 * len(rejected.as_reported) <= 20)
+        rejected = rejected.after(None, as_reported=False)
+    assert not rejected.is_explained
+
+
+def test_parameters_are_estimated_before_the_warning() -> None:
+    """Six events in a row with an error, weakly correlated innovations, many excuses."""
+    nu = np.random.default_rng(13).normal(size=20)
+    assert not fitted(nu).is_doubted
+    assert fitted(nu[:6], in_error=True).is_doubted
+    assert not fitted(nu[:6], in_error=True).is_misfit
+    excused = fitted(nu[:12])
+    for _ in range(7):
+        excused = excused.after(None, as_reported=False)
+    assert excused.is_doubted
+    assert not excused.is_misfit

@@ -1,6 +1,7 @@
 """Expansions of guards and jumps as functions of the state and of the instant."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from systems import Harmonic, chain, examples, forcing, system, systems, vectors
 from impact_observer.dynamics import ImpactLaw, Phase, Phases
 from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRates
 from impact_observer.model import System
+from impact_observer.model.parametric_family import Coefficients
 
 Array = NDArray[np.float64]
 FORCED = chain(
@@ -176,3 +178,21 @@ def test_way_back_over_a_nanosecond_loses_no_digits(held: tuple[int, ...]) -> No
     for s in (1e-9, 1e-3, 0.5):
         there = phase.moved(T, x, -s)[0]
         np.testing.assert_allclose(phase.moved(T - s, there, s)[0], x, rtol=0, atol=1e-13)
+
+
+def test_finite_contact_leaves_its_stop_after_the_contact_time() -> None:
+    """Two free bodies: the gap is zero again then, and their centre of mass moves uniformly."""
+    n, w = 2, np.array([-1.0, 1.0])
+    for eps, lasts in ((1.0, 0.01), (0.5, 0.02)):
+        model = replace(chain(n, contacts=[(w, 0.2, eps)]), K=np.zeros((n, n)), C=np.zeros((n, n)))
+        k = np.linalg.solve(model.M, w) / (w @ np.linalg.solve(model.M, w))
+        numbers = replace(Coefficients.of(model), contact_time=np.array([lasts]))
+        mirror = Mirror.of(model, ImpactLaw(model).jump((0,)), (0,), numbers)
+        q, u = np.array([0.5, 0.3]), np.array([0.9, -0.4])  # the gap is zero
+        assert w @ q + model.q_r[0] == pytest.approx(0.0, abs=1e-15)
+        after = mirror.J @ np.concatenate([q, u]) + mirror.offset
+        later = after[:n] + lasts * after[n:]
+        speed = w @ u
+        expected = q + lasts * (u - k * speed)
+        np.testing.assert_allclose(later, expected, atol=1e-15)
+        np.testing.assert_allclose(after[n:], u - (1 + eps) * k * speed, atol=1e-15)

@@ -2,11 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
-from scipy import linalg
 
 from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
@@ -15,26 +14,28 @@ from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     Hypothesis,
-    error_share,
     mixture,
     probabilities,
     published,
 )
 from impact_observer.estimation.impact_filter import ImpactFilter
-from impact_observer.estimation.misfit import ESTABLISHED, Fit, Residual
+from impact_observer.estimation.misfit import Fit, Residual
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.square_root import lengths
-from impact_observer.estimation.uncertainty import Uncertainty, spread
+from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, Ruling
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Fallback, Prediction
+from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
 from impact_observer.observer.laws.fallback import FallbackReplica, MisfitPrediction, combined
+from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import (
     MissedSwitchPrediction,
     MixturePrediction,
     SinglePrediction,
 )
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.laws.parameter_accounts import ParameterAccounts
+from impact_observer.observer.laws.starts import Starts
 from impact_observer.states import Matrix
 
 CLOCK_ERRORS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
@@ -84,6 +85,8 @@ class MinimumVariance(Law):
             system, self.uncertainty.model_error or 0.0, self.uncertainty.unknowns
         )
         self._bank = FilterBank(filter_, self.uncertainty, self.clocks)
+        self._starts = Starts(filter_, self.uncertainty, self.clocks)
+        self._doubts = bool(learns_error and self.uncertainty.unknowns is None)
         self._replica = FallbackReplica(filter_)
         self._names = filter_.members.family.names
         self._estimates_parameters = bool(
@@ -96,11 +99,11 @@ class MinimumVariance(Law):
 
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:
         """The declared covariance, with closed contacts at rest."""
-        state = self._bank.filter.begin(self._declared(replicas, root, closed))
+        state = self._bank.filter.begin(self._starts.declared(replicas, root, closed))
         if self._single:
             return Belief(state.ensemble, state.root)
         fallback = self._replica.begin(replicas[0], root, closed)
-        return self._belief(self._per_clock(state), fallback, Fit())
+        return self._belief(self._starts.per_clock(state), fallback, Fit())
 
     def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """Each hypothesis branches and is weighed; the estimate is that of the likeliest."""
@@ -116,31 +119,38 @@ class MinimumVariance(Law):
             return Belief(state.ensemble, state.root, innovations=innovations, fit=fit)
         hypotheses, fallback = self._hypotheses_of(belief, change.before)
         before, fallback = fallback, self._replica.after(change, fallback)
-        restarts = partial(self._restarts, fallback, change.closed, 1 + belief.ensemble.others)
+        count = 1 + belief.ensemble.others
+        restarts = partial(self._starts.restarts, fallback, change.closed, count)
         corrected = self._bank.correct(change, hypotheses, restarts) or restarts()
-        likeliest, errors = corrected[0], self._bank.errors
-        fit = belief.fit.after(
-            likeliest.innovation,
-            in_error=error_share(corrected) > ESTABLISHED,
-            as_reported=likeliest.is_as_reported((change.stamp, change.sequence)),
-            by_clock=errors is not None and errors.is_coarse(likeliest.clock),
-        )
+        fit = fitted(belief.fit, change, corrected, self._bank)
         best = published(corrected, misfit=fit.is_misfit)[0]
-        if change.hit and best.innovation is not None:
+        account = belief.account
+        if account is not None:
+            account = self._accounts.after(change, account, fallback)
+        if change.hit and best.innovation is not None and fit is not belief.fit:
             gap = before.gap(self.system, change.hit[0])
-            fit = fit.compared(Residual(best.residual, *gap))
-        return self._belief(corrected, fallback, fit, change)
+            by_account = math.nan if account is None else account.residual
+            fit = fit.compared(Residual(best.residual, *gap, by_account))
+        fit = fit.beside(0.0 if account is None else self._accounts.change(account))
+        if not (self._doubts and fit.is_doubted):
+            account = None
+        elif account is None:
+            clocks = sorted({self.clocks[0], corrected[0].clock})
+            state = mixture(published(corrected, misfit=True))
+            account = self._accounts.begin(state, fallback.largest, clocks)
+        return self._belief(corrected, fallback, fit, account, change)
 
     def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """The likeliest hypothesis for the estimate, all of them for the next event."""
         if self._single:
             return SinglePrediction(self._bank.filter, t, belief, closed)
-        hypotheses, fallback = self._hypotheses_of(belief, closed)
+        account, (hypotheses, fallback) = belief.account, self._hypotheses_of(belief, closed)
         motion = self._replica.motion(t, fallback, closed)
 
         def prior(s: float) -> Belief:
             predicted = self._bank.predict(hypotheses, t, s)
-            return self._belief(predicted, motion(s), belief.fit)
+            later = None if account is None else self._accounts.predicted(t, account, s)
+            return self._belief(predicted, motion(s), belief.fit, later)
 
         shown = published(hypotheses, misfit=belief.fit.is_misfit)
         found: Prediction = (
@@ -148,7 +158,17 @@ class MinimumVariance(Law):
             if self.uncertainty.trusts_events
             else MissedSwitchPrediction(self._bank, t, shown, prior)
         )
-        return MisfitPrediction(found, motion, belief.fit) if belief.fit.is_compared else found
+        if not belief.fit.is_compared:
+            return found
+        if account is None or not belief.fit.prefers_account:
+            return MisfitPrediction(belief.fit, found, motion, None)
+        ours = self._accounts.predict(t, account, prior)
+        return MisfitPrediction(belief.fit, found, motion, ours, explained=account.is_explained)
+
+    @cached_property
+    def _accounts(self) -> ParameterAccounts:
+        """Accounts with parameters, made when the model is doubted first."""
+        return ParameterAccounts(self.system, self.uncertainty, self.clocks)
 
     def _hypotheses_of(
         self, belief: Belief, closed: Contacts
@@ -157,45 +177,15 @@ class MinimumVariance(Law):
         if belief.fallback is not None:
             return belief.hypotheses, belief.fallback
         assert belief.root is not None, "a belief of another law"
-        state = self._declared(belief.replicas, belief.root, closed)
-        return self._per_clock(state), self._replica.begin(belief.x, belief.root, closed)
-
-    def _restarts(
-        self, fallback: Fallback, closed: Contacts, count: int
-    ) -> tuple[Hypothesis, ...]:
-        """Hypotheses of a restart: standard deviations as large as the motion was, any clock."""
-        root = np.diag(fallback.largest)
-        replicas = spread(fallback.x, root, count)
-        state = self._declared(replicas, root, closed)
-        return self._per_clock(self._bank.filter.begin(state))
-
-    def _per_clock(self, state: GaussianState) -> tuple[Hypothesis, ...]:
-        """One hypothesis for each accuracy of the clock, all equally likely."""
-        weight = -math.log(len(self.clocks))
-        return tuple(Hypothesis(state, clock, weight) for clock in self.clocks)
-
-    def _declared(self, replicas: Matrix, root: Matrix, closed: Contacts) -> GaussianState:
-        """``replicas`` and ``root``, with parameters and clock offset as they were declared."""
-        unknowns, late = self.uncertainty.unknowns, self.uncertainty.clock_offset_error
-        deviations = [*([] if unknowns is None else unknowns.deviations)]
-        deviations += [late] if late else []
-        whole = linalg.block_diag(root, np.diag(deviations)) if deviations else root
-        state = GaussianState.of(replicas, whole, closed)
-        if unknowns is None:
-            return state
-        p, nominal = unknowns.family.size, np.append(replicas[0], unknowns.family.nominal)
-        size = nominal.size
-        others = spread(nominal, whole[:size, : root.shape[1] + p], len(replicas))
-        constants, differences = state.constants.copy(), state.differences.copy()
-        constants[:p] = unknowns.family.nominal
-        differences[size - p : size] = (others[1:] - nominal)[:, size - p :].T
-        return state._replace(constants=constants, differences=differences, parameters=p)
+        state = self._starts.declared(belief.replicas, belief.root, closed)
+        return self._starts.per_clock(state), self._replica.begin(belief.x, belief.root, closed)
 
     def _belief(
         self,
         hypotheses: tuple[Hypothesis, ...],
         fallback: Fallback,
         fit: Fit,
+        account: Account | None = None,
         change: ContactChange | None = None,
     ) -> Belief:
         """The belief of ``hypotheses``, the likeliest first; it has the published one first."""
@@ -204,10 +194,17 @@ class MinimumVariance(Law):
         notes = best.notes_on((change.stamp, change.sequence)) if change else []
         parameters: tuple[tuple[str, float, float], ...] = ()
         if self._estimates_parameters:
-            parameters = self._parameters(shown, root[size:])
-        ensemble, root = best.state.ensemble, root[:size]
+            parameters = self._learned(shown, root[size:], self._names)
+        ensemble, root, instead = best.state.ensemble, root[:size], ""
         if fit.is_compared:
-            x, root = combined(ensemble.x, root, fallback, fit)
+            part, explained = None, False
+            if account is not None and fit.prefers_account:
+                found, instead = self._accounts.estimate(account), self._accounts.text(account)
+                part, explained = (found.x, found.root[:size]), account.is_explained
+                parameters = self._learned(
+                    account.published, found.root[size:], self._accounts.names
+                )
+            x, root = combined(fit, (ensemble.x, root), fallback, part, explained=explained)
             ensemble = Ensemble(x, Differences(best.state.differences[:size]))
         return Belief(
             ensemble,
@@ -219,17 +216,21 @@ class MinimumVariance(Law):
             fit=fit,
             hypotheses=tuple(sorted(hypotheses, key=lambda h: h is not best)),
             fallback=fallback,
+            account=account,
+            misfit=fit.message(instead),
         )
 
-    def _parameters(
-        self, hypotheses: Sequence[Hypothesis], root: Matrix
+    def _learned(
+        self, hypotheses: Sequence[Hypothesis], root: Matrix, names: Sequence[str]
     ) -> tuple[tuple[str, float, float], ...]:
         """Estimated parameters of model and clock: name, value, standard deviation.
 
-        ``root`` has the rows of the mixture's root for the constants, shape (k, any).
+        ``root`` has the rows of the mixture's root for the constants, shape (k, any); ``names``
+        are those of the model's parameters. Those that no hypothesis doubts are left out.
         """
         best, deviations = hypotheses[0].state, lengths(root)
-        found = list(zip(self._names, best.theta.tolist(), deviations, strict=False))
+        rows = zip(names, best.theta.tolist(), deviations, strict=False)
+        found = [row for row in rows if row[2]]
         learned = {}
         if len(self.clocks) > 1:
             learned["clock_error"] = [h.clock for h in hypotheses]

@@ -1,0 +1,190 @@
+"""Accounts of a doubted model: its parameters are estimated beside the law's own bank."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.dynamics import Phases
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.filter_bank import FilterBank
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis, error_share, mixture
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.misfit import ESTABLISHED
+from impact_observer.estimation.square_root import lengths, triangular
+from impact_observer.estimation.uncertainty import Uncertainty
+from impact_observer.estimation.unknown_parameters import UnknownParameters
+from impact_observer.model import System
+from impact_observer.model.free_parameters import UNITS
+from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
+from impact_observer.observer.laws.fitting import fitted
+from impact_observer.observer.laws.kalman_predictions import (
+    MissedSwitchPrediction,
+    MixturePrediction,
+)
+from impact_observer.observer.laws.starts import Starts
+from impact_observer.states import Vector
+
+OF_MOTION = {"stiffness-scale": 0.05, "damping-scale": 0.3}
+OF_IMPACTS = {"restitution": 0.1, "contact-time": 0.02}
+"""Parameters that an account estimates, where a model has them, and their deviations; that of a
+contact time relative to the model's time scale."""
+MOST = 16
+"""Hypotheses that an account keeps."""
+FURTHER = math.log(0.1)
+"""Logarithm of the probability that another kind of parameters is wrong too."""
+AGAIN = 0.07
+"""Deviation of all parameters that an event adds which needs an error of the model, relative
+to the largest change."""
+NOTABLE = 2.0
+"""Change of a parameter, in standard deviations, from which on the warning names it."""
+DOUBT = 0.05
+"""Deviations of the state that are added then, relative to the size of the motion."""
+WIDER = 3.0
+"""Deviations of the state with which an account begins, relative to those that are published."""
+
+
+def doubted(system: System) -> UnknownParameters:
+    """The parameters that an account estimates."""
+    deviations = OF_MOTION | OF_IMPACTS
+    deviations["contact-time"] *= Phases(system).scales.timescale
+    parts = {"stiffness-scale": system.K, "damping-scale": system.C, "restitution": system.eps}
+    wanted = [f"{k}={v}" for k, v in deviations.items() if k not in parts or np.any(parts[k])]
+    return UnknownParameters.named(system, wanted)
+
+
+def subsets(names: Sequence[str]) -> list[list[bool]]:
+    """Which of the parameters ``names`` are wrong together.
+
+    All of them; those of the motion, those of the impacts; those of one kind.
+    """
+    kinds = [kind_of(name) for name in names]
+    together = [{*kinds}, {*OF_MOTION}, {*OF_IMPACTS}, *({kind} for kind in kinds)]
+    found = [tuple(kind in each for kind in kinds) for each in together]
+    return [[*each] for each in dict.fromkeys(found) if any(each)]
+
+
+def kind_of(name: str) -> str:
+    """The kind of a parameter."""
+    return name.partition(".")[0]
+
+
+class ParameterAccounts:
+    """Begins, corrects and predicts accounts with parameters of a system.
+
+    Attributes:
+        names: of the parameters.
+    """
+
+    def __init__(self, system: System, uncertainty: Uncertainty, clocks: Sequence[float]) -> None:
+        """Accounts of ``system``; ``uncertainty`` has no unknown parameters."""
+        self._unknowns = doubted(system)
+        self.names = self._unknowns.family.names
+        self._nominal = self._unknowns.family.nominal
+        uncertainty = replace(uncertainty, unknowns=self._unknowns)
+        self._subsets = subsets(self.names)
+        self._trusts_events = uncertainty.trusts_events
+        filter_ = ImpactFilter(system, 0.0, self._unknowns)
+        self._bank = FilterBank(filter_, uncertainty, clocks, MOST)
+        self._starts = Starts(filter_, uncertainty, clocks)
+        self._system = system
+
+    def begin(self, state: GaussianState, largest: Vector, clocks: Sequence[float]) -> Account:
+        """The account at an estimate without parameters, which is in doubt.
+
+        Some of the parameters are wrong; the stamps have one of the errors ``clocks``, s. The
+        components of the motion have been as large as ``largest``, shape (2n,).
+        """
+        d, late, p = state.x.size, len(state.constants), self._unknowns.family.size
+        rows = np.r_[:d, d + late : d + late + p, d : d + late]
+        constants = np.concatenate([self._nominal, state.constants])
+        nothing, begun = np.zeros((rows.size, 0)), []
+        doubt = np.pad(np.diag(DOUBT * largest), ((0, late), (0, 0)))
+        root = triangular(np.hstack([WIDER * state.root, doubt]))
+        for k, free in enumerate(self._subsets):
+            deviations = np.where(free, self._unknowns.deviations, 0.0)
+            whole = linalg.block_diag(root, np.diag(deviations))[rows]
+            prior = GaussianState(state.x, constants, whole, nothing, state.closed, p)
+            prior = self._bank.filter.begin(prior)
+            kinds = {kind_of(name) for name, each in zip(self.names, free, strict=True) if each}
+            weight = len(kinds) * FURTHER
+            begun += [Hypothesis(prior, clock, weight, subset=k) for clock in clocks]
+        total = np.logaddexp.reduce([h.weight for h in begun])
+        return Account(tuple(h._replace(weight=h.weight - total) for h in begun))
+
+    def after(self, change: ContactChange, before: Account, fallback: Fallback) -> Account:
+        """The account after an event."""
+        prior = before.published[0].state
+        restarts = partial(self._starts.restarts, fallback, change.closed, 1)
+        corrected = self._bank.correct(change, before.hypotheses, restarts) or restarts()
+        fit = fitted(before.fit, change, corrected, self._bank)
+        if error_share(corrected) > ESTABLISHED:
+            corrected = tuple(h._replace(state=self._doubted_again(h.state)) for h in corrected)
+        residual = before.residual
+        if change.hit:
+            w, n = self._system.W[:, change.hit[0]], self._system.n
+            residual = float(w.dot(prior.x[:n]) + self._system.q_r[change.hit[0]])
+        return Account(corrected, fit, residual)
+
+    def _doubted_again(self, state: GaussianState) -> GaussianState:
+        """``state`` with all parameters in doubt, by as much as the most changed one has changed.
+
+        Parameters that need an error of the model beside them are not the right ones. They are
+        replacements, which may explain the impacts and still be far from the plant.
+        """
+        d, p, first = state.x.size, state.parameters, self._unknowns.deviations
+        change = min(float(np.max(np.abs(state.theta - self._nominal) / first)), 1.0)
+        known = np.array(lengths(state.root[d : d + p])) < change * first
+        added = np.zeros((len(state.root), p))
+        added[d : d + p] = np.diag(AGAIN * change * first * known)
+        return state._replace(root=triangular(np.hstack([state.root, added])))
+
+    def estimate(self, account: Account) -> GaussianState:
+        """What the account publishes, parameters included."""
+        return mixture(account.published)
+
+    def changes(self, account: Account) -> dict[str, tuple[float, float]]:
+        """Of each parameter in doubt its value, and its change in standard deviations."""
+        found = self.estimate(account)
+        d, p = found.x.size, found.parameters
+        rows = zip(
+            self.names, found.theta, self._nominal, lengths(found.root[d : d + p]), strict=True
+        )
+        return {
+            name: (float(value), abs(float(value - given)) / deviation)
+            for name, value, given, deviation in rows
+            if deviation
+        }
+
+    def change(self, account: Account) -> float:
+        """The largest change of a parameter, in standard deviations."""
+        return max((change for _, change in self.changes(account).values()), default=0.0)
+
+    def text(self, account: Account) -> str:
+        """What explains the impacts, or some of them, for the warning."""
+        found = self.changes(account)
+        names = [name for name, (_, change) in found.items() if change > NOTABLE]
+        names = names or [max(found, key=lambda name: found[name][1])] if found else []
+        values = ", ".join(
+            f"{name} {found[name][0]:.4g} {UNITS[kind_of(name)]}".rstrip() for name in names
+        )
+        better = "" if account.is_explained else " better, not fully"
+        return f"; with {values} the impacts are explained{better}"
+
+    def predicted(self, t: float, account: Account, s: float) -> Account:
+        """The account of ``t`` (s since the epoch) ``s`` seconds later."""
+        return account._replace(hypotheses=self._bank.predict(account.hypotheses, t, s))
+
+    def predict(self, t: float, account: Account, prior: Callable[[float], Belief]) -> Prediction:
+        """The prediction of what the account publishes, from ``t`` (s since the epoch) on.
+
+        ``prior`` finds the whole belief some seconds later.
+        """
+        shown = account.published
+        if self._trusts_events:
+            return MixturePrediction(self._bank.filter, t, shown, prior)
+        return MissedSwitchPrediction(self._bank, t, shown, prior)

@@ -1,0 +1,64 @@
+"""Hypotheses that no event has corrected: of a start, and of a restart."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.uncertainty import Uncertainty, spread
+from impact_observer.events import Contacts
+from impact_observer.observer.belief import Fallback
+from impact_observer.states import Matrix
+
+
+class Starts:
+    """Makes the first hypotheses of a bank.
+
+    Attributes:
+        filter: of the bank.
+        uncertainty: that is declared.
+        clocks: possible standard deviations of a stamp, s.
+    """
+
+    def __init__(
+        self, filter_: ImpactFilter, uncertainty: Uncertainty, clocks: Sequence[float]
+    ) -> None:
+        """Starts of hypotheses for ``filter_``."""
+        self.filter = filter_
+        self.uncertainty = uncertainty
+        self.clocks = clocks
+
+    def restarts(self, fallback: Fallback, closed: Contacts, count: int) -> tuple[Hypothesis, ...]:
+        """Hypotheses of a restart: standard deviations as large as the motion was, any clock.
+
+        ``count`` is that of their replicas.
+        """
+        root = np.diag(fallback.largest)
+        replicas = spread(fallback.x, root, count)
+        return self.per_clock(self.filter.begin(self.declared(replicas, root, closed)))
+
+    def per_clock(self, state: GaussianState) -> tuple[Hypothesis, ...]:
+        """One hypothesis for each accuracy of the clock, all equally likely."""
+        weight = -math.log(len(self.clocks))
+        return tuple(Hypothesis(state, clock, weight) for clock in self.clocks)
+
+    def declared(self, replicas: Matrix, root: Matrix, closed: Contacts) -> GaussianState:
+        """``replicas`` and ``root``, with parameters and clock offset as they were declared."""
+        unknowns, late = self.uncertainty.unknowns, self.uncertainty.clock_offset_error
+        deviations = [*([] if unknowns is None else unknowns.deviations)]
+        deviations += [late] if late else []
+        whole = linalg.block_diag(root, np.diag(deviations)) if deviations else root
+        state = GaussianState.of(replicas, whole, closed)
+        if unknowns is None:
+            return state
+        p, nominal = unknowns.family.size, np.append(replicas[0], unknowns.family.nominal)
+        size = nominal.size
+        others = spread(nominal, whole[:size, : root.shape[1] + p], len(replicas))
+        constants, differences = state.constants.copy(), state.differences.copy()
+        constants[:p] = unknowns.family.nominal
+        differences[size - p : size] = (others[1:] - nominal)[:, size - p :].T
+        return state._replace(constants=constants, differences=differences, parameters=p)
