@@ -99,6 +99,9 @@ def copied(value: Any) -> Any:  # noqa: ANN401
 
 def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     """Call what plants and observers do not call, on objects that they have made."""
+    from systems import PRESSED
+
+    from impact_observer.dynamics import Phases, Search, Watched
     from impact_observer.kernel import divided, triangular
 
     triangular(np.arange(12.0).reshape(3, 4))
@@ -107,10 +110,15 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     free.flown(0.1, np.ones(2 * w.size), 0.2)
     impact, t, flown, states, _ = calls["Impact.posteriors"][0].given
     impact.missed(t, flown, states)
+    phase = Phases(PRESSED).phase()
+    motion = phase.start(0.3, np.array([0.1, -0.2, 0.5, 0.0]))
+    motion.each(np.linspace(0.0, 1.0, 5))
+    gaps = Watched.gaps(PRESSED, [0, 1])
+    Search(phase, gaps, 1.0).first(motion, 2.0)
     trace = calls["RootSearch.__init__"][0].given[0]
     trace.known(0.1, 0.2)
-    motion = calls["Guards.trace"][0].given[1]
-    motion.each(np.linspace(0.0, 1.0, 5))
+    arena, _, _, x = calls["Arena.start"][0].given
+    arena.fly_all(0, 0.0, x[None], 2_000_000_000, 9)
 
 
 def work() -> None:

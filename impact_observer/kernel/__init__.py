@@ -13,6 +13,8 @@ if checksum(Path(__file__).parent) not in {_compiled.SOURCES, ""}:  # "": instal
     raise KernelError("was built from other sources")
 
 from impact_observer.kernel._kernel import (  # another kernel may not have them
+    Arena,
+    Flights,
     FreeMotion,
     Gaps,
     Guards,
@@ -27,6 +29,8 @@ from impact_observer.kernel._kernel import (  # another kernel may not have them
 )
 
 __all__ = [
+    "Arena",
+    "Flights",
     "FreeMotion",
     "Gaps",
     "Guards",

@@ -99,3 +99,36 @@ class Gaps:
         below: float,
         depth: float = 0.0,
     ) -> float: ...
+
+class Arena:
+    def __init__(
+        self,
+        gaps: Guards,
+        M: Matrix,
+        W: Matrix,
+        q_r: Vector,
+        length: Vector,
+        times: tuple[float, float, float],
+        lowest: float,
+    ) -> None: ...
+    def learn(self, contact: int, kick: Vector, Z: Vector) -> None: ...
+    def start(self, stamp: int, remainder: float, x: Vector) -> Flights: ...
+    def fly_all(
+        self, stamp: int, remainder: float, x: Matrix, limit: int, most: int
+    ) -> list[
+        tuple[
+            NDArray[np.int64],
+            Vector,
+            NDArray[np.int64],
+            Matrix,
+            tuple[float, tuple[int, ...]] | None,
+        ]
+    ]: ...
+
+class Flights:
+    def advance(
+        self, limit: int, most: int
+    ) -> tuple[
+        list[tuple[int, float, int, float, Vector, Vector]],
+        tuple[float, tuple[int, ...]] | None,
+    ]: ...

@@ -3,7 +3,7 @@
 #include <pybind11/stl.h>
 
 #include "bindings.hpp"
-#include "search.hpp"
+#include "flights.hpp"
 
 namespace kernel {
 
@@ -118,7 +118,8 @@ Array transition(const Flow& flow, double s) { return to_python(flow.modes.trans
 
 Array state(const Started& started, double s) {
     Array found(py::ssize_t(2 * started.motion->flow->modes.n));
-    started.motion->state(finite(s, "s"), found.mutable_data());
+    finite(s, "s");
+    started.motion->states(&s, 1, found.mutable_data());
     return found;
 }
 
@@ -129,7 +130,7 @@ Array states(const Started& started, const Array& s) {
     double* rows = found.mutable_data();
     const Motion& motion = *started.motion;
     const py::gil_scoped_release unlocked;
-    for (std::size_t i = 0; i < at.rows; ++i) motion.state(at[i], rows + i * size);
+    motion.states(at.data, at.rows, rows);
     return found;
 }
 
@@ -192,6 +193,102 @@ py::object first(Search& search, double horizon) {
     return py::make_tuple((*found)->s, py::tuple(py::cast((*found)->which)));
 }
 
+std::shared_ptr<Arena> make_arena(const std::shared_ptr<Guards>& gaps, const Array& M, const Array& W,
+                                  const Array& q_r, const Array& length, const py::tuple& times,
+                                  double lowest) {
+    const py::ssize_t n = py::ssize_t(gaps->flow->modes.n), m = py::ssize_t(gaps->w);
+    const View rows = checked(W, "W", m, n), gap = checked(q_r, "q_r", m),
+               size = checked(length, "length", m);
+    auto arena = std::make_shared<Arena>(
+        Arena{gaps->flow, gaps, Matrix(checked(M, "M", n, n)), {}, 0.0, 0.0, 0.0, finite(lowest, "lowest")});
+    double* const each[3] = {&arena->window, &arena->timescale, &arena->shortest};
+    for (std::size_t k = 0; k < 3; ++k)
+        if (*each[k] = finite(py::cast<double>(times[k]), "times"); !(*each[k] > 0))
+            throw py::value_error("times: not positive");
+    for (std::size_t i = 0; i < rows.rows; ++i)
+        arena->contacts.push_back({{rows.row(i), rows.row(i) + n}, {}, {}, gap[i], size[i]});
+    return arena;
+}
+
+void learn(Arena& arena, std::size_t contact, const Array& kick, const Array& Z) {
+    if (contact >= arena.contacts.size()) throw py::value_error("contact: no such contact");
+    const py::ssize_t n = py::ssize_t(arena.M.rows);
+    const View by = checked(kick, "kick", n), to = checked(Z, "Z", n);
+    arena.contacts[contact].kick.assign(by.data, by.data + n);
+    arena.contacts[contact].Z.assign(to.data, to.data + n);
+}
+
+// Stamps whose differences are no overflow.
+std::int64_t stamp_of(std::int64_t given, const char* name) {
+    if (given > INT64_MAX / 4 || given < -(INT64_MAX / 4))
+        throw py::value_error(std::string(name) + ": out of range");
+    return given;
+}
+
+Flights fly(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double remainder, const Array& x) {
+    return Flights(arena, {stamp_of(stamp, "stamp"), finite(remainder, "remainder")}, checked(x, "x", py::ssize_t(2 * arena->M.rows)).data);
+}
+
+py::object left_by(const Flights& flights) {
+    if (!flights.ended) return py::none();
+    return py::make_tuple(flights.crossing->s, py::tuple(py::cast(flights.crossing->which)));
+}
+
+// The impacts with stamps up to `limit`, a tuple each, and the crossing that is left to others.
+py::tuple advance(Flights& flights, std::int64_t limit, std::size_t most) {
+    std::vector<Hit> hits;
+    stamp_of(limit, "limit");
+    {
+        const py::gil_scoped_release unlocked;
+        flights.advance(limit, most, [&](Hit&& hit) { hits.push_back(std::move(hit)); });
+    }
+    py::list found;
+    for (const Hit& hit : hits)
+        found.append(py::make_tuple(hit.instant.stamp, hit.instant.remainder, hit.contact, hit.energy,
+                                    to_python(hit.before), to_python(hit.after)));
+    return py::make_tuple(found, left_by(flights));
+}
+
+// The same of many starts, without the lock: arrays of stamps, remainders, contacts and states
+// after, and the crossing that is left, for each row of `x`.
+py::list fly_all(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double remainder,
+                 const Array& x, std::int64_t limit, std::size_t most) {
+    const View starts = checked(x, "x", ANY, py::ssize_t(2 * arena->M.rows));
+    const Instant start{stamp_of(stamp, "stamp"), finite(remainder, "remainder")};
+    stamp_of(limit, "limit");
+    std::vector<std::vector<Hit>> hits(starts.rows);
+    std::vector<Flights> flights;
+    {
+        const py::gil_scoped_release unlocked;
+        for (std::size_t k = 0; k < starts.rows; ++k) {
+            flights.emplace_back(arena, start, starts.row(k));
+            flights.back().advance(limit, most, [&](Hit&& hit) {
+                hit.before.clear();
+                hits[k].push_back(std::move(hit));
+            });
+        }
+    }
+    py::list found;
+    for (std::size_t k = 0; k < starts.rows; ++k) {
+        std::vector<std::int64_t> stamps, contacts;
+        std::vector<double> remainders;
+        Matrix after(hits[k].size(), starts.columns);
+        for (std::size_t i = 0; i < hits[k].size(); ++i) {
+            const Hit& hit = hits[k][i];
+            stamps.push_back(hit.instant.stamp);
+            remainders.push_back(hit.instant.remainder);
+            contacts.push_back(std::int64_t(hit.contact));
+            std::copy(hit.after.begin(), hit.after.end(), after.row(i));
+        }
+        const auto integers = [](const std::vector<std::int64_t>& of) {
+            return ArrayOf<std::int64_t>(py::ssize_t(of.size()), of.data());
+        };
+        found.append(py::make_tuple(integers(stamps), to_python(remainders), integers(contacts),
+                                    to_python(after), left_by(flights[k])));
+    }
+    return found;
+}
+
 using Points = ArrayOf<Complex>;
 
 // Divided differences of the exponential on the columns of `points` at each s, (samples, columns).
@@ -236,6 +333,15 @@ void bind_dynamics(py::module_& module) {
              py::arg("start") = 0.0)
         .def_readonly("looks", &Search::looks)
         .def("first", &first, py::arg("horizon"));
+    py::class_<Arena, std::shared_ptr<Arena>>(module, "Arena")
+        .def(py::init(&make_arena), py::arg("gaps").none(false), py::arg("M"), py::arg("W"),
+             py::arg("q_r"), py::arg("length"), py::arg("times"), py::arg("lowest"))
+        .def("learn", &learn, py::arg("contact"), py::arg("kick"), py::arg("Z"))
+        .def("start", &fly, py::arg("stamp"), py::arg("remainder"), py::arg("x"))
+        .def("fly_all", &fly_all, py::arg("stamp"), py::arg("remainder"), py::arg("x"),
+             py::arg("limit"), py::arg("most"));
+    py::class_<Flights>(module, "Flights")
+        .def("advance", &advance, py::arg("limit"), py::arg("most"));
     module.def("divided", &differences, py::arg("points"), py::arg("s"));
 }
 

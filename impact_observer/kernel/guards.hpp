@@ -119,8 +119,7 @@ class Trace {
     double derivative(std::size_t order, std::size_t i) const {
         const double* row = guards->rows[order].row(i);
         const std::size_t k = order * size() + i, r = phase.size();
-        double found = order == 0 ? constant(i) : 0.0;
-        for (std::size_t p = 0; p < 2 * n; ++p) found += row[p] * y[p];
+        double found = (order == 0 ? constant(i) : 0.0) + dot(row, y.data(), 2 * n);
         for (std::size_t j = 0; j < h; ++j) {
             const Complex& amplitude = view->harmonics[k * h + j];
             found += amplitude.real() * waves[j] - amplitude.imag() * waves[h + j];
@@ -142,9 +141,14 @@ class Trace {
         const std::size_t k = order * size() + i, r = phase.size();
         if (sizes[order].rows == 0) prepare(order);
         const double *flat = sizes[order].row(i), *value = flat + n, *rate = value + n;
-        double found = 0.0;
-        for (std::size_t p = 0; p < n; ++p)
+        double found = 0.0, other = 0.0;
+        std::size_t p = 0;
+        for (; p + 2 <= n; p += 2) {  // side by side
             found += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
+            other += decay[p + 1] * std::min(flat[p + 1], value[p + 1] + rate[p + 1] * stop);
+        }
+        if (p < n) found += decay[p] * std::min(flat[p], value[p] + rate[p] * stop);
+        found += other;
         for (std::size_t j = 0; j < h; ++j) found += std::abs(view->harmonics[k * h + j]);
         for (std::size_t j = 0; j < r; ++j) {
             const Drive& drive = (*view->drives)[j];
@@ -158,9 +162,7 @@ class Trace {
 
     // What one function is rounded against there.
     double scale(std::size_t i) {
-        double found = std::abs(constant(i)) + largest(0, i, s);
-        for (std::size_t p = 0; p < n; ++p) found += decay[p] * rounded(i, p);
-        return found;
+        return std::abs(constant(i)) + largest(0, i, s) + dot(decay.data(), rounded.row(i), n);
     }
 
   private:

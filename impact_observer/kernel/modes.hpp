@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "arrays.hpp"
+#include "rows.hpp"
 
 namespace kernel {
 
@@ -40,11 +41,6 @@ struct Pair {
                           : std::abs(A) + std::abs(B) / (2 * d);
     }
 };
-
-// y += a x.
-inline void add(double a, const double* x, double* y, std::size_t n) {
-    for (std::size_t i = 0; i < n; ++i) y[i] += a * x[i];
-}
 
 // The splitting x = T y of a state (q, u) into n pairs y = (y_1, .., y_n).
 class Modes {

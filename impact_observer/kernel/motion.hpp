@@ -104,8 +104,8 @@ class Motion {
         return harmonic == 0 ? Complex(1.0) : std::polar(1.0, angles[harmonic - 1]);
     }
 
-    // All pairs at s: x = T y.
-    void pairs(double s, double* y) const {
+    // All pairs at s, x = T y; `now` is room for 1 + 2h numbers.
+    void pairs(double s, double* y, double* now) const {
         const bool early = is_young(s);
         const std::vector<double>& z = free(early);
         const Modes& modes = flow->modes;
@@ -123,13 +123,17 @@ class Motion {
                 y[2 * drive.pair + k] +=
                     ((phi[0] * drive.beta[k] + phi[1] * drive.turned[k]) * now).real();
         }
-        if (!early) add_steady(s, 1.0, y);
+        if (!early) add_steady(s, 1.0, y, now);
     }
 
-    void state(double s, double* x) const {
-        std::vector<double> y(2 * flow->modes.n);
-        pairs(s, y.data());
-        flow->modes.state(y.data(), x);
+    // States (q, u) at `count` instants, a row each; a row does not depend on the others.
+    void states(const double* s, std::size_t count, double* rows) const {
+        const std::size_t size = 2 * flow->modes.n;
+        std::vector<double> y(size), now(flow->response.columns);
+        for (std::size_t i = 0; i < count; ++i) {
+            pairs(s[i], y.data(), now.data());
+            flow->modes.state(y.data(), rows + i * size);
+        }
     }
 
   private:
@@ -141,7 +145,8 @@ class Motion {
         young = std::sqrt(squares) < flow->small;
         if (young) from_start = with_deviator(y);
         std::vector<double> z = y;
-        add_steady(0.0, -1.0, z.data());
+        std::vector<double> now(flow->response.columns);
+        add_steady(0.0, -1.0, z.data(), now.data());
         beside_steady = with_deviator(z);
     }
 
@@ -156,11 +161,10 @@ class Motion {
     }
 
     // y += factor times the steady response at s.
-    void add_steady(double s, double factor, double* y) const {
+    void add_steady(double s, double factor, double* y, double* now) const {
         const Matrix& response = flow->response;
-        std::vector<double> now(response.columns);
         now[0] = 1.0;
-        waves(s, now.data() + 1);
+        waves(s, now + 1);
         for (std::size_t k = 0; k < response.rows; ++k) {
             double sum = 0.0;
             for (std::size_t j = 0; j < response.columns; ++j) sum += response(k, j) * now[j];

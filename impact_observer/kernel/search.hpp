@@ -7,7 +7,7 @@
 
 namespace kernel {
 
-constexpr double DEPTH = 1e-13;  // that counts as none, relative to a function's scale
+constexpr double DEPTH = 7.1e-15;  // that counts as none, relative to a function's scale: 32 eps
 constexpr double ZERO = 1e-12;   // value that counts as zero at a crossing, relative to the same
 constexpr double ROUNDED = 1e-14;  // from which one more step of Newton's method ends at the root
 constexpr double ROOT = 8.8817841970012523e-16;  // relative accuracy of a root: 4 eps

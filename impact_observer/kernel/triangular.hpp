@@ -5,24 +5,9 @@
 #include <cmath>
 
 #include "arrays.hpp"
+#include "rows.hpp"
 
 namespace kernel {
-
-// The sum of a_j b_j, four partial sums at once.
-inline double dot(const double* a, const double* b, std::size_t n) {
-    double sums[4] = {0.0, 0.0, 0.0, 0.0};
-    std::size_t j = 0;
-    for (; j + 4 <= n; j += 4)
-        for (std::size_t k = 0; k < 4; ++k) sums[k] += a[j + k] * b[j + k];
-    double rest = 0.0;
-    for (; j < n; ++j) rest += a[j] * b[j];
-    return ((sums[0] + sums[1]) + (sums[2] + sums[3])) + rest;
-}
-
-// y += a x
-inline void add(double a, const double* x, double* y, std::size_t n) {
-    for (std::size_t j = 0; j < n; ++j) y[j] += a * x[j];
-}
 
 // Turns the columns of `root` from column k on by one Householder reflection, so that row k
 // becomes zero right of its entry k: the same covariance root root^T. Rows above k are zero there.

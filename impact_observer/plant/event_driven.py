@@ -8,6 +8,7 @@ from impact_observer.dynamics import (
     KEPT,
     Crossing,
     ImpactLaw,
+    Motion,
     Phase,
     Phases,
     Search,
@@ -16,8 +17,9 @@ from impact_observer.dynamics import (
 )
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.model import System
+from impact_observer.plant.flights import Hit, PlainImpacts
 from impact_observer.plant.switching import Switching, switches
-from impact_observer.plant.zeno import AccumulationDetector, ZenoCutoff
+from impact_observer.plant.zeno import LOW, AccumulationDetector, ZenoCutoff
 from impact_observer.stamps import Elapsed, Instant, text
 from impact_observer.states import Stamps, Vector
 
@@ -34,10 +36,13 @@ class Plant:
         system: what moves.
         epoch: stamp of ``t = 0`` of the forcing and of the initial state, ns.
         closed: indices of the contacts that are closed in the present phase.
+        impacts: those of one open contact, ahead.
     """
 
     _crossing: Crossing | None
     _next: Switching | None
+    _last: Switching | None
+    _moving: Motion | None
 
     def __init__(self, system: System, position: Vector, velocity: Vector, *, epoch: int) -> None:
         """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
@@ -55,6 +60,9 @@ class Plant:
         self._accumulation = AccumulationDetector(self._zeno.shortest)
         self._instant_changes = 0
         self._searcher = lru_cache(KEPT)(self._search_of)
+        gaps = self._searcher(self._phases.phase(), tuple(range(system.m)))
+        self.impacts = PlainImpacts(self._phases, gaps, self._zeno.shortest, LOW)
+        self._last, self._energetic = None, 0.0
         start, x = Instant(epoch), np.concatenate([q, u])
         self._begin(start, x, closed=(), held=())
         if initially_closed := system.closed_at(q):
@@ -75,18 +83,42 @@ class Plant:
             DynamicsError: changes of contacts at one instant never end.
         """
         if self._next is None:
-            if self._crossing is None:
+            self._next = self._soon(limit)
+        coming = self._next
+        return coming if coming is not None and coming.instant.stamp <= limit else None
+
+    def _soon(self, limit: int) -> Switching | None:
+        """The next switching, if it is computed or its stamp is not after ``limit`` (ns)."""
+        if self._flies and (hit := self.impacts.next(limit - self.epoch)) is not None:
+            return self._plain_switching(hit)
+        if self._crossing is None:
+            if self._flies:
+                left = self.impacts.left
+                self._crossing = None if left is None else Crossing(*left)
+            else:
                 self._crossing = self._hunt.first(self._start.until(limit) + 0.5e-9)
-            crossing = self._crossing
-            if crossing is None or self._start.after(crossing.s).stamp > limit:
-                return None
-            self._next = self._ended(crossing)
-        return self._next if self._next.instant.stamp <= limit else None
+        crossing = self._crossing
+        if crossing is None or self._start.after(crossing.s).stamp > limit:
+            return None
+        return self._ended(crossing)
+
+    def _plain_switching(self, hit: Hit) -> Switching:
+        instant, contacts = Instant(self.epoch + hit.ns, hit.remainder), (hit.contact,)
+        self._is_plain = True
+        self._energetic = max(self._energetic, hit.energy)
+        changes = switches(self.system, (), contacts, ())
+        return Switching(instant, contacts, (), (), hit.before, hit.after, changes)
 
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
         assert switching is self._next, "only the next switching can be crossed"
-        self._begin(switching.instant, switching.after, switching.closed, switching.held)
+        if not self._is_plain:
+            self._begin(switching.instant, switching.after, switching.closed, switching.held)
+            return
+        # The kernel has gone on by itself.
+        self._start, self._state, self._next = switching.instant, switching.after, None
+        self._moving, self._is_plain = None, False
+        self._last, self._instant_changes = switching, 0
 
     def states(self, stamps: Stamps) -> Vector:
         """States (q, u) in the present phase at ``stamps`` (ns), shape (samples, 2n).
@@ -106,12 +138,22 @@ class Plant:
         self._open = tuple(i for i in range(self.system.m) if i not in closed)
         self._phase = self._phases.phase(held)
         self._state = x
-        self._motion = self._phase.start(self._time(instant), x)
-        self._hunt = self._searcher(self._phase, self._open).along(self._motion)
+        self._moving = None
+        self._flies = not closed and self.impacts.start(self._time(instant), x)
+        if not self._flies:
+            self._hunt = self._searcher(self._phase, self._open).along(self._motion)
         self._crossing = None
         self._next = None
+        self._is_plain = False
 
-    def _time(self, instant: Instant) -> float:
+    @property
+    def _motion(self) -> Motion:
+        """In the present phase."""
+        if self._moving is None:
+            self._moving = self._phase.start(self._time(self._start), self._state)
+        return self._moving
+
+    def _time(self, instant: Instant) -> Elapsed:
         return Elapsed(instant.stamp - self.epoch, instant.remainder)
 
     def _search_of(self, phase: Phase, open_contacts: tuple[int, ...]) -> Search:
@@ -150,6 +192,9 @@ class Plant:
         n, u = self.system.n, x[self.system.n :]
         try:
             velocity = self._law.velocity_after(u, contacts)
+            if self._last is not None:  # the kernel's flights are longer than accumulation takes
+                self._accumulation.hit(self._last.instant, self._last.contacts, self._energetic)
+                self._last = None
             if accumulating := self._accumulation.hit(instant, contacts, self._energy(u)):
                 near = {*contacts, *(i for i in self.system.closed_at(x[:n]) if i in accumulating)}
                 plastic = self._law.plastic.velocity_after(u, tuple(sorted(near)))
@@ -159,6 +204,8 @@ class Plant:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None
         after = np.concatenate([self._phases.projection.position_after(x[:n], contacts), velocity])
         resting = self._zeno.resting(self._time(instant), after, contacts, x[n:])
+        if len(contacts) == 1:
+            self.impacts.learn(contacts[0], self._law)
         return self._switched(instant, x, after, contacts, resting)
 
     def _energy(self, u: Vector) -> float:

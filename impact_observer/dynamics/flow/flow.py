@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.kernel import Trace
+from impact_observer.kernel import Guards, Trace
 from impact_observer.model import Forcing
 from impact_observer.states import Matrix, Vector
 
@@ -123,6 +123,9 @@ class Functions(NamedTuple):
 
 class View(ABC):
     """Functions of the motions of one flow, in closed form."""
+
+    guards: Guards
+    """What the kernel needs of them."""
 
     @abstractmethod
     def of(self, motion: Motion, shift: Vector | None = None) -> Trace | None:

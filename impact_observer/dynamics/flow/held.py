@@ -94,6 +94,7 @@ class _HeldView(View):
     """Functions of a motion in fewer coordinates, with the part of the position at rest."""
 
     def __init__(self, inner: View, position: Matrix) -> None:
+        self.guards = inner.guards
         self._inner = inner
         self._position = position
 

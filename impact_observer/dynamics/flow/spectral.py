@@ -39,8 +39,6 @@ _RESONANCE = 1e-2
 """Distance of a forcing frequency from an eigenvalue that is near, over the rates of both."""
 _HUGE = 30.0
 """Steady response, over the state, that would cost digits while the motion is young."""
-_CANCELLED = 8.0
-"""Size of what cancels in a function, over what it counts for in its scale."""
 
 
 def flow_of(system: Equations, shapes: Matrix | None = None) -> Flow:
@@ -127,18 +125,18 @@ class SpectralFlow(Flow):
         n, time = rows.shape[1] // 2, self._time
         q, u = (linalg.cho_solve(self._inertia, part.T).T for part in np.split(rows, [n], axis=1))
         pulled = time**2 / 2 * np.abs(q @ self._pulls) + time * np.abs(u @ self._pulls)
-        return np.asarray((np.abs(rows) + pulled) / _CANCELLED)
+        return np.asarray(np.abs(rows) + pulled)
 
 
 class _SpectralView(View):
     def __init__(self, guards: Guards, count: int) -> None:
-        self._guards = guards
+        self.guards = guards
         self._none = np.zeros(count)
 
     def of(self, motion: Motion, shift: Vector | None = None) -> Trace | None:
         if not isinstance(motion, ModalMotion):
             return None
-        return self._guards.trace(motion, self._none if shift is None else shift)
+        return self.guards.trace(motion, self._none if shift is None else shift)
 
 
 def _steady(modes: Modes, mu: Complex, beta: Complex, far: NDArray[np.bool_]) -> Complex:

@@ -17,7 +17,7 @@ from impact_observer.dynamics.guards.bounds import Bounds
 from impact_observer.dynamics.guards.roots import ROOT, Suspect, root, traced
 from impact_observer.dynamics.guards.traces import Trace
 from impact_observer.dynamics.guards.watched import Watched
-from impact_observer.kernel import RootSearch
+from impact_observer.kernel import Guards, RootSearch
 from impact_observer.states import Vector
 
 DEPTH = 1e-13
@@ -73,6 +73,11 @@ class Search:
         self._count = watched.constant.size
         self._bounds = cache(lambda: Bounds(phase, watched, least))
         self._view = phase.flow.view(watched.functions(self.forcing))
+
+    @property
+    def guards(self) -> Guards | None:
+        """The functions as the kernel has them; None where motions have no closed form."""
+        return None if self._view is None else self._view.guards
 
     def first(self, motion: Motion, horizon: float, start: float = 0.0) -> Crossing | None:
         """Seconds until the first function falls below zero; None if none does.

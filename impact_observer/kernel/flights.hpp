@@ -1,0 +1,121 @@
+// A plant while nothing happens but impacts of one open contact: flight after flight.
+#pragma once
+
+#include "search.hpp"
+
+namespace kernel {
+
+// An instant: nanoseconds, rounded to the nearest, and what is missing, s.
+struct Instant {
+    std::int64_t stamp = 0;
+    double remainder = 0.0;
+
+    Instant after(double seconds) const {
+        const double whole = std::nearbyint(seconds * 1e9);
+        const double left = (seconds - whole * 1e-9) + remainder;
+        const double carry = std::nearbyint(left * 1e9);
+        return {stamp + std::int64_t(whole) + std::int64_t(carry), left - carry * 1e-9};
+    }
+
+    double until(std::int64_t other) const { return double(other - stamp) / 1e9 - remainder; }
+};
+
+// The impact of one contact: g = W^T q + q_r, u+ = u- - kick gamma, q+ = q- - Z g.
+struct Contact {
+    std::vector<double> W, kick, Z;  // kick and Z are empty until they are known
+    double q_r, length;              // of the column of L^-1 W, M = L L^T
+};
+
+struct Hit {
+    Instant instant;
+    std::size_t contact;
+    double energy;  // kinetic, before
+    std::vector<double> before, after;
+};
+
+// What all flights of one plant share. Times that are short against `shortest` are left to others,
+// who see accumulation; so are gaps below `lowest`, relative to what they are rounded against.
+struct Arena {
+    std::shared_ptr<const Flow> flow;
+    std::shared_ptr<const Guards> gaps;
+    Matrix M;
+    std::vector<Contact> contacts;
+    double window, timescale, shortest, lowest;
+};
+
+// Flights from an instant on. They end at a crossing that is not a plain impact: of several contacts
+// at once, one that may come to rest, one that separates but for rounding, one not known yet.
+class Flights {
+  public:
+    std::optional<Crossing> crossing;  // the next one, if found
+    bool ended = false;                // whether it is left to others
+
+    Flights(std::shared_ptr<const Arena> in, const Instant& start, const double* x)
+        : arena(std::move(in)), flight(begun(start, x)) {}
+
+    // Flies on through impacts with stamps up to `limit`, at most so many, and tells of each.
+    template <class Tell>
+    void advance(std::int64_t limit, std::size_t most, Tell tell) {
+        for (std::size_t k = 0; k < most && !ended; ++k) {
+            if (!crossing) crossing = flight.hunt.first(flight.start.until(limit) + 0.5e-9);
+            if (!crossing || crossing->s > flight.start.until(limit) + 1.0) return;
+            const Instant instant = flight.start.after(crossing->s);
+            if (instant.stamp > limit) return;
+            if (!impact(instant, tell)) ended = true;
+        }
+    }
+
+  private:
+    struct Flight {
+        Instant start;
+        std::shared_ptr<const Motion> motion;
+        Hunt<Trace> hunt;
+    };
+
+    std::shared_ptr<const Arena> arena;
+    Flight flight;
+
+    Flight begun(const Instant& start, const double* x) const {
+        const Time t{double(start.stamp) / 1e9 + start.remainder, true, start.stamp, start.remainder};
+        auto motion = std::make_shared<const Motion>(arena->flow, t, x);
+        Trace trace(arena->gaps, motion, std::vector<double>(arena->contacts.size(), 0.0));
+        return {start, motion, Hunt<Trace>(std::move(trace), arena->window, INFINITY)};
+    }
+
+    // Goes through an impact if it is a plain one.
+    template <class Tell>
+    bool impact(const Instant& instant, Tell tell) {
+        if (crossing->which.size() > 1 || crossing->s <= 2 * arena->shortest) return false;
+        const std::size_t i = crossing->which.front(), n = arena->M.rows;
+        const Contact& contact = arena->contacts[i];
+        if (contact.kick.empty()) return false;
+        Hit hit{instant, i, 0.0, std::vector<double>(2 * n), {}};
+        flight.motion->states(&crossing->s, 1, hit.before.data());
+        hit.after = hit.before;
+        const double gamma = dot(contact.W.data(), &hit.before[n], n);
+        if (!(gamma < 0)) return false;
+        add(-gamma, contact.kick.data(), &hit.after[n], n);
+        add(-(dot(contact.W.data(), &hit.before[0], n) + contact.q_r), contact.Z.data(), &hit.after[0], n);
+        for (std::size_t k = 0; k < n; ++k)
+            hit.energy += hit.before[n + k] * dot(arena->M.row(k), &hit.before[n], n) / 2;
+        Flight next = begun(instant, hit.after.data());
+        if (may_rest(i, dot(contact.W.data(), &hit.after[n], n), hit.energy, next)) return false;
+        flight = std::move(next);
+        crossing.reset();
+        tell(std::move(hit));
+        return true;
+    }
+
+    // Whether a contact that separates with speed gamma could be back at once: not if its flight
+    // is long and high enough with the largest acceleration that it could have.
+    bool may_rest(std::size_t i, double gamma, double energy, const Flight& next) const {
+        if (gamma <= 1e-11 * arena->contacts[i].length * std::sqrt(2 * energy)) return true;
+        Trace gap(arena->gaps, next.motion, std::vector<double>(arena->contacts.size(), 0.0));
+        gap.look(0.0);
+        const double fall = gap.largest(2, i, arena->timescale);
+        const double scale = std::abs(gap.constant(i)) + gap.largest(0, i, arena->timescale);
+        return gamma <= fall * arena->shortest || gamma * gamma <= 16 * fall * arena->lowest * scale;
+    }
+};
+
+}  // namespace kernel

@@ -1,0 +1,98 @@
+"""Impacts of one open contact after the other, computed ahead by the kernel.
+
+They are nearly all that a plant does. The kernel leaves anything else to the plant: several
+contacts at once, one that may come to rest, flights so short that impacts might accumulate, and
+the first impact of each contact.
+"""
+
+from collections import deque
+from typing import NamedTuple
+
+from impact_observer.dynamics import ImpactLaw, Phases, Search
+from impact_observer.kernel import Arena, Flights
+from impact_observer.stamps import Elapsed
+from impact_observer.states import Vector
+
+_NUMBERS = 1 << 20
+"""Most numbers of states that are computed ahead."""
+
+
+class Hit(NamedTuple):
+    """One impact of one open contact, which stays open.
+
+    Attributes:
+        ns: its instant since the epoch, ns.
+        remainder: the instant less ``ns``, s.
+        contact: its index.
+        energy: kinetic energy before, J.
+        before: state (q, u-), shape (2n,).
+        after: state (q+, u+), shape (2n,).
+    """
+
+    ns: int
+    remainder: float
+    contact: int
+    energy: float
+    before: Vector
+    after: Vector
+
+
+class PlainImpacts:
+    """Flights of one plant while no contact is closed.
+
+    Attributes:
+        arena: what all flights share; None where motions have no closed form.
+        left: the crossing that the kernel leaves to the plant, if there is one.
+    """
+
+    def __init__(self, phases: Phases, search: Search, shortest: float, lowest: float) -> None:
+        """Prepare the flights.
+
+        Args:
+            phases: of the plant's system.
+            search: of all gaps while no contact is closed.
+            shortest: flight that counts as none, s.
+            lowest: height of a flight that counts as none, relative to what gaps are rounded
+                against.
+        """
+        system, scales, guards = phases.system, phases.scales, search.guards
+        self.arena: Arena | None = None
+        if guards is not None:
+            times = search.window, scales.timescale, shortest
+            self.arena = Arena(
+                guards, system.M, system.W.T, system.q_r, phases.length, times, lowest
+            )
+        self._phases = phases
+        self._flights: Flights | None = None
+        self._known: set[int] = set()
+        self._most = max(16, _NUMBERS // (4 * system.n))
+        self._hits: deque[Hit] = deque()
+        self.left: tuple[float, tuple[int, ...]] | None = None
+
+    def start(self, t: Elapsed, x: Vector) -> bool:
+        """Fly on from the state ``x``, shape (2n,), at ``t``; False where the kernel cannot."""
+        self._hits.clear()
+        self.left = None
+        if self.arena is None:
+            return False
+        self._flights = self.arena.start(t.ns, t.remainder, x)
+        return True
+
+    def learn(self, contact: int, law: ImpactLaw) -> None:
+        """From now on the kernel makes the impacts of ``contact`` by ``law``."""
+        if self.arena is None or contact in self._known:
+            return
+        self._known.add(contact)
+        Z = self._phases.projection.jump((contact,))[:, 0]
+        self.arena.learn(contact, law.kick(contact), Z)
+
+    def next(self, limit: int) -> Hit | None:
+        """The next impact, if it is computed or not later than ``limit``, ns since the epoch.
+
+        Without any, ``left`` is the crossing that the plant has to deal with, if there is one.
+        """
+        assert self._flights is not None, "not started"
+        if not self._hits and self.left is None:
+            hits, self.left = self._flights.advance(limit, self._most)
+            self._hits.extend(Hit(*each) for each in hits)
+        return self._hits.popleft() if self._hits else None

@@ -1,0 +1,147 @@
+"""Flights that the kernel flies ahead: the plant is the same as without."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from systems import EPOCH, chain, examples, forcing, sample, system, systems, vectors
+
+from impact_observer.errors import DynamicsError, ImpactLawError
+from impact_observer.model import System
+from impact_observer.plant import Plant, Switching
+from impact_observer.plant.flights import PlainImpacts
+from impact_observer.stamps import NS_PER_S, Elapsed
+
+Array = NDArray[np.float64]
+
+
+def switchings(plant: Plant, seconds: float, *, most: int = 200) -> list[Switching]:
+    """What the contacts do, at most so much."""
+    found: list[Switching] = []
+    limit = plant.epoch + round(seconds * NS_PER_S)
+    try:
+        while len(found) < most and (one := plant.next_switching(limit)) is not None:
+            found.append(one)
+            plant.cross(one)
+    except (DynamicsError, ImpactLawError):
+        pass
+    return found
+
+
+def alone(monkeypatch: pytest.MonkeyPatch, model: System, q: Array, u: Array) -> Plant:
+    """A plant that does everything itself."""
+    monkeypatch.setattr(PlainImpacts, "start", lambda *_: False)
+    plant = Plant(model, q, u, epoch=EPOCH)
+    monkeypatch.undo()
+    plant.impacts.arena = None
+    return plant
+
+
+def assert_same(one: list[Switching], other: list[Switching]) -> None:
+    """The same contacts do the same at the same instants."""
+    assert len(one) == len(other)
+    for a, b in zip(one, other, strict=True):
+        assert abs(a.instant.stamp - b.instant.stamp) <= 1
+        assert (a.contacts, a.closed, a.held) == (b.contacts, b.closed, b.held)
+        assert a.switches == b.switches
+        size = 1e-9 * (1 + np.abs(b.after).max())
+        np.testing.assert_allclose(a.before, b.before, rtol=0, atol=size)
+        np.testing.assert_allclose(a.after, b.after, rtol=0, atol=size)
+
+
+@pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball"])
+def test_impacts_are_those_of_a_plant_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ball's impacts accumulate, and then it rests."""
+    model = sample(name)
+    start = model.initial_state()
+    one = Plant(model.system, *start, epoch=EPOCH)
+    found = switchings(one, 12.0)
+    assert_same(found, switchings(alone(monkeypatch, model.system, *start), 12.0))
+    assert found[-1].closed == ((0,) if name == "bouncing_ball" else ())
+
+
+@pytest.mark.slow
+@examples(150)
+@given(st.data())
+def test_impacts_of_any_system_are_those_of_a_plant_alone(data: st.DataObject) -> None:
+    """Some come to rest, some close several contacts at once."""
+    model = data.draw(systems(contacts=(1, 3), gaps=(0.0, 2.0)))
+    q, u = data.draw(vectors(model.n, -1, 1)), data.draw(vectors(model.n, -4, 4))
+    if np.any(model.gap(q) < 0):
+        return
+    try:
+        plant = Plant(model, q, u, epoch=EPOCH)
+    except ImpactLawError:
+        return
+    with pytest.MonkeyPatch.context() as patched:
+        other = alone(patched, model, q, u)
+    # Rounding decides what happens at one instant, and grows from there on.
+    one, two = switchings(plant, 2.0, most=8), switchings(other, 2.0, most=8)
+    if not any(len(each.contacts) != 1 or each.closed for each in (*one, *two)):
+        assert_same(one, two)
+
+
+def test_states_between_impacts_are_those_of_the_flight() -> None:
+    """In any order of asking, before and after the kernel has flown on."""
+    model = sample("two_mass")
+    plant, other = (Plant(model.system, *model.initial_state(), epoch=EPOCH) for _ in range(2))
+    assert other.next_switching(EPOCH + 30 * NS_PER_S) is not None  # flies far ahead
+    for _ in range(12):
+        one = plant.next_switching(EPOCH + 30 * NS_PER_S)
+        two = other.next_switching(EPOCH + 30 * NS_PER_S)
+        assert one is not None
+        assert two is not None
+        assert one.instant == two.instant
+        stamps = np.linspace(one.instant.stamp - 10**8, one.instant.stamp, 5).astype(np.int64)
+        np.testing.assert_array_equal(plant.states(stamps), other.states(stamps))
+        np.testing.assert_allclose(plant.states(stamps)[-1], one.before, rtol=0, atol=1e-8)
+        plant.cross(one)
+        other.cross(two)
+        np.testing.assert_allclose(plant.states(stamps[-1:])[0], one.after, rtol=0, atol=1e-8)
+
+
+def test_small_steps_of_the_limit_change_nothing() -> None:
+    """A node asks every millisecond."""
+    model = sample("three_mass")
+    at_once = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    stepwise = Plant(model.system, *model.initial_state(), epoch=EPOCH)
+    expected = switchings(at_once, 6.0)
+    found: list[Switching] = []
+    for limit in range(EPOCH, EPOCH + 6 * NS_PER_S, 7_000_000):
+        while (one := stepwise.next_switching(limit)) is not None:
+            assert one.instant.stamp <= limit
+            found.append(one)
+            stepwise.cross(one)
+    assert [each.instant for each in found] == [each.instant for each in expected[: len(found)]]
+    assert len(found) >= len(expected) - 1
+
+
+def test_many_starts_at_once_are_each_alone() -> None:
+    """Impacts of a batch, and what is left of each start."""
+    model = chain(3, contacts=[([0, 0, -1], 0.2, 0.6)], force=forcing(3, [0.5, 0.0, 0.0]))
+    plant = Plant(model, np.zeros(3), np.zeros(3), epoch=0)
+    plain = plant.impacts
+    plain.learn(0, plant._law)
+    starts = np.random.default_rng(8).uniform(-0.1, 0.1, size=(40, 6)) * [1, 1, 1, 30, 30, 30]
+    limit = 5 * NS_PER_S
+    assert plain.arena is not None
+    found = plain.arena.fly_all(0, 0.0, starts, limit, 100)
+    assert sum(each[0].size for each in found) > 40
+    for x, (stamps, remainders, contacts, after, left) in zip(starts, found, strict=True):
+        assert plain.start(Elapsed(0), x)
+        for k in range(stamps.size):
+            hit = plain.next(limit)
+            assert hit is not None
+            assert (hit.ns, hit.remainder, hit.contact) == (stamps[k], remainders[k], contacts[k])
+            np.testing.assert_array_equal(hit.after, after[k])
+        assert plain.next(limit) is None
+        assert plain.left == left
+
+
+def test_contact_that_may_come_to_rest_is_left_to_the_plant() -> None:
+    """A plastic impact of a body that is pressed against its stop."""
+    model = system(1, 0, 1, contacts=[([1], 0.0, 0.0)], force=forcing(1, -2.0))
+    plant = Plant(model, np.array([0.5]), np.zeros(1), epoch=0)
+    (one,) = switchings(plant, 5.0)
+    assert one.closed == (0,)
