@@ -175,7 +175,8 @@ class Mirror(NamedTuple):
     """The jump ``x+ = J x- + offset``: a gap that is left is reversed like its speed.
 
     So ``gamma e = g`` stays true, and a jump that is a little early or late leaves the positions
-    as they are. A contact that lasts is an impulse after the onset, which lags the positions.
+    as they are. A contact that lasts is an impulse after the onset, which lags the positions; what
+    springs and forces change of the speed until then is neglected.
 
     Attributes:
         J: shape (2n, 2n).

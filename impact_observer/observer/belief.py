@@ -30,7 +30,7 @@ class Fallback(NamedTuple):
             included, shape (2n,).
         unit: a root of the covariance that white accelerations of 1 m/s^1.5 give its error,
             shape (2n, 2n).
-        lag: its error, of first order, if contacts last as long as they may, shape (2n,).
+        lag: its error by the positions that shift if contacts last as long as they may, (2n,).
     """
 
     x: Vector

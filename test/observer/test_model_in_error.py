@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from systems import EPOCH, run, sample, started
 
+from benchmarks.misfit_motion import Motion, Truth
 from benchmarks.misfit_plants import plants
 from benchmarks.misfit_runs import events
 from impact_observer.estimation.contact_change import ContactChange
@@ -17,9 +18,10 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.misfit import Fit
-from impact_observer.events import ImpactEvent, Remark
+from impact_observer.events import ImpactEvent, Kind, Remark
 from impact_observer.model import System
 from impact_observer.observer import Observer, make_observer
+from impact_observer.observer.laws.fallback import FallbackReplica
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
 from impact_observer.options import Options
@@ -202,3 +204,27 @@ def test_impacts_that_accumulate_count_once() -> None:
         fit = fitted(fit, change, corrected, bank)
     assert fit.innovations == (1.0, 1.0, 1.0)
     assert len(fit.as_reported) == 3
+
+
+def test_error_of_the_replica_by_a_contact_that_lasts_is_that_of_a_plant() -> None:
+    """Positions of two plants, integrated by scipy: a rigid stop, and one that gives way."""
+    model = sample("two_mass").system
+    filter_ = ImpactFilter(model)
+    lasts = 0.01 * filter_.phases.scales.timescale
+    replica, rng = FallbackReplica(filter_), np.random.default_rng(0)
+    w, seconds = model.W[:, 0], 0.1
+    q = np.array([0.2, -0.1])
+    q += w * (1e-3 - w @ q - model.q_r[0]) / (w @ w)  # the gap is 1 mm
+    x = np.concatenate([q, -0.8 * w / np.linalg.norm(w)])
+    rigid, soft = (
+        Motion(Truth(model, contact_time=time), x.copy(), seconds, rng).run()
+        for time in (0.0, lasts)
+    )
+    assert rigid.stamps.size == soft.stamps.size == 1
+    t = float(rigid.stamps[0] - EPOCH) / NS_PER_S
+    change = ContactChange.of(t, (), [(0, Kind.IMPACT)], flown=t)
+    before = replica.motion(0.0, replica.begin(x, np.eye(4), ()), ())(t)
+    found = replica.motion(t, replica.after(change, before), ())(seconds - t)
+    np.testing.assert_allclose(found.x, rigid.states[-1], atol=1e-7)
+    error = (soft.states[-1] - rigid.states[-1])[:2]
+    assert np.linalg.norm(found.lag[:2] - error) < 0.15 * np.linalg.norm(error)
