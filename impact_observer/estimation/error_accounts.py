@@ -119,8 +119,7 @@ class ErrorAccounts:
         return float(np.linalg.norm(w @ self._root(h, kind)[: w.size]))
 
     def _largest(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
-        forces = self._moving.forces(here.t)
-        rate = self._moving.rates(here.before).along(h.state.x, forces)[0]
+        rate = self._moving.rate_of(here.t, h.state.x, here.before)
         return largest(kind, rate[self._system.n :], self._timescale)
 
     def _clock_instead(self, h: Hypothesis, here: ContactChange) -> float:

@@ -18,6 +18,8 @@ from impact_observer.model import System
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
 from impact_observer.states import Matrix, Vector
 
+_MANY = 32
+"""Coordinates from which on products of matrices are faster than motions one by one."""
 _FAR = 0.5
 """Largest step of a parameter of the motion, relative to its distance from its bound."""
 _STEP = 1e-6
@@ -72,6 +74,12 @@ class MovingSystem:
         squares = np.maximum(scales.squares, 0.0)
         return Sizes(scales.modes, scales.spread, squares, scales.timescale)
 
+    def rate_of(self, t: float, x: Vector, closed: Contacts) -> Vector:
+        """``dx/dt`` of a state at ``t``, s since the epoch, shape (2n,)."""
+        if not closed and self.system.forcing.sampled is None:
+            return self.free.rates(t, x)
+        return self.rates(closed).along(x, self.forces(t))[0]
+
     def flow_map(self, t: float, x: Vector, s: float, closed: Contacts) -> Map:
         """The flow from ``t`` (s since the epoch) over ``s`` seconds, also back, about ``x``.
 
@@ -87,6 +95,8 @@ class MovingSystem:
 
     def _diffusion_over(self, closed: Contacts, s: float) -> Matrix:
         """A root of what white accelerations of 1 m/s^1.5 add in ``s`` seconds, (2n, 2n)."""
+        if not closed and self.system.n < _MANY:
+            return self.free.diffusion(s)
         return diffusion(self.phase(closed), s, self._rate(closed))
 
     def _forces_at(self, t: float) -> Matrix:

@@ -81,7 +81,7 @@ def _comes_to_rest(
     deviation of its gap.
     """
     n, w, moving = filter_.system.n, filter_.system.W[:, contact], filter_.member(state).moving
-    rate = moving.rates(state.closed).along(state.x, moving.forces(t))[0]
+    rate = moving.rate_of(t, state.x, state.closed)
     fall = -float(w.dot(rate[n:]))
     if fall <= 0:
         return False

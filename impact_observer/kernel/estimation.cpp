@@ -199,12 +199,32 @@ double root_of(const Gaps& gaps, double t, const py::tuple& state, double level,
     return gaps.root(t, given.priors[0], level, contact, above, below, depth);
 }
 
+Array rates_of(const Motion& motion, double t, const Array& x) {
+    instant(t, 0.0);
+    Vector found = motion.rates(vector(x, "x", py::ssize_t(motion.size())));
+    motion.force(t, 0, 1.0, found);
+    Array rates(py::ssize_t(found.size()));
+    std::copy(found.begin(), found.end(), rates.mutable_data());
+    return rates;
+}
+
+Array diffusion(const Motion& motion, double s) {
+    if (!(s >= 0 && s * motion.rate < 1e15)) throw py::value_error("s: expected 0 or more, not long");
+    const py::gil_scoped_release released;
+    Matrix found = motion.diffusion(s);
+    const py::gil_scoped_acquire acquired;
+    return to_python(found);
+}
+
 }  // namespace
 
 void bind_estimation(py::module_& module) {
     py::class_<Motion>(module, "FreeMotion", "Motion between impacts: du/dt = lower x + forces.")
         .def(py::init(&motion_of), py::arg("lower"), py::arg("constant"), py::arg("frequency"),
              py::arg("cosine"), py::arg("sine"), py::arg("rate"), py::arg("decay"))
+        .def("rates", &rates_of, py::arg("t"), py::arg("x"), "dx/dt of a state x at t.")
+        .def("diffusion", &diffusion, py::arg("s"),
+             "A square root of what white accelerations of 1 m/s^1.5 add in s seconds.")
         .def("flown", &flown, py::arg("t"), py::arg("x"), py::arg("s"),
              "The state s seconds after x at t, by Taylor's series: for short times.");
     py::class_<Sizes>(module, "Sizes", "What states are rounded against; see dynamics.sizes.")

@@ -77,9 +77,15 @@ class Gaps {
     double root(double t, const Prior& prior, double level, std::size_t j, double above,
                 double below, double depth) const {
         const Vector start = motion.flown(t, vector(prior.x), above);
+        const bool is_short = depth > 0 && !(level > 0);
+        const Vector row = is_short ? motion.seen(direction(j), above) : Vector();
+        const auto sigma = [&](double s) {
+            return is_short ? spread(motion.seen(row, s - above), prior.root)
+                            : deviation(j, s, prior.root, level);
+        };
         const auto value = [&](double s) {
             const Vector x = motion.flown(t + above, start, s - above);
-            return gap(j, x.data()) + (depth > 0 ? depth * deviation(j, s, prior.root, level) : 0.0);
+            return gap(j, x.data()) + (depth > 0 ? depth * sigma(s) : 0.0);
         };
         double low = above, high = below, at_low = value(low), at_high = value(high);
         if (!(at_low > 0 && 0 > at_high)) return below;
@@ -157,8 +163,7 @@ class Gaps {
     // squares of w^T Phi(r)_u, here by Simpson's rule.
     double deviation(std::size_t j, double s, const View& root, double level) const {
         const std::size_t n = motion.n();
-        Vector row(2 * n);
-        std::copy(W.row(j), W.row(j) + n, row.begin());
+        Vector row = direction(j);
         double added = 0.0;
         if (level > 0) {
             const double wanted = std::ceil(s * FINE / sizes.timescale / 2);
@@ -171,11 +176,22 @@ class Gaps {
         } else {
             row = motion.seen(std::move(row), s);
         }
-        double squares = level * level * added;
+        return std::hypot(spread(row, root), level * std::sqrt(added));
+    }
+
+    // Gap j as a function of states
+    Vector direction(std::size_t j) const {
+        Vector row(motion.size());
+        std::copy(W.row(j), W.row(j) + motion.n(), row.begin());
+        return row;
+    }
+
+    // Standard deviation of a function of states
+    double spread(const Vector& row, const View& root) const {
         Vector sums(root.columns);
-        for (std::size_t i = 0; i < 2 * n; ++i) add(row[i], root.row(i), sums.data(), root.columns);
-        for (const double each : sums) squares += each * each;
-        return std::sqrt(squares);
+        for (std::size_t i = 0; i < row.size(); ++i)
+            add(row[i], root.row(i), sums.data(), root.columns);
+        return std::sqrt(dot(sums.data(), sums.data(), sums.size()));
     }
 };
 

@@ -139,6 +139,52 @@ struct Motion {
         return x;
     }
 
+    // A square root, 2n x 2n, of what white accelerations add in s >= 0 seconds: the integral of
+    // Phi(r) B B^T Phi(r)^T by Gauss and Legendre over a step shorter than the fastest rate's
+    // inverse, and then by Q(2h) = Phi(h) Q(h) Phi(h)^T + Q(h).
+    Matrix diffusion(double s) const {
+        constexpr double nodes[4] = {0.1834346424956498, 0.5255324099163290, 0.7966664774136267,
+                                     0.9602898564975363};
+        constexpr double weights[4] = {0.3626837833783620, 0.3137066458778873, 0.2223810344533745,
+                                       0.1012285362903763};
+        const std::size_t d = size();
+        const int doublings = std::max(0, int(std::ceil(std::log2(std::max(s * rate, 1.0)))));
+        const double h = std::ldexp(s, -doublings);
+        const auto moved_by = [&](std::size_t i, double after) {
+            Vector column(d);
+            column[i] = 1.0;
+            return carried(std::move(column), after);
+        };
+        Matrix columns(d, 4 * d), Phi(d, d), root(d, d);
+        for (std::size_t k = 0; k < 8; ++k)
+            for (std::size_t j = 0; j < n(); ++j) {
+                const double node = k < 4 ? nodes[k] : -nodes[k - 4];
+                const double size = std::sqrt(weights[k % 4] * h / 2);
+                const Vector column = moved_by(n() + j, (1 + node) * h / 2);
+                for (std::size_t i = 0; i < d; ++i) columns(i, k * n() + j) = size * column[i];
+            }
+        for (std::size_t j = 0; doublings && j < d; ++j) {
+            const Vector column = moved_by(j, h);
+            for (std::size_t i = 0; i < d; ++i) Phi(i, j) = column[i];
+        }
+        for (int turn = 0;; ++turn) {
+            make_triangular(columns);
+            for (std::size_t i = 0; i < d; ++i)
+                std::copy(columns.row(i), columns.row(i) + d, root.row(i));
+            if (turn == doublings) return root;
+            columns = Matrix(d, 2 * d);
+            Matrix twice(d, d);
+            for (std::size_t i = 0; i < d; ++i) {
+                for (std::size_t k = 0; k < d; ++k) {
+                    add(Phi(i, k), root.row(k), columns.row(i), d);
+                    add(Phi(i, k), Phi.row(k), twice.row(i), d);
+                }
+                std::copy(root.row(i), root.row(i) + d, columns.row(i) + d);
+            }
+            Phi = std::move(twice);
+        }
+    }
+
     // row Phi(s)
     Vector seen(Vector row, double s) const {
         moved(row, s, nullptr, [&](const double* term, double* to) { row_rates(term, to); });

@@ -9,6 +9,7 @@ from scipy import integrate
 from systems import chain, examples, numbers, system, systems
 
 from impact_observer.dynamics import Phase, Phases
+from impact_observer.estimation.members import MovingSystem
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 
 Array = NDArray[np.float64]
@@ -34,6 +35,18 @@ def test_noise_is_the_integral_of_its_definition(data: st.DataObject) -> None:
     s = data.draw(numbers(0.0, 4.0))
     found = 0.3 * diffusion(phase, s, fastest_rate(phase))
     expected = integrated_noise(phase, s, 0.3)
+    np.testing.assert_allclose(found @ found.T, expected, atol=1e-10 * (1 + expected.max()))
+
+
+@examples(15)
+@given(st.data())
+def test_noise_by_the_kernel_is_the_integral_of_its_definition(data: st.DataObject) -> None:
+    """Damped, gyroscopic, rigid or not; forces add nothing."""
+    moving = MovingSystem(data.draw(systems(max_n=3, contacts=(1, 1))))
+    s = data.draw(numbers(0.0, 4.0))
+    found = moving.diffusion((), s)
+    assert not np.any(np.triu(found, 1))
+    expected = integrated_noise(moving.phase(()), s, 1.0)
     np.testing.assert_allclose(found @ found.T, expected, atol=1e-10 * (1 + expected.max()))
 
 

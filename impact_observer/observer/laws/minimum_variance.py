@@ -239,8 +239,8 @@ class MinimumVariance(Law):
                 learned[kind.value] = [h.error.level * (h.error.kind is kind) for h in hypotheses]
         weights = probabilities(hypotheses)
         for name, values in learned.items():
-            mean = float(np.average(values, weights=weights))
-            variance = float(np.average((np.array(values) - mean) ** 2, weights=weights))
+            mean = float(weights.dot(values))
+            variance = float(weights.dot((np.array(values) - mean) ** 2))
             found.append((name, mean, math.sqrt(variance)))
         if self.uncertainty.clock_offset_error:
             found.append(("clock_offset", best.offset, deviations[-1]))
