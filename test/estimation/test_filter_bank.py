@@ -107,6 +107,34 @@ def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, lead
     assert {h.clock for h in of_best} == ({*clocks} if leads else set())
 
 
+def test_one_account_is_left_of_an_exact_run() -> None:
+    """Once the others hold less than 1e-4 of the probability."""
+    model, start, whole = truth("two_mass", 40.0)
+    x = start + np.random.default_rng(3).normal(size=start.size)
+    watcher = observer(model, "minimum-variance", x, uncertainty=Uncertainty(), epoch=EPOCH)
+    for each in whole.events:
+        watcher.receive(each)
+    assert len(whole.events) > 20
+    assert [len(belief.hypotheses) for belief in beliefs(watcher)[-3:]] == [1, 1, 1]
+
+
+@pytest.mark.parametrize(("clock", "ways"), [(1e-5, 1), (1e-7, 2)])
+def test_impact_within_the_error_of_a_stamp_is_left_to_the_next_flight(
+    clock: float, ways: int
+) -> None:
+    """A stop was reached 1e-6 s before an event: missed, or not yet reached then."""
+    model = chain(1, stiffness=0.0, damping=0.0, contacts=[([1], 0.0, 0.5)])
+    bank = FilterBank(ImpactFilter(model), Uncertainty(model_error=0.0), (clock,))
+    state = GaussianState.of(np.array([[1.0, -1.0]]), 1e-9 * np.eye(2))
+    found = bank.predict([Hypothesis(state, clock)], 0.0, 1.0 + 1e-6)
+    assert len(found) == ways
+    unpaid = [h for h in found if not h.missed]
+    assert [bool(h.penetrating) for h in unpaid] == [ways == 2]
+    (later,) = bank.predict([unpaid[0]], 1.0 + 1e-6, 0.5)[:1]
+    assert [each.kind for each in later.missed] == [Kind.IMPACT]
+    np.testing.assert_allclose(later.state.x, [0.25, 0.5], atol=1e-5)
+
+
 def by_hand(model: System, x: Array, events: Sequence[ImpactEvent], end: int) -> tuple[Array, ...]:
     """State and root by ``ImpactFilter`` alone, at the stamp ``end``."""
     filter_, index = ImpactFilter(model), model.contact_names.index

@@ -281,3 +281,27 @@ def test_instants_and_clocks_that_do_not_fit_are_refused() -> None:
     for t, clocks in ((np.nan, [1e-9]), (0.0, [-1.0]), (0.0, [np.nan]), (0.0, [1e-9, 1e-9])):
         with pytest.raises(ValueError, match=r"t: not finite|clocks"):
             impact.fits(t, [state], np.array(clocks))
+
+
+def test_gaps_that_do_not_fit_are_refused() -> None:
+    """As states of an impact are; nor is a flight of too many periods followed step by step."""
+    gaps = ImpactFilter(SWAYING).members.given.free_gaps
+    state = (Y, np.zeros(0), np.eye(6), np.zeros((6, 0)))
+    assert len(gaps.dips(0.0, 9.0, [state], np.zeros(1))[0]) > 0
+    wrong = ((-1.0, 0.0, "duration"), (1e9, 0.0, "duration"), (1.0, np.nan, "levels"))
+    for s, level, expected in wrong:
+        with pytest.raises(ValueError, match=expected):
+            gaps.dips(0.0, s, [state], np.array([level]))
+    with pytest.raises(ValueError, match="contact: there is none"):
+        gaps.root(0.0, state, 0.0, 1, 0.0, 1.0)
+    with pytest.raises(ValueError, match="in order"):
+        gaps.root(0.0, state, 0.0, 0, 1.0, 0.5)
+
+
+def test_rates_are_those_of_the_equations_of_motion() -> None:
+    """Also of the forces: against the model."""
+    model, n = SWAYING, SWAYING.n
+    found = ImpactFilter(model).members.given.moving.free.rates(3.25, Y)
+    force = model.forcing(3.25) - model.C @ Y[n:] - model.K @ Y[:n]
+    wanted = np.concatenate([Y[n:], np.linalg.solve(model.M, force)])
+    np.testing.assert_allclose(found, wanted, atol=1e-14)
