@@ -84,8 +84,7 @@ def combined(
 ) -> Part:
     """What is published in a misfit: one of the estimates, with the covariance of all.
 
-    Contacts that last shift filter and replica alike, and no gap shows it. So this error is added,
-    unless the account has an estimate of the contact times.
+    Contacts that last shift all of them alike, and no gap need show it. So this error is added.
 
     Args:
         fit: how far each is from the impacts.
@@ -97,12 +96,10 @@ def combined(
     if by_account is not None and explained:
         return by_account
     by_replica = replica.x, fit.replica_level * replica.unit
-    parts, best, columns = [by_filter, by_replica], int(fit.prefers_replica), []
-    if by_account is None:
-        columns = [replica.lag[:, None]]
-    else:
+    parts, best = [by_filter, by_replica], int(fit.prefers_replica)
+    if by_account is not None:
         parts, best = [*parts, by_account], 2
-    x = parts[best][0]
+    x, columns = parts[best][0], [replica.lag[:, None]]
     shares = fit.shares(with_account=by_account is not None)
     for share, (other, root) in zip(np.sqrt(shares), parts, strict=True):
         columns += [share * root, share * (x - other)[:, None]]
