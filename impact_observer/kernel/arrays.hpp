@@ -1,13 +1,13 @@
 // Arrays that come from Python, checked, and plain views of them.
 #pragma once
 
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+
 #include <cmath>
 #include <cstddef>
 #include <string>
 #include <vector>
-
-#include <pybind11/numpy.h>
-#include <pybind11/pybind11.h>
 
 namespace kernel {
 
@@ -49,7 +49,8 @@ struct Matrix {
 
 inline std::string shape_of(const py::array& a) {
     std::string text = "(";
-    for (py::ssize_t k = 0; k < a.ndim(); ++k) text += (k ? ", " : "") + std::to_string(a.shape(k));
+    for (py::ssize_t k = 0; k < a.ndim(); ++k)
+        text += (k ? ", " : "") + std::to_string(a.shape(k));
     return text + (a.ndim() == 1 ? ",)" : ")");
 }
 
@@ -61,7 +62,9 @@ inline View checked(const Array& a, const char* name, py::ssize_t rows, py::ssiz
     const bool fits = a.ndim() == 2 && (rows == ANY || a.shape(0) == rows) &&
                       (columns == ANY || a.shape(1) == columns);
     if (!fits) {
-        const auto text = [](py::ssize_t n) { return n == ANY ? std::string("any") : std::to_string(n); };
+        const auto text = [](py::ssize_t n) {
+            return n == ANY ? std::string("any") : std::to_string(n);
+        };
         throw py::value_error(std::string(name) + ": shape " + shape_of(a) + "; expected (" +
                               text(rows) + ", " + text(columns) + ")");
     }

@@ -56,7 +56,8 @@ inline Complex divided(const Complex* points, std::size_t count, double s) {
     for (std::size_t i = 1; i < (distance > 0 ? 18 : 1); ++i) {
         factorial *= double(i + k);
         symmetric[0] *= parts[0];
-        for (std::size_t j = 1; j <= k; ++j) symmetric[j] = symmetric[j - 1] + parts[j] * symmetric[j];
+        for (std::size_t j = 1; j <= k; ++j)
+            symmetric[j] = symmetric[j - 1] + parts[j] * symmetric[j];
         total += symmetric[k] / factorial;
     }
     return std::pow(s, double(k)) * std::exp(mean * s) * total;

@@ -82,7 +82,8 @@ std::vector<Drive> drives_of(const Flow& flow, const View& load, const Flags& ma
             for (std::size_t i = 0; i < 2; ++i)
                 drive.beta[i] = {load(2 * p + i, k), k == 0 ? 0.0 : -load(2 * p + i, k + h)};
             for (std::size_t i = 0; i < 2; ++i)
-                drive.turned[i] = pair.D[2 * i] * drive.beta[0] + pair.D[2 * i + 1] * drive.beta[1] +
+                drive.turned[i] = pair.D[2 * i] * drive.beta[0] +
+                                  pair.D[2 * i + 1] * drive.beta[1] +
                                   (pair.a - drive.one) * drive.beta[i];
             found.push_back(drive);
         }
@@ -91,9 +92,11 @@ std::vector<Drive> drives_of(const Flow& flow, const View& load, const Flags& ma
 
 std::shared_ptr<Flow> make_flow(const py::tuple& splitting, const py::tuple& waves,
                                 const Array& response, const Array& load, const Flags& near,
-                                const Flags& all, const Array& energy, double small, double young) {
+                                const Flags& all, const Array& energy, double small,
+                                double young) {
     const auto part = [](const py::tuple& of, std::size_t k) { return py::cast<Array>(of[k]); };
-    const auto pairs = pairs_of(part(splitting, 2), part(splitting, 3), py::cast<Flags>(splitting[4]));
+    const auto pairs =
+        pairs_of(part(splitting, 2), part(splitting, 3), py::cast<Flags>(splitting[4]));
     const py::ssize_t n = py::ssize_t(pairs.size());
     const Array T = part(splitting, 0), T_inverse = part(splitting, 1);
     const py::ssize_t size = T.ndim() == 2 && T.shape(0) == n ? n : 2 * n;
@@ -101,8 +104,13 @@ std::shared_ptr<Flow> make_flow(const py::tuple& splitting, const py::tuple& wav
     const py::ssize_t columns = 1 + 2 * py::ssize_t(harmonics.size());
     auto flow = std::make_shared<Flow>(Flow{
         Modes(pairs, checked(T, "T", size, size), checked(T_inverse, "T_inverse", size, size)),
-        harmonics, Matrix(checked(response, "response", 2 * n, columns)), {}, {},
-        Matrix(checked(energy, "energy", n, 2)), finite(small, "small"), finite(young, "young")});
+        harmonics,
+        Matrix(checked(response, "response", 2 * n, columns)),
+        {},
+        {},
+        Matrix(checked(energy, "energy", n, 2)),
+        finite(small, "small"),
+        finite(young, "young")});
     const View loads = checked(load, "load", 2 * n, columns);
     flow->near = drives_of(*flow, loads, near);
     flow->all = drives_of(*flow, loads, all);
@@ -114,7 +122,9 @@ Started start(const std::shared_ptr<Flow>& flow, const py::object& t, const Arra
     return {t, std::make_shared<Motion>(flow, time_of(t), state.data)};
 }
 
-Array transition(const Flow& flow, double s) { return to_python(flow.modes.transition(finite(s, "s"))); }
+Array transition(const Flow& flow, double s) {
+    return to_python(flow.modes.transition(finite(s, "s")));
+}
 
 Array state(const Started& started, double s) {
     Array found(py::ssize_t(2 * started.motion->flow->modes.n));
@@ -140,7 +150,8 @@ std::shared_ptr<Guards> make_guards(const std::shared_ptr<Flow>& flow, const Arr
     const py::ssize_t n = py::ssize_t(flow->modes.n), h = py::ssize_t(flow->harmonics.size());
     const View rows = checked(seen, "seen", ANY, 2 * n);
     const py::ssize_t w = py::ssize_t(rows.rows);
-    const View waves = checked(harmonics, "harmonics", w, 2 * h), level = checked(constant, "constant", w);
+    const View waves = checked(harmonics, "harmonics", w, 2 * h),
+               level = checked(constant, "constant", w);
     std::vector<Complex> amplitudes(std::size_t(w * h));
     for (std::size_t k = 0; k < amplitudes.size(); ++k) {
         const std::size_t i = k / std::size_t(h), j = k % std::size_t(h);
@@ -193,14 +204,20 @@ py::object first(Search& search, double horizon) {
     return py::make_tuple((*found)->s, py::tuple(py::cast((*found)->which)));
 }
 
-std::shared_ptr<Arena> make_arena(const std::shared_ptr<Guards>& gaps, const Array& M, const Array& W,
-                                  const Array& q_r, const Array& length, const py::tuple& times,
-                                  double lowest) {
+std::shared_ptr<Arena> make_arena(const std::shared_ptr<Guards>& gaps, const Array& M,
+                                  const Array& W, const Array& q_r, const Array& length,
+                                  const py::tuple& times, double lowest) {
     const py::ssize_t n = py::ssize_t(gaps->flow->modes.n), m = py::ssize_t(gaps->w);
     const View rows = checked(W, "W", m, n), gap = checked(q_r, "q_r", m),
                size = checked(length, "length", m);
-    auto arena = std::make_shared<Arena>(
-        Arena{gaps->flow, gaps, Matrix(checked(M, "M", n, n)), {}, 0.0, 0.0, 0.0, finite(lowest, "lowest")});
+    auto arena = std::make_shared<Arena>(Arena{gaps->flow,
+                                               gaps,
+                                               Matrix(checked(M, "M", n, n)),
+                                               {},
+                                               0.0,
+                                               0.0,
+                                               0.0,
+                                               finite(lowest, "lowest")});
     double* const each[3] = {&arena->window, &arena->timescale, &arena->shortest};
     for (std::size_t k = 0; k < 3; ++k)
         if (*each[k] = finite(py::cast<double>(times[k]), "times"); !(*each[k] > 0))
@@ -225,8 +242,10 @@ std::int64_t stamp_of(std::int64_t given, const char* name) {
     return given;
 }
 
-Flights fly(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double remainder, const Array& x) {
-    return Flights(arena, {stamp_of(stamp, "stamp"), finite(remainder, "remainder")}, checked(x, "x", py::ssize_t(2 * arena->M.rows)).data);
+Flights fly(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double remainder,
+            const Array& x) {
+    return Flights(arena, {stamp_of(stamp, "stamp"), finite(remainder, "remainder")},
+                   checked(x, "x", py::ssize_t(2 * arena->M.rows)).data);
 }
 
 py::object left_by(const Flights& flights) {
@@ -244,8 +263,8 @@ py::tuple advance(Flights& flights, std::int64_t limit, std::size_t most) {
     }
     py::list found;
     for (const Hit& hit : hits)
-        found.append(py::make_tuple(hit.instant.stamp, hit.instant.remainder, hit.contact, hit.energy,
-                                    to_python(hit.before), to_python(hit.after)));
+        found.append(py::make_tuple(hit.instant.stamp, hit.instant.remainder, hit.contact,
+                                    hit.energy, to_python(hit.before), to_python(hit.after)));
     return py::make_tuple(found, left_by(flights));
 }
 
@@ -298,7 +317,8 @@ Points differences(const Points& points, const Array& s) {
         throw py::value_error("points: shape " + shape_of(points) + "; expected (2 to 8, any)");
     const std::size_t count = std::size_t(points.shape(0)), columns = std::size_t(points.shape(1));
     for (std::size_t k = 0; k < count * columns; ++k)
-        if (!std::isfinite(std::abs(points.data()[k]))) throw py::value_error("points: not finite");
+        if (!std::isfinite(std::abs(points.data()[k])))
+            throw py::value_error("points: not finite");
     Points found({at.rows, columns});
     Complex column[MOST_POINTS];
     for (std::size_t j = 0; j < columns; ++j) {
@@ -314,8 +334,8 @@ Points differences(const Points& points, const Array& s) {
 void bind_dynamics(py::module_& module) {
     py::class_<Flow, std::shared_ptr<Flow>>(module, "ModalFlow")
         .def(py::init(&make_flow), py::arg("splitting"), py::arg("waves"), py::arg("response"),
-             py::arg("load"), py::arg("near"), py::arg("driven"), py::arg("energy"), py::arg("small"),
-             py::arg("young"))
+             py::arg("load"), py::arg("near"), py::arg("driven"), py::arg("energy"),
+             py::arg("small"), py::arg("young"))
         .def("start", &start, py::arg("t"), py::arg("x"))
         .def("transition", &transition, py::arg("s"));
     py::class_<Started>(module, "ModalMotion")
@@ -324,8 +344,8 @@ void bind_dynamics(py::module_& module) {
         .def("states", &states, py::arg("s"))
         .def("each", &states, py::arg("s"));
     py::class_<Guards, std::shared_ptr<Guards>>(module, "Guards")
-        .def(py::init(&make_guards), py::arg("flow").none(false), py::arg("seen"), py::arg("reach"),
-             py::arg("harmonics"), py::arg("constant"))
+        .def(py::init(&make_guards), py::arg("flow").none(false), py::arg("seen"),
+             py::arg("reach"), py::arg("harmonics"), py::arg("constant"))
         .def("trace", &trace, py::arg("motion"), py::arg("shift"));
     py::class_<Trace>(module, "Trace").def("known", &known, py::arg("s"), py::arg("stop"));
     py::class_<Search>(module, "RootSearch")

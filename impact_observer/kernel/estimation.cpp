@@ -50,7 +50,7 @@ Impact impact_of(const Motion& motion, const Sizes& sizes, const Array& w, const
     const auto n = py::ssize_t(motion.n());
     if (sizes.modes.rows != motion.n()) throw py::value_error("sizes: of another system");
     if (!std::isfinite(rest)) throw py::value_error("rest: not finite");
-    return {motion,  sizes, vector(w, "w", n), vector(kick, "kick", n), rest};
+    return {motion, sizes, vector(w, "w", n), vector(kick, "kick", n), rest};
 }
 
 // The arrays of states (x, constants, root, differences, ...), kept alive, and views of them.
@@ -77,7 +77,7 @@ struct Priors {
         }
     }
 
-   private:
+  private:
     // A vector where columns are 0.
     View take(const py::object& given, const char* name, py::ssize_t rows, py::ssize_t columns) {
         Array array = Array::ensure(given);
@@ -209,7 +209,8 @@ Array rates_of(const Motion& motion, double t, const Array& x) {
 }
 
 Array diffusion(const Motion& motion, double s) {
-    if (!(s >= 0 && s * motion.rate < 1e15)) throw py::value_error("s: expected 0 or more, not long");
+    if (!(s >= 0 && s * motion.rate < 1e15))
+        throw py::value_error("s: expected 0 or more, not long");
     const py::gil_scoped_release released;
     Matrix found = motion.diffusion(s);
     const py::gil_scoped_acquire acquired;
@@ -234,16 +235,19 @@ void bind_estimation(py::module_& module) {
         .def(py::init(&impact_of), py::arg("motion"), py::arg("sizes"), py::arg("w"),
              py::arg("kick"), py::arg("rest"))
         .def("fits", &fits, py::arg("t"), py::arg("states"), py::arg("clocks"),
-             "For each state: logarithm of the density of the instant, 1/s; innovation, in standard\n"
+             "For each state: logarithm of the density of the instant, 1/s; innovation, in "
+             "standard\n"
              "deviations; and its standard deviation, m: shape (states, 3).")
         .def("posteriors", &posteriors, py::arg("t"), py::arg("flown"), py::arg("states"),
              py::arg("clocks"), "The states after the impact, at its stamp t.")
         .def("missed", &missed, py::arg("t"), py::arg("flown"), py::arg("states"),
              "The same where it was not reported, near the zero t of the gap.");
     py::class_<Gaps>(module, "Gaps", "Predicted gaps while no contact is closed.")
-        .def(py::init(&gaps_of), py::arg("motion"), py::arg("sizes"), py::arg("W"), py::arg("rest"))
+        .def(py::init(&gaps_of), py::arg("motion"), py::arg("sizes"), py::arg("W"),
+             py::arg("rest"))
         .def("dips", &dips, py::arg("t"), py::arg("duration"), py::arg("states"),
-             py::arg("levels"), "Where gaps are negative, for each state: contact, above, below,\n"
+             py::arg("levels"),
+             "Where gaps are negative, for each state: contact, above, below,\n"
              "deepest, depth, unlikely, over, began; see Dip in gaps.hpp.")
         .def("root", &root_of, py::arg("t"), py::arg("state"), py::arg("level"),
              py::arg("contact"), py::arg("above"), py::arg("below"), py::arg("depth") = 0.0,

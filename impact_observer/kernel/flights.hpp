@@ -43,8 +43,9 @@ struct Arena {
     double window, timescale, shortest, lowest;
 };
 
-// Flights from an instant on. They end at a crossing that is not a plain impact: of several contacts
-// at once, one that may come to rest, one that separates but for rounding, one not known yet.
+// Flights from an instant on. They end at a crossing that is not a plain impact: of several
+// contacts at once, one that may come to rest, one that separates but for rounding, one not known
+// yet.
 class Flights {
   public:
     std::optional<Crossing> crossing;  // the next one, if found
@@ -76,7 +77,8 @@ class Flights {
     Flight flight;
 
     Flight begun(const Instant& start, const double* x) const {
-        const Time t{double(start.stamp) / 1e9 + start.remainder, true, start.stamp, start.remainder};
+        const Time t{double(start.stamp) / 1e9 + start.remainder, true, start.stamp,
+                     start.remainder};
         auto motion = std::make_shared<const Motion>(arena->flow, t, x);
         Trace trace(arena->gaps, motion, std::vector<double>(arena->contacts.size(), 0.0));
         return {start, motion, Hunt<Trace>(std::move(trace), arena->window, INFINITY)};
@@ -95,7 +97,8 @@ class Flights {
         const double gamma = dot(contact.W.data(), &hit.before[n], n);
         if (!(gamma < 0)) return false;
         add(-gamma, contact.kick.data(), &hit.after[n], n);
-        add(-(dot(contact.W.data(), &hit.before[0], n) + contact.q_r), contact.Z.data(), &hit.after[0], n);
+        add(-(dot(contact.W.data(), &hit.before[0], n) + contact.q_r), contact.Z.data(),
+            &hit.after[0], n);
         for (std::size_t k = 0; k < n; ++k)
             hit.energy += hit.before[n + k] * dot(arena->M.row(k), &hit.before[n], n) / 2;
         Flight next = begun(instant, hit.after.data());
@@ -114,7 +117,8 @@ class Flights {
         gap.look(0.0);
         const double fall = gap.largest(2, i, arena->timescale);
         const double scale = std::abs(gap.constant(i)) + gap.largest(0, i, arena->timescale);
-        return gamma <= fall * arena->shortest || gamma * gamma <= 16 * fall * arena->lowest * scale;
+        return gamma <= fall * arena->shortest ||
+               gamma * gamma <= 16 * fall * arena->lowest * scale;
     }
 };
 

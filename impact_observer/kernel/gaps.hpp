@@ -1,7 +1,7 @@
 // Gaps that an estimate predicts, while no contact is closed: where they fall below zero.
 //
-// Gaps of the plant are never negative. Where those of the estimate fall below zero by more than its
-// deviation explains, an impact was missed.
+// Gaps of the plant are never negative. Where those of the estimate fall below zero by more than
+// its deviation explains, an impact was missed.
 #pragma once
 
 #include "kalman.hpp"
@@ -25,14 +25,14 @@ struct Dip {
 };
 
 class Gaps {
-   public:
+  public:
     Motion motion;
     Sizes sizes;
     Matrix W;     // a row each contact, m x n
     Vector rest;  // gaps at rest, m
 
-    // All dips in the next `duration` seconds, in the order in which they begin. `level` is that of
-    // white accelerations, m/s^1.5.
+    // All dips in the next `duration` seconds, in the order in which they begin. `level` is that
+    // of white accelerations, m/s^1.5.
     std::vector<Dip> dips(double t, double duration, const Prior& prior, double level) const {
         std::vector<Dip> found;
         if (!(duration > 0)) return found;
@@ -106,7 +106,7 @@ class Gaps {
         return high;
     }
 
-   private:
+  private:
     struct Samples {
         Vector s;
         Matrix x;  // a state each row

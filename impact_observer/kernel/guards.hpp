@@ -25,7 +25,7 @@ struct Guards {
     std::shared_ptr<const Flow> flow;
     std::size_t w;
     std::array<Matrix, ORDERS> rows;  // r J^k, w x 2n
-    Matrix reach;  // what entries of r T are rounded against, w x 2n
+    Matrix reach;                     // what entries of r T are rounded against, w x 2n
     View early, late;
 
     // `seen` is r T; `harmonics` w x h; `constant` w.
@@ -64,9 +64,10 @@ struct Guards {
         View found{&drives, constant, harmonics, {}, {}, {}};
         found.harmonics.resize(ORDERS * w * h);
         for (std::size_t k = w * h; k < ORDERS * w * h; ++k)
-            found.harmonics[k] = found.harmonics[k - w * h] *
-                                 Complex(0.0, flow->harmonics.frequency[k % h]);
-        for (auto* part : {&found.loads, &found.turned, &found.direct}) part->resize(ORDERS * w * r);
+            found.harmonics[k] =
+                found.harmonics[k - w * h] * Complex(0.0, flow->harmonics.frequency[k % h]);
+        for (auto* part : {&found.loads, &found.turned, &found.direct})
+            part->resize(ORDERS * w * r);
         for (std::size_t k = 0; k < ORDERS; ++k)
             for (std::size_t i = 0; i < w; ++i)
                 for (std::size_t j = 0; j < r; ++j) {
@@ -89,8 +90,14 @@ class Trace {
     // `shift` is added to the constants.
     Trace(std::shared_ptr<const Guards> of, std::shared_ptr<const Motion> along,
           std::vector<double> shift)
-        : guards(std::move(of)), motion(std::move(along)), added(std::move(shift)),
-          n(guards->flow->modes.n), h(motion->angles.size()), y(2 * n), decay(n), waves(2 * h) {
+        : guards(std::move(of)),
+          motion(std::move(along)),
+          added(std::move(shift)),
+          n(guards->flow->modes.n),
+          h(motion->angles.size()),
+          y(2 * n),
+          decay(n),
+          waves(2 * h) {
         enter();
     }
 
@@ -127,8 +134,8 @@ class Trace {
         for (std::size_t j = 0; j < r; ++j) {
             const std::size_t of = (*view->drives)[j].harmonic;
             const Complex turn = of ? Complex(waves[of - 1], waves[h + of - 1]) : Complex(1.0);
-            const Complex answer = view->loads[k * r + j] * phi[2 * j] +
-                                   view->turned[k * r + j] * phi[2 * j + 1];
+            const Complex answer =
+                view->loads[k * r + j] * phi[2 * j] + view->turned[k * r + j] * phi[2 * j + 1];
             found += (answer * phase[j] + view->direct[k * r + j] * turn).real();
         }
         return found;
@@ -173,7 +180,7 @@ class Trace {
     std::vector<double> y, decay, waves;
     std::vector<Complex> phi, phase;
     std::array<Matrix, ORDERS> sizes;  // of each pair: amplitude, c's and S's, w x 3n
-    Matrix rounded;  // w x n
+    Matrix rounded;                    // w x n
     double s = 0.0;
     bool early = false;
     const Guards::View* view = nullptr;

@@ -19,23 +19,23 @@
 namespace kernel::kalman {
 
 constexpr double EPS = std::numeric_limits<double>::epsilon();
-constexpr double LEAST = 1e-150;      // standard deviation, or speed, instead of zero
-constexpr double SETTLED = 0.05;      // change by another linearisation, in standard deviations
-constexpr double CLOSING = 1e-3;      // least deviation of a closing speed, relative to the speed
-constexpr double BACK = 8.0;          // longest flow back, in time constants of fading motion
-constexpr double MOST_STEPS = 1e4;    // longest flow, in the inverse of the fastest rate
-constexpr int ROUNDS = 6;             // most linearisations of a measurement about its posterior
-constexpr std::size_t LARGE = 32;     // least size of a state whose roots may have more columns
+constexpr double LEAST = 1e-150;    // standard deviation, or speed, instead of zero
+constexpr double SETTLED = 0.05;    // change by another linearisation, in standard deviations
+constexpr double CLOSING = 1e-3;    // least deviation of a closing speed, relative to the speed
+constexpr double BACK = 8.0;        // longest flow back, in time constants of fading motion
+constexpr double MOST_STEPS = 1e4;  // longest flow, in the inverse of the fastest rate
+constexpr int ROUNDS = 6;           // most linearisations of a measurement about its posterior
+constexpr std::size_t LARGE = 32;   // least size of a state whose roots may have more columns
 
 using Vector = std::vector<double>;
 
 // dx/dt = A x + b(t), x = (q, u):  du/dt = lower x + constant + sum cosine cos + sine sin.
 struct Motion {
-    Matrix lower;           // -M^-1 (K C), n x 2n
-    Vector constant;        // accelerations, n
-    Matrix cosine, sine;    // of harmonics, h x n
-    Vector frequency;       // h, rad/s
-    double rate, decay;     // bound of all rates; of the fastest fading motion; 1/s
+    Matrix lower;         // -M^-1 (K C), n x 2n
+    Vector constant;      // accelerations, n
+    Matrix cosine, sine;  // of harmonics, h x n
+    Vector frequency;     // h, rad/s
+    double rate, decay;   // bound of all rates; of the fastest fading motion; 1/s
     std::vector<std::vector<std::size_t>> filled{};  // columns of each row of lower
 
     std::size_t n() const { return lower.rows; }
@@ -98,7 +98,8 @@ struct Motion {
         const double turns = std::abs(s) * rate;
         if (turns == 0.0) return;
         if (!(turns < 1e9)) return x.assign(x.size(), NAN);  // a deviation has overflowed
-        const std::size_t steps = std::size_t(std::ceil(turns)), h_count = t ? frequency.size() : 0;
+        const std::size_t steps = std::size_t(std::ceil(turns)),
+                          h_count = t ? frequency.size() : 0;
         const double h = s / double(steps), turn = turns / double(steps);
         Vector term(size()), other(size()), even(h_count), odd(h_count);
         for (std::size_t step = 0; step < steps; ++step) {
@@ -242,7 +243,7 @@ inline double log_normal(double x) {
 
 // An impact of one contact.
 class Impact {
-   public:
+  public:
     Motion motion;
     Sizes sizes;
     Vector w, kick;  // u+ = u + kick gamma, n each
@@ -259,8 +260,8 @@ class Impact {
         return jumped(t, flown, corrected(t, prior, ROUNDS, fit));
     }
 
-    // The posterior where the impact was not reported: it is at the zero of the estimate's own gap,
-    // near t, and measures nothing. The prior has an infinite clock.
+    // The posterior where the impact was not reported: it is at the zero of the estimate's own
+    // gap, near t, and measures nothing. The prior has an infinite clock.
     Posterior missed(double t, double flown, const Prior& prior) const {
         Joint joint = joint_of(prior, false);
         const Place at = place(t, 0.0, vector(prior.x));
@@ -281,7 +282,7 @@ class Impact {
         return jumped(t, flown, joint);
     }
 
-   private:
+  private:
     // (e, x, constants): e is by how much the impact is earlier than its stamp. The first row of
     // the root is zero but for its first entry.
     struct Joint {
@@ -414,8 +415,7 @@ class Impact {
             for (std::size_t i = 0; i < size; ++i)
                 change -= at.rho[1][i] * (found.z[1 + i] - about[i]);
             after = nonlinear(negative(seen_by(at.rho[1], found.root)), clear, at.a, mean);
-            const double enough =
-                SETTLED * std::hypot(std::hypot(slope * clear, bent), rounded);
+            const double enough = SETTLED * std::hypot(std::hypot(slope * clear, bent), rounded);
             if (std::abs(by * change) + std::abs(bent - after) <= enough || turn + 1 == rounds) {
                 Vector others = seen_by(at.rho[0], prior.differences);
                 add(slope, prior.differences.row(0), others.data(), others.size());
@@ -476,8 +476,8 @@ class Impact {
             to[0] += first[i] * deviation;
             to[c] = std::sqrt(2.0) * mean[i];
             for (std::size_t k = 0; k < 3; ++k)
-                to[c + 1 + k] = once[0][i] * bent(0, k) +
-                                (once[1][i] - kappa[0][i]) * bent(1, k) - kappa[1][i] * bent(2, k);
+                to[c + 1 + k] = once[0][i] * bent(0, k) + (once[1][i] - kappa[0][i]) * bent(1, k) -
+                                kappa[1][i] * bent(2, k);
         }
         for (std::size_t i = size; i < d; ++i)
             std::copy(joint.root.row(1 + i), joint.root.row(1 + i) + c, root.row(i));

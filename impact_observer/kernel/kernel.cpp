@@ -26,6 +26,7 @@ PYBIND11_MODULE(_kernel, module) {
     module.attr("SOURCES") = KERNEL_CHECKSUM;  // setup.py: of the files it was compiled from
     bind_estimation(module);
     module.def("triangular", &triangular, py::arg("root"),
-               "A lower triangular square root, shape (d, d), of the same covariance; (d, any) is given.");
+               "A lower triangular square root, shape (d, d), of the same covariance; (d, any) is "
+               "given.");
     bind_dynamics(module);
 }

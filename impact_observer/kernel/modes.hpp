@@ -51,7 +51,9 @@ class Modes {
     // T and T^-1, both 2n x 2n; or, where pairs are coordinates and their velocities, the shapes
     // of the modes and what gives their coordinates, n x n.
     Modes(std::vector<Pair> given, const View& T, const View& T_inverse)
-        : n(given.size()), pairs(std::move(given)), forward(T.columns, T.rows),
+        : n(given.size()),
+          pairs(std::move(given)),
+          forward(T.columns, T.rows),
           backward(T_inverse.columns, T_inverse.rows) {
         for (std::size_t i = 0; i < T.rows; ++i)
             for (std::size_t j = 0; j < T.columns; ++j) {
@@ -113,8 +115,7 @@ class Modes {
                     for (std::size_t r = 0; r < n; ++r)
                         add(forward(p, r), row.data(), found.row(i * n + r) + j * n, n);
                 } else {
-                    for (std::size_t c = 0; c < 2 * n; ++c)
-                        row[c] = e[k] * backward(c, 2 * p + j);
+                    for (std::size_t c = 0; c < 2 * n; ++c) row[c] = e[k] * backward(c, 2 * p + j);
                     for (std::size_t r = 0; r < 2 * n; ++r)
                         add(forward(2 * p + i, r), row.data(), found.row(r), 2 * n);
                 }

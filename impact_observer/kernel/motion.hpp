@@ -41,7 +41,7 @@ struct Harmonics {
 // A pair and a load Re(beta e^{mu t}) that drives it, answered from the motion's start on by
 // (exp[l1, mu] + exp[l1, l2, mu] (J - l1)) beta.
 struct Drive {
-    std::size_t pair, harmonic;  // 0 is the constant
+    std::size_t pair, harmonic;                // 0 is the constant
     Complex one, two, mu, beta[2], turned[2];  // turned = (J - l1) beta
 
     // exp[l1, mu] and exp[l1, l2, mu] at s.
@@ -58,7 +58,7 @@ struct Flow {
     Harmonics harmonics;
     Matrix response;  // steady, in pairs: 2n x (1 + 2h), for 1 and each cosine, then each sine
     std::vector<Drive> near, all;  // loads near resonance; and all loads
-    Matrix energy;  // weights of a pair's squares in twice the energy, n x 2
+    Matrix energy;                 // weights of a pair's squares in twice the energy, n x 2
     double small;  // root of twice the energy below which a motion is young at its start
     double young;  // how long, s
 };
@@ -87,7 +87,9 @@ class Motion {
     bool is_young(double s) const { return young && s < flow->young; }
 
     // The pairs that go on freely, without what is answered or steady: z and D z.
-    const std::vector<double>& free(bool early) const { return early ? from_start : beside_steady; }
+    const std::vector<double>& free(bool early) const {
+        return early ? from_start : beside_steady;
+    }
 
     // Cosines and sines of the harmonics at s, h of each.
     void waves(double s, double* waves) const {
@@ -113,7 +115,8 @@ class Motion {
             y[2 * p] = y[2 * p + 1] = 0.0;
             if (modes.pairs[p].dead(s)) continue;
             const Propagated by = modes.pairs[p].propagated(s);
-            for (std::size_t k = 0; k < 2; ++k) y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
+            for (std::size_t k = 0; k < 2; ++k)
+                y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
         }
         for (const Drive& drive : early ? flow->all : flow->near) {
             Complex phi[2];

@@ -8,10 +8,11 @@
 namespace kernel {
 
 constexpr double DEPTH = 7.1e-15;  // that counts as none, relative to a function's scale: 32 eps
-constexpr double ZERO = 1e-12;   // value that counts as zero at a crossing, relative to the same
+constexpr double ZERO = 1e-12;     // value that counts as zero at a crossing, relative to the same
 constexpr double ROUNDED = 1e-14;  // from which one more step of Newton's method ends at the root
 constexpr double ROOT = 8.8817841970012523e-16;  // relative accuracy of a root: 4 eps
-constexpr double FIRST = 1e-9;   // of a window: steps after a start are never shorter than ROOT of it
+constexpr double FIRST =
+    1e-9;  // of a window: steps after a start are never shorter than ROOT of it
 constexpr double SHORT = 1.0 / 128;  // of a window: where shorter steps are worth a closer look
 
 struct Crossing {
@@ -30,8 +31,13 @@ class Hunt {
     // Begins at `start`; nothing crosses before. `window` is a time in which the fastest part of
     // motions turns once or twice; there are no functions beyond `end`.
     Hunt(Functions along, double window, double end, double start = 0.0)
-        : functions(std::move(along)), window(window), end(end), s(start), last(start),
-          stretch(window), before(functions.size(), 0.0) {}
+        : functions(std::move(along)),
+          window(window),
+          end(end),
+          s(start),
+          last(start),
+          stretch(window),
+          before(functions.size(), 0.0) {}
 
     // The first crossing, if all before `horizon` has to be looked at to find it.
     const std::optional<Crossing>& first(double horizon) {
@@ -92,7 +98,8 @@ class Hunt {
         taylor[8] = -functions.largest(8, i, stop);
         // Where the remainder has grown to what the acceleration makes.
         const double bend = functions.largest(2, i, stop);
-        double h = taylor[8] < 0 ? std::min(most, std::pow(-20160 * bend / taylor[8], 1.0 / 6)) : most;
+        double h =
+            taylor[8] < 0 ? std::min(most, std::pow(-20160 * bend / taylor[8], 1.0 / 6)) : most;
         for (; h > 2 * least; h /= 2)
             if (lowest(taylor, h) >= 0) return h;
         return least;
@@ -100,7 +107,8 @@ class Hunt {
 
     // The least Bernstein coefficient on [0, h] of a function with derivatives `taylor` at 0.
     static double lowest(const double* taylor, double h) {
-        // b_i = sum_j binomial(i, j) / binomial(8, j) h^j / j! taylor_j: sums as in Pascal's triangle
+        // b_i = sum_j binomial(i, j) / binomial(8, j) h^j / j! taylor_j: sums as in Pascal's
+        // triangle
         double sums[ORDERS], factor = 1.0;
         for (std::size_t k = 0; k < ORDERS; ++k) {
             sums[k] = taylor[k] * factor;
