@@ -9,6 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from systems import EPOCH, run, sample, started
 
+from benchmarks.fast_bags import fast_model
+from benchmarks.kernel import DRILL
 from benchmarks.misfit_motion import Motion, Truth
 from benchmarks.misfit_plants import plants
 from benchmarks.misfit_runs import events
@@ -196,12 +198,12 @@ def test_impacts_that_accumulate_count_once() -> None:
     law = MinimumVariance(sample("two_mass").system)
     bank = FilterBank(ImpactFilter(law.system), law.uncertainty, law.clocks)
     state = GaussianState(np.zeros(4), np.zeros(0), np.eye(4), np.zeros((4, 0)))
-    corrected = [Hypothesis(state, law.clocks[0], innovation=1.0)]
+    corrected = [Hypothesis(state, law.clocks[0], innovation=1.0, residual=1.0)]
     timescale, fit = bank.filter.phases.scales.timescale, Fit()
     for k in range(30):
         flown = timescale * (1.0 if k % 10 == 0 else 0.09)
         change = ContactChange(Elapsed(k), (), (0,), (), flown=flown)
-        fit = fitted(fit, change, corrected, bank)
+        fit = fitted(fit, change, state.x, corrected, bank)
     assert fit.innovations == (1.0, 1.0, 1.0)
     assert len(fit.as_reported) == 3
 
@@ -228,3 +230,15 @@ def test_error_of_the_replica_by_a_contact_that_lasts_is_that_of_a_plant() -> No
     np.testing.assert_allclose(found.x, rigid.states[-1], atol=1e-7)
     error = (soft.states[-1] - rigid.states[-1])[:2]
     assert np.linalg.norm(found.lag[:2] - error) < 0.15 * np.linalg.norm(error)
+
+
+@pytest.mark.slow
+def test_stamps_of_a_periodic_motion_are_rounded_periodically_and_that_is_no_misfit() -> None:
+    """The estimate becomes sharper than 1 ns, and its innovations depend on each other then."""
+    drill = fast_model(DRILL)
+    plant = Plant(drill.system, *drill.initial_state(), epoch=EPOCH)
+    hits = simulate(plant, grid(EPOCH, EPOCH + 10 * NS_PER_S, 1.0)).events
+    chosen = Options(law="minimum-variance", epoch=EPOCH)
+    watcher = fed(make_observer(drill.system, chosen, ()), hits)
+    assert len(hits) > 300
+    assert watcher.remarks[Remark.MISFIT] == 0

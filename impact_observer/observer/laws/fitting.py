@@ -2,28 +2,48 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.hypotheses import Hypothesis, error_share
 from impact_observer.estimation.misfit import ESTABLISHED, Fit
+from impact_observer.states import Vector
 
 BRIEF = 0.1
 """Flight up to which an impact says nothing new, relative to the model's time scale."""
+ROUNDED = 2e-9
+"""Error of a predicted instant that is rounding, s: of the stamp to 1 ns, and of those before."""
 
 
 def fitted(
-    before: Fit, change: ContactChange, corrected: Sequence[Hypothesis], bank: FilterBank
+    before: Fit,
+    change: ContactChange,
+    prior: Vector,
+    corrected: Sequence[Hypothesis],
+    bank: FilterBank,
 ) -> Fit:
     """The fit after an event, by the hypotheses after it, the likeliest first.
 
     Errors of a model do not show in brief flights. So impacts that accumulate count once: their
-    innovations would fill the window that is tested.
+    innovations would fill the window that is tested. Stamps of a periodic motion are rounded
+    periodically. So an innovation that is no more than that counts as none.
+
+    Args:
+        before: the fit before it.
+        change: what the contacts do.
+        prior: the estimate (q, u) before the event, shape (2n,).
+        corrected: the hypotheses after the event.
+        bank: of these.
     """
     if 0 < change.flown < BRIEF * bank.filter.phases.scales.timescale:
         return before
-    likeliest, errors = corrected[0], bank.errors
+    likeliest, errors, innovation = corrected[0], bank.errors, corrected[0].innovation
+    if innovation is not None and change.hit:
+        speed = abs(bank.filter.system.contact_speed(np.split(prior, 2)[1])[change.hit[0]])
+        innovation = 0.0 if abs(likeliest.residual) <= ROUNDED * speed else innovation
     return before.after(
-        likeliest.innovation,
+        innovation,
         in_error=error_share(corrected) > ESTABLISHED,
         as_reported=likeliest.is_as_reported((change.stamp, change.sequence)),
         by_clock=errors is not None and errors.is_coarse(likeliest.clock),

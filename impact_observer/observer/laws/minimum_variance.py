@@ -122,7 +122,7 @@ class MinimumVariance(Law):
         count = 1 + belief.ensemble.others
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
         corrected = self._bank.correct(change, hypotheses, restarts) or restarts()
-        fit = fitted(belief.fit, change, corrected, self._bank)
+        fit = fitted(belief.fit, change, belief.x, corrected, self._bank)
         best = published(corrected, misfit=fit.is_misfit)[0]
         account = belief.account
         if account is not None:

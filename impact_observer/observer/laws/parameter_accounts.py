@@ -121,7 +121,7 @@ class ParameterAccounts:
         prior = before.published[0].state
         restarts = partial(self._starts.restarts, fallback, change.closed, 1)
         corrected = self._bank.correct(change, before.hypotheses, restarts) or restarts()
-        fit = fitted(before.fit, change, corrected, self._bank)
+        fit = fitted(before.fit, change, prior.x, corrected, self._bank)
         if error_share(corrected) > ESTABLISHED:
             corrected = tuple(h._replace(state=self._doubted_again(h.state)) for h in corrected)
         residual = before.residual
