@@ -3,6 +3,7 @@
 import argparse
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 from impact_observer.options import OBSERVER_OPTIONS, Option, Options, Value
 
@@ -131,6 +132,25 @@ def add_model(
 ) -> None:
     """Which model is meant."""
     parser.add_argument("--model", metavar="MODEL", help=meaning)
+
+
+def add_bag_output(parser: argparse.ArgumentParser) -> None:
+    """The bag that a command makes: its folder, and how soon what it has is on the disk."""
+    parser.add_argument(
+        "-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make"
+    )
+    add_flush(parser)
+
+
+def add_flush(parser: argparse.ArgumentParser) -> None:
+    """How soon what a command writes into a bag is on the disk."""
+    parser.add_argument(
+        "--flush",
+        metavar="S",
+        type=positive,
+        default=0.5,
+        help="what is recorded is on the disk after S seconds, at most 1 (default 0.5)",
+    )
 
 
 def add_namespace(parser: argparse.ArgumentParser) -> None:

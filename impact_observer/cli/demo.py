@@ -7,7 +7,7 @@ import argparse
 import time
 from pathlib import Path
 
-from impact_observer.cli.arguments import positive
+from impact_observer.cli.arguments import add_flush, positive
 
 GOAL = 1e-2
 """Largest final V/V0 of the geometric law."""
@@ -45,6 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="for bag, picture and logs (default demo_DATE_TIME)",
     )
+    add_flush(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
         realtime_factor=args.realtime_factor,
         initial=args.initial,
         rate=args.rate,
+        flush=args.flush,
     )
 
 
@@ -67,6 +69,7 @@ def demo(
     realtime_factor: float,
     initial: str,
     rate: float,
+    flush: float,
 ) -> int:
     """Run the demonstration and check its result.
 
@@ -77,6 +80,7 @@ def demo(
         realtime_factor: simulated seconds a second.
         initial: the observers' initial state, as on the command line.
         rate: true states and estimates, Hz.
+        flush: longest time until a message is on the disk, s.
 
     Returns:
         0 when the geometric law ends at ``V/V0 <= GOAL``, 1 otherwise.
@@ -107,7 +111,7 @@ def demo(
             v = "  ".join(f"{law} {value:.2e}" for law, value in sorted(now.v.items()))
             progress.show(f"{now.time:5.1f}/{duration:g} s {now.impacts:4d} impacts  V [J]: {v}")
 
-        bag = demonstration.run(setup, folder, show)
+        bag = demonstration.run(setup, folder, show, flush=flush)
     return _check_result(bag, folder / "lyapunov.png")
 
 

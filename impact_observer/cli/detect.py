@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_model, stamp
+from impact_observer.cli.arguments import add_bag_output, add_model, stamp
 
 if TYPE_CHECKING:
     from impact_observer.detector import SensorCounts, Source
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--inverted", action="store_true", default=None, help="the switch is closed when low")
     add_model(parser, "a model file or a sample, to be put into the bag")
     add("--epoch", metavar="S", type=stamp, help="stamp of t = 0 (default: unknown)")
-    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make")
+    add_bag_output(parser)
 
 
 def _option(name: str) -> str:
@@ -66,7 +66,15 @@ def run(args: argparse.Namespace) -> int:
         def show(done: int, total: int) -> None:
             progress.step("detecting", done, total)
 
-        result = detect_bag(reader, sources, args.output, model=model, epoch=epoch, progress=show)
+        result = detect_bag(
+            reader,
+            sources,
+            args.output,
+            model=model,
+            epoch=epoch,
+            flush=args.flush,
+            progress=show,
+        )
         for source, counts in zip(result.sources, result.counts, strict=True):
             found = _found(counts)
             progress.line(f"{source.contact}: {found} ({source.topic}, {source.kind})")

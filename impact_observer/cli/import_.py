@@ -8,7 +8,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from impact_observer.cli.arguments import add_model, stamp
+from impact_observer.cli.arguments import add_bag_output, add_model, stamp
 
 if TYPE_CHECKING:
     from impact_observer.io.csv_import import Imported
@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
     add("csv", metavar="CSV", type=Path, help="the file of impact times")
-    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make")
+    add_bag_output(parser)
     add_model(parser, "a model file or a sample, to be put into the bag")
     add(
         "--time-unit",
@@ -66,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
             start=args.start,
             epoch=args.epoch,
             sort=args.sort,
+            flush=args.flush,
             progress=show,
         )
         progress.line(f"{args.output}: {_summary(imported)}")

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
+    add_bag_output,
     add_model,
     add_namespace,
     add_observer_arguments,
@@ -30,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
     add_observer_arguments(parser, convergence=True)
     add("--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)")
-    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make")
+    add_bag_output(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -53,7 +54,13 @@ def run(args: argparse.Namespace) -> int:
             progress.step(chosen.law, done, total)
 
         count, rulings = observe_bag(
-            reader, observer, args.output, rate=args.rate, epoch=chosen.epoch, progress=show
+            reader,
+            observer,
+            args.output,
+            rate=args.rate,
+            epoch=chosen.epoch,
+            flush=args.flush,
+            progress=show,
         )
         verdicts = [
             f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items()

@@ -2,8 +2,9 @@
 
 import argparse
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
+
+from impact_observer.cli.arguments import add_bag_output
 
 if TYPE_CHECKING:
     from impact_observer.ros.recorder import RecordedTopics
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
     add = parser.add_argument
-    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to create")
+    add_bag_output(parser)
     add(
         "--topics",
         metavar="TOPIC",
@@ -59,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
             use_sim_time=args.use_sim_time,
             duration=args.duration,
             compressed=args.compression != "none",
+            flush=args.flush,
             on_topic=lambda topic, type_name: progress.line(f"recording {topic} [{type_name}]"),
             on_progress=show,
         )

@@ -1,9 +1,8 @@
 """Run a plant without ROS: its impacts and its true states go into a bag."""
 
 import argparse
-from pathlib import Path
 
-from impact_observer.cli.arguments import add_option, positive, seed, stamp
+from impact_observer.cli.arguments import add_bag_output, add_option, positive, seed, stamp
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU, described
 from impact_observer.sensor_faults import SENSOR_FAULTS
@@ -35,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=positive,
         help=f"length of the steps of moreau, s (default {DEFAULT_STEP:g})",
     )
-    add("-o", "--output", metavar="BAG", type=Path, required=True, help="the folder to make")
+    add_bag_output(parser)
     group = parser.add_argument_group("sensor", "its faults; none by default")
     for each in SENSOR_FAULTS:
         add_option(group, each)
@@ -74,7 +73,15 @@ def run(args: argparse.Namespace) -> int:
         done = plant.simulate(master, stamps, progress=show)
         progress.show(f"writing {args.output}")
         how = described(args.integrator, step)
-        events = write_run(args.output, model, done, seed=args.seed, integrator=how, sensor=sensor)
+        events = write_run(
+            args.output,
+            model,
+            done,
+            seed=args.seed,
+            integrator=how,
+            sensor=sensor,
+            flush=args.flush,
+        )
         of_sensor = f", {events} events of a sensor with {', '.join(sensor.faults)}"
         progress.line(
             f"{args.output}: {model.system.name}, {duration:g} s, {len(done.impacts)} impacts,"

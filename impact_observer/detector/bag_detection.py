@@ -12,7 +12,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import all_or_nothing, model_of
-from impact_observer.io.writer import BagWriter
+from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model
 
 _OWN = (interfaces.IMPACTS.topic, interfaces.PLANT_MODEL.topic)
@@ -42,6 +42,7 @@ def detect_bag(
     *,
     model: Model | None = None,
     epoch: int = 0,
+    flush: float = FLUSH,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> BagDetection:
     """Write a bag with the impacts detected in another one; all other topics are copied.
@@ -54,6 +55,7 @@ def detect_bag(
         output: the bag to make.
         model: to put into it; None for the one in the bag, if there is one.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 for unknown.
+        flush: longest time until a message is on the disk, s.
         progress: called with the messages read and how many there are.
 
     Raises:
@@ -64,7 +66,7 @@ def detect_bag(
     _check_contacts(reader, model, found)
     detector = Detector(found, epoch=epoch)
     result = BagDetection(detector.sources, detector.counts, problems=problems)
-    with all_or_nothing(output) as writer:
+    with all_or_nothing(output, flush) as writer:
         copied = _declared(reader, writer, model, problems)
         _run(reader, writer, detector, copied=copied, progress=progress)
         result.events = sum(c.impacts + c.closings + c.openings for c in detector.counts)

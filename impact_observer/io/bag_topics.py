@@ -50,7 +50,12 @@ def storage_of(path: Path) -> str:
             # A file that was compressed as a whole has two suffixes.
             suffixes = [each for file in path.iterdir() for each in file.suffixes]
             return next((_STORAGES[each] for each in suffixes if each in _STORAGES), "mcap")
-        hint = f"read {inside[0]} itself, or " if inside else ""
+        hint = (
+            "if its recorder was killed, `impact-observer check --salvage` saves what is left;"
+            f" read {inside[0]} itself, or "
+            if inside
+            else ""
+        )
         raise BagError(f"{path}: no metadata.yaml; {hint}expected a bag: {_FORMS}")
     if path.suffix not in _STORAGES:
         raise BagError(f"{path}: not a bag; expected {_FORMS}")

@@ -18,6 +18,7 @@ from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import interfaces
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.recordings import all_or_nothing
+from impact_observer.io.writer import FLUSH
 from impact_observer.model import Model
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
 
@@ -215,6 +216,7 @@ def import_csv(
     start: int | None = None,
     epoch: int | None = None,
     sort: bool = False,
+    flush: float = FLUSH,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Imported:
     """Write the impact times of a file to a bag.
@@ -230,6 +232,7 @@ def import_csv(
             as times since 1970 do, and for 1 s elsewhere.
         epoch: stamp of ``t = 0`` of the forcing, ns; None for the file's time zero.
         sort: whether rows may stand in any order.
+        flush: longest time until a message is on the disk, s.
         progress: called with the number of rows read.
 
     Raises:
@@ -247,7 +250,7 @@ def import_csv(
     zero = start if epoch is None else epoch
     count = events = stamp = 0
     make = bag_messages()
-    with all_or_nothing(output) as writer:
+    with all_or_nothing(output, flush) as writer:
         if model is not None:
             text_of_model = model.text({"package": "impact_observer", "version": __version__})
             log_time = max(start + first.time, 1)

@@ -5,6 +5,7 @@ The records other than messages are those of the library ``mcap``. Its writer, l
 ``observe``; here the messages of a batch are joined at once.
 """
 
+import os
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -107,6 +108,25 @@ class McapWriter:
             if len(self._chunk) > _CHUNK_SIZE:
                 self.end_chunk()
 
+    def flush(self) -> None:
+        """End the chunk if it has a message, and have the disk take all that is written.
+
+        Raises:
+            OSError: the disk is full or gone.
+        """
+        if self._places:
+            self.end_chunk()
+            self.synchronize()
+
+    def synchronize(self) -> None:
+        """Have the disk take the bytes that were written.
+
+        Raises:
+            OSError: the disk is full or gone.
+        """
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
     def finish(self, metadata: str) -> None:
         """Write what is left, the ``metadata`` of rosbag2 and the index; close the file.
 
@@ -121,6 +141,7 @@ class McapWriter:
             self._write(DataEnd(0))
             self._write_summary(index)
             self._file.write(MAGIC)
+            self.synchronize()
 
     def _write(self, record: McapRecord) -> None:
         self._file.write(_bytes_of(record))

@@ -16,7 +16,7 @@ from impact_observer.io.estimate_messages import in_log_order, messages_of
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
-from impact_observer.io.writer import BagWriter
+from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import count_rulings
 from impact_observer.stamps import grid, text
@@ -30,6 +30,7 @@ def observe_bag(
     *,
     rate: float | None = None,
     epoch: int = 0,
+    flush: float = FLUSH,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> tuple[int, Counter[Ruling]]:
     """Run ``observer`` on a bag's events; impacts, true states and model are copied.
@@ -40,6 +41,7 @@ def observe_bag(
         output: the bag to make.
         rate: of the estimates, Hz; None for the stamps of the true states.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
+        flush: longest time until a message is on the disk, s.
         progress: called with the number of estimates made and of those to be made.
 
     Returns:
@@ -58,7 +60,7 @@ def observe_bag(
         )
     stamps = _sample_stamps(reader, events, rate, epoch)
     topics = [topic for each in PLANT_TOPICS if (topic := reader.find(each)) is not None]
-    with all_or_nothing(output) as writer:
+    with all_or_nothing(output, flush) as writer:
         for topic in topics:
             info = reader.topics[topic]
             writer.declare(topic, type_name=info.type, quality=info.quality)

@@ -14,7 +14,7 @@ from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState, bag_messages
 from impact_observer.io.reader import BagReader
-from impact_observer.io.writer import BagWriter
+from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
@@ -43,13 +43,17 @@ def published_model(
 
 
 @contextmanager
-def all_or_nothing(path: Path) -> Iterator[BagWriter]:
+def all_or_nothing(path: Path, flush: float = FLUSH) -> Iterator[BagWriter]:
     """A writer whose bag is removed after an exception, and kept after Ctrl-C.
+
+    Args:
+        path: the bag to make.
+        flush: longest time until a message is on the disk, s.
 
     Raises:
         KeyboardInterrupt: with the bag's name; the bag is complete up to the interrupt.
     """
-    with BagWriter(path) as writer:
+    with BagWriter(path, flush=flush) as writer:
         try:
             yield writer
         except KeyboardInterrupt:
@@ -68,6 +72,7 @@ def write_run(
     seed: int,
     integrator: str = EVENT_DRIVEN,
     sensor: SensorModel = IDEAL,
+    flush: float = FLUSH,
 ) -> int:
     """Write a plant's run to a bag: the model, the sensor's events, the true states.
 
@@ -80,6 +85,7 @@ def write_run(
         seed: of everything random in it.
         integrator: a description of the integrator.
         sensor: its faults.
+        flush: longest time until a message is on the disk, s.
 
     Returns:
         The number of events.
@@ -94,7 +100,7 @@ def write_run(
     received = simulate_sensor(
         sensor, model.system, run.switchings, epoch=run.epoch, last=last, seed=seed
     )
-    with all_or_nothing(path) as writer:
+    with all_or_nothing(path, flush) as writer:
         for each in PLANT_TOPICS:
             writer.declare(each.topic)
         start = int(run.stamps[0])

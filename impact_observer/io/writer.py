@@ -1,6 +1,8 @@
 """Writing a bag: an MCAP directory that ``ros2 bag`` reads."""
 
+import math
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
@@ -19,6 +21,15 @@ _BATCH = 1024
 _BATCH_BYTES = 2**20
 """Messages, or bytes of them, that are written together."""
 _Result = TypeVar("_Result")
+FLUSH = 0.5
+"""Default of the longest time until a message is on the disk, s."""
+LONGEST_FLUSH = 1.0
+"""The longest that can be asked for, s."""
+
+
+def bag_file(path: Path) -> str:
+    """The name of the one MCAP file in the bag ``path``, as ``ros2 bag reindex`` wants it."""
+    return f"{path.name}_0.mcap"
 
 
 def check_free(path: Path) -> None:
@@ -38,26 +49,35 @@ class BagWriter:
     """A bag, open for writing; a context manager.
 
     However its block ends, the bag is closed and complete: the file is written in a thread of its
-    own, where no ``KeyboardInterrupt`` can cut a record short.
+    own, where no ``KeyboardInterrupt`` can cut a record short. Where the block never ends, as the
+    process is killed or the machine loses power, what was written ``flush`` seconds before is on
+    the disk, in whole chunks: written to the file, and the file synchronized.
 
     Attributes:
         path: the folder that is written.
         message_count: messages written so far.
     """
 
-    def __init__(self, path: Path | str, *, compressed: bool = False) -> None:
+    def __init__(
+        self, path: Path | str, *, compressed: bool = False, flush: float = FLUSH
+    ) -> None:
         """Make the bag's folder at ``path``.
 
         Args:
             path: the folder.
             compressed: whether the chunks of the MCAP file are compressed, by zstd.
+            flush: longest time until a message is on the disk, s, besides what the disk takes.
 
         Raises:
-            UsageError: something is at ``path`` already, or its parent is no folder. Then
-                nothing is created.
+            UsageError: something is at ``path`` already, its parent is no folder, or ``flush`` is
+                not in (0, ``LONGEST_FLUSH``]. Then nothing is created.
         """
         self.path = Path(path)
         check_free(self.path)
+        if not (math.isfinite(flush) and 0 < flush <= LONGEST_FLUSH):
+            raise UsageError(
+                f"flush is {flush:g}; expected more than 0, at most {LONGEST_FLUSH:g} s"
+            )
         self.message_count = 0
         self._store = new_typestore()
         self._topics: dict[str, Topic] = {}
@@ -72,6 +92,9 @@ class BagWriter:
                 self.path.rmdir()
             raise
         self._open = True
+        self._closing = threading.Event()
+        self._failure: OSError | None = None
+        threading.Thread(target=self._flush_every, args=(flush,), daemon=True).start()
 
     def __enter__(self) -> "BagWriter":
         return self
@@ -88,6 +111,7 @@ class BagWriter:
         if not self._open:
             return
         self._open = False
+        self._closing.set()
         try:
             self._run(self._finish)
         finally:
@@ -127,10 +151,9 @@ class BagWriter:
             raise UsageError(f"{self.path}: {topic} is {type_name}; give its definition too")
         offered = quality or usual_quality(topic)
         text, _ = self._store.generate_msgdef(type_name, ros_version=2)
-        channel = self._file.add_channel(
-            topic, type_name, text, {"offered_qos_profiles": quality_text(offered)}
-        )
         type_hash = self._store.hash_rihs01(type_name)
+        about = {"offered_qos_profiles": quality_text(offered), "topic_type_hash": type_hash}
+        channel = self._run(lambda: self._file.add_channel(topic, type_name, text, about))
         self._topics[topic] = Topic(channel, topic, type_name, type_hash, offered)
 
     def write(self, topic: str, log_time: int, message: object) -> None:
@@ -176,7 +199,8 @@ class BagWriter:
         self._pending.append((channel, log_time, data))
         self.message_count += 1
         self._pending_bytes += len(data)
-        if len(self._pending) >= _BATCH or self._pending_bytes >= _BATCH_BYTES:
+        enough = len(self._pending) >= _BATCH or self._pending_bytes >= _BATCH_BYTES
+        if enough or self._failure is not None:
             self._pending_bytes = 0
             self._run(self._write_pending)
 
@@ -191,10 +215,31 @@ class BagWriter:
     def _make_file(self, compressed: bool) -> McapWriter:
         """In the thread: make the folder and begin the file."""
         self.path.mkdir(mode=0o755)
-        return McapWriter(self.path / f"{self.path.name}.mcap", compressed=compressed)
+        file = McapWriter(self.path / bag_file(self.path), compressed=compressed)
+        file.synchronize()
+        _synchronize(self.path)
+        _synchronize(self.path.absolute().parent)
+        return file
+
+    def _flush_every(self, period: float) -> None:
+        """In a thread that never waits for the disk: have it written to again and again."""
+        try:
+            while not self._closing.wait(period):
+                self._thread.submit(self._flush).result()
+        except OSError as error:
+            self._failure = error  # for the next message
+        except RuntimeError:
+            return  # the bag, or Python itself, is being closed
+
+    def _flush(self) -> None:
+        """In the thread: write what waits, and have the disk take it."""
+        self._write_pending()
+        self._file.flush()
 
     def _write_pending(self) -> None:
         """In the thread: write the messages that wait."""
+        if self._failure is not None:
+            raise self._failure
         self._file.write([self._pending.popleft() for _ in range(len(self._pending))])
 
     def _finish(self) -> None:
@@ -203,10 +248,13 @@ class BagWriter:
             self._write_pending()
             self._file.end_chunk()
         finally:
-            file = f"{self.path.name}.mcap"
-            whole, inner = metadata(file, self._file, self._topics.values())
+            whole, inner = metadata(bag_file(self.path), self._file, self._topics.values())
             self._file.finish(inner)
-            (self.path / "metadata.yaml").write_text(whole, "utf-8")
+            with (self.path / "metadata.yaml").open("x", encoding="utf-8") as file:
+                file.write(whole)
+                file.flush()
+                os.fsync(file.fileno())
+            _synchronize(self.path)
 
     def _run(self, job: Callable[[], _Result]) -> _Result:
         """Run ``job`` in the thread that owns the files, and wait for it."""
@@ -215,6 +263,15 @@ class BagWriter:
         except OSError as error:
             reason = getattr(error, "strerror", None) or error
             raise BagError(f"{self.path}: cannot be written: {reason}") from error
+
+
+def _synchronize(folder: Path) -> None:
+    """Have the disk take the names in a folder."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def copy_topics(

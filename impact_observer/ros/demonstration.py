@@ -18,7 +18,7 @@ from rclpy.node import Node
 from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage
-from impact_observer.io.writer import BagWriter
+from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.node_process import FOLLOW
 from impact_observer.ros.parameters import TABLES, check
@@ -70,13 +70,20 @@ class DemoProgress:
     reached: dict[str, float] = field(default_factory=dict)
 
 
-def run(setup: DemoSetup, folder: Path, show: Callable[[DemoProgress], None]) -> Path:
+def run(
+    setup: DemoSetup,
+    folder: Path,
+    show: Callable[[DemoProgress], None],
+    *,
+    flush: float = FLUSH,
+) -> Path:
     """Run the demonstration.
 
     Args:
         setup: what to run.
         folder: created for the bag and the processes' ``logs``.
         show: called with the progress about twenty times a second.
+        flush: longest time until a message is on the disk, s.
 
     Returns:
         The bag.
@@ -97,7 +104,7 @@ def run(setup: DemoSetup, folder: Path, show: Callable[[DemoProgress], None]) ->
         _refuse_other_nodes(node, executor)
         _make(folder)
         logs.mkdir()
-        writer = later.enter_context(BagWriter(bag))
+        writer = later.enter_context(BagWriter(bag, flush=flush))
         recorder, progress = Recorder(node, writer), DemoProgress()
         _subscribe(node, setup, progress)
         with _processes(setup, logs) as processes:

@@ -16,7 +16,7 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.io.interfaces import Quality
 from impact_observer.io.reader import RawMessage
 from impact_observer.io.typestores import installed_definition, typestore
-from impact_observer.io.writer import BagWriter
+from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.session import Stop, ros_node
 from impact_observer.ros.subscribing import common_offer, subscribe_raw
@@ -201,6 +201,7 @@ def record(
     use_sim_time: bool = False,
     duration: float | None = None,
     compressed: bool = False,
+    flush: float = FLUSH,
     on_topic: Callable[[str, str], None] | None = None,
     on_progress: Callable[[int, float], None] | None = None,
 ) -> RecordedTopics:
@@ -215,6 +216,7 @@ def record(
         use_sim_time: whether log times follow ``/clock``.
         duration: how long, s of wall time; None for until a signal.
         compressed: whether what is written is compressed.
+        flush: longest time until a message is on the disk, s.
         on_topic: called with name and type of each topic found.
         on_progress: called with the number of messages and the seconds passed, about ten times
             a second.
@@ -232,7 +234,7 @@ def record(
     with (
         Stop() as stop,
         ros_node("recorder", use_sim_time=use_sim_time) as (node, executor),
-        _writer(path, node, topics, compressed=compressed) as writer,
+        _writer(path, node, topics, compressed=compressed, flush=flush) as writer,
     ):
         recorder = Recorder(node, writer, topics, exclude=exclude, on_topic=on_topic)
         begin = shown = time.monotonic()
@@ -247,12 +249,17 @@ def record(
 
 
 def _writer(
-    path: Path | str, node: Node, topics: Collection[str] | None, *, compressed: bool
+    path: Path | str,
+    node: Node,
+    topics: Collection[str] | None,
+    *,
+    compressed: bool,
+    flush: float,
 ) -> BagWriter:
     """An open bag, after the topics' names are checked."""
     for topic in topics or ():
         _resolved(node, topic)
-    return BagWriter(path, compressed=compressed)
+    return BagWriter(path, compressed=compressed, flush=flush)
 
 
 def _resolved(node: Node, topic: str) -> str:

@@ -26,7 +26,7 @@ def test_an_observer_that_is_interrupted_leaves_a_whole_bag(tmp_path: Path) -> N
     command = [sys.executable, "-m", "impact_observer", "observe", str(plant), "-o", str(output)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until = time.monotonic() + 30
-    file = output / "estimates.mcap"
+    file = output / "estimates_0.mcap"
     while not (file.is_file() and file.stat().st_size > 2**20) and time.monotonic() < until:
         time.sleep(0.01)  # until a first chunk is there
     process.send_signal(signal.SIGINT)

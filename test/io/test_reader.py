@@ -89,7 +89,7 @@ def test_every_storage_gives_the_same_messages(bag: Path, tmp_path: Path) -> Non
     plain = rewritten(bag, tmp_path / "plain")
     forms = {
         bag: "mcap",
-        bag / "bag.mcap": "mcap",
+        bag / "bag_0.mcap": "mcap",
         plain: "sqlite3",
         plain / "plain.db3": "sqlite3",
         rewritten(bag, tmp_path / "small", zstd=True): "sqlite3",
@@ -193,14 +193,14 @@ def break_yaml(path: Path) -> Path:
 
 def break_file(path: Path) -> Path:
     """Metadata without its storage."""
-    (path / "bag.mcap").unlink()
+    (path / "bag_0.mcap").unlink()
     return path
 
 
 def break_end(path: Path) -> Path:
     """A file that was cut short."""
-    data = (path / "bag.mcap").read_bytes()
-    (path / "bag.mcap").write_bytes(data[: len(data) // 2])
+    data = (path / "bag_0.mcap").read_bytes()
+    (path / "bag_0.mcap").write_bytes(data[: len(data) // 2])
     return path
 
 
@@ -212,21 +212,24 @@ def break_sqlite(path: Path) -> Path:
 
 def break_empty(path: Path) -> Path:
     """An empty file."""
-    (path / "bag.mcap").write_bytes(b"")
-    return path / "bag.mcap"
+    (path / "bag_0.mcap").write_bytes(b"")
+    return path / "bag_0.mcap"
 
 
 @pytest.mark.parametrize(
     ("damage", "expected"),
     [
         (break_name, r"notes\.txt: not a bag; expected a folder with metadata\.yaml"),
-        (break_metadata, r"bag: no metadata\.yaml; read .*bag\.mcap itself, or expected"),
+        (
+            break_metadata,
+            r"bag: no metadata\.yaml; if .*--salvage.* read .*bag_0\.mcap itself, or",
+        ),
         (break_folder, r"bag: no metadata\.yaml; expected a bag"),
         (break_yaml, r"bag: cannot be read as a bag: Could not load YAML"),
         (break_file, r"bag: cannot be read as a bag: Some database files are missing"),
         (break_end, r"bag: cannot be read as a bag: File end magic .*check --salvage"),
         (break_sqlite, r"bag\.db3: cannot be read as a bag: Cannot open database"),
-        (break_empty, r"bag\.mcap: cannot be read as a bag: File .* seems to be empty"),
+        (break_empty, r"bag_0\.mcap: cannot be read as a bag: File .* seems to be empty"),
     ],
 )
 def test_damaged_bag_is_one_line(bag: Path, damage: Callable[[Path], Path], expected: str) -> None:
@@ -245,7 +248,7 @@ def test_damage_anywhere_is_never_a_traceback(
     bag: Path, flips: list[tuple[float, int]], keep: float
 ) -> None:
     """Bytes are flipped and the end is cut: reading works, or it is one line."""
-    data = bytearray((bag / "bag.mcap").read_bytes())
+    data = bytearray((bag / "bag_0.mcap").read_bytes())
     for where, mask in flips:
         data[round(where * (len(data) - 1))] ^= mask
     damaged = bag.parent / "damaged.mcap"

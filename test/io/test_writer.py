@@ -25,7 +25,7 @@ def event(stamp: int) -> object:
 
 
 def test_folder_has_the_form_of_jazzy(tmp_path: Path) -> None:
-    """Version 9, one MCAP file of that folder's name, hashes of the types."""
+    """Version 9, one MCAP file named as rosbag2 does, hashes of the types."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/impacts", 7, event(5))
         writer.write("/impacts", 9, event(6))
@@ -33,7 +33,7 @@ def test_folder_has_the_form_of_jazzy(tmp_path: Path) -> None:
     about = metadata["rosbag2_bagfile_information"]
     assert about["version"] == 9
     assert about["storage_identifier"] == "mcap"
-    assert about["relative_file_paths"] == ["bag.mcap"]
+    assert about["relative_file_paths"] == ["bag_0.mcap"]
     assert about["message_count"] == 2
     assert about["starting_time"] == {"nanoseconds_since_epoch": 7}
     assert about["duration"] == {"nanoseconds": 2}
@@ -50,7 +50,7 @@ def test_mcap_is_of_profile_ros2_with_texts_of_its_messages(tmp_path: Path) -> N
     """As read by another library."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/impacts", 7, event(5))
-    with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as file:
         reader = make_reader(file)
         summary = reader.get_summary()
         assert reader.get_header().profile == "ros2"
@@ -91,7 +91,7 @@ def test_qualities_are_kept(tmp_path: Path) -> None:
         writer.declare("/plant/model")
         writer.declare("/observer_geometric/state")
         writer.declare("/own", type_name=interfaces.STRING, quality=own)
-    for path in (tmp_path / "bag", tmp_path / "bag" / "bag.mcap"):
+    for path in (tmp_path / "bag", tmp_path / "bag" / "bag_0.mcap"):
         with BagReader(path) as reader:
             assert reader.topics["/plant/model"].quality == interfaces.LATCHED
             assert reader.topics["/observer_geometric/state"].quality == interfaces.STATES
@@ -246,7 +246,7 @@ def test_chunks_are_compressed_on_demand(tmp_path: Path) -> None:
         with BagWriter(tmp_path / name, compressed=compressed) as writer:
             for stamp in range(1, 2001):
                 writer.write("/impacts", stamp, event(stamp))
-        with (tmp_path / name / f"{name}.mcap").open("rb") as file:
+        with (tmp_path / name / f"{name}_0.mcap").open("rb") as file:
             summary = make_reader(file).get_summary()
         assert summary is not None
         kinds = {chunk.compression for chunk in summary.chunk_indexes}

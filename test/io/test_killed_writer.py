@@ -1,0 +1,213 @@
+"""A bag whose writer never ended: what is on the disk, and who can read it."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader
+
+from impact_observer.check.salvage import Salvage, salvage
+from impact_observer.errors import BagError, UsageError
+from impact_observer.events import ImpactEvent, Switch
+from impact_observer.io import BagReader, BagWriter
+from impact_observer.io.messages import bag_messages
+
+MAKE = bag_messages()
+PATIENCE = 20.0
+"""How long a slow machine may take, s."""
+REINDEXED = re.compile(r".+_(\d+)\.([a-zA-Z0-9])+")
+"""Files that ``ros2 bag reindex`` of Jazzy takes (rosbag2_cpp, reindexer.cpp)."""
+HASHES = {
+    "std_msgs/msg/String": "df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+    "std_msgs/msg/Header": "f49fb3ae2cf070f793645ff749683ac6b06203e41c891e17701b1cb597ce6a01",
+}
+"""As the packages of Jazzy install them (share/PACKAGE/msg/NAME.json)."""
+WRITE = """
+import sys, time
+from impact_observer.events import ImpactEvent, Switch
+from impact_observer.io import BagWriter
+from impact_observer.io.messages import bag_messages
+make, stamp = bag_messages(), 0
+with BagWriter(sys.argv[1], flush=0.2) as writer:
+    while True:
+        stamp += 1
+        writer.write("/impacts", stamp, make.event(ImpactEvent(stamp, (Switch("stop"),), stamp)))
+        print(stamp, time.monotonic(), flush=True)
+        time.sleep(0.01)
+"""
+
+
+def event(stamp: int) -> object:
+    """A message of an event."""
+    return MAKE.event(ImpactEvent(stamp, (Switch("stop"),), stamp))
+
+
+def salvaged(bag: Path) -> list[int]:
+    """The stamps of the events that a salvage brings back."""
+    new = bag.with_name(f"{bag.name}_new")
+    salvage(Salvage(bag), new)
+    with BagReader(new) as reader:
+        stamps = [each.stamp for each in reader.events()]
+    shutil.rmtree(new)
+    return stamps
+
+
+def records(data: bytes) -> list[McapRecord]:
+    """The records of a file from its beginning, up to where it ends too early."""
+    found: list[McapRecord] = []
+    with suppress(EndOfFile):
+        found.extend(StreamReader(BytesIO(data)).records)
+    return found
+
+
+def wait(done: Callable[[], object]) -> None:
+    """Wait until something is so."""
+    latest = time.monotonic() + PATIENCE
+    while not done():
+        assert time.monotonic() < latest, "it never came"
+        time.sleep(0.01)
+
+
+def test_one_event_is_on_the_disk_without_another(tmp_path: Path) -> None:
+    """No chunk needs to be full: a copy of the open bag, as a kill would leave it, has it all."""
+    file = tmp_path / "bag" / "bag_0.mcap"
+    with BagWriter(tmp_path / "bag", flush=0.02) as writer:
+        for stamp in (1, 2, 3):
+            before = file.stat().st_size
+            writer.write("/impacts", stamp, event(stamp))
+            wait(lambda before=before: file.stat().st_size > before)  # type: ignore[misc]
+            wait(lambda stamp=stamp: salvaged(tmp_path / "bag") == [*range(1, stamp + 1)])  # type: ignore[misc]
+    assert salvaged(tmp_path / "bag") == [1, 2, 3]
+
+
+@pytest.mark.slow
+def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
+    """SIGKILL: every event that was written a second before is salvaged, and no other."""
+    command = [sys.executable, "-c", WRITE, str(tmp_path / "bag")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        written = [process.stdout.readline().split() for _ in range(150)]
+        process.send_signal(signal.SIGKILL)
+        killed = time.monotonic()
+        written += [line.split() for line in process.stdout]
+    due = [int(stamp) for stamp, at in written if float(at) < killed - 1]
+    stamps = salvaged(tmp_path / "bag")
+    assert stamps == [*range(1, len(stamps) + 1)]
+    assert 0 < len(due) <= len(stamps) <= len(written) + 1
+
+
+@pytest.mark.slow
+def test_events_that_come_one_by_one_are_salvaged_wherever_the_file_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """6000 impacts at 1 Hz, each flushed alone: what is cut off is lost, nothing before it."""
+    monkeypatch.setattr(os, "fsync", lambda _: None)
+    sizes = []
+    bag = tmp_path / "bag"
+    with BagWriter(bag, flush=1.0) as writer:
+        for second in range(1, 6001):
+            writer.write("/impacts", second * 1_000_000_000, event(second))
+            writer._thread.submit(writer._flush).result()
+            sizes.append((bag / "bag_0.mcap").stat().st_size)
+    data = (bag / "bag_0.mcap").read_bytes()
+    assert len(data) < 6000 * 500
+    (bag / "metadata.yaml").unlink()
+    for cut in (sizes[5999], sizes[4999] + 7, sizes[9]):
+        (bag / "bag_0.mcap").write_bytes(data[:cut])
+        count = sum(size <= cut for size in sizes)
+        assert salvaged(bag) == [*range(1, count + 1)]
+
+
+def test_what_is_flushed_is_on_the_disk_and_zeros_behind_it_do_no_harm(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a loss of power a file has what was synchronized, and perhaps blocks of zeros."""
+    synchronized: dict[str, int] = {}
+    fsync = os.fsync
+
+    def noted(descriptor: int) -> None:
+        fsync(descriptor)
+        name = Path(f"/proc/self/fd/{descriptor}").readlink().name
+        synchronized[name] = os.fstat(descriptor).st_size
+
+    monkeypatch.setattr(os, "fsync", noted)
+    bag, lost = tmp_path / "bag", tmp_path / "lost"
+    with BagWriter(bag, flush=1.0) as writer:
+        assert {"bag", tmp_path.name, "bag_0.mcap"} <= synchronized.keys()
+        for stamp in range(1, 101):
+            writer.write("/impacts", stamp, event(stamp))
+        writer._thread.submit(writer._flush).result()
+        lost.mkdir()
+        data = (bag / "bag_0.mcap").read_bytes()[: synchronized["bag_0.mcap"]]
+    assert synchronized["metadata.yaml"] == (bag / "metadata.yaml").stat().st_size
+    (lost / "lost_0.mcap").write_bytes(data + bytes(4096))
+    assert salvaged(lost) == [*range(1, 101)]
+
+
+def test_reindexing_finds_all_it_needs_in_the_chunks(tmp_path: Path) -> None:
+    """Name of the file, types with their hashes, qualities, messages: by another library.
+
+    ``ros2 bag reindex`` reads the records from the beginning where there is no index, up to the
+    first that is cut short.
+    """
+    bag = tmp_path / "bag"
+    with BagWriter(bag, flush=0.02) as writer:
+        writer.write("/plant/model", 1, MAKE.model("x"))
+        writer.declare("/header", type_name="std_msgs/msg/Header")
+        for stamp in range(2, 102):
+            writer.write("/impacts", stamp, event(stamp))
+        wait(lambda: salvaged(bag) == [*range(2, 102)])
+        (file,) = bag.iterdir()
+        data = file.read_bytes()
+    assert REINDEXED.fullmatch(file.name)
+    found = records(data)
+    schemas = {each.id: each for each in found if isinstance(each, Schema)}
+    channels = {each.id: each for each in found if isinstance(each, Channel)}
+    times = [each.log_time for each in found if isinstance(each, Message)]
+    assert times == [*range(1, 102)]
+    assert {each.message_encoding for each in channels.values()} == {"cdr"}
+    for channel in channels.values():
+        name = schemas[channel.schema_id].name
+        assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
+        assert channel.metadata["topic_type_hash"][7:] == HASHES.get(
+            name, channel.metadata["topic_type_hash"][7:]
+        )
+        assert channel.metadata["offered_qos_profiles"].startswith("- ")
+    assert HASHES.keys() <= {schemas[each.schema_id].name for each in channels.values()}
+
+
+def test_a_disk_that_fills_up_between_two_messages_is_reported_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One line; also where the next batch would be hours away."""
+    writer = BagWriter(tmp_path / "bag", flush=0.02)
+
+    def full(_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(writer._file, "flush", lambda: full(None))
+    writer.write("/impacts", 1, event(1))
+    wait(lambda: writer._failure)
+    with pytest.raises(BagError, match="bag: cannot be written: No space left on device"):
+        writer.write("/impacts", 2, event(2))
+    with pytest.raises(BagError, match="No space left"):
+        writer.close()
+
+
+@pytest.mark.parametrize("flush", [0.0, 1.5, float("nan"), float("inf")])
+def test_flushing_less_than_once_a_second_is_refused(tmp_path: Path, flush: float) -> None:
+    """And nothing is created."""
+    with pytest.raises(UsageError, match=r"flush is \S+; expected more than 0, at most 1 s"):
+        BagWriter(tmp_path / "bag", flush=flush)
+    assert list(tmp_path.iterdir()) == []
