@@ -27,6 +27,7 @@ COMMANDS = {
     "sweep": "Monte Carlo over laws, starts, sensors and wrong models, on all cores or a cluster",
     "figure": "from a model to the picture: V(t) of several laws",
     "animate": "plant and estimates of a bag in motion: a film or a page",
+    "plot": "states of a bag over time with deviations and impacts: a picture or a page",
     "export": "states, errors or events of a bag as CSV or Parquet",
     "urdf": "a URDF of a model, moved by the joint states of plant or observer",
     "info": "what is in a bag",

@@ -1,15 +1,15 @@
 """The film of a part of a bag; only that part is kept in memory."""
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.draw.estimates import chosen_observers, labels_by_law, law_of
 from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Track, scene_of
-from impact_observer.errors import BagError, UsageError
+from impact_observer.errors import BagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates, joined
 from impact_observer.io.pairing import HOLD, arrived
@@ -46,7 +46,7 @@ def read_film(
         BagError: the bag has neither truth nor estimates, none in this part, or is damaged.
         UsageError: an observer that is not in the bag, or too many of them.
     """
-    prefixes = _chosen(reader, observers)
+    prefixes = chosen_observers(reader, observers, MOST_ESTIMATES)
     truth_topic = reader.truth_topic()
     topics = {prefix: states_of(reader, prefix) for prefix in prefixes}
     wanted = [*([] if truth_topic is None else [truth_topic]), *topics.values()]
@@ -61,7 +61,7 @@ def read_film(
     states = _states_between(reader, system, wanted, first, first + from_seconds(duration))
     impacts = {event.stamp for event in events}
     truth = None if truth_topic is None else _track("plant", states[truth_topic], impacts)
-    labels = _labels({prefix: states[topic] for prefix, topic in topics.items()})
+    labels = labels_by_law({prefix: law_of(states[topic]) for prefix, topic in topics.items()})
     estimates = []
     for prefix, topic in topics.items():
         outcomes = outcomes_in(reader, topic, events)
@@ -79,23 +79,6 @@ def read_film(
         start=max(first, min(int(each.min()) for each in present)),
         end=max(int(each.max()) for each in present),
     )
-
-
-def _chosen(reader: BagReader, observers: Sequence[str] | None) -> tuple[str, ...]:
-    """Prefixes of the observers that are shown."""
-    present = reader.observers()
-    chosen = present if observers is None else tuple(f"/{each.lstrip('/')}" for each in observers)
-    for each in chosen:
-        if each not in present:
-            raise UsageError(
-                f"observer {each}: not in {reader.path}; it has {', '.join(present) or 'none'}"
-            )
-    if len(chosen) > MOST_ESTIMATES:
-        raise UsageError(
-            f"{len(chosen)} observers: too many; name at most {MOST_ESTIMATES} with --observers:"
-            f" {', '.join(present)}"
-        )
-    return tuple(dict.fromkeys(chosen))
 
 
 def _states_between(
@@ -133,24 +116,9 @@ def _rows(block: JointStates, rows: NDArray[np.bool_]) -> JointStates:
     return replace(block, **arrays)
 
 
-def _law(states: JointStates) -> str:
-    """The law of an estimate; empty if the messages do not name it."""
-    return states.law if isinstance(states, ObserverStates) else ""
-
-
 def _track(label: str, states: JointStates, jumps: set[int]) -> Track:
     """The track of some states."""
-    return Track.of(label, _law(states), (states.stamps, states.q, states.u), jumps)
-
-
-def _labels(states: Mapping[str, JointStates]) -> dict[str, str]:
-    """Each estimate by its law, with the topic's prefix if several have the same law."""
-    laws = {prefix: _law(each) or prefix.lstrip("/") for prefix, each in states.items()}
-    count = Counter(laws.values())
-    return {
-        prefix: f"{law} ({prefix.lstrip('/')})" if count[law] > 1 else law
-        for prefix, law in laws.items()
-    }
+    return Track.of(label, law_of(states), (states.stamps, states.q, states.u), jumps)
 
 
 def _with_all_events(states: JointStates, received: Stamps) -> JointStates:

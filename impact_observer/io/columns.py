@@ -39,11 +39,14 @@ class ObserverStates(JointStates):
         law: name of the law, the same throughout; empty when there is no message.
         last_sequence: sequence number of the last event applied, shape (N,); 0 before the first.
         last_event: stamp of the last event applied, shape (N,), ns; 0 before the first.
+        covariance: order (q, u), shape (N, 2n, 2n), NaN where an estimate has none; shape
+            (N, 0, 0) unless it was asked for.
     """
 
     law: str
     last_sequence: NDArray[np.uint64]
     last_event: Stamps
+    covariance: NDArray[np.float64]
 
 
 class Columns:
@@ -59,6 +62,8 @@ class Columns:
         type_name: str,
         names: Sequence[str] | None,
         deserialize: Callable[[bytes], AnyMessage],
+        *,
+        covariance: bool = False,
     ) -> None:
         """Collect messages of ``type_name``.
 
@@ -67,11 +72,13 @@ class Columns:
             type_name: ``JOINT_STATE`` or ``OBSERVER_STATE``.
             names: of the columns; None for those of the first message.
             deserialize: a message from its bytes.
+            covariance: whether estimates are wanted with theirs.
         """
         self._source = source
         self._type = type_name
         self._names = None if names is None else tuple(names)
         self._deserialize = deserialize
+        self._covariance = covariance
         self._pending: list[bytes] = []
         self._taken = 0
         self._law: str | None = None
@@ -109,14 +116,16 @@ class Columns:
     def _block(self, parts: Sequence[StateRows]) -> JointStates:
         """The rows of all parts in the order of the messages, read-only."""
         order = np.argsort(np.concatenate([part.at for part in parts]))
+        if not self._covariance:
+            parts = [each._replace(covariance=each.covariance[:, :0, :0]) for each in parts]
         columns = StateRows(*(np.concatenate(each)[order] for each in zip(*parts, strict=True)))
         for each in columns:
             each.setflags(write=False)
-        _, stamps, q, u, sequences, events = columns
+        _, stamps, q, u, sequences, events, covariance = columns
         names, law = self._names or (), self._law or ""
         if self._type != OBSERVER_STATE:
             return JointStates(names, stamps, q, u)
-        return ObserverStates(names, stamps, q, u, law, sequences, events)
+        return ObserverStates(names, stamps, q, u, law, sequences, events, covariance)
 
     def _one(self, block: Sequence[bytes], i: int) -> tuple[tuple[str, ...], StateRows]:
         """The names and the row of one message, checked."""
@@ -134,6 +143,8 @@ class Columns:
                 self._law = state.law
                 rows.stamps[0], rows.q[0], rows.u[0] = state.stamp, state.q, state.u
                 rows.last_sequence[0], rows.last_event[0] = state.last_sequence, state.last_event
+                if state.covariance.size:
+                    rows = rows._replace(covariance=state.covariance[None])
             else:
                 joint = read_joint_state(message)
                 names = joint.names
@@ -158,7 +169,9 @@ class Columns:
         if found == wanted:
             return rows
         order = [found.index(name) for name in wanted]
-        return rows._replace(q=rows.q[:, order], u=rows.u[:, order])
+        both = [*order, *(len(order) + i for i in order)]
+        covariance = rows.covariance[:, both][:, :, both] if self._covariance else rows.covariance
+        return rows._replace(q=rows.q[:, order], u=rows.u[:, order], covariance=covariance)
 
 
 def joined(blocks: Iterable[JointStates]) -> JointStates:

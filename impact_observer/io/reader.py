@@ -38,8 +38,8 @@ from impact_observer.io.typestores import add_definition, deserialize, new_types
 
 _Value = TypeVar("_Value")
 
-BLOCK = 4096
-"""Most states in a block."""
+BLOCK, BLOCK_BYTES = 4096, 2**26
+"""Most states in a block, and about the most bytes: covariances of many coordinates are large."""
 
 
 class RawMessage(NamedTuple):
@@ -226,13 +226,18 @@ class BagReader:
         )
 
     def blocks(
-        self, topics: Collection[str], names: Sequence[str] | None = None
+        self,
+        topics: Collection[str],
+        names: Sequence[str] | None = None,
+        *,
+        covariance: bool = False,
     ) -> Iterator[tuple[str, JointStates]]:
         """The states on some topics in one pass, each topic's in bag order, a block at a time.
 
         Args:
             topics: absolute names, of joint states or of an observer's states.
             names: the columns wanted, by name; None for those of each topic's first message.
+            covariance: whether estimates are wanted with theirs.
 
         Yields:
             A topic and its next states, at most ``BLOCK`` of them, an observer's as
@@ -242,15 +247,16 @@ class BagReader:
             BagError: a topic is missing or of another type; a name is missing, unexpected or
                 twice; a message has no finite position and velocity for each name; a law changes.
         """
-        columns = {topic: self._columns(topic, names) for topic in topics}
+        columns = {topic: self._columns(topic, names, covariance) for topic in topics}
         for batch in self._batches([c for topic in columns for c in self._connections[topic]]):
             for topic, own in columns.items():
                 data = [each for *_, name, each in batch if name == topic]
                 while data:
-                    room = BLOCK - len(own)
+                    most = max(min(BLOCK, BLOCK_BYTES // max(len(data[0]), 1)), 1)
+                    room = max(most - len(own), 0)
                     own.add(data[:room])
                     data = data[room:]
-                    if len(own) == BLOCK:
+                    if len(own) >= most:
                         yield topic, own.take()
         for topic, own in columns.items():
             yield topic, own.take()
@@ -265,11 +271,12 @@ class BagReader:
         self._check_type(topic, interfaces.OBSERVER_STATE)
         return cast("ObserverStates", joined(block for _, block in self.blocks([topic], names)))
 
-    def _columns(self, topic: str, names: Sequence[str] | None) -> Columns:
+    def _columns(self, topic: str, names: Sequence[str] | None, covariance: bool) -> Columns:
         """Collects the states of a topic."""
         found, observer = self._topic(topic).type, interfaces.OBSERVER_STATE
         self._check_type(topic, observer if found == observer else interfaces.JOINT_STATE)
-        return Columns(f"{self.path}: {topic}", found, names, self.decoder(topic))
+        source, decode = f"{self.path}: {topic}", self.decoder(topic)
+        return Columns(source, found, names, decode, covariance=covariance)
 
     def _check_type(self, topic: str, wanted: str) -> None:
         """Check the type of a topic."""

@@ -31,6 +31,7 @@ class StateRows(NamedTuple):
         u: velocities, shape (k, n).
         last_sequence: of the last event, shape (k,); zeros for joint states.
         last_event: its stamp, ns, shape (k,); zeros for joint states.
+        covariance: order (q, u), shape (k, 2n, 2n); NaN where a message has none.
     """
 
     at: NDArray[np.intp]
@@ -39,6 +40,7 @@ class StateRows(NamedTuple):
     u: NDArray[np.float64]
     last_sequence: NDArray[np.uint64]
     last_event: Stamps
+    covariance: NDArray[np.float64]
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -58,6 +60,7 @@ def no_rows(n: int, size: int = 0) -> StateRows:
         np.zeros((size, n)),
         np.zeros(size, dtype=np.uint64),
         np.zeros(size, dtype=np.int64),
+        np.broadcast_to(np.nan, (size, 2 * n, 2 * n)),
     )
 
 
@@ -70,6 +73,7 @@ class Layout:
         stamp: of the header.
         q: of the first coordinate.
         u: of the first velocity.
+        covariance: None where there is none.
         last_sequence: None for joint states.
         last_event: None for joint states.
         fixed: the bytes that make the shape, shape (size,).
@@ -79,6 +83,7 @@ class Layout:
     stamp: int
     q: int
     u: int
+    covariance: int | None
     last_sequence: int | None
     last_event: int | None
     fixed: NDArray[np.bool_]
@@ -138,6 +143,7 @@ def layout_of(type_name: str, data: bytes) -> Layout | None:
     if type_name not in {JOINT_STATE, OBSERVER_STATE} or data[:2] != _LITTLE_ENDIAN:
         return None
     walk, sequence, event = _Walk(data), None, None
+    covariance, entries = 0, 0
     try:
         stamp = walk.number(4, 2)
         walk.string()
@@ -146,7 +152,7 @@ def layout_of(type_name: str, data: bytes) -> Layout | None:
         n = walk.strings()
         (q, positions), (u, velocities) = walk.floats(), walk.floats()
         if type_name == OBSERVER_STATE:
-            walk.floats()  # covariance
+            covariance, entries = walk.floats()
             walk.strings()  # closed
             walk.number(8)  # convergence
             walk.number(1)  # synchronized
@@ -154,9 +160,9 @@ def layout_of(type_name: str, data: bytes) -> Layout | None:
             sequence, event = walk.number(8), walk.number(4, 2)
     except ValueError:
         return None
-    if not positions == velocities == n:
+    if not positions == velocities == n or entries not in {0, 4 * n * n}:
         return None
-    return Layout(n, stamp, q, u, sequence, event, walk.fixed)
+    return Layout(n, stamp, q, u, covariance if entries else None, sequence, event, walk.fixed)
 
 
 def decode(type_name: str, block: Sequence[bytes]) -> tuple[list[StateRows], list[int]]:
@@ -221,6 +227,10 @@ def _rows(layout: Layout, data: NDArray[np.uint8], at: NDArray[np.intp]) -> Stat
         q=_numbers(data, layout.q, 8 * layout.n).view("<f8"),
         u=_numbers(data, layout.u, 8 * layout.n).view("<f8"),
     )
+    if layout.covariance is not None:
+        end, side = layout.covariance + 32 * layout.n**2, 2 * layout.n
+        numbers = data[:, layout.covariance : end].view("<f8")  # not copied: few readers want it
+        rows = rows._replace(covariance=numbers.reshape(-1, side, side))
     if layout.last_sequence is None or layout.last_event is None:
         return rows
     return rows._replace(

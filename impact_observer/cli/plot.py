@@ -1,0 +1,124 @@
+"""Draw what a bag holds over time: coordinates, velocities, gaps, deviations, and impacts.
+
+No truth is needed. The file's ending says what is made: a PNG, SVG or PDF, or a page (.html) to
+zoom in that needs nothing else. A band is two standard deviations wide on either side.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from impact_observer.cli.arguments import (
+    add_model,
+    add_namespace,
+    add_observers,
+    names,
+    not_negative,
+    positive,
+)
+from impact_observer.errors import UsageError
+
+PICTURES, PAGES = (".png", ".svg", ".pdf"), (".html", ".htm")
+MOST_PANELS = 80
+WIDTHS = (2.0, 60.0)
+"""Of a picture, inches."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    add = parser.add_argument
+    add("bag", metavar="BAG", type=Path, help="a bag with estimates or truth")
+    file = "a PNG, SVG, PDF or HTML; an existing file is replaced"
+    add("-o", "--output", metavar="FILE", type=Path, required=True, help=file)
+    select = (
+        "what to draw: positions, velocities, gaps; a coordinate for both of its own, a contact"
+        " for its gap; q_NAME, u_NAME or g_NAME for one (default: positions and velocities of the"
+        " coordinates that move most, at most eight)"
+    )
+    add("--select", metavar="WHAT,...", type=names, help=select)
+    start = "where to begin, s since the epoch (default 0)"
+    add("--start", metavar="S", type=not_negative, default=0.0, help=start)
+    add("--duration", metavar="S", type=positive, help="how much to draw, s (default: all)")
+    width = "of a picture, inches (default 10); one column of panels below 6.5"
+    add("--width", metavar="INCHES", type=positive, default=10.0, help=width)
+    add_namespace(parser)
+    add_observers(parser, "draw only these, by name (default: all in the bag)")
+    add_model(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    return plot(
+        args.bag,
+        args.output,
+        select=args.select,
+        start=args.start,
+        duration=args.duration,
+        width=args.width,
+        observers=args.observers,
+        model=args.model,
+        namespace=args.namespace,
+    )
+
+
+def plot(
+    bag: Path,
+    output: Path,
+    *,
+    select: Sequence[str] | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+    width: float = 10.0,
+    observers: Sequence[str] | None = None,
+    model: str | None = None,
+    namespace: str = "",
+) -> int:
+    """Draw a bag.
+
+    The arguments are the options; without a model, in the bag or named, there are no gaps.
+
+    Returns:
+        0.
+
+    Raises:
+        UsageError, ModelError: the arguments cannot be used.
+        BagError: the bag cannot be read, or there is nothing in it to draw.
+    """
+    from impact_observer.cli.progress import Progress
+    from impact_observer.draw.output import check_output
+    from impact_observer.draw.pictures import save
+    from impact_observer.draw.plot.page import write_page
+    from impact_observer.draw.plot.picture import recording_picture
+    from impact_observer.draw.plot.series import read_recording
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import system_of
+
+    check_output(output, (*PICTURES, *PAGES))
+    low, high = WIDTHS
+    if not low <= width <= high:
+        raise UsageError(f"--width {width:g}: expected {low:g} to {high:g} inches")
+    with BagReader(bag, namespace) as reader, Progress(sys.stderr) as progress:
+        known = model is not None or reader.model_text() is not None
+        recording = read_recording(
+            reader,
+            system_of(reader, model) if known else None,
+            select=select,
+            observers=observers,
+            start=start,
+            duration=duration,
+            progress=lambda done, total: progress.step(f"reading {bag}", done, total),
+        )
+        if len(recording.quantities) > MOST_PANELS:
+            raise UsageError(
+                f"{len(recording.quantities)} panels: too many to read; name at most"
+                f" {MOST_PANELS} quantities with --select"
+            )
+        progress.show(f"drawing {output}")
+        if output.suffix.lower() in PAGES:
+            write_page(recording, output)
+        else:
+            about = f"{recording.name}: {bag.name}".removeprefix(": ")
+            save(recording_picture(recording, width=width), output, about=about)
+    print(f"picture: {output}, {recording.start:.3f} to {recording.end:.3f} s of {bag}")
+    return 0

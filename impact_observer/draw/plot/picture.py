@@ -1,0 +1,176 @@
+"""The picture of a recording: quantities over time with their deviations, and the impacts."""
+
+from collections.abc import Mapping, Sequence
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from impact_observer.draw.pictures import Style, styles
+from impact_observer.draw.plot.series import Recording, Series
+from impact_observer.events import Ruling
+from impact_observer.states import Vector
+
+WIDTH = 10.0
+"""Of a picture for which no other is named, inches."""
+_TWO_COLUMNS = 6.5
+"""Least width with two columns of panels, inches."""
+_PANEL, _ROW, _REST = 1.45, 0.2, 1.2
+"""Height of a panel, of a row of marks and of the rest, inches."""
+MOST_ROWS = 8
+"""Most rows of marks; where there are more, the contacts of an estimate share one."""
+BAND = 2.0
+"""Half the width of a band, in standard deviations."""
+_MARGIN = 0.06
+"""Space above and below the curves, over their range."""
+_TRUTH: Style = {"color": "0.75", "linewidth": 3.2}
+_IMPACT: Style = {"marker": "|", "color": "0.2", "markersize": 7}
+MARKS: Mapping[Ruling | None, tuple[str, Style]] = {
+    None: ("impact", _IMPACT),
+    Ruling.APPLIED: ("impact, applied", _IMPACT),
+    Ruling.REJECTED: ("rejected", {"marker": "x", "color": "#D55E00", "markersize": 5}),
+    Ruling.INSERTED: (
+        "inserted, as missed",
+        {"marker": "^", "color": "#0072B2", "markerfacecolor": "white", "markersize": 5},
+    ),
+}
+"""What is said of an impact, and its mark."""
+
+
+def styles_of(series: Sequence[Series]) -> list[Style]:
+    """A line style for each series: the truth wide and pale, estimates by their laws."""
+    laws = [each.law for each in series if each.law]
+    lines = iter(styles(laws))
+    drawn = [next(lines) if each.law else dict(_TRUTH) for each in series]
+    alone = {"marker": None} if len(laws) < 2 else {}  # markers tell curves apart
+    return [each | alone for each in drawn]
+
+
+def mark_rows_of(recording: Recording) -> dict[str, dict[Ruling | None, Vector]]:
+    """Rows of marks by their label: one a contact, and where estimates differ one for each."""
+    estimates = {mark.estimate for mark in recording.marks}
+    contacts = {mark.contact for mark in recording.marks}
+    shared = len(contacts) * len(estimates) > MOST_ROWS
+    rows: dict[str, dict[Ruling | None, list[Vector]]] = {}
+    for mark, seconds in sorted(recording.marks.items(), key=lambda item: item[0][:2]):
+        what = "impacts" if shared else mark.contact
+        label = f"{what}, {mark.estimate}" if len(estimates) > 1 else what
+        rows.setdefault(label, {}).setdefault(mark.ruling, []).append(seconds)
+    return {
+        label: {ruling: np.sort(np.concatenate(parts)) for ruling, parts in row.items()}
+        for label, row in rows.items()
+    }
+
+
+def recording_picture(recording: Recording, *, width: float = WIDTH) -> Figure:
+    """Draw a recording; with two columns of panels if there is room for them.
+
+    Args:
+        recording: what to draw.
+        width: of the picture, inches.
+    """
+    count = len(recording.quantities)
+    columns = 2 if count > 1 and width >= _TWO_COLUMNS else 1
+    height = -(-count // columns)
+    rows = mark_rows_of(recording)
+    strip = _ROW * (len(rows) + 0.6) if rows else 0.0
+    heights = [*([strip] if rows else []), *[_PANEL] * height]
+    drawn = styles_of(recording.series)
+    with mpl.rc_context({"font.size": 9.0}):
+        figure = Figure(figsize=(width, _REST + sum(heights)), layout="constrained")
+        grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+        first = len(heights) - height
+        panels: list[Axes] = []
+        for column, quantity in enumerate(recording.quantities):
+            place = grid[first + column % height, column // height]
+            axes = figure.add_subplot(place, sharex=panels[0] if panels else None)
+            _draw(axes, recording, column, drawn)
+            axes.set_ylabel(quantity.label.replace(" [", "\n["), fontsize="small")
+            last = column % height == height - 1 or column == count - 1
+            axes.tick_params(labelbottom=last)
+            if last:
+                axes.set_xlabel("time since the epoch [s]")
+            panels.append(axes)
+        panels[0].set_xlim(recording.start, recording.end)
+        for k in range(columns if rows else 0):
+            _draw_marks(figure.add_subplot(grid[0, k], sharex=panels[0]), rows, named=k == 0)
+        handles = [*_handles(recording, drawn), *_mark_handles(rows)]
+        longest = max(len(str(each.get_label())) for each in handles)
+        room = max(int(13 * width) // (longest + 8), 1)
+        figure.legend(
+            handles=handles, loc="outside upper left", ncol=room, frameon=False, fontsize="small"
+        )
+        if recording.left_out:
+            text = f"{recording.left_out} coordinates that move less are not drawn"
+            figure.supxlabel(text, fontsize="small", color="0.35")
+    return figure
+
+
+def _draw(axes: Axes, recording: Recording, column: int, drawn: Sequence[Style]) -> None:
+    """One quantity of all series, with bands of deviations, within the range of the lines."""
+    low, high = np.inf, -np.inf
+    count = len(recording.series)
+    for k, (each, style) in enumerate(zip(recording.series, drawn, strict=True)):
+        t, y, deviation = (a[:, column] for a in (each.seconds, each.values, each.deviations))
+        step = max(y.size // 9, 1)
+        axes.plot(t, y, zorder=2 + k, markevery=(step * k // count, step), **style)
+        if np.isfinite(deviation).any():
+            axes.fill_between(
+                t,
+                y - BAND * deviation,
+                y + BAND * deviation,
+                color=style["color"],
+                alpha=0.22,
+                linewidth=0,
+                zorder=1,
+            )
+        low, high = min(low, float(y.min())), max(high, float(y.max()))
+    room = _MARGIN * (high - low) or 0.5 * max(abs(high), 1e-9)
+    axes.set_ylim(low - room, high + room)
+    axes.grid(visible=True, which="major", color="0.92")
+
+
+def _draw_marks(
+    axes: Axes, rows: Mapping[str, Mapping[Ruling | None, Vector]], *, named: bool
+) -> None:
+    """A strip with a row of marks for each contact."""
+    for k, row in enumerate(rows.values()):
+        for ruling, seconds in row.items():
+            at = np.full(seconds.size, k)
+            axes.plot(seconds, at, linestyle="none", clip_on=False, **MARKS[ruling][1])
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_yticks(range(len(rows)), list(rows) if named else [""] * len(rows))
+    axes.tick_params(labelbottom=False, bottom=False, left=False, labelsize="small")
+    for side in axes.spines.values():
+        side.set_visible(False)
+
+
+def _handles(recording: Recording, drawn: Sequence[Style]) -> list[Line2D | Patch]:
+    """The legend's lines of the series, and of the bands if there are any."""
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], label=each.label, **style)
+        for each, style in zip(recording.series, drawn, strict=True)
+    ]
+    banded = [
+        style["color"]
+        for each, style in zip(recording.series, drawn, strict=True)
+        if np.isfinite(each.deviations).any()
+    ]
+    if banded:
+        colour = banded[0] if len(banded) == 1 else "0.4"
+        label = f"± {BAND:g} standard deviations"
+        handles.append(Patch(color=colour, alpha=0.22, label=label))
+    return handles
+
+
+def _mark_handles(rows: Mapping[str, Mapping[Ruling | None, Vector]]) -> list[Line2D]:
+    """The legend's marks, those that occur."""
+    present = {ruling for row in rows.values() for ruling in row}
+    return [
+        Line2D([], [], linestyle="none", label=label, **style)
+        for ruling, (label, style) in MARKS.items()
+        if ruling in present
+    ]

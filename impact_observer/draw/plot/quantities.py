@@ -1,0 +1,104 @@
+"""Quantities of a state that are drawn over time: coordinates, velocities, gaps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from impact_observer.errors import UsageError
+from impact_observer.model import System
+from impact_observer.states import Matrix, Vector
+
+_GROUPS = ("positions", "velocities", "gaps")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quantity:
+    """A number that depends linearly on the state, ``row . (q, u) + offset``.
+
+    Attributes:
+        name: as in the columns of ``export``: ``q_x1``, ``u_x1``; of a gap ``g_stop``.
+        label: with its unit, for an axis.
+        row: coefficients, shape (2n,).
+        offset: m.
+    """
+
+    name: str
+    label: str
+    row: Vector
+    offset: float = 0.0
+
+
+def values_of(quantities: Sequence[Quantity], x: Matrix) -> Matrix:
+    """Each quantity of each state.
+
+    Args:
+        quantities: k of them.
+        x: states (q, u), shape (N, 2n).
+
+    Returns:
+        Shape (N, k).
+    """
+    rows = np.array([each.row for each in quantities])
+    return np.asarray(x @ rows.T + [each.offset for each in quantities])
+
+
+def deviations_of(quantities: Sequence[Quantity], covariance: Matrix) -> Matrix:
+    """The standard deviation of each quantity, shape (N, k), of covariances, (N, 2n, 2n)."""
+    found = np.empty((len(covariance), len(quantities)))
+    for column, each in enumerate(quantities):
+        (used,) = np.nonzero(each.row)
+        factors = each.row[used]
+        parts = covariance[:, used[:, None], used]
+        found[:, column] = np.einsum("i,kij,j->k", factors, parts, factors)
+    # Rounding may leave a variance slightly below zero.
+    return np.asarray(np.sqrt(np.where(found < 0, 0.0, found)))
+
+
+def quantities_of(names: Sequence[str], system: System | None) -> dict[str, Quantity]:
+    """All quantities that can be drawn, by name: coordinates with velocities, then gaps.
+
+    Args:
+        names: of the coordinates.
+        system: of the model, whose coordinates are ``names``; None without a model: no gaps.
+    """
+    n, found = len(names), list[Quantity]()
+    unit = np.eye(2 * n)
+    for i, name in enumerate(names):
+        found.append(Quantity(f"q_{name}", f"{name} [m or rad]", unit[i]))
+        found.append(Quantity(f"u_{name}", f"d{name}/dt [m/s or rad/s]", unit[n + i]))
+    if system is not None:
+        for name, column, offset in zip(
+            system.contact_names, system.W.T, system.q_r.tolist(), strict=True
+        ):
+            row = np.concatenate([column, np.zeros(n)])
+            found.append(Quantity(f"g_{name}", f"gap of {name} [m]", row, offset))
+    return {each.name: each for each in found}
+
+
+def selected(every: dict[str, Quantity], words: Sequence[str]) -> tuple[Quantity, ...]:
+    """The quantities that a user names, in that order, each once.
+
+    Args:
+        every: as ``quantities_of`` gives them.
+        words: names of quantities, such as ``q_x1``; of coordinates, for position and velocity; of
+            contacts, for their gaps; or ``positions``, ``velocities``, ``gaps``.
+
+    Raises:
+        UsageError: a word names none of them.
+    """
+    found: dict[str, Quantity] = {}
+    for word in words:
+        if word in every:
+            names = [word]
+        elif word in _GROUPS:
+            names = [name for name in every if name.startswith("qug"[_GROUPS.index(word)] + "_")]
+        else:
+            names = [f"{kind}_{word}" for kind in "qug" if f"{kind}_{word}" in every]
+        if not names:
+            raise UsageError(
+                f"--select {word}: nothing of that name; expected {', '.join(_GROUPS)}, a"
+                f" coordinate, a contact of the model, or one of {', '.join(every)}"
+            )
+        found |= {name: every[name] for name in names}
+    return tuple(found.values())

@@ -1,0 +1,259 @@
+"""Series of a recording: what is drawn over time, thinned so that no peak is lost."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.draw.estimates import chosen_observers, labels_by_law
+from impact_observer.draw.plot.impact_marks import Mark, impact_marks
+from impact_observer.draw.plot.quantities import (
+    Quantity,
+    deviations_of,
+    quantities_of,
+    selected,
+    values_of,
+)
+from impact_observer.errors import BagError
+from impact_observer.io import interfaces
+from impact_observer.io.columns import JointStates, ObserverStates
+from impact_observer.io.pairing import arrived
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
+from impact_observer.io.topic_names import first_block, states_of
+from impact_observer.model import System
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, text
+from impact_observer.states import Matrix, Stamps, Vector
+
+MOST_ESTIMATES = 6
+"""Most estimates in one picture."""
+MOST_COORDINATES = 8
+"""Most coordinates that are drawn unless quantities are named."""
+MOST_SAMPLES = 8192
+"""Most samples of a curve that are kept; of longer ones the extremes."""
+TRUTH = "truth"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """The quantities of the plant or of an estimate over time.
+
+    Attributes:
+        label: its name in the picture.
+        law: of an estimate, or what stands for it where it is not known; empty for the truth.
+        seconds: since the epoch, ascending in each column, shape (N, k).
+        values: of k quantities, shape (N, k).
+        deviations: standard deviations, shape (N, k); NaN where there are none.
+        samples: how many were read; more than N where the series is thinned.
+    """
+
+    label: str
+    law: str
+    seconds: Matrix
+    values: Matrix
+    deviations: Matrix
+    samples: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """What is drawn of a bag.
+
+    Attributes:
+        name: of the model; empty without one.
+        quantities: k of them.
+        series: the truth first, if there is one, then the estimates.
+        marks: instants of impacts, s since the epoch, ascending.
+        start: of what is drawn, s since the epoch.
+        end: of what is drawn, s since the epoch.
+        left_out: how many coordinates are not drawn as there are too many.
+    """
+
+    name: str
+    quantities: tuple[Quantity, ...]
+    series: tuple[Series, ...]
+    marks: Mapping[Mark, Vector]
+    start: float
+    end: float
+    left_out: int = 0
+
+
+def read_recording(
+    reader: BagReader,
+    system: System | None,
+    *,
+    select: Sequence[str] | None = None,
+    observers: Sequence[str] | None = None,
+    start: float = 0.0,
+    duration: float | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> Recording:
+    """Read what is drawn of a bag, block by block.
+
+    As in ``compare``, estimates that were published before their events arrived are left out.
+
+    Args:
+        reader: the bag.
+        system: of the model; None where it is not known, and gaps then neither.
+        select: words as of ``quantities.selected``; None for positions and velocities of the
+            coordinates that move most.
+        observers: prefixes of the estimates' topics; None for all.
+        start: of the part that is drawn, s since the epoch.
+        duration: of that part, s; None for all.
+        progress: called with the number of states read, and of all.
+
+    Raises:
+        UsageError: a quantity or an observer that is not there, or too many observers.
+        BagError: there are no states, none in this part, or the bag is damaged.
+    """
+    topics = _topics(reader, observers)
+    first = first_block(reader, topics)
+    if first is None:
+        raise BagError(
+            f"{reader.path}: no states; expected true states on"
+            f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
+        )
+    names = first.names if system is None else system.coordinates
+    every = quantities_of(names, system)
+    shown = selected(every, ("positions", "velocities") if select is None else select)
+    events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
+    epoch = epoch_of(events) or int(first.stamps[0])
+    low = epoch + from_seconds(start)
+    high = MAX_STAMP if duration is None else low + from_seconds(duration)
+    curves = {
+        topic: _Curve(shown, outcomes_in(reader, topic, events).reported if prefix else None)
+        for topic, prefix in topics.items()
+    }
+    done, total = 0, sum(reader.topics[topic].count for topic in topics)
+    for topic, block in reader.blocks(topics, names, covariance=True):
+        curves[topic].add(block, (block.stamps >= low) & (block.stamps <= high))
+        progress(done := done + block.stamps.size, total)
+    laws = {prefix: curves[topic].law for topic, prefix in topics.items() if prefix}
+    labels = labels_by_law(laws)
+    series = tuple(
+        curves[topic].series(labels.get(prefix, TRUTH), epoch)
+        for topic, prefix in topics.items()
+        if curves[topic].count
+    )
+    if not series:
+        raise BagError(
+            f"{reader.path}: no states from {text(low)} s on in the stretch that is asked for;"
+            " choose another with --start and --duration"
+        )
+    recording = Recording(
+        name="" if system is None else system.name,
+        quantities=shown,
+        series=series,
+        marks={},
+        start=min(float(each.seconds.min()) for each in series),
+        end=max(float(each.seconds.max()) for each in series),
+    )
+    stamps = impact_marks(reader, {prefix: labels[prefix] for prefix in laws}, events)
+    recording = replace(recording, marks=_within(recording, stamps, epoch))
+    return _largest(recording) if select is None else recording
+
+
+def _topics(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str]:
+    """Topics of the states that are drawn, with the observer's prefix; the truth has none."""
+    truth = reader.truth_topic()
+    topics = {} if truth is None else {truth: ""}
+    prefixes = chosen_observers(reader, observers, MOST_ESTIMATES)
+    return topics | {states_of(reader, prefix): prefix for prefix in prefixes}
+
+
+def _within(
+    recording: Recording, marks: Mapping[Mark, Iterable[int]], epoch: int
+) -> dict[Mark, Vector]:
+    """The marks in the part that is drawn, s since ``epoch`` (ns)."""
+    found = {}
+    for mark, stamps in marks.items():
+        seconds = (np.array(sorted(stamps), dtype=np.int64) - epoch) / NS_PER_S
+        seconds = seconds[(seconds >= recording.start) & (seconds <= recording.end)]
+        if seconds.size:
+            found[mark] = seconds
+    return found
+
+
+def _largest(recording: Recording) -> Recording:
+    """Positions and velocities of the coordinates that move most, where there are many."""
+    n = len(recording.quantities) // 2
+    if n <= MOST_COORDINATES:
+        return recording
+    motion = recording.series[0].values[:, :n].std(axis=0)
+    chosen = np.sort(np.argsort(-motion, kind="stable")[:MOST_COORDINATES])
+    both = np.concatenate([chosen, n + chosen])
+    series = tuple(
+        replace(
+            each,
+            seconds=each.seconds[:, both],
+            values=each.values[:, both],
+            deviations=each.deviations[:, both],
+        )
+        for each in recording.series
+    )
+    quantities = tuple(recording.quantities[i] for i in both)
+    return replace(recording, quantities=quantities, series=series, left_out=n - chosen.size)
+
+
+class _Curve:
+    """Collects the quantities of one topic.
+
+    Of too many samples every four next to each other become two in each column: the least and the
+    greatest value.
+    """
+
+    def __init__(self, quantities: Sequence[Quantity], received: Stamps | None) -> None:
+        """Collect ``quantities``; ``received`` are the stamps of events that an estimate used."""
+        self.count = 0
+        self.law = ""
+        self._quantities = quantities
+        self._received = received
+        self._kept: list[tuple[Stamps, Matrix, Matrix]] = []
+
+    def add(self, block: JointStates, rows: NDArray[np.bool_]) -> None:
+        """Add the states of some rows of a block."""
+        if isinstance(block, ObserverStates):
+            self.law = block.law or self.law
+            if self._received is not None and block.last_event.any():
+                rows = rows & arrived(block.stamps, block.last_event, self._received)
+        values = values_of(self._quantities, np.hstack([block.q[rows], block.u[rows]]))
+        deviations = np.full(values.shape, np.nan)
+        if isinstance(block, ObserverStates):
+            deviations = deviations_of(self._quantities, block.covariance[rows])
+        stamps = np.broadcast_to(block.stamps[rows, None], values.shape)
+        self.count += len(values)
+        self._kept.append((stamps, values, deviations))
+        while sum(len(stamps) for stamps, *_ in self._kept) > MOST_SAMPLES:
+            self._kept = [_extremes(*self._joined())]
+
+    def _joined(self) -> tuple[Stamps, Matrix, Matrix]:
+        """All that is kept, by stamp."""
+        stamps, values, deviations = map(np.concatenate, zip(*self._kept, strict=True))
+        order = np.argsort(stamps, axis=0, kind="stable")
+        return (
+            np.take_along_axis(stamps, order, axis=0),
+            np.take_along_axis(values, order, axis=0),
+            np.take_along_axis(deviations, order, axis=0),
+        )
+
+    def series(self, label: str, epoch: int) -> Series:
+        """The series; ``epoch`` is the stamp of time zero, ns."""
+        stamps, values, deviations = self._joined()
+        seconds = (stamps - epoch) / NS_PER_S
+        law = self.law or label.removeprefix(TRUTH)
+        return Series(label, law, seconds, values, deviations, self.count)
+
+
+def _extremes(stamps: Stamps, values: Matrix, deviations: Matrix) -> tuple[Stamps, Matrix, Matrix]:
+    """Of every four rows, in each column, those with the least and the greatest value."""
+    whole, k = len(values) // 4 * 4, values.shape[1]
+    groups = values[:whole].reshape(-1, 4, k)
+    pair = np.sort(np.stack([groups.argmin(axis=1), groups.argmax(axis=1)], axis=1), axis=1)
+    rows = (pair + 4 * np.arange(len(groups))[:, None, None]).reshape(-1, k)
+    rows = np.concatenate([rows, np.tile(np.arange(whole, len(values))[:, None], k)])
+    return (
+        np.take_along_axis(stamps, rows, axis=0),
+        np.take_along_axis(values, rows, axis=0),
+        np.take_along_axis(deviations, rows, axis=0),
+    )

@@ -1,0 +1,131 @@
+"""The picture and the page of a recording."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+
+from impact_observer.draw.plot.impact_marks import Mark
+from impact_observer.draw.plot.page import write_page
+from impact_observer.draw.plot.picture import MOST_ROWS, mark_rows_of, recording_picture
+from impact_observer.draw.plot.quantities import quantities_of
+from impact_observer.draw.plot.series import Recording, Series
+from impact_observer.events import Ruling
+
+SECONDS = np.linspace(0.0, 2.0, 21)
+
+
+def series(label: str, law: str, count: int, deviation: float = np.nan) -> Series:
+    """Straight lines from 0 to 2."""
+    t = np.repeat(SECONDS[:, None], count, axis=1)
+    return Series(label, law, t, t, np.full(t.shape, deviation), t.shape[0])
+
+
+def recording(count: int = 4, deviation: float = 100.0, **others: object) -> Recording:
+    """Truth and one estimate of some quantities, with three impacts."""
+    quantities = tuple(quantities_of([f"x{i}" for i in range(count)], None).values())[:count]
+    drawn = (
+        series("truth", "", count),
+        series("minimum-variance", "minimum-variance", count, deviation),
+    )
+    marks = {
+        Mark("stop", "minimum-variance", Ruling.APPLIED): np.array([0.5, 1.0]),
+        Mark("stop", "minimum-variance", Ruling.INSERTED): np.array([1.5]),
+    }
+    given = {"marks": marks, "start": 0.0, "end": 2.0, **others}
+    return Recording("rig <1>", quantities, drawn, **given)  # type: ignore[arg-type]
+
+
+def labels(figure: Figure) -> list[str]:
+    """The legend's texts."""
+    return [each.get_text() for each in figure.legends[0].get_texts()]
+
+
+def test_a_panel_for_each_quantity_in_two_columns_or_one() -> None:
+    """A narrow picture has one column; units are on the axes."""
+    wide, narrow = recording_picture(recording()), recording_picture(recording(), width=4.0)
+    assert len(wide.axes) == 4 + 2
+    assert len(narrow.axes) == 4 + 1
+    assert wide.axes[0].get_ylabel() == "x0\n[m or rad]"
+    assert {axes.get_xlim() for axes in wide.axes} == {(0.0, 2.0)}
+    assert narrow.get_figheight() > wide.get_figheight()
+
+
+def test_range_is_that_of_the_lines_and_not_of_the_bands() -> None:
+    """An estimate that is very uncertain at first does not flatten the motion."""
+    axes = recording_picture(recording()).axes[0]
+    low, high = axes.get_ylim()
+    assert -0.5 < low < 0.0
+    assert 2.0 < high < 2.5
+    (band,) = [each for each in axes.collections if isinstance(each, PolyCollection)]
+    assert band.get_paths()[0].get_extents().height == pytest.approx(402.0)
+
+
+def test_legend_has_what_is_drawn_and_nothing_else() -> None:
+    """Without deviations no band, without insertions no such mark."""
+    drawn = labels(recording_picture(recording()))
+    assert drawn == [
+        "truth",
+        "minimum-variance",
+        "± 2 standard deviations",
+        "impact, applied",
+        "inserted, as missed",
+    ]
+    plain = recording(deviation=np.nan, marks={Mark("stop"): np.array([1.0])})
+    assert labels(recording_picture(plain)) == ["truth", "minimum-variance", "impact"]
+
+
+def test_many_rows_of_marks_become_one_an_estimate() -> None:
+    """Estimates that decided differently keep a row of their own."""
+    marks = {
+        Mark(f"stop{i}", law, Ruling.APPLIED): np.array([float(i)])
+        for i in range(MOST_ROWS)
+        for law in ("a", "b")
+    }
+    rows = mark_rows_of(recording(marks=marks))
+    assert list(rows) == ["impacts, a", "impacts, b"]
+    assert rows["impacts, a"][Ruling.APPLIED].tolist() == list(map(float, range(MOST_ROWS)))
+
+
+def test_what_is_left_out_is_said() -> None:
+    """How many coordinates."""
+    drawn = recording_picture(recording(left_out=12))
+    assert "12 coordinates" in drawn.get_supxlabel()
+
+
+@pytest.fixture
+def page_of(tmp_path: Path) -> Callable[[Recording], str]:
+    """Writes a page and reads it."""
+
+    def page(drawn: Recording) -> str:
+        write_page(drawn, tmp_path / "page.html")
+        return (tmp_path / "page.html").read_text(encoding="utf-8")
+
+    return page
+
+
+def test_page_has_the_numbers_and_needs_nothing_else(page_of: Callable[[Recording], str]) -> None:
+    """Times to the nanosecond; no address of anything outside."""
+    text = page_of(recording())
+    found = re.search(r"const data = (\{.*\});\n", text)
+    assert found is not None
+    data = json.loads(found[1])
+    assert data["panels"][0]["curves"][0]["t"] == [round(t, 9) for t in SECONDS.tolist()]
+    assert data["panels"][3]["curves"][1]["y"] == pytest.approx(SECONDS)
+    assert data["panels"][0]["curves"][0]["d"] == []
+    assert data["panels"][0]["curves"][1]["d"] == [200.0] * 21
+    assert [each["t"] for each in data["rows"][0]["marks"]] == [[0.5, 1.0], [1.5]]
+    assert "http" not in text
+
+
+def test_names_cannot_end_the_script_of_the_page(page_of: Callable[[Recording], str]) -> None:
+    """A bag of a stranger may have any names."""
+    marks = {Mark("</script><script>alert(1)//"): np.array([1.0])}
+    text = page_of(recording(marks=marks))
+    assert text.count("<script>") == text.count("</script>") == 1
+    assert "<title>rig &lt;1&gt;</title>" in text

@@ -1,0 +1,78 @@
+"""What is drawn of a state: by name, linear in it, with its deviation."""
+
+import numpy as np
+import pytest
+
+from impact_observer.draw.plot.quantities import (
+    deviations_of,
+    quantities_of,
+    selected,
+    values_of,
+)
+from impact_observer.errors import UsageError
+from impact_observer.model import parse_model, read_model
+
+SYSTEM = read_model("three_mass").system
+NAMES = ("a", "b")
+PAIR = """
+name: pair
+bodies: [{name: a, mass: 1}, {name: b, mass: 1}]
+stops: [{name: between, between: [a, b], gap: 0.1, restitution: 0.5}]
+"""
+
+
+def test_values_are_coordinates_velocities_and_gaps() -> None:
+    """The gaps are those of the system, paper's equation (2)."""
+    x = np.random.default_rng(2).normal(size=(5, 2 * SYSTEM.n))
+    every = quantities_of(SYSTEM.coordinates, SYSTEM)
+    states = selected(every, ("positions", "velocities"))
+    np.testing.assert_array_equal(values_of(states, x), x)
+    gaps = [SYSTEM.gap(each[: SYSTEM.n]) for each in x]
+    np.testing.assert_allclose(values_of(selected(every, ("gaps",)), x), gaps, rtol=1e-14)
+
+
+def test_deviation_of_a_gap_between_bodies_contains_their_correlation() -> None:
+    """Two coordinates that move together leave their gap certain; alone each is uncertain."""
+    system = parse_model(PAIR, "pair.yaml").system
+    root = np.random.default_rng(3).normal(size=(4, 4))
+    common = root @ root.T
+    moved = np.zeros((4, 4))
+    moved[:2, :2] = 4.0
+    every = quantities_of(NAMES, system)
+    found = deviations_of(tuple(every.values()), np.array([common, moved]))
+    w = np.array([-1.0, 1.0, 0.0, 0.0])
+    order = [0, 2, 1, 3]
+    np.testing.assert_allclose(found[0, :4], np.sqrt(np.diag(common))[order], rtol=1e-12)
+    np.testing.assert_allclose(found[0, 4], np.sqrt(w @ common @ w), rtol=1e-12)
+    np.testing.assert_allclose(found[1], [2.0, 0.0, 2.0, 0.0, 0.0], atol=1e-12)
+
+
+def test_deviation_without_covariance_is_none() -> None:
+    """NaN, and a variance that rounding made negative counts as zero."""
+    every = tuple(quantities_of(("a",), None).values())
+    found = deviations_of(every, np.array([np.full((2, 2), np.nan), np.diag([-1e-30, 1.0])]))
+    assert np.isnan(found[0]).all()
+    assert found[1].tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (("positions",), ["q_x1", "q_x2", "q_x3"]),
+        (("x2", "left"), ["q_x2", "u_x2", "g_left"]),
+        (("u_x3", "velocities"), ["u_x3", "u_x1", "u_x2"]),
+        (("gaps",), ["g_right", "g_left"]),
+    ],
+)
+def test_words_select_quantities(words: tuple[str, ...], names: list[str]) -> None:
+    """In their order, each once."""
+    every = quantities_of(SYSTEM.coordinates, SYSTEM)
+    assert [each.name for each in selected(every, words)] == names
+
+
+def test_unknown_word_is_one_line_with_what_there_is() -> None:
+    """Without a model there are no gaps, and the line names none."""
+    with pytest.raises(UsageError) as error:
+        selected(quantities_of(NAMES, None), ("stop",))
+    assert "--select stop" in str(error.value)
+    assert "q_a, u_a, q_b, u_b" in str(error.value)
