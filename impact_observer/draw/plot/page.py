@@ -9,20 +9,20 @@ import numpy as np
 from matplotlib.colors import to_hex
 
 from impact_observer.draw.plot.picture import BAND, MARKS, mark_rows_of, styles_of
-from impact_observer.draw.plot.series import Recording
+from impact_observer.draw.plot.series import PlotContent
 from impact_observer.errors import UsageError
 from impact_observer.states import Vector
 
 _DASHES = {"-": [], "--": [7, 4], ":": [2, 3], "-.": [8, 3, 2, 3]}
 
 
-def write_page(recording: Recording, path: Path) -> None:
+def write_page(recording: PlotContent, path: Path) -> None:
     """Write the page; an existing file is replaced.
 
     Raises:
         UsageError: the file cannot be written.
     """
-    # In a script "<" could end it: names are those of a file that anybody may have made.
+    # In a script "<" could end it: names are those of a file that may come from a stranger.
     data = json.dumps(_content(recording), separators=(",", ":")).replace("<", "\\u003c")
     title = html.escape(recording.name or "recording")
     try:
@@ -31,7 +31,7 @@ def write_page(recording: Recording, path: Path) -> None:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _content(recording: Recording) -> dict[str, Any]:
+def _content(recording: PlotContent) -> dict[str, Any]:
     """What the script draws."""
     drawn = styles_of(recording.series)
     series = [

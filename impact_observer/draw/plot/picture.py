@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from impact_observer.draw.pictures import Style, styles
-from impact_observer.draw.plot.series import Recording, Series
+from impact_observer.draw.plot.series import PlotContent, Series
 from impact_observer.events import Ruling
 from impact_observer.states import Vector
 
@@ -49,7 +49,7 @@ def styles_of(series: Sequence[Series]) -> list[Style]:
     return [each | alone for each in drawn]
 
 
-def mark_rows_of(recording: Recording) -> dict[str, dict[Ruling | None, Vector]]:
+def mark_rows_of(recording: PlotContent) -> dict[str, dict[Ruling | None, Vector]]:
     """Rows of marks by their label: one a contact, and where estimates differ one for each."""
     estimates = {mark.estimate for mark in recording.marks}
     contacts = {mark.contact for mark in recording.marks}
@@ -65,7 +65,7 @@ def mark_rows_of(recording: Recording) -> dict[str, dict[Ruling | None, Vector]]
     }
 
 
-def recording_picture(recording: Recording, *, width: float = WIDTH) -> Figure:
+def recording_picture(recording: PlotContent, *, width: float = WIDTH) -> Figure:
     """Draw a recording; with two columns of panels if there is room for them.
 
     Args:
@@ -109,7 +109,7 @@ def recording_picture(recording: Recording, *, width: float = WIDTH) -> Figure:
     return figure
 
 
-def _draw(axes: Axes, recording: Recording, column: int, drawn: Sequence[Style]) -> None:
+def _draw(axes: Axes, recording: PlotContent, column: int, drawn: Sequence[Style]) -> None:
     """One quantity of all series, with bands of deviations, within the range of the lines."""
     low, high = np.inf, -np.inf
     count = len(recording.series)
@@ -148,7 +148,7 @@ def _draw_marks(
         side.set_visible(False)
 
 
-def _handles(recording: Recording, drawn: Sequence[Style]) -> list[Line2D | Patch]:
+def _handles(recording: PlotContent, drawn: Sequence[Style]) -> list[Line2D | Patch]:
     """The legend's lines of the series, and of the bands if there are any."""
     handles: list[Line2D | Patch] = [
         Line2D([], [], label=each.label, **style)

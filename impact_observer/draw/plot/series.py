@@ -57,7 +57,7 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Recording:
+class PlotContent:
     """What is drawn of a bag.
 
     Attributes:
@@ -88,7 +88,7 @@ def read_recording(
     start: float = 0.0,
     duration: float | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
-) -> Recording:
+) -> PlotContent:
     """Read what is drawn of a bag, block by block.
 
     As in ``compare``, estimates that were published before their events arrived are left out.
@@ -141,7 +141,7 @@ def read_recording(
             f"{reader.path}: no states from {text(low)} s on in the stretch that is asked for;"
             " choose another with --start and --duration"
         )
-    recording = Recording(
+    recording = PlotContent(
         name="" if system is None else system.name,
         quantities=shown,
         series=series,
@@ -163,7 +163,7 @@ def _topics(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str
 
 
 def _within(
-    recording: Recording, marks: Mapping[Mark, Iterable[int]], epoch: int
+    recording: PlotContent, marks: Mapping[Mark, Iterable[int]], epoch: int
 ) -> dict[Mark, Vector]:
     """The marks in the part that is drawn, s since ``epoch`` (ns)."""
     found = {}
@@ -175,7 +175,7 @@ def _within(
     return found
 
 
-def _largest(recording: Recording) -> Recording:
+def _largest(recording: PlotContent) -> PlotContent:
     """Positions and velocities of the coordinates that move most, where there are many."""
     n = len(recording.quantities) // 2
     if n <= MOST_COORDINATES:

@@ -14,7 +14,7 @@ from impact_observer.draw.plot.impact_marks import Mark
 from impact_observer.draw.plot.page import write_page
 from impact_observer.draw.plot.picture import MOST_ROWS, mark_rows_of, recording_picture
 from impact_observer.draw.plot.quantities import quantities_of
-from impact_observer.draw.plot.series import Recording, Series
+from impact_observer.draw.plot.series import PlotContent, Series
 from impact_observer.events import Ruling
 
 SECONDS = np.linspace(0.0, 2.0, 21)
@@ -26,7 +26,7 @@ def series(label: str, law: str, count: int, deviation: float = np.nan) -> Serie
     return Series(label, law, t, t, np.full(t.shape, deviation), t.shape[0])
 
 
-def recording(count: int = 4, deviation: float = 100.0, **others: object) -> Recording:
+def recording(count: int = 4, deviation: float = 100.0, **others: object) -> PlotContent:
     """Truth and one estimate of some quantities, with three impacts."""
     quantities = tuple(quantities_of([f"x{i}" for i in range(count)], None).values())[:count]
     drawn = (
@@ -38,7 +38,7 @@ def recording(count: int = 4, deviation: float = 100.0, **others: object) -> Rec
         Mark("stop", "minimum-variance", Ruling.INSERTED): np.array([1.5]),
     }
     given = {"marks": marks, "start": 0.0, "end": 2.0, **others}
-    return Recording("rig <1>", quantities, drawn, **given)  # type: ignore[arg-type]
+    return PlotContent("rig <1>", quantities, drawn, **given)  # type: ignore[arg-type]
 
 
 def labels(figure: Figure) -> list[str]:
@@ -99,17 +99,19 @@ def test_what_is_left_out_is_said() -> None:
 
 
 @pytest.fixture
-def page_of(tmp_path: Path) -> Callable[[Recording], str]:
+def page_of(tmp_path: Path) -> Callable[[PlotContent], str]:
     """Writes a page and reads it."""
 
-    def page(drawn: Recording) -> str:
+    def page(drawn: PlotContent) -> str:
         write_page(drawn, tmp_path / "page.html")
         return (tmp_path / "page.html").read_text(encoding="utf-8")
 
     return page
 
 
-def test_page_has_the_numbers_and_needs_nothing_else(page_of: Callable[[Recording], str]) -> None:
+def test_page_has_the_numbers_and_needs_nothing_else(
+    page_of: Callable[[PlotContent], str],
+) -> None:
     """Times to the nanosecond; no address of anything outside."""
     text = page_of(recording())
     found = re.search(r"const data = (\{.*\});\n", text)
@@ -123,7 +125,7 @@ def test_page_has_the_numbers_and_needs_nothing_else(page_of: Callable[[Recordin
     assert "http" not in text
 
 
-def test_names_cannot_end_the_script_of_the_page(page_of: Callable[[Recording], str]) -> None:
+def test_names_cannot_end_the_script_of_the_page(page_of: Callable[[PlotContent], str]) -> None:
     """A bag of a stranger may have any names."""
     marks = {Mark("</script><script>alert(1)//"): np.array([1.0])}
     text = page_of(recording(marks=marks))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from impact_observer.draw.plot import series as module
 from impact_observer.draw.plot.impact_marks import Mark
-from impact_observer.draw.plot.series import Recording, read_recording
+from impact_observer.draw.plot.series import PlotContent, read_recording
 from impact_observer.errors import BagError, UsageError
 from impact_observer.events import ImpactEvent, Kind, Ruling, Switch, Verdict
 from impact_observer.io import BagReader, BagWriter, JointState
@@ -59,7 +59,7 @@ def bag(
 
 def recording(
     path: Path, *select: str, start: float = 0.0, duration: float | None = None
-) -> Recording:
+) -> PlotContent:
     """What is drawn of a bag."""
     with BagReader(path) as reader:
         return read_recording(
