@@ -45,7 +45,7 @@ def styles_of(series: Sequence[Series]) -> list[Style]:
     laws = [each.law for each in series if each.law]
     lines = iter(styles(laws))
     drawn = [next(lines) if each.law else dict(_TRUTH) for each in series]
-    alone = {"marker": None} if len(laws) < 2 else {}  # markers tell curves apart
+    alone = {"marker": None} if len(laws) < 2 else {}  # markers distinguish curves
     return [each | alone for each in drawn]
 
 
