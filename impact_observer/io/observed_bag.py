@@ -49,7 +49,6 @@ def observe_bag(
 
     Raises:
         UsageError, BagError: the bags cannot be used as asked.
-        ImpactLawError: the replica cannot follow an event.
     """
     events = events_in(reader)
     epochs = {event.epoch for event in events if event.epoch}
@@ -68,7 +67,7 @@ def observe_bag(
         messages = _ObserverMessages(
             writer, observer.system.coordinates, lambda done: progress(done, stamps.size)
         )
-        made = messages.of(replay_batches(observer, events, stamps))
+        made = messages.of(replay_batches(observer, events, stamps, rejects=True))
         for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
             writer.write_raw(topic, log_time, data)
     rulings = count_rulings(messages.final, {event.stamp for event in events})

@@ -18,6 +18,7 @@ from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model, System, parse_model
 from impact_observer.model.model_file import ModelText, model_text
 from impact_observer.observer.event_outcomes import EventOutcomes, outcomes_of
+from impact_observer.observer.sender_runs import in_order
 from impact_observer.plant import IDEAL, Run, SensorModel, simulate_sensor
 
 PLANT_TOPICS = (interfaces.PLANT_MODEL, interfaces.IMPACTS, interfaces.PLANT_JOINT_STATES)
@@ -154,7 +155,7 @@ def system_of(reader: BagReader, model: str | None) -> System:
 
 
 def events_in(reader: BagReader) -> list[ImpactEvent]:
-    """All events of a bag, in order of episode, stamp and sequence.
+    """All events of a bag, by run of the sender, stamp and sequence (``sender_runs.in_order``).
 
     Raises:
         BagError: the bag has no topic of impacts, or several.
@@ -166,7 +167,7 @@ def events_in(reader: BagReader) -> list[ImpactEvent]:
             f"{reader.path}: has no impacts; expected {interfaces.IMPACT_EVENT} on"
             f" {interfaces.IMPACTS.topic}, topics in the bag: {found}"
         )
-    return sorted(reader.events(topic), key=lambda e: (e.episode, e.stamp, e.sequence))
+    return in_order(reader.events(topic))
 
 
 def outcomes_in(reader: BagReader, topic: str, events: Sequence[ImpactEvent]) -> EventOutcomes:

@@ -9,6 +9,7 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.observer.event_order import EventKey, deduplicated, interpretations
+from impact_observer.observer.sender_runs import placed
 from impact_observer.stamps import seconds_between
 
 
@@ -53,6 +54,8 @@ def changes(keys: Sequence[EventKey], start: int) -> Iterator[ContactChange]:
 def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
     """The last episode of ``events``, for the contacts of ``system``.
 
+    ``events`` are in order of reception, or as ``sender_runs.in_order`` has them.
+
     Raises:
         BagError: it contains no impact of the system's contacts.
     """
@@ -79,7 +82,7 @@ def last_episode(system: System, events: Sequence[ImpactEvent]) -> Episode:
 
 
 def _latest(events: Sequence[ImpactEvent]) -> list[ImpactEvent]:
-    epoch = max((e.epoch for e in events), default=0)
-    of_epoch = [e for e in events if e.epoch in {0, epoch}]
-    episode = max((e.episode for e in of_epoch), default=0)
-    return [e for e in of_epoch if e.episode == episode]
+    """The events of the run in use at the end."""
+    every = placed(events)
+    last = max((each.period for each in every), default=0)
+    return [each.event for each in every if each.period == last]

@@ -2,8 +2,9 @@
 
 Events act in the order of their stamps. Jitter may swap two stamps, but not two sequence numbers.
 So after an event, ``chi`` of a contact is what the event with the highest sequence number so far
-has set. A contact that stays closed is reported twice with the stamp of one edge: at once as an
-IMPACT, and later as the CLOSE that supersedes it.
+has set, among those that jitter may have swapped: a number that leaps is no rule. A contact that
+stays closed is reported twice with the stamp of one edge: at once as an IMPACT, and later as the
+CLOSE that supersedes it.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -12,9 +13,15 @@ from typing import NamedTuple, TypeAlias
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.events import Contacts, ImpactEvent, Kind
+from impact_observer.stamps import NS_PER_S
 
-LatestSequences: TypeAlias = Mapping[int, int]
-"""By index of a contact, the highest sequence number of the events that have switched it."""
+NEAR_NUMBERS = 1000
+"""Largest difference of the sequence numbers of two events whose stamps jitter has swapped."""
+NEAR_STAMPS = NS_PER_S
+"""Largest difference of their stamps, ns: more than jitter, less than a history."""
+
+LatestSequences: TypeAlias = Mapping[int, tuple[int, int]]
+"""By index of a contact, the sequence number of the event that has set it, and its stamp (ns)."""
 
 
 class EventKey(NamedTuple):
@@ -87,7 +94,7 @@ def interpret(
     """
     applied, overruled = [], []
     for contact, kind in event.switches:
-        found = _overruled(event.sequence, (contact, kind), closed, latest, neighbours)
+        found = _overruled(event, (contact, kind), closed, latest, neighbours)
         if found is not None:
             overruled.append(found)
         effect = kind if found is None else found.applied
@@ -98,23 +105,35 @@ def interpret(
 
 
 def _overruled(
-    sequence: int,
+    event: EventKey,
     switch: tuple[int, Kind],
     closed: Contacts,
     latest: LatestSequences,
     neighbours: Sequence[EventKey],
 ) -> OverruledSwitch | None:
-    """How another event changes a switch of the event numbered ``sequence``; None if none does."""
+    """How another event changes a switch of ``event``; None if none does."""
     contact, kind = switch
     if kind is Kind.IMPACT:
         for each in neighbours:
             if (contact, Kind.CLOSE) in each.switches:
                 return OverruledSwitch(contact, kind, None, each.sequence)
-    newest = latest.get(contact, 0)
-    if not 0 < sequence < newest:
+    newest = _newest_near(event, latest.get(contact))
+    if not newest:
         return None
     stays = Kind.CLOSE if contact in closed else Kind.IMPACT
     return OverruledSwitch(contact, kind, None if kind is Kind.OPEN else stays, newest)
+
+
+def _newest_near(event: EventKey, latest: tuple[int, int] | None) -> int:
+    """The number of what has set a contact, if jitter may have swapped it with ``event``.
+
+    That is higher, but not by a leap; 0 where it is not.
+    """
+    if latest is None or not event.sequence:
+        return 0
+    number, stamp = latest
+    is_near = event.stamp - stamp <= NEAR_STAMPS
+    return number if is_near and 0 < number - event.sequence <= NEAR_NUMBERS else 0
 
 
 def _after(
@@ -125,8 +144,8 @@ def _after(
         return latest
     after = dict(latest)
     for contact, _ in switches:
-        if event.sequence > after.get(contact, 0):
-            after[contact] = event.sequence
+        if not _newest_near(event, latest.get(contact)):
+            after[contact] = event.sequence, event.stamp
     return after
 
 
@@ -141,11 +160,8 @@ def neighbours_of(i: int, events: Sequence[EventKey]) -> Sequence[EventKey]:
 
 
 def deduplicated(events: Iterable[EventKey]) -> list[EventKey]:
-    """``events`` in order, the first of each sequence number, and of equal unnumbered ones."""
-    found: dict[object, EventKey] = {}
-    for each in events:
-        found.setdefault(each.sequence or each, each)
-    return sorted(found.values())
+    """``events`` in order, each once."""
+    return sorted({*events})
 
 
 def interpretations(events: Sequence[EventKey]) -> Iterator[tuple[Contacts, Interpretation]]:

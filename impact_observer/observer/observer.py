@@ -1,20 +1,31 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
-from collections import Counter
-from collections.abc import Iterator
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.dynamics import Scales
-from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.errors import DynamicsError, ImpactObserverError, UsageError
 from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.estimation.uncertainty import covariance_root, spread
-from impact_observer.events import Contacts, ImpactEvent, Kind, Remark, Ruling, Verdict
+from impact_observer.events import (
+    REVISED,
+    Contacts,
+    ImpactEvent,
+    Kind,
+    Remark,
+    Ruling,
+    Verdict,
+)
 from impact_observer.model import System
-from impact_observer.observer.event_order import EventKey, LatestSequences
+from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.sender_runs import SenderRun, SenderRuns
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
@@ -35,6 +46,21 @@ MOST_NUMBERS = 100_000
 """Sequence numbers that are remembered while no event can be applied."""
 
 
+MOST_WAITING = 1000
+"""Events that are kept until their epoch is known."""
+
+
+class _RunState(NamedTuple):
+    """What an observer knows of a run of the sender; see its attributes."""
+
+    update: EventUpdate
+    timeline: Timeline | None
+    is_state_given: bool
+    numbers: SequenceNumbers
+    issued: IssuedVerdicts
+    earliest: int
+
+
 class Observer:
     """Replicas of ``system``, switched by events only; the first of them is the estimate.
 
@@ -48,6 +74,7 @@ class Observer:
         system: the system that plant and replica share.
         law: what the replica does at an event.
         ensemble: how many replicas are run together.
+        given_epoch: the epoch that was given, ns; 0 for none.
         remarks: how often the stream of events was irregular, by kind.
     """
 
@@ -95,7 +122,7 @@ class Observer:
         self._scales = Scales.of(system)
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}
-        self._given_epoch = epoch
+        self.given_epoch = epoch
         self.remarks: Counter[Remark] = Counter()
         self._notices: list[str] = []
         self.restart()
@@ -104,18 +131,26 @@ class Observer:
         """Forget everything, as if just made; the next verdict names the ``reason``, if any."""
         if reason:
             self._notices = [*self._notices, f"{reason}: the observer is reset"]
-        self._update = EventUpdate(self.law, self._test, self._given_epoch)
-        self._episode: int | None = None
+        self._runs = SenderRuns(self.given_epoch)
+        self._aside: tuple[SenderRun, _RunState] | None = None
+        self._without_epoch: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
+        self._begin_run(self.given_epoch)
+
+    def _begin_run(self, epoch: int) -> None:
+        """Start with a run of the sender whose ``epoch`` (ns) is known, or 0."""
+        self._update = EventUpdate(self.law, self._test, epoch)
         self._timeline: Timeline | None = None
         self._is_state_given = False
         self._numbers = SequenceNumbers()
         self._issued = IssuedVerdicts(self._names)
         self._earliest = 0
-        if self.epoch:
-            self._timeline = Timeline(self._first_entry(self.epoch), self._update.apply)
+        if self.given_epoch and epoch == self.given_epoch:
+            self._timeline = Timeline(self._first_entry(epoch), self._update.apply)
 
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """Apply ``event`` at its own stamp, whenever it arrives.
+
+        Events of another run of the sender are kept until others confirm it (``SenderRuns``).
 
         Returns:
             One verdict a switch, or one on the whole event; then those on inserted impacts, and
@@ -126,17 +161,60 @@ class Observer:
             DynamicsError: the loads of closed contacts cannot be found; the event is not applied.
             UsageError: the forcing depends on time and its epoch is unknown.
         """
-        if reason := self._enter_run(event):
-            return self._refuse(event, Ruling.REJECTED, reason, Remark.PAST)
-        self._require_epoch()
-        if event.sequence in self._numbers:
+        if event.epoch - event.stamp > NEAR_STAMPS:
+            reason = f"stamped before its own epoch, {text(event.epoch)} s"
+            return self._refuse(event, Ruling.REJECTED, reason, Remark.BEFORE_EPOCH)
+        weighed = self._runs.weigh(event)
+        if weighed.reason:
+            return self._refuse(event, Ruling.REJECTED, weighed.reason, weighed.remark)
+        if weighed.previous is not None:
+            self._change_run(weighed.previous)
+        elif self._runs.in_use is not None and not self.epoch:
+            self._update.epoch = self._runs.in_use.epoch
+        if weighed.replaces:
+            self._begin_run(self.epoch)
+        released = weighed.released
+        if self._without_epoch and self.epoch:
+            released = (*self._without_epoch, *released)
+            self._without_epoch.clear()
+        return self._receive_again(released, event) if released else self._receive(event)
+
+    def _receive_again(
+        self, released: Iterable[ImpactEvent], event: ImpactEvent
+    ) -> tuple[Verdict, ...]:
+        """``receive`` an event and those that were refused until it came."""
+        notices, self._notices = self._notices, []
+        again: list[Verdict] = []
+        for each in released:
+            with suppress(DynamicsError):  # its first verdict stays
+                again += self._receive(each)
+        self._notices = [*notices, *self._notices]
+        revised = [
+            each._replace(reason=f"{REVISED}{each.reason or 'as reported'}", revises=True)
+            for each in again
+        ]
+        return (*self._receive(event), *revised)
+
+    def _receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
+        """``receive`` an event of the run in use."""
+        try:
+            self._require_epoch()
+        except UsageError:
+            self._without_epoch.append(event)
+            raise
+        verdicts, switches = self._resolve_contacts(event)
+        if self._numbers.stamp_of(event.sequence) == event.stamp and (
+            not switches or self._timeline is None or event.stamp <= self._timeline.start.stamp
+        ):
             reason = "this sequence number was seen"
             return self._refuse(event, Ruling.DUPLICATE, reason, Remark.DUPLICATE)
-        verdicts, switches = self._resolve_contacts(event)
         notices = self._notices
         self._register(event)
         try:
-            timeline = self._timeline_from_start()
+            if self._timeline is not None and self._is_older_than_history(event.stamp):
+                start = max(self.last_event - self._history, self._timeline.start.stamp)
+                return self._refuse(event, Ruling.TOO_LATE, _before(start), Remark.TOO_LATE)
+            timeline = self._timeline_from_start(event.stamp)
             key = EventKey(event.stamp, event.sequence, switches)
             if not switches:
                 self._numbers.keep_highest(MOST_NUMBERS)  # its stamp must not shorten the past
@@ -307,29 +385,41 @@ class Observer:
         belief = self.law.begin(replicas, root, closed)
         return initial_entry(stamp, belief, self._test.initial(belief), closed, latest)
 
-    def _enter_run(self, event: ImpactEvent) -> str:
-        """Restart if ``event`` is of a new episode or epoch; why it is refused if of a past one.
+    def _change_run(self, previous: SenderRun) -> None:
+        """Follow another run of the sender than the ``previous`` one, which is kept."""
+        run = self._runs.in_use
+        assert run is not None, "it has changed"
+        if not previous.epoch and run.episode == previous.episode:
+            self._update.epoch = run.epoch  # the same run: the sender knows its epoch now
+            return
+        aside = previous, self._run_state()
+        if self._aside is not None and self._aside[0] == run:
+            self._resume(self._aside[1])
+            what = "goes on"
+        else:
+            self._begin_run(run.epoch or self.given_epoch)
+            what = "is new"
+        self._aside = aside
+        is_epoch = run.epoch != previous.epoch and run.episode <= previous.episode
+        name = f"epoch {text(run.epoch)} s" if is_epoch else f"episode {run.episode}"
+        self._notices = [*self._notices, f"{name} {what}: the observer is reset"]
+        self.remarks[Remark.EPOCH if is_epoch else Remark.EPISODE] += 1
 
-        The epoch decides: a plant that is started again counts its episodes from 0.
-        """
-        if event.episode == self._episode and event.epoch == self.epoch:
-            return ""
-        has_other_epoch = event.epoch and self.epoch and event.epoch != self.epoch
-        last = event.episode if self._episode is None else self._episode
-        if has_other_epoch and event.epoch < self.epoch:
-            used = f"the one in use, {text(self.epoch)} s"
-            return f"its epoch {text(event.epoch)} s is before {used}"
-        if event.episode < last and not has_other_epoch:
-            return f"episode {event.episode} is over"
-        if has_other_epoch or event.episode > last:
-            is_newer = event.episode > last
-            name = f"episode {event.episode}" if is_newer else f"epoch {text(event.epoch)} s"
-            self.restart(f"{name} is new")
-            self.remarks[Remark.EPISODE if is_newer else Remark.EPOCH] += 1
-            self._timeline = None
-        self._episode = event.episode
-        self._update.epoch = event.epoch or self.epoch
-        return ""
+    def _run_state(self) -> "_RunState":
+        """What is known of the run in use."""
+        return _RunState(
+            self._update,
+            self._timeline,
+            self._is_state_given,
+            self._numbers,
+            self._issued,
+            self._earliest,
+        )
+
+    def _resume(self, state: "_RunState") -> None:
+        """Go on with a run where it was set aside."""
+        self._update, self._timeline, self._is_state_given = state[:3]
+        self._numbers, self._issued, self._earliest = state[3:]
 
     def _require_epoch(self) -> None:
         if not self.epoch and self.system.forcing.depends_on_time:
@@ -359,16 +449,26 @@ class Observer:
         return tuple(verdicts), tuple(sorted(switches) if len(switches) > 1 else switches)
 
     def _register(self, event: ImpactEvent) -> None:
-        """Remember stamp and number of an event, and note the numbers missing beside it."""
-        if event.stamp < self._earliest or not self._earliest:
-            self._earliest = event.stamp
-        if gap := self._numbers.gap(event.sequence):
-            self.remarks[Remark.GAP] += 1
-            self._notices = [*self._notices, gap]
-        self._numbers.add(event.sequence, event.stamp)
+        """Remember the number of an event, and note what is wrong with it or missing beside it."""
+        numbers, sequence = self._numbers, event.sequence
+        remark, notice = Remark.GAP, numbers.gap(sequence)
+        if not notice and numbers.leaps(sequence):
+            remark, notice = Remark.LEAP, f"its number leaps from {numbers.highest}"
+        elif sequence in numbers and (stamp := numbers.stamp_of(sequence)) != event.stamp:
+            remark, notice = Remark.REUSED, f"its number is that of the event at {text(stamp)} s"
+        if notice:
+            self.remarks[remark] += 1
+            self._notices = [*self._notices, notice]
+        numbers.add(sequence, event.stamp)
 
-    def _timeline_from_start(self) -> Timeline:
-        """The timeline, from the start that all events received so far determine."""
+    def _is_older_than_history(self, stamp: int) -> bool:
+        """Whether an event at ``stamp`` (ns) is the earliest, and cannot be applied any more."""
+        return stamp < min(self._earliest, self.last_event - self._history)
+
+    def _timeline_from_start(self, stamp: int) -> Timeline:
+        """The timeline, from the start that all events so far and one at ``stamp`` determine."""
+        if stamp < self._earliest or not self._earliest:
+            self._earliest = stamp
         is_first_received = self._numbers.first <= 1
         start = self.epoch if self.epoch and is_first_received else self._earliest
         if self._timeline is None:
@@ -380,6 +480,10 @@ class Observer:
         ):
             self._timeline.restart(self._first_entry(start))
         return self._timeline
+
+    def refuse(self, event: ImpactEvent, reason: str, remark: Remark) -> tuple[Verdict, ...]:
+        """Reject an event of a recording, which is known to have no effect."""
+        return self._refuse(event, Ruling.REJECTED, reason, remark)
 
     def _refuse(
         self, event: ImpactEvent, ruling: Ruling, reason: str, remark: Remark
@@ -420,10 +524,13 @@ def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
     return Verdict(event.stamp, ruling, event.sequence, reason=reason)
 
 
+def _before(start: int) -> str:
+    return f"before {text(start)} s, the start of the history"
+
+
 def _misplaced(key: EventKey, timeline: Timeline) -> tuple[Ruling, str, Remark] | None:
     if not timeline.accepts(key):
-        reason = f"before {text(timeline.start.stamp)} s, the start of the history"
-        return Ruling.TOO_LATE, reason, Remark.TOO_LATE
+        return Ruling.TOO_LATE, _before(timeline.start.stamp), Remark.TOO_LATE
     if key in timeline:
         return Ruling.DUPLICATE, "the same event was seen", Remark.DUPLICATE
     return None

@@ -1,21 +1,22 @@
 """A whole recording through an observer."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import groupby
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
-from impact_observer.events import ImpactEvent, Verdict
+from impact_observer.errors import DynamicsError
+from impact_observer.events import ImpactEvent, Ruling, Verdict
+from impact_observer.observer.event_order import NEAR_NUMBERS, NEAR_STAMPS
 from impact_observer.observer.observer import Observer
-from impact_observer.stamps import NS_PER_S
+from impact_observer.observer.sender_runs import Placed, Weighed, placed
+from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Estimate, Estimates, Stamps
 
 _BATCH = 4096
 """Most estimates that are made together."""
-
-_DISORDER = NS_PER_S
-"""Largest difference of stamps against sequence numbers that is put in order, ns: more than the
-jitter of a sensor, less than any history, so that no event becomes too late by it."""
 
 
 def replay(
@@ -24,11 +25,12 @@ def replay(
     """Verdicts, and estimates at ``stamps``, each after all events at or before it.
 
     Events are received in the order of their stamps, but of their numbers where these disagree. So
-    a verdict says the same of a misplaced stamp as it does live, and reports only real gaps.
+    a verdict says the same of a misplaced stamp as it does live, and reports only real gaps. Which
+    run of the sender is in use follows from the order in which they are given.
 
     Args:
         observer: has received nothing yet.
-        events: in order of episode, stamp and sequence.
+        events: in order of reception, or as ``sender_runs.in_order`` has them.
         stamps: ns, ascending, shape (samples,); those before the first estimate are skipped.
 
     Raises:
@@ -47,15 +49,18 @@ def replay_batches(
     stamps: Stamps,
     *,
     only_states: bool = False,
+    rejects: bool = False,
 ) -> Iterator[Estimates | Verdict]:
     """``replay`` with the estimates between two events in batches.
 
-    See ``Observer.estimates`` for ``only_states``.
+    See ``Observer.estimates`` for ``only_states``. An event to which the law has no solution is an
+    error; with ``rejects`` it is rejected, as by a node, and an error where no event was applied.
     """
-    pending = _in_order_of_sending(events)[::-1]
+    errors: list[DynamicsError] | None = [] if rejects else None
+    pending = _in_order_of_sending(placed(events, observer.given_epoch))[::-1]
     while stamps.size:
         while pending and _due(pending[-1], observer) <= stamps[0]:
-            yield from observer.receive(pending.pop().event)
+            yield from _received(observer, pending.pop(), errors)
         end = min(stamps.size, _BATCH)
         if pending:
             end = min(int(np.searchsorted(stamps, _due(pending[-1], observer))), end)
@@ -64,7 +69,25 @@ def replay_batches(
             known = here[np.searchsorted(here, observer.start) :]
             yield from observer.estimates(known, only_states=only_states)
     while pending:
-        yield from observer.receive(pending.pop().event)
+        yield from _received(observer, pending.pop(), errors)
+    if errors and not observer.last_event:
+        raise errors[0]
+
+
+def _received(
+    observer: Observer, pending: "_Pending", errors: list[DynamicsError] | None
+) -> Sequence[Verdict]:
+    """The verdicts on an event; what the law cannot apply is noted in ``errors``, if given."""
+    event, why = pending.event, pending.why
+    if why.reason:
+        return observer.refuse(event, why.reason, why.remark)
+    try:
+        return observer.receive(event)
+    except DynamicsError as error:
+        if errors is None:
+            raise
+        errors.append(error)
+        return (Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=str(error)),)
 
 
 class _Pending(NamedTuple):
@@ -73,40 +96,58 @@ class _Pending(NamedTuple):
     Attributes:
         event: the event.
         needed: stamp of the first estimate that needs it, ns: its own, or that of an event which
-            was sent after it.
+            was sent after it, or of one that takes effect with it.
+        why: of an event without effect.
     """
 
     event: ImpactEvent
     needed: int
+    why: Weighed
 
 
-def _in_order_of_sending(events: Sequence[ImpactEvent]) -> list[_Pending]:
-    """``events`` by stamp, and by sequence number where stamps disagree."""
-    ordered: list[ImpactEvent] = []
-    for event in events:
-        at = len(ordered)
-        while at and _was_sent_before(event, ordered[at - 1]):
-            at -= 1
-        ordered.insert(at, event)
+def _in_order_of_sending(events: Iterable[Placed]) -> list[_Pending]:
+    """The events by period and stamp, and by sequence number where stamps disagree.
+
+    Those without effect are put among them by their stamps.
+    """
+    every = sorted(events, key=lambda each: (each.period, each.event.stamp, each.event.sequence))
+    without = [
+        _Pending(each.event, each.event.stamp, each.why) for each in every if each.period < 0
+    ]
     pending: list[_Pending] = []
-    for event in reversed(ordered):
-        needed = event.stamp
-        if pending and _is_same_run(event, pending[-1].event):
-            needed = min(needed, pending[-1].needed)
-        pending.append(_Pending(event, needed))
-    return pending[::-1]
+    for _, of_period in groupby(every[len(without) :], key=attrgetter("period")):
+        ordered: list[Placed] = []
+        for each in of_period:
+            at = len(ordered)
+            while at and _was_sent_before(each.event, ordered[at - 1].event):
+                at -= 1
+            ordered.insert(at, each)
+        needed, found = MAX_STAMP, list[_Pending]()
+        for each in reversed(ordered):
+            needed = min(needed, each.event.stamp, each.since)
+            found.append(_Pending(each.event, needed, each.why))
+        pending += found[::-1]
+    return [*_among(without, pending)]
+
+
+def _among(some: Sequence[_Pending], others: Sequence[_Pending]) -> Iterator[_Pending]:
+    """``some``, in order, each before the first of the ``others`` that is needed later."""
+    taken = 0
+    for each in others:
+        while taken < len(some) and some[taken].needed <= each.needed:
+            yield some[taken]
+            taken += 1
+        yield each
+    yield from some[taken:]
 
 
 def _was_sent_before(event: ImpactEvent, other: ImpactEvent) -> bool:
-    near = event.stamp - other.stamp <= _DISORDER
-    return near and _is_same_run(event, other) and 0 < event.sequence < other.sequence
-
-
-def _is_same_run(event: ImpactEvent, other: ImpactEvent) -> bool:
-    return (event.episode, event.epoch) == (other.episode, other.epoch)
+    near = event.stamp - other.stamp <= NEAR_STAMPS
+    return near and 0 < other.sequence - event.sequence <= NEAR_NUMBERS
 
 
 def _due(pending: _Pending, observer: Observer) -> int:
     """From which stamp on an event matters, ns: its own, or that of its new epoch."""
     epoch = pending.event.epoch
-    return pending.needed if epoch == observer.epoch else min(pending.needed, epoch)
+    known = epoch in {0, observer.epoch} or pending.why.reason
+    return pending.needed if known else min(pending.needed, epoch)

@@ -1,11 +1,17 @@
 """Which sequence numbers of a sender have been received."""
 
+from impact_observer.observer.event_order import NEAR_NUMBERS
+
 _LEAST = 64
 """Numbers that need not be forgotten."""
+_MOST_MISSING = 1_000_000
+"""Numbers left out at once that may be missing; more are another way of counting."""
 
 
 class SequenceNumbers:
     """Sequence numbers with the stamps of their events, back to a bounded past.
+
+    A number that leaps from the others counts once a second one confirms it.
 
     Attributes:
         first: the lowest received; 0 before any.
@@ -14,7 +20,7 @@ class SequenceNumbers:
 
     def __init__(self) -> None:
         """Start with none received."""
-        self.first = self.highest = self._count = self._forgotten = 0
+        self.first = self.highest = self._count = self._forgotten = self._leap = 0
         self._stamps: dict[int, int] = {}
         self._room = _LEAST
 
@@ -26,27 +32,58 @@ class SequenceNumbers:
         """Whether it was received, and is remembered."""
         return sequence in self._stamps
 
+    def stamp_of(self, sequence: int) -> int:
+        """The stamp of the first event with a number, ns; 0 where it is not remembered."""
+        return self._stamps.get(sequence, 0)
+
     @property
     def missing(self) -> int:
         """How many numbers are missing since the first received."""
         return self.highest - self.first + 1 - self._count if self.highest else 0
 
+    def leaps(self, sequence: int) -> bool:
+        """Whether a number is far from all others, and none was near it."""
+        is_known = not sequence or not self.highest or self._is_near(sequence)
+        return not (is_known or 0 < abs(sequence - self._leap) <= NEAR_NUMBERS)
+
+    def _is_near(self, sequence: int) -> bool:
+        return self.first - NEAR_NUMBERS <= sequence <= self.highest + NEAR_NUMBERS
+
     def gap(self, sequence: int) -> str:
         """The numbers that are missing beside ``sequence``, in words; empty for none."""
-        if self.highest and sequence > self.highest + 1:
-            return _are_missing(self.highest + 1, sequence - 1, "before")
-        if 0 < sequence < self.first - 1:
+        low, high = self.highest + 1, sequence - 1
+        if self.leaps(sequence) or not self.highest:
+            return ""
+        if low <= high and (self._is_near(sequence) or self._continues(sequence)):
+            high = high if self._is_near(sequence) else min(high, self._leap - 1)
+            return _are_missing(low, high, "before")
+        if 0 < sequence < self.first - 1 and self._is_near(sequence):
             return _are_missing(sequence + 1, self.first - 1, "after")
         return ""
 
     def add(self, sequence: int, stamp: int) -> None:
         """Add ``sequence``, with the stamp (ns) of its event."""
-        if sequence > self._forgotten:
-            self.highest = max(self.highest, sequence)
-            if sequence < self.first or not self.first:
-                self.first = sequence
-            self._count += 1
-            self._stamps[sequence] = stamp
+        if not sequence:
+            return
+        if self.leaps(sequence):
+            self._leap = sequence
+            return
+        numbers = [sequence]
+        if self.highest and not self._is_near(sequence):
+            numbers = [self._leap, sequence]
+            if not self._continues(sequence):  # the sender counts from another number
+                self.first = self.highest = self._count = self._forgotten = 0
+                self._stamps = {}
+        for each in numbers:
+            if each > self._forgotten and each not in self._stamps:
+                self.highest = max(self.highest, each)
+                self.first = min(self.first or each, each)
+                self._count += 1
+                self._stamps[each] = stamp
+
+    def _continues(self, sequence: int) -> bool:
+        """Whether a number follows the others; a single other one does not say how."""
+        return self._count > 1 and self.highest < sequence <= self.highest + _MOST_MISSING
 
     def discard(self, sequence: int) -> None:
         """Count ``sequence`` as missing: its event could not be applied."""

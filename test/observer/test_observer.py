@@ -293,13 +293,19 @@ def test_new_episode_or_epoch_restarts_the_observer(change: dict[str, int]) -> N
     used, fresh = observer(TWO_MASS, "geometric", x), observer(TWO_MASS, "geometric", x)
     used.receive(event(1.0, "stop", sequence=1))
     used.receive(event(4.0, "stop", sequence=2))
-    again = event(2.0, "stop", sequence=1, **change)
-    assert used.receive(again)[0].ruling is Ruling.APPLIED
+    again = event(5.0, "stop", sequence=1, **change)
+    assert used.receive(again)[0].ruling is Ruling.REJECTED
+    assert used.restarts == 0
+    second = event(5.5, "stop", sequence=2, **change)
+    rulings = [(v.sequence, v.ruling, v.revises) for v in used.receive(second)]
+    assert rulings == [(2, Ruling.APPLIED, False), (1, Ruling.APPLIED, True)]
     fresh.receive(again)
+    fresh.receive(second)
     assert used.restarts == 1
     assert used.epoch == used.start == EPOCH + 9
     assert used.missing == 0
-    assert state(used, 3.0) == state(fresh, 3.0)
+    for seconds in (3.0, 5.2, 6.0):
+        assert state(used, seconds) == state(fresh, seconds)
 
 
 def test_lost_events_are_counted() -> None:

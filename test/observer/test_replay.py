@@ -8,7 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import EPOCH, chain, event, examples, observer
 
-from impact_observer.events import ImpactEvent, Kind, Remark, Ruling, Switch, Verdict
+from impact_observer.events import (
+    ImpactEvent,
+    Kind,
+    Remark,
+    Ruling,
+    Switch,
+    Verdict,
+    final_rulings,
+)
 from impact_observer.observer import Observer, replay
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
@@ -114,6 +122,13 @@ def test_sequence_numbers_of_two_runs_are_separate(moved: dict[str, int]) -> Non
     first = [event(0.1 * k, "c1", sequence=k) for k in range(1, 8)]
     second = [replace(event(2 + 0.1 * k, "c1", sequence=k), **moved) for k in range(1, 8)]  # type: ignore[arg-type]
     found, _, verdicts = replayed([*first, *second])
-    assert [v.sequence for v in verdicts] == [*range(1, 8)] * 2
-    assert all(v.ruling is Ruling.APPLIED for v in verdicts)
+    final = final_rulings(verdicts)
+    assert [sequence for _, sequence, contact in final if contact] == [
+        *range(1, 8),
+        2,
+        1,
+        *range(3, 8),
+    ]
+    assert {ruling for (*_, contact), ruling in final.items() if contact} == {Ruling.APPLIED}
+    assert [v.sequence for v in verdicts if v.ruling is Ruling.REJECTED] == [1]
     assert found.restarts == 1

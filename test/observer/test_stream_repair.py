@@ -360,15 +360,24 @@ def test_every_refused_event_is_counted() -> None:
 def test_first_verdict_after_a_restart_has_the_reason() -> None:
     """A new episode, a new epoch, or a clock that jumped back; once each."""
     watcher = watcher_of("geometric", [event(1.0, "c1", sequence=1)])
-    again = event(2.0, "wall", "c1", sequence=1, episode=1, epoch=EPOCH + 5)
+    new = {"episode": 1, "epoch": EPOCH + 5}
+    needed = "is new: it takes effect with 2 events in agreement"
+    assert reasons(watcher.receive(event(2.0, "c1", sequence=1, **new))) == [
+        (Ruling.REJECTED, f"epoch 5.000000005 s {needed}")
+    ]
     unknown = "the model's contacts are c1, c2"
-    assert reasons(watcher.receive(again)) == [
+    assert reasons(watcher.receive(event(2.1, "wall", "c1", sequence=2, **new))) == [
         (Ruling.UNKNOWN_CONTACT, f"{unknown}; episode 1 is new: the observer is reset"),
         (Ruling.APPLIED, ""),
+        (Ruling.APPLIED, "revised: as reported"),
     ]
-    moved = event(3.0, "c1", sequence=1, epoch=EPOCH + NS_PER_S)
-    new = "epoch 6.000000000 s is new: the observer is reset"
-    assert reasons(watcher.receive(moved)) == [(Ruling.APPLIED, new)]
+    later = [event(3.0 + k, "c1", sequence=k, epoch=EPOCH + NS_PER_S) for k in (1, 2)]
+    watcher.receive(later[0])
+    moved = "epoch 6.000000000 s is new: the observer is reset"
+    assert reasons(watcher.receive(later[1])) == [
+        (Ruling.APPLIED, moved),
+        (Ruling.APPLIED, "revised: as reported"),
+    ]
     watcher.restart("the clock jumped back")
     jumped = "the clock jumped back: the observer is reset"
     assert reasons(watcher.receive(event(0.5, "c1", sequence=1))) == [(Ruling.APPLIED, jumped)]
@@ -476,8 +485,7 @@ def test_event_that_is_not_applied_does_not_shorten_the_past() -> None:
     for each in (*events[:89], *events[90:]):
         watcher.receive(each)
     watcher.receive(switching(("bolt", Kind.IMPACT), seconds=1000.0, sequence=101))
-    again = replace(events[90], stamp=events[90].stamp + 3)
-    assert watcher.receive(again)[0].ruling is Ruling.DUPLICATE
+    assert watcher.receive(events[90])[0].ruling is Ruling.DUPLICATE
     assert watcher.missing == 1
     assert watcher.receive(events[89])[0].ruling is Ruling.APPLIED
     assert watcher.missing == 0

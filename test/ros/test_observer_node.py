@@ -227,13 +227,14 @@ def test_a_new_episode_resets_the_observer_to_its_epoch(rig: Rig) -> None:
     """A reset of the plant moves the epoch."""
     rig.tick(EPOCH + 10_000_000)
     moved = EPOCH + 500_000_000
-    again = event(moved + 3_000_000, 1, episode=1, epoch=moved)
-    rig.send(again)
+    again = [event(moved + k * 3_000_000, k, episode=1, epoch=moved) for k in (1, 2)]
+    for each in again:
+        rig.send(each)
     rig.states.clear()
     rig.tick(moved + 10_000_000)
     last = rig.estimates()[-1]
     assert last.stamp == moved + 10_000_000
-    assert_same(last, replica(again).estimate(last.stamp))
+    assert_same(last, replica(*again).estimate(last.stamp))
 
 
 def test_the_observer_follows_a_restarted_plant_and_rejects_its_earlier_events(rig: Rig) -> None:
@@ -242,14 +243,17 @@ def test_the_observer_follows_a_restarted_plant_and_rejects_its_earlier_events(r
     rig.send(event(EPOCH + 5_000_000, 1, episode=3))
     moved = EPOCH + 100_000_000
     rig.tick(moved + 1_000_000)
-    restarted = event(moved + 500_000, 1, episode=0, epoch=moved)
-    rig.send(restarted)
+    restarted = [event(moved + k * 500_000, k, episode=0, epoch=moved) for k in (1, 2)]
+    for each in restarted:
+        rig.send(each)
+    rig.spinner.until(lambda: len(rig.verdicts) == 4)
     rig.send(event(EPOCH + 6_000_000, 2, episode=3))
-    rulings = [Ruling(verdict.verdict) for verdict in rig.verdicts]
-    assert rulings == [Ruling.APPLIED, Ruling.APPLIED, Ruling.REJECTED]
+    rulings = [(verdict.sequence, Ruling(verdict.verdict)) for verdict in rig.verdicts]
+    yes, no = Ruling.APPLIED, Ruling.REJECTED
+    assert rulings == [(1, yes), (1, no), (2, yes), (1, yes), (2, no)]
     rig.tick(moved + 10_000_000)
     last = rig.estimates()[-1]
-    assert_same(last, replica(restarted).estimate(last.stamp))
+    assert_same(last, replica(*restarted).estimate(last.stamp))
 
 
 def test_an_event_from_the_future_is_rejected(rig: Rig) -> None:
