@@ -111,6 +111,31 @@ class ObserverDiagnostics:
         return new
 
 
+class MisfitNews:
+    """What is to be logged of a misfit, each thing once.
+
+    An account of other parameters may take turns with another one from event to event.
+    """
+
+    def __init__(self) -> None:
+        """No misfit so far."""
+        self._is_misfit = False
+        self._told: frozenset[str] = frozenset()
+
+    def of(self, estimate: Estimate) -> str:
+        """The warning when it begins, or first names a parameter; a line when it has ended.
+
+        Empty for nothing new.
+        """
+        names = frozenset(name for name, *_ in estimate.parameters)
+        was_misfit, self._is_misfit = self._is_misfit, bool(estimate.misfit)
+        if not estimate.misfit:
+            return "the model explains the impacts again" if was_misfit else ""
+        is_new = not was_misfit or not names <= self._told
+        self._told = names | self._told if was_misfit else names
+        return estimate.misfit if is_new else ""
+
+
 def _estimate_values(last: Estimate) -> dict[str, object]:
     """What an estimate reports of its own error."""
     bound, differences = last.bound, last.convergence

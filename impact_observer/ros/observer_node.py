@@ -31,7 +31,7 @@ from impact_observer.observer import (
 )
 from impact_observer.ros import parameters
 from impact_observer.ros.message_classes import message_class, ros_messages
-from impact_observer.ros.observer_diagnostics import ObserverDiagnostics
+from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.serialized import EstimateSerializer, read_impact
 from impact_observer.ros.subscribing import waiting_messages
@@ -117,6 +117,7 @@ class ObserverNode(Node):
         self._last_sample: int | None = None
         self._last_stamp = 0
         self._last: Estimate | None = None
+        self._misfit_news = MisfitNews()
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
@@ -242,21 +243,10 @@ class ObserverNode(Node):
         self._joint_states.publish(next(messages))
         if estimate.bound != (-1.0 if self._last is None else self._last.bound):
             self._bounds.publish(self._make.bound(estimate))
-        self._log_misfit(estimate)
+        if news := self._misfit_news.of(estimate):
+            log = self.get_logger()
+            (log.warning if estimate.misfit else log.info)(news)
         self._last = estimate
-
-    def _log_misfit(self, estimate: Estimate) -> None:
-        """Log when the model ceases to explain the impacts, and when it does again.
-
-        And once more when other parameters do.
-        """
-        before = "" if self._last is None else self._last.misfit
-        estimated = {name for name, *_ in estimate.parameters}
-        known = set() if self._last is None else {name for name, *_ in self._last.parameters}
-        if estimate.misfit and (not before or not estimated <= known):
-            self.get_logger().warning(estimate.misfit)
-        elif before and not estimate.misfit:
-            self.get_logger().info("the model explains the impacts again")
 
     def _on_clock_back(self, _: TimeJump) -> None:
         """Restart the observer after a backward jump of the clock, as of a looped bag."""

@@ -35,6 +35,7 @@ from impact_observer.observer import (
 )
 from impact_observer.plant import Plant, simulate
 from impact_observer.ros.message_classes import ros_messages
+from impact_observer.ros.observer_diagnostics import MisfitNews
 from impact_observer.ros.observer_node import ObserverNode
 from impact_observer.ros.qos import qos_profile
 from impact_observer.states import Estimate
@@ -587,6 +588,17 @@ def test_model_that_does_not_explain_the_impacts_is_a_warning(
         assert values["synchronized"] == "False"
         assert int(values[Remark.MISFIT.value]) > 0
         assert "model error [m/s^1.5]" in values
+
+
+def test_misfit_is_logged_once_though_its_accounts_take_turns() -> None:
+    """A line when it begins, when it first names a parameter, and when it has ended."""
+    fits = make_observer(SYSTEM, Options(law="minimum-variance", epoch=EPOCH)).estimate(EPOCH)
+    misfit = replace(fits, misfit="wrong")
+    better = replace(fits, misfit="better", parameters=(("stiffness-scale", 1.1, 0.1),))
+    news, turns = MisfitNews(), [fits, misfit, misfit, *[better, misfit] * 10, fits, fits]
+    logged = [line for each in turns if (line := news.of(each))]
+    assert logged == ["wrong", "better", "the model explains the impacts again"]
+    assert news.of(misfit) == "wrong"
 
 
 def refused(parameters: Mapping[str, object]) -> str:
