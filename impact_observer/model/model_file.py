@@ -38,6 +38,7 @@ class Model:
         provenance: who wrote the file; without effect on the dynamics.
         source: what errors call the file.
         elements: from which the system was assembled; empty where the file gives matrices.
+        element_form: the file's bodies, springs and so on, by key; empty for matrices too.
     """
 
     system: System
@@ -46,6 +47,7 @@ class Model:
     provenance: Mapping[str, Value] = field(default_factory=dict)
     source: str = ""
     elements: tuple[Element, ...] = ()
+    element_form: Mapping[str, Value] = field(default_factory=dict)
 
     def initial_state(self) -> tuple[Vector, Vector]:
         """The plant's state at the epoch.
@@ -59,28 +61,16 @@ class Model:
         return self.position, self.velocity
 
     def text(self, provenance: Mapping[str, Value] | None = None) -> str:
-        """The model as a file in matrix form that reads back to equal numbers.
+        """The model as a file that reads back to equal numbers, in elements or matrices as it was.
+
+        Matrices and samples that were in files of their own are in it.
 
         ``provenance`` says who makes it, such as package, version and seed.
         """
-        s = self.system
-        document: dict[str, Value] = {
-            "name": s.name,
-            "coordinates": list(s.coordinates),
-            "mass": s.M.tolist(),
-            "damping": s.C.tolist(),
-            "stiffness": s.K.tolist(),
-            "forcing": _forcing_of(s),
-            "contacts": [
-                {
-                    "name": c.name,
-                    "direction": c.direction.tolist(),
-                    "gap": c.gap,
-                    "restitution": c.restitution,
-                }
-                for c in s.contacts
-            ],
-        }
+        form = self.element_form or _matrix_form(self.system)
+        document: dict[str, Value] = {"name": self.system.name, **form}
+        if "forcing" in form:  # in elements too it may name a file
+            document["forcing"] = _forcing_of(self.system)
         if self.position is not None and self.velocity is not None:
             document["initial_state"] = {
                 "position": self.position.tolist(),
@@ -108,6 +98,25 @@ class _Representer(SafeRepresenter):
 
 
 _Representer.add_representer(str, _Representer.represent_str)
+
+
+def _matrix_form(s: System) -> dict[str, Value]:
+    return {
+        "coordinates": list(s.coordinates),
+        "mass": s.M.tolist(),
+        "damping": s.C.tolist(),
+        "stiffness": s.K.tolist(),
+        "forcing": _forcing_of(s),
+        "contacts": [
+            {
+                "name": c.name,
+                "direction": c.direction.tolist(),
+                "gap": c.gap,
+                "restitution": c.restitution,
+            }
+            for c in s.contacts
+        ],
+    }
 
 
 def _forcing_of(system: System) -> Value:
@@ -218,8 +227,10 @@ def _model(document: Value, folder: Path | None) -> Model:
     section = Section("", document, (*_COMMON_KEYS, *form))
     name = section.text("name")
     parts: tuple[Element, ...] = ()
+    written: dict[str, Value] = {}
     if form is elements.KEYS:
         system, parts = elements.assembled_system(name, section, folder)
+        written = {key: document[key] for key in form if key in document}
     else:
         system = _system_of_matrices(name, section, folder)
     position, velocity = _initial_state(section, system)
@@ -227,7 +238,7 @@ def _model(document: Value, folder: Path | None) -> Model:
     if not isinstance(provenance, Mapping):
         raise ModelError("provenance", f"{provenance!r} found; expected keys and values")
     provenance = {str(key): value for key, value in provenance.items()}
-    return Model(system, position, velocity, provenance, elements=parts)
+    return Model(system, position, velocity, provenance, elements=parts, element_form=written)
 
 
 def _system_of_matrices(name: str, section: Section, folder: Path | None) -> System:
