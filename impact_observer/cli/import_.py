@@ -37,6 +37,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=stamp,
         help="stamp of t = 0 of the forcing (default: that of the file's time 0)",
     )
+    column = "name of the column of time (default: time, or time with its unit)"
+    add("--time-column", metavar="NAME", help=column)
+    truth = "a file of true states: time, and q_NAME and u_NAME of each coordinate of --model"
+    add("--truth", metavar="CSV", type=Path, help=truth)
     add("--sort", action="store_true", help="the rows may be in any order")
 
 
@@ -48,6 +52,7 @@ def _start(text: str) -> int:
 def run(args: argparse.Namespace) -> int:
     """Import a file and print what was imported."""
     from impact_observer.cli.progress import Progress
+    from impact_observer.io.csv_file import CsvForm
     from impact_observer.io.csv_import import import_csv
     from impact_observer.model import read_model
 
@@ -62,10 +67,10 @@ def run(args: argparse.Namespace) -> int:
             args.csv,
             args.output,
             model=model,
-            unit=args.time_unit,
+            truth=args.truth,
+            form=CsvForm(args.time_unit, args.time_column, args.sort),
             start=args.start,
             epoch=args.epoch,
-            sort=args.sort,
             flush=args.flush,
             progress=show,
         )
@@ -84,4 +89,5 @@ def _summary(imported: "Imported") -> str:
     zero = f"time 0 is stamp {text(imported.start)} s"
     epoch = f"epoch {text(imported.epoch)} s" if imported.epoch else "epoch unknown"
     events = f"{times(imported.events, 'event')} of {times(imported.rows, 'row')}"
-    return f"{events}, {span}; {zero}, {epoch}"
+    states = f", {imported.states} true states" if imported.states else ""
+    return f"{events}{states}, {span}; {zero}, {epoch}"

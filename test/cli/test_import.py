@@ -11,7 +11,8 @@ from systems import examples
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader
-from impact_observer.io.csv_import import CsvRow, Table
+from impact_observer.io.csv_file import CsvForm
+from impact_observer.io.csv_tables import ImpactRow, ImpactTable
 from impact_observer.io.recordings import model_of
 
 STOP = (Switch("stop"),)
@@ -100,7 +101,8 @@ def test_times_are_exact_to_the_nanosecond(
     decimals = {"s": 9, "ms": 6, "us": 3, "ns": 0}[unit]
     text = format(Decimal(stamp).scaleb(-decimals), "f")
     path = written(tmp_path_factory.mktemp("csv"), f"time,contact\n{text},stop\n")
-    assert list(Table(path, unit=unit).rows()) == [CsvRow(2, stamp, Switch("stop"))]
+    rows = ImpactTable(path, CsvForm(unit)).rows()
+    assert list(rows) == [ImpactRow(2, stamp, Switch("stop"))]
 
 
 def test_rows_of_equal_time_are_one_event(tmp_path: Path) -> None:
@@ -213,3 +215,85 @@ def test_an_existing_bag_is_not_overwritten(
     path = written(tmp_path, "0.5,stop\n")
     assert main(["import", str(path), "-o", str(tmp_path / "bag")]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+STATES = "time,q_x1,u_x1,x2,u_x2\n0.25,1,2,3,4\n0.5,5,6,7,8\n"
+
+
+def test_true_states_of_a_file_are_those_of_the_bag(tmp_path: Path) -> None:
+    """What export wrote of a run is imported again to equal states and events."""
+    plant, again = tmp_path / "plant", tmp_path / "again"
+    assert main(["simulate", "two_mass", "--duration", "3", "--rate", "20", "-o", str(plant)]) == 0
+    for what in ("states", "events"):
+        file = tmp_path / f"{what}.csv"
+        assert main(["export", str(plant), "-o", str(file), "--what", what]) == 0
+    files = [str(tmp_path / "events.csv"), "--truth", str(tmp_path / "states.csv")]
+    assert main(["import", *files, "--model", "two_mass", "-o", str(again)]) == 0
+    with BagReader(plant) as one, BagReader(again) as other:
+        assert [each.stamp for each in one.events()] == [each.stamp for each in other.events()]
+        first, second = (bag.joint_states("/plant/joint_states") for bag in (one, other))
+    assert first.stamps.tolist() == second.stamps.tolist()
+    assert first.q.tolist() == second.q.tolist()
+    assert first.u.tolist() == second.u.tolist()
+
+
+def test_positions_may_be_called_as_their_coordinates(tmp_path: Path) -> None:
+    """At an impact the event is first, as the state is the one after it."""
+    (tmp_path / "truth.csv").write_text(STATES)
+    options = ("--model", "two_mass", "--truth", str(tmp_path / "truth.csv"))
+    imported(tmp_path, "0.5,stop\n", *options)
+    with BagReader(tmp_path / "bag") as reader:
+        states = reader.joint_states("/plant/joint_states")
+        topics = [raw.topic for raw in reader.raw(["/impacts", "/plant/joint_states"])]
+    assert states.q.tolist() == [[1, 3], [5, 7]]
+    assert states.u.tolist() == [[2, 4], [6, 8]]
+    assert topics == ["/plant/joint_states", "/impacts", "/plant/joint_states"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time,x1,x2\n0,1,2\n", "line 1: no column u_x1, u_x2; expected a position q_NAME and"),
+        ("time,x1,q_x1,u_x1,x2,u_x2\n0,1,1,1,1,1\n", "line 1: columns q_x1 and x1 found"),
+        (STATES.replace("7", "nan"), "line 3: x2 is 'nan'; expected a finite number"),
+        (STATES.replace("0.25", "0.75"), "line 3: time 0.500000000 s comes after 0.750000000 s"),
+        ("0.5,1,2,3,4\n", "line 1: '0.5' found; expected a header with a column time"),
+    ],
+)
+def test_a_mistake_in_true_states_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, said: str
+) -> None:
+    """With the file and the line; no bag is left."""
+    truth, path = tmp_path / "truth.csv", written(tmp_path, "0.5,stop\n")
+    truth.write_text(text)
+    options = ["--model", "two_mass", "--truth", str(truth), "-o", str(tmp_path / "bag")]
+    assert main(["import", str(path), *options]) == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line.startswith(f"impact-observer: {truth}, ")
+    assert said in line
+    assert not (tmp_path / "bag").exists()
+
+
+def test_true_states_need_a_model(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It names the coordinates."""
+    truth, path = tmp_path / "truth.csv", written(tmp_path, "0.5,stop\n")
+    truth.write_text(STATES)
+    assert main(["import", str(path), "--truth", str(truth), "-o", str(tmp_path / "bag")]) == 2
+    assert "true states without a model; name it with --model" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("header", "column", "stamp"), [("t", "t", 10**9), ("hit [ms]", "hit [ms]", 10**6)]
+)
+def test_time_may_have_another_name(tmp_path: Path, header: str, column: str, stamp: int) -> None:
+    """With its unit, or in seconds."""
+    events = imported(tmp_path, f"{header},contact\n1,stop\n", "--time-column", column)
+    assert [event.stamp - EPOCH for event in events] == [stamp]
+
+
+def test_a_column_of_time_that_is_not_there_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It names the columns that are."""
+    said = refused(tmp_path, "time,contact\n1,stop\n", capsys, "--time-column", "t")
+    assert said == ", line 1: time, contact found; expected a header with a column t"

@@ -478,3 +478,20 @@ def test_provenance_is_carried_and_can_be_replaced() -> None:
     assert dict(again.provenance) == {"version": "0.1.0", "seed": 3}
     replaced = parse_model(model.text({"seed": 4}), "m")
     assert dict(replaced.provenance) == {"seed": 4}
+
+
+def test_element_form_survives_the_text() -> None:
+    """A bag's model has its springs and dampers still, with the samples of its forcing."""
+    text = """
+name: rig
+bodies: [{name: a, mass: 1.5}, {name: b, mass: 1}]
+springs:
+  - {between: [ground, a], stiffness: 10, damping: 0.1}
+  - {between: [a, b], stiffness: 1e-3}
+stops: [{name: stop, body: b, limit: 0.5, side: above, restitution: 0.7}]
+"""
+    model = parse_model(text, "rig.yaml")
+    again = parse_model(model.text({"version": 1}), "bag")
+    assert_equal_models(model, again)
+    assert [each.label for each in again.elements] == [each.label for each in model.elements]
+    assert again.text() == model.text({"version": 1})
