@@ -226,5 +226,6 @@ def _statistic(innovations: tuple[float, ...]) -> float:
     if n < _FEWEST or not any(innovations):
         return 0.0
     nu, lags = np.array(innovations), range(1, _LAGS + 1)
-    rho = [float(nu[k:] @ nu[:-k] / (nu @ nu)) for k in lags]
+    whole = nu.dot(nu)
+    rho = [float(nu[k:].dot(nu[:-k]) / whole) for k in lags]
     return n * (n + 2) * sum(r * r / (n - k) for r, k in zip(rho, lags, strict=True))

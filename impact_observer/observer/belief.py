@@ -2,9 +2,9 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from impact_observer.model import System
 from impact_observer.states import Matrix, Vector
 
 _NOTHING: Mapping[int, float] = MappingProxyType({})
+Parameters: TypeAlias = tuple[tuple[str, float, float], ...]
+"""What is estimated besides the state: name, value, standard deviation, SI units."""
 
 
 class Fallback(NamedTuple):
@@ -28,21 +30,28 @@ class Fallback(NamedTuple):
         x: (q, u), shape (2n,).
         largest: magnitude of each component so far, the initial standard deviation
             included, shape (2n,).
-        unit: a root of the covariance that white accelerations of 1 m/s^1.5 give its error,
-            shape (2n, 2n).
-        lag: its error by the positions that shift if contacts last as long as they may, (2n,).
+        errors: of x, one a column, shape (2n, 2n + 1): ``unit`` and, last, ``lag``.
     """
 
     x: Vector
     largest: Vector
-    unit: Matrix
-    lag: Vector
+    errors: Matrix
+
+    @property
+    def unit(self) -> Matrix:
+        """A root of the covariance that white accelerations of 1 m/s^1.5 give, (2n, 2n)."""
+        return self.errors[:, :-1]
+
+    @property
+    def lag(self) -> Vector:
+        """By the positions that shift if contacts last as long as they may, (2n,)."""
+        return self.errors[:, -1]
 
     def gap(self, system: System, contact: int) -> tuple[float, float]:
         """The gap of a contact, m, and its standard deviation for that covariance, m."""
         w, n = system.W[:, contact], system.n
-        deviation = float(np.linalg.norm(w.dot(self.unit[:n])))
-        return float(w.dot(self.x[:n]) + system.q_r[contact]), deviation
+        seen = w.dot(self.unit[:n])
+        return float(w.dot(self.x[:n]) + system.q_r[contact]), math.sqrt(seen.dot(seen))
 
 
 class Account(NamedTuple):
@@ -75,14 +84,14 @@ class Belief(NamedTuple):
     Attributes:
         ensemble: the estimate, and replicas with other initial states.
         root: a square root ``S`` of the estimate's covariance ``S S^T``, shape (2n, 2n); None for
-            a law without covariance.
+            a law without covariance, and for the prior of an event.
         bound: certified upper bound of V, J; None where nothing is certified.
         inconsistent: whether events have contradicted the declared model or uncertainty: the
             bound fell below zero.
         innovations: of the last event, by contact: the estimate's gap in standard deviations.
         accepted: whether the law accepted every switch of the last event as reported.
         clock_offset: estimated delay of the sensor's stamps, s.
-        parameters: what is estimated besides the state: name, value, standard deviation, SI units.
+        learned: finds ``parameters``, which most beliefs are never asked for.
         fit: how the model has explained the latest events, of a law with innovations.
         hypotheses: of a law that carries several, the likeliest first; empty for others. The
             estimate is that of the first, the covariance that of the whole mixture.
@@ -98,7 +107,7 @@ class Belief(NamedTuple):
     innovations: Mapping[int, float] = _NOTHING
     accepted: bool = True
     clock_offset: float = 0.0
-    parameters: tuple[tuple[str, float, float], ...] = ()
+    learned: Callable[[], Parameters] = tuple
     fit: Fit = Fit()
     hypotheses: tuple[Hypothesis, ...] = ()
     fallback: Fallback | None = None
@@ -109,6 +118,11 @@ class Belief(NamedTuple):
     def x(self) -> Vector:
         """The estimate (q, u), shape (2n,)."""
         return self.ensemble.x
+
+    @property
+    def parameters(self) -> Parameters:
+        """What is estimated besides the state."""
+        return self.learned()
 
     @property
     def replicas(self) -> Matrix:

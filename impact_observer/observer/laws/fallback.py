@@ -2,10 +2,12 @@
 """The geometric replica beside the filter: where that restarts, and the cheaper estimate."""
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 
+from impact_observer.dynamics import KEPT
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Differences, Ensemble
 from impact_observer.estimation.impact_filter import ImpactFilter
@@ -36,53 +38,55 @@ class FallbackReplica:
         self._geometric = Geometric(filter_.system)
         self._kicks = unit_kicks(filter_.system)
         self._contact_time = CONTACT_TIME * filter_.phases.scales.timescale
+        self._lag = lru_cache(KEPT)(self._lag_of)
 
     def begin(self, x: Vector, root: Matrix, closed: Contacts) -> Fallback:
         """The replica at ``x``; ``root`` is one of the initial covariance, shape (2n, 2n)."""
         x = self._geometric.impact(x, closed, closed) if closed else x
-        return Fallback(
-            x, np.linalg.norm(root, axis=1), np.zeros((x.size, x.size)), np.zeros(x.size)
-        )
+        return Fallback(x, np.linalg.norm(root, axis=1), np.zeros((x.size, x.size + 1)))
 
     def after(self, change: ContactChange, before: Fallback) -> Fallback:
         """The replica after an event."""
         if not change.hit:
             return before
-        x = self._geometric.impact(before.x, change.active, change.closed)
-        errors = np.column_stack([before.unit, before.lag])
-        near = Ensemble(before.x, Differences(_SMALL * errors))
+        x, n = self._geometric.impact(before.x, change.active, change.closed), self._system.n
+        near = Ensemble(before.x, Differences(_SMALL * before.errors))
         near = self._geometric.impact_ensemble(near, x, change.active, change.closed)
-        unit, lag = np.split(near.differences / _SMALL, [x.size], axis=1)
-        return Fallback(x, np.maximum(before.largest, np.abs(x)), unit, self._lag(change, x, lag))
+        errors = near.differences / _SMALL
+        errors[:n, -1] -= self._lag(change.hit).dot(x[n:])
+        return Fallback(x, np.maximum(before.largest, np.abs(x)), errors)
 
-    def _lag(self, change: ContactChange, x: Vector, lag: Matrix) -> Vector:
-        """``lag`` after an impact that leads to the state ``x``.
+    def _lag_of(self, hit: Contacts) -> Matrix:
+        """How an impact adds to the lag, by the velocities after it, shape (n, n), s.
 
         A contact that lasts ends where it began; a rigid one has moved on by then.
         """
-        n, hit = x.size // 2, list(change.hit)
-        lag = lag[:, 0].copy()
-        shift = self._kicks[:, hit] @ (x[n:] @ self._system.W[:, hit])
-        lag[:n] -= self._contact_time * shift
-        return lag
+        which = list(hit)
+        shift = self._kicks[:, which] @ self._system.W[:, which].T
+        return np.asarray(self._contact_time * shift)
 
     def motion(self, t: float, before: Fallback, closed: Contacts) -> Callable[[float], Fallback]:
         """The replica some seconds after ``t``, s since the epoch, until the next event."""
         motion, phase = self._geometric.motion(t, before.x, closed), self._moving.phase(closed)
 
         def after(s: float) -> Fallback:
-            map_ = phase.transition(s)
-            parts = [map_ @ before.unit, self._moving.diffusion(closed, s)]
-            unit = triangular(np.hstack(parts))
-            return before._replace(x=motion.state(s), unit=unit, lag=map_ @ before.lag)
+            errors = phase.transition(s).dot(before.errors)
+            unit = np.concatenate([errors[:, :-1], self._moving.diffusion(closed, s)], axis=1)
+            errors[:, :-1] = triangular(unit)
+            return Fallback(motion.state(s), before.largest, errors)
 
         return after
 
 
+def nearest(fit: Fit, states: int) -> int:
+    """Which estimate is published in a misfit: of filter, replica and, if asked, account."""
+    return 2 if states > 2 else int(fit.prefers_replica)
+
+
 def combined(
     fit: Fit, by_filter: Part, replica: Fallback, by_account: Part | None, *, explained: bool
-) -> Part:
-    """What is published in a misfit: one of the estimates, with the covariance of all.
+) -> Matrix:
+    """A root of the covariance in a misfit: of all estimates, about the nearest one.
 
     Contacts that last shift all of them alike, and no gap need show it. So this error is added.
 
@@ -94,16 +98,15 @@ def combined(
         explained: whether that account explains the impacts: then it stands alone.
     """
     if by_account is not None and explained:
-        return by_account
-    by_replica = replica.x, fit.replica_level * replica.unit
-    parts, best = [by_filter, by_replica], int(fit.prefers_replica)
+        return by_account[1]
+    parts = [by_filter, (replica.x, fit.replica_level * replica.unit)]
     if by_account is not None:
-        parts, best = [*parts, by_account], 2
-    x, columns = parts[best][0], [replica.lag[:, None]]
+        parts.append(by_account)
+    x, columns = parts[nearest(fit, len(parts))][0], [replica.lag[:, None]]
     shares = fit.shares(with_account=by_account is not None)
     for share, (other, root) in zip(np.sqrt(shares), parts, strict=True):
         columns += [share * root, share * (x - other)[:, None]]
-    return x, np.hstack(columns)
+    return np.hstack(columns)
 
 
 class MisfitPrediction(Prediction):
@@ -134,7 +137,7 @@ class MisfitPrediction(Prediction):
         if account is not None and self._explained:
             return account[1]
         parts = _part(self._by_filter, s), self._replica(s), account
-        return combined(self._fit, *parts, explained=self._explained)[1]
+        return combined(self._fit, *parts, explained=self._explained)
 
     def closed(self, s: float) -> Contacts | None:
         if self._by_account is not None:

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.hypotheses import Hypothesis, error_share
@@ -40,7 +38,8 @@ def fitted(
         return before
     likeliest, errors, innovation = corrected[0], bank.errors, corrected[0].innovation
     if innovation is not None and change.hit:
-        speed = abs(bank.filter.system.contact_speed(np.split(prior, 2)[1])[change.hit[0]])
+        system = bank.filter.system
+        speed = abs(float(system.W[:, change.hit[0]].dot(prior[system.n :])))
         innovation = 0.0 if abs(likeliest.residual) <= ROUNDED * speed else innovation
     return before.after(
         innovation,

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from typing import ClassVar
 
 import numpy as np
 
 from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.ensemble import Differences, Ensemble
+from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
@@ -25,8 +25,13 @@ from impact_observer.estimation.square_root import lengths
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, Ruling
 from impact_observer.model import System
-from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
-from impact_observer.observer.laws.fallback import FallbackReplica, MisfitPrediction, combined
+from impact_observer.observer.belief import Account, Belief, Fallback, Parameters, Prediction
+from impact_observer.observer.laws.fallback import (
+    FallbackReplica,
+    MisfitPrediction,
+    combined,
+    nearest,
+)
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import (
     MissedSwitchPrediction,
@@ -103,7 +108,7 @@ class MinimumVariance(Law):
         if self._single:
             return Belief(state.ensemble, state.root)
         fallback = self._replica.begin(replicas[0], root, closed)
-        return self._belief(self._starts.per_clock(state), fallback, Fit())
+        return self._posterior(self._starts.per_clock(state), fallback, Fit())
 
     def correct(self, change: ContactChange, belief: Belief) -> Belief:
         """Each hypothesis branches and is weighed; the estimate is that of the likeliest."""
@@ -138,7 +143,7 @@ class MinimumVariance(Law):
             clocks = sorted({self.clocks[0], corrected[0].clock})
             state = mixture(published(corrected, misfit=True))
             account = self._accounts.begin(state, fallback.largest, clocks)
-        return self._belief(corrected, fallback, fit, account, change)
+        return self._posterior(corrected, fallback, fit, account, change)
 
     def predict(self, t: float, belief: Belief, closed: Contacts) -> Prediction:
         """The likeliest hypothesis for the estimate, all of them for the next event."""
@@ -150,7 +155,7 @@ class MinimumVariance(Law):
         def prior(s: float) -> Belief:
             predicted = self._bank.predict(hypotheses, t, s)
             later = None if account is None else self._accounts.predicted(t, account, s)
-            return self._belief(predicted, motion(s), belief.fit, later)
+            return self._prior(predicted, motion(s), belief.fit, later)
 
         shown = published(hypotheses, misfit=belief.fit.is_misfit)
         found: Prediction = (
@@ -180,7 +185,29 @@ class MinimumVariance(Law):
         state = self._starts.declared(belief.replicas, belief.root, closed)
         return self._starts.per_clock(state), self._replica.begin(belief.x, belief.root, closed)
 
-    def _belief(
+    def _prior(
+        self,
+        hypotheses: tuple[Hypothesis, ...],
+        fallback: Fallback,
+        fit: Fit,
+        account: Account | None = None,
+    ) -> Belief:
+        """The belief of ``hypotheses``, the likeliest first, without a covariance.
+
+        It has the published one first.
+        """
+        best = published(hypotheses, misfit=fit.is_misfit)[0]
+        if hypotheses[0] is not best:
+            hypotheses = tuple(sorted(hypotheses, key=lambda h: h is not best))
+        ensemble = best.state.ensemble
+        if fit.is_compared:
+            states = [ensemble.x, fallback.x]
+            if account is not None and fit.prefers_account:
+                states.append(account.published[0].state.x)
+            ensemble = Ensemble(states[nearest(fit, len(states))], ensemble.since)
+        return Belief(ensemble, fit=fit, hypotheses=hypotheses, fallback=fallback, account=account)
+
+    def _posterior(
         self,
         hypotheses: tuple[Hypothesis, ...],
         fallback: Fallback,
@@ -188,46 +215,40 @@ class MinimumVariance(Law):
         account: Account | None = None,
         change: ContactChange | None = None,
     ) -> Belief:
-        """The belief of ``hypotheses``, the likeliest first; it has the published one first."""
+        """The belief of ``hypotheses`` with their covariance, after a ``change`` if any."""
+        prior, size = self._prior(hypotheses, fallback, fit, account), fallback.x.size
         shown = published(hypotheses, misfit=fit.is_misfit)
-        best, size, root = shown[0], fallback.x.size, mixture(shown).root
-        notes = best.notes_on((change.stamp, change.sequence)) if change else []
-        parameters: tuple[tuple[str, float, float], ...] = ()
-        if self._estimates_parameters:
-            parameters = self._learned(shown, root[size:], self._names)
-        ensemble, root, instead = best.state.ensemble, root[:size], ""
+        best, whole, names, instead = shown[0], mixture(shown).root, self._names, ""
+        root, notes = whole[:size], []
         if fit.is_compared:
             part, explained = None, False
             if account is not None and fit.prefers_account:
                 found, instead = self._accounts.estimate(account), self._accounts.text(account)
                 part, explained = (found.x, found.root[:size]), account.is_explained
-                parameters = self._learned(
-                    account.published, found.root[size:], self._accounts.names
-                )
-            x, root = combined(fit, (ensemble.x, root), fallback, part, explained=explained)
-            ensemble = Ensemble(x, Differences(best.state.differences[:size]))
-        return Belief(
-            ensemble,
-            root,
+                shown, whole, names = account.published, found.root, self._accounts.names
+            by_filter = best.state.x, root
+            root = combined(fit, by_filter, fallback, part, explained=explained)
+        if change:
+            notes = best.notes_on((change.stamp, change.sequence))
+        return prior._replace(
+            root=root,
             innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
             accepted=all(note.ruling is Ruling.APPLIED for note in notes),
             clock_offset=best.state.offset,
-            parameters=parameters,
-            fit=fit,
-            hypotheses=tuple(sorted(hypotheses, key=lambda h: h is not best)),
-            fallback=fallback,
-            account=account,
+            learned=cache(partial(self._learned, shown, whole[size:], names)),
             misfit=fit.message(instead),
         )
 
     def _learned(
         self, hypotheses: Sequence[Hypothesis], root: Matrix, names: Sequence[str]
-    ) -> tuple[tuple[str, float, float], ...]:
+    ) -> Parameters:
         """Estimated parameters of model and clock: name, value, standard deviation.
 
         ``root`` has the rows of the mixture's root for the constants, shape (k, any); ``names``
         are those of the model's parameters. Those that no hypothesis doubts are left out.
         """
+        if not self._estimates_parameters:
+            return ()
         best, deviations = hypotheses[0].state, lengths(root)
         rows = zip(names, best.theta.tolist(), deviations, strict=False)
         found = [row for row in rows if row[2]]
