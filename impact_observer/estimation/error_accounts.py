@@ -42,7 +42,8 @@ class ErrorAccounts:
         self._moving = filter_.members.given.moving
         self._timescale = filter_.phases.scales.timescale
         self._clocks = sorted(clocks)
-        self._unit_kicks = unit_kicks(filter_.system)
+        kicks = unit_kicks(filter_.system)
+        self._unit_kicks = np.concatenate([np.zeros_like(kicks), kicks])
 
     def is_coarse(self, clock: float) -> bool:
         """Whether so large a deviation of stamps, s, may be an error of the model."""
@@ -67,9 +68,11 @@ class ErrorAccounts:
             chance = NEW_ERROR
             clocks = clocks if size > UNEXPLAINED else []
             clocks += self._clocks[:1] if self.is_coarse(h.clock) else []
+            if not clocks:
+                return
         for kind in (ErrorKind.ACCELERATION, ErrorKind.RESTITUTION):
             unit = self._seen(h, kind, here)
-            if kind is h.error.kind or unit <= STILL or not clocks:
+            if kind is h.error.kind or unit <= STILL:
                 continue
             level = min(max(size, 1.0) * deviation / unit, self._largest(h, kind, here))
             state = with_error(h.state, level * self._root(h, kind))
@@ -97,19 +100,16 @@ class ErrorAccounts:
 
     def kicks(self, x: Vector, hit: Contacts) -> Matrix:
         """What an error of 1 of the restitution adds at an impact at the state ``x``, (2n, k)."""
-        n = self._system.n
-        found = np.zeros((2 * n, len(hit)))
-        for k, contact in enumerate(hit):
-            speed = abs(float(self._system.W[:, contact].dot(x[n:])))
-            found[n:, k] = self._unit_kicks[:, contact] * speed
-        return found
+        which = list(hit)
+        speeds = x[self._system.n :].dot(self._system.W[:, which])
+        return np.asarray(self._unit_kicks[:, which] * np.abs(speeds))
 
     def _root(self, h: Hypothesis, kind: ErrorKind) -> Matrix:
         """What a model error of level 1 has added to ``h`` since the last event, (2n, any)."""
         closed = h.state.closed
         if kind is ErrorKind.ACCELERATION:
             return self._moving.diffusion(closed, h.since)
-        return np.asarray(self._moving.phase(closed).transition(h.since) @ h.kicks)
+        return self._moving.carried(h.kicks, h.since, closed)
 
     def _seen(self, h: Hypothesis, kind: ErrorKind, here: ContactChange) -> float:
         """The standard deviation that this gives the gap of the impact, m."""

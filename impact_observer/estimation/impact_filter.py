@@ -22,7 +22,7 @@ from impact_observer.estimation.parametric import Sensitivity, leading_triangula
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.resting import rested
 from impact_observer.estimation.saltation import STATE_ROUNDING
-from impact_observer.estimation.square_root import lengths, product, triangular
+from impact_observer.estimation.square_root import lengths, narrow, product, triangular
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Contacts
 from impact_observer.kernel._kernel import Gaps
@@ -209,7 +209,7 @@ class ImpactFilter:
             if noise := self._noise(level):
                 over = partial(moving.diffusion, closed)
                 root = noise.added_to(prior.root, state.x.size, over, s)
-                prior = prior._replace(root=root)
+                prior = prior._replace(root=narrow(root))
             found.append(prior)
         return found
 

@@ -9,7 +9,7 @@ from impact_observer.estimation.gaussian_state import GaussianState, propagate_e
 from impact_observer.estimation.members import Members
 from impact_observer.estimation.parametric import Map, Sensitivity, leading_triangular
 from impact_observer.estimation.process_noise import ProcessNoise
-from impact_observer.estimation.square_root import triangular
+from impact_observer.estimation.square_root import narrow, triangular
 from impact_observer.states import Matrix, Vector
 
 
@@ -73,13 +73,13 @@ class LinearPrediction:
             return (
                 prior
                 if self._noise is None
-                else prior._replace(root=self._with_noise(prior.root, s))
+                else prior._replace(root=narrow(self._with_noise(prior.root, s)))
             )
         sensitivity = self._sensitivity(s)
         first = np.zeros((x.size, self._start.parameters))
         first[:, : self._members.moving] = sensitivity.first.T
-        root = self._with_noise(triangular(self._propagated(transition, sensitivity)), s)
-        return self._start.propagated(x, transition, first)._replace(root=root)
+        root = self._with_noise(self._propagated(transition, sensitivity), s)
+        return self._start.propagated(x, transition, first)._replace(root=triangular(root))
 
     def _with_noise(self, root: Matrix, s: float) -> Matrix:
         """``root`` with the process noise of ``s`` seconds."""

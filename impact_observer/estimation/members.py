@@ -87,6 +87,15 @@ class MovingSystem:
         """
         return Map(*self.phase(closed).moved(t, x, s))
 
+    def carried(self, columns: Matrix, s: float, closed: Contacts) -> Matrix:
+        """Differences of states, one a column, ``s`` seconds later, shape (2n, any)."""
+        phase = self.phase(closed)
+        if self.system.n < _MANY or self.system.forcing.sampled is not None:
+            return np.asarray(phase.transition(s).dot(columns))
+        rest = phase.start(0.0, np.zeros(len(columns))).state(s)
+        moved = [phase.start(0.0, x).state(s) - rest for x in columns.T]
+        return np.column_stack(moved)
+
     def _phase_of(self, closed: Contacts) -> Phase:
         return self.phases.phase(self.phases.independent(closed))
 

@@ -29,7 +29,7 @@ class ProcessNoise(NamedTuple):
     def added_to(
         self, root: Matrix, size: int, diffusion_over: Callable[[float], Matrix], s: float
     ) -> Matrix:
-        """A covariance's root with the process noise of ``s`` seconds.
+        """A covariance's root with the process noise of ``s`` seconds, of any number of columns.
 
         Args:
             root: of (q, u), or of (q, u, constants), shape (2n or more, any).
@@ -45,7 +45,7 @@ class ProcessNoise(NamedTuple):
         if np.any(self.drift) and s > 0 and len(root) > size:
             added = np.diag(self.drift * math.sqrt(s / 60.0))
             columns.append(np.pad(added, ((size, len(root) - size - len(added)), (0, 0))))
-        return triangular(np.hstack(columns)) if len(columns) > 1 else root
+        return np.concatenate(columns, axis=1) if len(columns) > 1 else root
 
 
 def fastest_rate(phase: Phase) -> float:

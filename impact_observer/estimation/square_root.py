@@ -18,6 +18,8 @@ from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.states import Matrix, Vector, frozen
 
 _SQRT2 = math.sqrt(2.0)
+_FEW = 32
+"""Columns of a root that cost less than to make it triangular."""
 
 
 class Correction(NamedTuple):
@@ -65,6 +67,11 @@ def triangular(root: Matrix) -> Matrix:
     turned = linalg.lapack.dgeqrf(root.T)[0] if d else root.T
     found: Matrix = (turned[:d] * _upper(d)).T
     return found
+
+
+def narrow(root: Matrix) -> Matrix:
+    """``root``, shape (d, any), or ``triangular`` of it where it has many columns."""
+    return triangular(root) if root.shape[1] > max(_FEW, len(root)) else root
 
 
 @lru_cache(KEPT)
