@@ -12,6 +12,7 @@ from typing import NoReturn
 
 from impact_observer import __version__
 from impact_observer.errors import ImpactObserverError
+from impact_observer.matrix_threads import one_matrix_thread
 
 PROGRAM = "impact-observer"
 COMMANDS = {
@@ -54,6 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         0, or 1 for a job that failed, or 2 for wrong use.
     """
+    one_matrix_thread()  # before numpy is imported
     try:
         return _run(sys.argv[1:] if argv is None else argv)
     except ImpactObserverError as error:

@@ -25,9 +25,9 @@ from impact_observer.cli.arguments import (
     stamp,
 )
 from impact_observer.errors import SweepError, UsageError
+from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.options import Option, Value
 from impact_observer.sensor_faults import SENSOR_FAULTS
-from impact_observer.sweep.engines import one_thread
 
 if TYPE_CHECKING:
     from impact_observer.sweep.case_runs import Outcome
@@ -43,7 +43,7 @@ _SENSOR = "sensor_"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
-    one_thread()  # before numpy is imported
+    one_matrix_thread(always=True)  # before numpy is imported
     from impact_observer.compare.comparison import SETTLED
 
     parser.usage = "%(prog)s MODEL -o FILE [--laws LAW,...] [--runs N] [--jitter S,...] [options]"

@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.ros.session import Stop, require_ros
 
 if TYPE_CHECKING:
@@ -65,8 +66,7 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None
     from rclpy.clock import Clock, ClockType
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
-    # Before numpy is imported: threads for small matrices only wait for each other.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    one_matrix_thread()  # before numpy is imported
     make = getattr(import_module(module), node_class)
     node = executor = None
     try:

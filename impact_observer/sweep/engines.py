@@ -1,7 +1,6 @@
 """Runs cases: in processes of this machine by joblib, or on a Dask cluster."""
 
 import logging
-import os
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing, contextmanager, suppress
@@ -26,15 +25,6 @@ _CLOSING = 2.0
 _AHEAD = 4
 """Batches submitted to a cluster ahead, for each of its threads."""
 _INSTALL = "pip install impact_observer[sweep]"
-
-
-def one_thread() -> None:
-    """Limit the linear algebra of this process to one thread; call it before numpy is imported.
-
-    More threads are no faster for small matrices, and can change the last bit.
-    """
-    for library in ("OPENBLAS", "MKL", "OMP", "BLIS"):
-        os.environ[f"{library}_NUM_THREADS"] = "1"
 
 
 def run_batches(

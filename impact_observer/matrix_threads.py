@@ -1,0 +1,17 @@
+"""Threads of the linear algebra library."""
+
+import os
+
+
+def one_matrix_thread(*, always: bool = False) -> None:
+    """Limit the linear algebra of this process to one thread; call it before numpy is imported.
+
+    More threads are no faster for small matrices, are many times slower where other processes use
+    the processor too, and can change the last bit: node and command would differ.
+
+    Args:
+        always: even where the environment says another number.
+    """
+    for library in ("OPENBLAS", "MKL", "OMP", "BLIS"):
+        name = f"{library}_NUM_THREADS"
+        os.environ[name] = "1" if always else os.environ.get(name, "1")
