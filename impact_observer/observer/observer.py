@@ -1,7 +1,7 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -48,6 +48,24 @@ MOST_NUMBERS = 100_000
 
 MOST_WAITING = 1000
 """Events that are kept until their epoch is known."""
+
+
+MOST_EVENTS = 5000
+"""Events of the history that are kept, whatever its length."""
+
+
+class _Waiting(NamedTuple):
+    """A late event that is not applied yet.
+
+    Attributes:
+        event: the event.
+        verdicts: on its switches.
+        notices: what was noticed about its number.
+    """
+
+    event: ImpactEvent
+    verdicts: tuple[Verdict, ...]
+    notices: tuple[str, ...]
 
 
 class _RunState(NamedTuple):
@@ -161,6 +179,12 @@ class Observer:
             DynamicsError: the loads of closed contacts cannot be found; the event is not applied.
             UsageError: the forcing depends on time and its epoch is unknown.
         """
+        return self._take(event)
+
+    def _take(
+        self, event: ImpactEvent, waiting: "dict[EventKey, _Waiting] | None" = None
+    ) -> tuple[Verdict, ...]:
+        """``receive`` an event; one that is late is put among those ``waiting``, if given."""
         if event.epoch - event.stamp > NEAR_STAMPS:
             reason = f"stamped before its own epoch, {text(event.epoch)} s"
             return self._refuse(event, Ruling.REJECTED, reason, Remark.BEFORE_EPOCH)
@@ -177,7 +201,9 @@ class Observer:
         if self._without_epoch and self.epoch:
             released = (*self._without_epoch, *released)
             self._without_epoch.clear()
-        return self._receive_again(released, event) if released else self._receive(event)
+        if released:
+            return self._receive_again(released, event)
+        return self._receive(event, waiting)
 
     def _receive_again(
         self, released: Iterable[ImpactEvent], event: ImpactEvent
@@ -195,42 +221,134 @@ class Observer:
         ]
         return (*self._receive(event), *revised)
 
-    def _receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
-        """``receive`` an event of the run in use."""
+    def _receive(
+        self, event: ImpactEvent, waiting: "dict[EventKey, _Waiting] | None" = None
+    ) -> tuple[Verdict, ...]:
+        """``_take`` an event of the run in use."""
         try:
             self._require_epoch()
         except UsageError:
             self._without_epoch.append(event)
             raise
         verdicts, switches = self._resolve_contacts(event)
-        if self._numbers.stamp_of(event.sequence) == event.stamp and (
-            not switches or self._timeline is None or event.stamp <= self._timeline.start.stamp
-        ):
+        if self._is_repeated(event, switches):
             reason = "this sequence number was seen"
             return self._refuse(event, Ruling.DUPLICATE, reason, Remark.DUPLICATE)
         notices = self._notices
         self._register(event)
         try:
-            if self._timeline is not None and self._is_older_than_history(event.stamp):
-                start = max(self.last_event - self._history, self._timeline.start.stamp)
-                return self._refuse(event, Ruling.TOO_LATE, _before(start), Remark.TOO_LATE)
+            if why := self._too_old(event.stamp):
+                return self._refuse(event, *why)
             timeline = self._timeline_from_start(event.stamp)
             key = EventKey(event.stamp, event.sequence, switches)
             if not switches:
                 self._numbers.keep_highest(MOST_NUMBERS)  # its stamp must not shorten the past
                 return self._with_notices(verdicts)
-            if timeline.newest.stamp >= key.stamp and (why := _misplaced(key, timeline)):
-                return self._refuse(event, *why)
+            if timeline.newest.stamp >= key.stamp:
+                if why := _misplaced(key, timeline, waiting or ()):
+                    return self._refuse(event, *why)
+                if waiting is not None:
+                    waiting[key] = _Waiting(event, verdicts, tuple(self._notices))
+                    self._notices, verdicts = [], ()
+                    return verdicts
             insertion = timeline.insert(key)
         except ImpactObserverError:
             self._numbers.discard(event.sequence)
             self._notices = notices
             raise
-        self.remarks[Remark.MISFIT] += insertion.entry.belief.fit.is_misfit
-        if timeline.forget_before(timeline.newest.stamp - self._history):
+        ((own,), others) = self._inserted(timeline, [(verdicts, insertion)])
+        return (*own, *others)
+
+    def receiving(
+        self, events: Iterable[ImpactEvent]
+    ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
+        """``receive`` several events; the late ones together, so that others run again once only.
+
+        What ``receive`` would raise is the reason of a rejection here. An estimate contains the
+        late ones once their verdicts are there; nothing else may change the observer until then.
+
+        Yields:
+            Each event with its verdicts; None after each step of work in between.
+        """
+        late, others = list[ImpactEvent](), list[ImpactEvent]()
+        for event in events:
+            (late if self._is_late(event) else others).append(event)
+        waiting: dict[EventKey, _Waiting] = {}
+        for event in sorted(late, key=lambda each: (each.stamp, each.sequence)):
+            verdicts = self._receive_or_reject(event, waiting)
+            yield (event, verdicts) if verdicts else None
+        if waiting:
+            yield from self._receive_waiting(waiting)
+        if len({(each.epoch, each.episode) for each in others}) == 1:
+            others.sort(key=lambda each: (each.stamp, each.sequence))
+        for event in others:
+            yield event, self._receive_or_reject(event)
+
+    def _is_late(self, event: ImpactEvent) -> bool:
+        """Whether an event is of the run in use, and events after it have been applied."""
+        run, timeline = self._runs.in_use, self._timeline
+        return (
+            timeline is not None
+            and run is not None
+            and event.episode == run.episode
+            and event.epoch == run.epoch
+            and event.stamp <= timeline.newest.stamp
+        )
+
+    def _receive_or_reject(
+        self, event: ImpactEvent, waiting: "dict[EventKey, _Waiting] | None" = None
+    ) -> tuple[Verdict, ...]:
+        try:
+            return self.receive(event) if waiting is None else self._take(event, waiting)
+        except ImpactObserverError as error:
+            return (_verdict(event, Ruling.REJECTED, str(error)),)
+
+    def _receive_waiting(
+        self, waiting: "Mapping[EventKey, _Waiting]"
+    ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
+        """Apply late events together."""
+        timeline = self._timeline
+        assert timeline is not None, "they are late"
+        made = yield from timeline.inserting(waiting)
+        for key, error in made.failed.items():
+            self._numbers.discard(key.sequence)
+            yield (
+                waiting[key].event,
+                (_verdict(waiting[key].event, Ruling.REJECTED, str(error)),),
+            )
+        found = [(waiting[each.entry.key], each) for each in made.insertions]
+        if found:
+            received = [(each.verdicts, insertion) for each, insertion in found]
+            notices = [each.notices for each, _ in found]
+            owns, others = self._inserted(timeline, received, notices)
+            for (each, _), own in zip(found, owns, strict=True):
+                yield each.event, (*own, *others)
+                others = ()
+
+    def _inserted(
+        self,
+        timeline: Timeline,
+        received: Sequence[tuple[tuple[Verdict, ...], Insertion]],
+        notices: Sequence[Sequence[str]] = ((),),
+    ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
+        """Note inserted events; their verdicts, with ``notices``, and those on others."""
+        first = received[0][1].entry.key.stamp
+        if timeline.forget_before(timeline.newest.stamp - self._history, MOST_EVENTS):
             self._issued.forget_before(timeline.start.stamp)
             self._numbers.forget_before(timeline.start.stamp)
-        return self._verdicts(verdicts, insertion, timeline)
+        for _, insertion in received:
+            self.remarks[Remark.MISFIT] += insertion.entry.belief.fit.is_misfit
+        # Verdicts on what has been forgotten are final, also where the event itself is late.
+        start = max(first - self._history, timeline.start.stamp)
+        owns, others = self._issued.complete(received, start)
+        if others:
+            self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
+        complete = []
+        for own, (_, insertion), some in zip(owns, received, notices, strict=True):
+            self._notices = [*self._notices, *some]
+            self._note_disorder(insertion)
+            complete.append(self._with_notices(own))
+        return complete, others
 
     def estimate(self, stamp: int) -> Estimate:
         """The state at ``stamp`` (ns) after all events received with stamps up to it.
@@ -461,9 +579,21 @@ class Observer:
             self._notices = [*self._notices, notice]
         numbers.add(sequence, event.stamp)
 
-    def _is_older_than_history(self, stamp: int) -> bool:
-        """Whether an event at ``stamp`` (ns) is the earliest, and cannot be applied any more."""
-        return stamp < min(self._earliest, self.last_event - self._history)
+    def _is_repeated(self, event: ImpactEvent, switches: Collection[object]) -> bool:
+        """Whether an event that is not in the timeline was received before, by its number."""
+        if self._numbers.stamp_of(event.sequence) != event.stamp:
+            return False
+        timeline = self._timeline
+        return not switches or timeline is None or event.stamp <= timeline.start.stamp
+
+    def _too_old(self, stamp: int) -> tuple[Ruling, str, Remark] | None:
+        """Why an event at ``stamp`` (ns), the earliest, cannot be applied any more."""
+        if self._timeline is None or stamp >= self._earliest:
+            return None
+        start = self.last_event - self._history
+        if stamp >= start:
+            return None
+        return Ruling.TOO_LATE, _before(max(start, self._timeline.start.stamp)), Remark.TOO_LATE
 
     def _timeline_from_start(self, stamp: int) -> Timeline:
         """The timeline, from the start that all events so far and one at ``stamp`` determine."""
@@ -499,10 +629,8 @@ class Observer:
         first, *others = verdicts
         return (with_reasons(first, notices), *others)
 
-    def _verdicts(
-        self, verdicts: tuple[Verdict, ...], insertion: Insertion, timeline: Timeline
-    ) -> tuple[Verdict, ...]:
-        """``verdicts`` on an inserted event with the outcome of each switch; then all others."""
+    def _note_disorder(self, insertion: Insertion) -> None:
+        """Count what was not in order about an event that was inserted."""
         entry, later = insertion.entry, len(insertion.later)
         if later or 0 < entry.key.sequence < self._numbers.highest:
             self.remarks[Remark.LATE] += 1
@@ -512,12 +640,6 @@ class Observer:
             superseded = [each.is_superseded for each in overruled]
             self.remarks[Remark.SUPERSEDED] += sum(superseded)
             self.remarks[Remark.DISORDER] += not all(superseded)
-        # Verdicts on what has been forgotten are final, also where the event itself is late.
-        start = max(entry.key.stamp - self._history, timeline.start.stamp)
-        own, others = self._issued.complete(verdicts, insertion, start)
-        if others:
-            self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
-        return (*self._with_notices(own), *others)
 
 
 def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
@@ -528,9 +650,11 @@ def _before(start: int) -> str:
     return f"before {text(start)} s, the start of the history"
 
 
-def _misplaced(key: EventKey, timeline: Timeline) -> tuple[Ruling, str, Remark] | None:
+def _misplaced(
+    key: EventKey, timeline: Timeline, waiting: Container[EventKey]
+) -> tuple[Ruling, str, Remark] | None:
     if not timeline.accepts(key):
         return Ruling.TOO_LATE, _before(timeline.start.stamp), Remark.TOO_LATE
-    if key in timeline:
+    if key in timeline or key in waiting:
         return Ruling.DUPLICATE, "the same event was seen", Remark.DUPLICATE
     return None

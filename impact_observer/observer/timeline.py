@@ -4,11 +4,13 @@ A late event is put in its place, and the events after it are applied again (``d
 """
 
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
-from impact_observer.events import Contacts, Kind
+from impact_observer.errors import ImpactObserverError
+from impact_observer.events import Contacts
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import (
     EventKey,
@@ -71,6 +73,31 @@ class Insertion(NamedTuple):
     later: Sequence[Entry] = ()
 
 
+class Insertions(NamedTuple):
+    """What the insertion of several events has changed.
+
+    Attributes:
+        insertions: of each of them, in order.
+        failed: why others could not be applied.
+    """
+
+    insertions: tuple[Insertion, ...]
+    failed: Mapping[EventKey, ImpactObserverError]
+
+
+_Value = TypeVar("_Value")
+
+
+def outcome(steps: Generator[object, None, _Value]) -> _Value:
+    """What a generator returns in the end."""
+    try:
+        while True:
+            next(steps)
+    except StopIteration as end:
+        value: _Value = end.value
+        return value
+
+
 def initial_entry(
     start: int,
     belief: Belief,
@@ -111,28 +138,58 @@ class Timeline:
         return self.start.sequence == _BEFORE_EVENTS
 
     def insert(self, key: EventKey) -> Insertion:
-        """Put an event that it ``accepts`` in its place, and apply the later ones again."""
+        """Put an event that it ``accepts`` in its place, and apply the later ones again.
+
+        Raises:
+            ImpactObserverError: it cannot be applied, or those after it cannot; nothing changes.
+        """
         if self.newest.stamp < key.stamp:  # the usual case
             entry = self._update(self.entries[-1], key, ())
             self.entries.append(entry)
             return Insertion(entry)
-        at = first = self._place(key)
-        if not key.sequence or any(kind is Kind.CLOSE for _, kind in key.switches):
-            while first > 1 and self.entries[first - 1].key.stamp == key.stamp:
-                first -= 1  # it may supersede those of its stamp, or be superseded
-        events = [entry.key for entry in self.entries[first:]]
-        events.insert(at - first, key)
-        # Only when every update has succeeded does the past change.
-        entries = self._applied(self.entries[first - 1], events)
+        made = outcome(self.inserting([key]))
+        for error in made.failed.values():
+            raise error
+        return made.insertions[0]
+
+    def inserting(self, keys: Iterable[EventKey]) -> Generator[None, None, Insertions]:
+        """Put events that it ``accepts`` in their places, and apply the later ones again, once.
+
+        Yields after each event that is applied. Until the end nothing changes, and the timeline
+        must not be changed otherwise. An event that cannot be applied is left out; where one
+        that is there already cannot be, the new one before it is.
+        """
+        new, failed = {*keys}, dict[EventKey, ImpactObserverError]()
+        first, entries = self._place(min(new)), list[Entry]()
+        while first > 1 and self.entries[first - 1].key.stamp == min(new).stamp:
+            first -= 1  # it may supersede those of its stamp, or be superseded
+        events = sorted([*(entry.key for entry in self.entries[first:]), *new])
+        while len(entries) < len(events):
+            i = len(entries)
+            previous = entries[-1] if entries else self.entries[first - 1]
+            try:
+                entries.append(self._update(previous, events[i], neighbours_of(i, events)))
+            except ImpactObserverError as error:
+                culprit = max(k for k in range(i + 1) if events[k] in new)
+                failed[events[culprit]] = error
+                new.discard(events[culprit])
+                del events[culprit], entries[culprit:]
+            yield
+        if not new:
+            return Insertions((), failed)
         self.entries[first:] = entries
-        overrules = tuple(
-            (entry.key, each)
-            for entry in entries
-            if entry.key != key
-            for each in entry.overruled
-            if each.by == key.sequence and (key.sequence or entry.key.stamp == key.stamp)
-        )
-        return Insertion(entries[at - first], overrules, entries[at - first + 1 :])
+        overrules = defaultdict[tuple[int, int], list[tuple[EventKey, OverruledSwitch]]](list)
+        for entry in entries:
+            for each in entry.overruled:
+                overrules[each.by, 0 if each.by else entry.key.stamp].append((entry.key, each))
+        insertions = []
+        for i, entry in enumerate(entries):
+            if entry.key in new:
+                number = entry.key.sequence
+                found = overrules.get((number, 0 if number else entry.key.stamp), ())
+                others = tuple(each for each in found if each[0] != entry.key)
+                insertions.append(Insertion(entry, others, entries[i + 1 :]))
+        return Insertions(tuple(insertions), failed)
 
     def _applied(self, previous: Entry, events: Sequence[EventKey]) -> list[Entry]:
         entries = []
@@ -181,9 +238,13 @@ class Timeline:
         events = [each for each in keys if each.stamp > stamp or (not after and each > first.key)]
         self.entries = [first, *self._applied(first, events)]
 
-    def forget_before(self, stamp: int) -> bool:
-        """Drop the entries before ``stamp`` (ns) but the last of them; whether any was dropped."""
-        entries, old = self.entries, 0
+    def forget_before(self, stamp: int, most: int) -> bool:
+        """Drop the entries before ``stamp`` (ns) but the last of them; whether any was dropped.
+
+        Of more entries than ``most``, the oldest are dropped, too.
+        """
+        entries = self.entries
+        old = max(len(entries) - most, 0)
         while old + 1 < len(entries) and entries[old + 1].key.stamp <= stamp:
             old += 1  # rarely more than one
         del entries[:old]

@@ -1,6 +1,6 @@
 """Verdicts on events: what was done with each switch, and which earlier verdicts have changed."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -32,37 +32,43 @@ class IssuedVerdicts:
         self._notes: tuple[Note, ...] = ()
 
     def complete(
-        self, verdicts: tuple[Verdict, ...], insertion: Insertion, start: int
-    ) -> tuple[tuple[Verdict, ...], tuple[Verdict, ...]]:
-        """The ``verdicts`` on the switches of an inserted event with their outcome, and others.
+        self, received: Sequence[tuple[tuple[Verdict, ...], Insertion]], start: int
+    ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
+        """The verdicts on the switches of inserted events with their outcome, and others.
 
         The others are on inserted impacts and earlier events; before ``start`` (ns) they are
-        final.
+        final. The events are ``received`` in order of their stamps, each with its verdicts.
         """
-        entry, belief = insertion.entry, insertion.entry.belief
         notes: dict[Subject, Note] = {}
         others: tuple[Verdict, ...] = ()
-        if belief.hypotheses:
-            notes, others = self._revised(insertion, start)
-        elif not (entry.overruled or insertion.overrules or belief.innovations):
-            return verdicts, ()
+        if received[0][1].entry.belief.hypotheses:
+            owns = {insertion.entry.event for _, insertion in received}
+            notes, others = self._revised(received[0][1], start, owns)
+        return [self._completed(*each, notes) for each in received], others
+
+    def _completed(
+        self, verdicts: tuple[Verdict, ...], insertion: Insertion, notes: Mapping[Subject, Note]
+    ) -> tuple[Verdict, ...]:
+        entry = insertion.entry
+        if not (notes or entry.overruled or insertion.overrules or entry.belief.innovations):
+            return verdicts
         index = self._index
         own = [_with_outcome(v, index.get(v.contact, -1), insertion, notes) for v in verdicts]
-        return tuple(own), others
+        return tuple(own)
 
     def _revised(
-        self, insertion: Insertion, start: int
+        self, insertion: Insertion, start: int, owns: Collection[tuple[int, int]]
     ) -> tuple[dict[Subject, Note], tuple[Verdict, ...]]:
-        """The notes of the likeliest hypothesis, and verdicts on other subjects than the event."""
+        """The notes of the likeliest hypothesis, and verdicts on other subjects than ``owns``."""
         notes, outdated = self._changed(insertion, start)
-        verdicts, own = [], insertion.entry.event
+        verdicts = []
         for subject, latest in notes.items():
             issued = self._issued.get(subject)
             outdated.pop(subject, None)
             if issued is not None and issued.decision == latest.decision:
                 continue
             note = latest if issued is None else latest._replace(stamp=issued.stamp)
-            if subject.inserted or subject.event != own:
+            if subject.inserted or subject.event not in owns:
                 verdicts.append(_verdict(note, self._names, revises=issued is not None))
             self._issued[subject] = note
         for subject, note in outdated.items():

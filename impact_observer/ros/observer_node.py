@@ -1,12 +1,11 @@
 """The observer node: impact events in, the estimated state out.
 
-An event passes through ``_on_impact``, ``_apply``, ``_receive`` and ``_publish``, in this order.
+An event passes through ``_on_impact``, ``EventIntake``, ``_apply`` and ``_publish`` in this order.
 """
 
 import math
-import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from diagnostic_msgs.msg import DiagnosticArray
 from impact_observer_msgs.srv import SetState
@@ -22,7 +21,6 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
-from impact_observer.io.messages import MessageError
 from impact_observer.model import read_model
 from impact_observer.observer import (
     LARGEST_INNOVATION,
@@ -30,10 +28,12 @@ from impact_observer.observer import (
     make_observer,
 )
 from impact_observer.ros import parameters
+from impact_observer.ros.event_intake import EventIntake
+from impact_observer.ros.log_lines import LogLines
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
 from impact_observer.ros.qos import qos_profile
-from impact_observer.ros.serialized import EstimateSerializer, read_impact
+from impact_observer.ros.serialized import EstimateSerializer, MessageLimits
 from impact_observer.ros.subscribing import waiting_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate
@@ -42,10 +42,6 @@ _SIMULATED_BACKLOG = 20
 """Overdue estimates published after a jump of simulated time; older ones are skipped."""
 _BACKLOG = 8
 """Overdue estimates published in real time, less than the depth of their topics, 10."""
-_MAX_EVENTS = 100
-"""Waiting events applied before estimates and services have their turn."""
-_MAX_EVENTS_TIME = 5_000_000
-"""Longest time for that, ns."""
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=0.01)
 """How long to wait for subscribers within a backlog."""
 
@@ -72,7 +68,6 @@ class ObserverNode(Node):
         self._serializer = EstimateSerializer(system.coordinates)
         self._rate = values.number("rate")
         self._lag = from_seconds(lag)
-        self._future = from_seconds(values.number("future"))
         self._make = ros_messages()
         self._states = self._publisher(interfaces.OBSERVER_STATES)
         self._joint_states = self._publisher(interfaces.OBSERVER_JOINT_STATES)
@@ -83,6 +78,11 @@ class ObserverNode(Node):
         )
         self._diagnostics = ObserverDiagnostics(self.get_fully_qualified_name(), self._observer)
         self._counts: Counter[str] = self._diagnostics.counts
+        limits = MessageLimits(*(values.integer(each) for each in MessageLimits._fields))
+        future = from_seconds(values.number("future"))
+        self._intake = EventIntake(self._observer, self._now, future, limits, self._counts)
+        self._lines = LogLines(self.get_logger())
+        self._go_on = self.create_guard_condition(self._apply_events)
         self._forget_estimates()
         durability = values.text("events_durability")
         events = Quality(transient_local=durability == "transient_local", depth=2000)
@@ -123,68 +123,53 @@ class ObserverNode(Node):
         return int(self.get_clock().now().nanoseconds)
 
     def _on_impact(self, message: bytes) -> None:
-        """Apply an event, and those that wait behind it."""
-        self._apply(message)
-        self._apply_waiting()
+        """Take an event, and those that wait behind it; apply some."""
+        self._take(message)
+        self._take_waiting()
 
-    def _apply_waiting(self) -> None:
-        """Apply the events that have arrived already, within limits."""
-        end = time.monotonic_ns() + _MAX_EVENTS_TIME
-        waiting = waiting_messages(self._impacts, _MAX_EVENTS)
-        while time.monotonic_ns() < end and (taken := next(waiting, None)) is not None:
-            self._apply(taken[0])
+    def _take(self, message: bytes) -> None:
+        if problem := self._intake.add(message):
+            self._lines.error(f"impacts: {problem}")
 
-    def _apply(self, message: bytes) -> None:
-        """Apply an event; publish the estimate that it corrects, then its verdicts."""
-        try:
-            event = read_impact(message)
-        except MessageError as error:
-            self._counts["invalid"] += 1
-            self.get_logger().error(f"impacts: {error}")
-            return
-        restarts = self._observer.restarts
-        verdicts = self._receive(event)
-        if self._observer.restarts > restarts:
-            self._forget_estimates()
-            self.get_logger().warning(
-                f"the plant restarted: episode {event.episode}, epoch {event.epoch} ns"
-            )
-        late = event.stamp <= self._last_stamp
-        applied = any(verdict.ruling is Ruling.APPLIED for verdict in verdicts)
-        if applied and late:
+    def _take_waiting(self) -> None:
+        """Take the events that have arrived already, if there is room; apply some."""
+        for data, _ in waiting_messages(self._impacts, self._intake.room):
+            self._take(data)
+        self._apply_events()
+
+    def _apply_events(self) -> None:
+        """Apply events for some milliseconds, and go on after others had their turn."""
+        self._apply(self._intake.slice())
+        if self._intake.is_busy:
+            self._go_on.trigger()
+
+    def _apply(self, received: Iterable[tuple[ImpactEvent, tuple[Verdict, ...]]]) -> None:
+        """Publish the estimate that events correct, then their verdicts."""
+        pending, restarts, is_corrected = [], self._observer.restarts, False
+        for event, verdicts in received:
+            if self._observer.restarts > restarts:
+                restarts, is_corrected = self._observer.restarts, False
+                self._forget_estimates()
+                self._lines.warning(
+                    f"the plant restarted: episode {event.episode}, epoch {event.epoch} ns"
+                )
+            late = event.stamp <= self._last_stamp
+            is_corrected |= late and any(each.ruling is Ruling.APPLIED for each in verdicts)
+            pending.append((event, verdicts, late))
+        if is_corrected:
             self._publish(self._last_stamp)
             self._counts["corrected"] += 1
+        for event, verdicts, late in pending:
+            self._publish_verdicts(event, self._with_lag_reason(verdicts) if late else verdicts)
+
+    def _publish_verdicts(self, event: ImpactEvent, verdicts: Iterable[Verdict]) -> None:
         latency = max(seconds_between(event.stamp, self._now()), 0.0)
-        if applied:
-            self._diagnostics.note_latency(latency)
-        for verdict in self._with_lag_reason(verdicts) if late else verdicts:
+        for verdict in verdicts:
+            if verdict.ruling is Ruling.APPLIED:
+                self._diagnostics.note_latency(latency)
             self._diagnostics.count(verdict, large=verdict.innovation > LARGEST_INNOVATION)
             self._log(verdict)
             self._verdicts.publish(self._make.verdict(verdict, latency))
-
-    def _receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
-        """The observer's verdicts on an event, or a rejection when its stamps cannot be used."""
-        reason = self._reason_in_future(event)
-        if not reason:
-            try:
-                return self._observer.receive(event)
-            except ImpactObserverError as error:  # a message must not end the node
-                reason = str(error)
-        return (Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason),)
-
-    def _reason_in_future(self, event: ImpactEvent) -> str:
-        """Why an event is too far ahead of the clock; empty where it is not."""
-        latest = max(event.stamp, event.epoch)
-        if latest <= self._last_stamp:  # no need to read the clock
-            return ""
-        now = self._now()
-        ahead = latest - now
-        if not now or ahead <= self._future:
-            return ""
-        self._counts["future"] += 1
-        what = "stamped" if event.stamp - now > self._future else "its epoch is"
-        most = self._future / NS_PER_S
-        return f"{what} {ahead / NS_PER_S:.3f} s after the clock; future allows {most:g} s"
 
     def _with_lag_reason(self, verdicts: tuple[Verdict, ...]) -> tuple[Verdict, ...]:
         """``verdicts`` on a late event; where there is a lag, lateness is a reason."""
@@ -199,12 +184,17 @@ class ObserverNode(Node):
         ruling = verdict.ruling.name.lower()
         line = f"event {verdict.sequence} {verdict.contact}: {ruling}, {verdict.reason}"
         if verdict.ruling is not Ruling.APPLIED:
-            self.get_logger().warning(line)
+            self._lines.warning(line)
         elif verdict.reason:
-            self.get_logger().info(line)
+            self._lines.info(line)
 
     def _on_timer(self) -> None:
-        """Publish the estimates that are due: those at least ``lag`` old."""
+        """Publish the estimates that are due, and take events that have arrived meanwhile."""
+        self._publish_due()
+        self._take_waiting()  # sooner than by the executor, which waits again first
+
+    def _publish_due(self) -> None:
+        """Publish the estimates that are at least ``lag`` old."""
         start, now = self._observer.start, self._now() - self._lag
         if start is None or now < start:
             return
@@ -233,7 +223,6 @@ class ObserverNode(Node):
             if simulated and (k - first) % _BACKLOG == _BACKLOG - 1:
                 self._states.wait_for_all_acked(_ACKNOWLEDGE_TIMEOUT)
                 self._joint_states.wait_for_all_acked(_ACKNOWLEDGE_TIMEOUT)
-        self._apply_waiting()  # sooner than by the executor, which waits again first
 
     def _publish(self, stamp: int) -> None:
         """Publish the estimate at ``stamp`` (ns)."""
@@ -250,6 +239,7 @@ class ObserverNode(Node):
 
     def _on_clock_back(self, _: TimeJump) -> None:
         """Restart the observer after a backward jump of the clock, as of a looped bag."""
+        self._intake.clear()
         self._observer.restart("the clock jumped back")
         self._forget_estimates()
         self._counts["clock_jumps"] += 1
@@ -275,6 +265,7 @@ class ObserverNode(Node):
 
         Later events act on it; with a lag these may include events received already.
         """
+        self._apply(self._intake.finish())
         try:
             given = covariance if len(covariance) else None
             self._observer.set_state(self._last_stamp, position, velocity, given)
@@ -293,6 +284,7 @@ class ObserverNode(Node):
 
     def _publish_diagnostics(self) -> None:
         """Publish counts and faults to ``/diagnostics``."""
+        self._lines.restore()
         array = DiagnosticArray(status=[self._diagnostics.status(self._now(), self._last)])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_topic.publish(array)

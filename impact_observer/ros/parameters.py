@@ -64,7 +64,19 @@ OBSERVER = (
         low=0.0,
         high=1e9,
     ),
-    Option("future", 1.0, "how far ahead of the clock a stamp may be", "s", low=0.0, high=1e9),
+    Option(
+        "future",
+        1.0,
+        "how far ahead of the clock a stamp may be; what is farther waits",
+        "s",
+        low=0.0,
+        high=1e9,
+    ),
+    Option("max_switches", 100, "most contacts that switch in one event", low=1, high=1_000_000),
+    Option("max_name", 256, "longest name of a contact", "bytes", low=1, high=1_000_000),
+    Option(
+        "max_frame", 4096, "longest name of the frame of an event", "bytes", low=0, high=1_000_000
+    ),
     Option(
         "events_durability",
         "volatile",

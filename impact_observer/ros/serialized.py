@@ -10,7 +10,7 @@ from functools import lru_cache
 from math import isfinite, isqrt
 from struct import Struct
 from struct import error as StructError  # noqa: N812 (its own name is too general)
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
@@ -32,6 +32,8 @@ _HEADER = Struct("<iII")
 _EVENT = Struct("<QIiII")
 """Sequence, episode, epoch, number of switches."""
 _LENGTH = Struct("<I")
+_MOST_FIXED, _MOST_PADDING = 64, 16
+"""Bytes of an event without its texts, and of a switch without its name, at most."""
 _KINDS = {int(kind): kind for kind in Kind}
 _SCALARS = Struct("<d?7xdQiI")
 """Of an estimate: convergence, synchronized, clock offset, last sequence, last event."""
@@ -42,14 +44,56 @@ _Shape: TypeAlias = tuple[str, tuple[str, ...], int, tuple[str, ...]]
 """Law, closed contacts, size of the covariance, names of the parameters."""
 
 
-def read_impact(data: bytes) -> ImpactEvent:
-    """The event in a serialized ``impact_observer_msgs/ImpactEvent``.
+class MessageLimits(NamedTuple):
+    """How large a message of impacts may be; the parameters of these names.
+
+    Attributes:
+        max_switches: contacts that switch in one event.
+        max_name: bytes of a contact's name.
+        max_frame: bytes of the name of its frame.
+    """
+
+    max_switches: int = 100
+    max_name: int = 256
+    max_frame: int = 4096
+
+    @property
+    def size(self) -> int:
+        """Bytes that no message within the limits exceeds."""
+        switches = self.max_switches * (self.max_name + _MOST_PADDING)
+        return _MOST_FIXED + self.max_frame + switches
+
+    def check(self, event: ImpactEvent, frame: int = 0) -> ImpactEvent:
+        """The event, if it is within the limits; ``frame`` is the length of its frame's name.
+
+        Raises:
+            MessageError: it is not, by the name of the limit.
+        """
+        longest = max((len(each.contact.encode()) for each in event.switches), default=0)
+        for name, found, most, what in (
+            ("max_switches", len(event.switches), self.max_switches, "switches"),
+            ("max_name", longest, self.max_name, "bytes in the name of a contact"),
+            ("max_frame", frame, self.max_frame, "bytes in the name of its frame"),
+        ):
+            if found > most:
+                raise MessageError(f"{found} {what}; {name} allows {most}; left out")
+        return event
+
+
+def read_impact(data: bytes, limits: MessageLimits | None = None) -> ImpactEvent:
+    """The event in a serialized ``impact_observer_msgs/ImpactEvent``; None for the usual limits.
 
     Raises:
-        MessageError: the bytes are no such message, or have invalid values.
+        MessageError: the bytes are no such message, have invalid values, or exceed a limit.
     """
+    limits = limits or MessageLimits()
+    if len(data) > limits.size:
+        raise MessageError(
+            f"{len(data)} bytes; max_switches, max_name and max_frame allow {limits.size};"
+            " left out"
+        )
     try:
-        event = _read_usual_impact(data)
+        event = _read_usual_impact(data, limits)
     except (StructError, LookupError, ValueError):
         event = None
     if event is not None:
@@ -58,11 +102,11 @@ def read_impact(data: bytes) -> ImpactEvent:
         message = deserialize_message(data, message_class(IMPACT_EVENT))
     except RuntimeError:  # rclpy's own class has no public name
         raise MessageError(f"{len(data)} bytes that are no {IMPACT_EVENT}; left out") from None
-    return read_event(message)
+    return limits.check(read_event(message), len(message.header.frame_id.encode()))
 
 
-def _read_usual_impact(data: bytes) -> ImpactEvent | None:
-    """The event in a valid message; None, or one of these errors, for any other.
+def _read_usual_impact(data: bytes, limits: MessageLimits) -> ImpactEvent | None:
+    """The event in a valid message within the limits; None, or such an error, for any other.
 
     Raises:
         StructError, LookupError, ValueError: the message is invalid.
@@ -71,7 +115,9 @@ def _read_usual_impact(data: bytes) -> ImpactEvent | None:
     at = len(_CDR_HEADER) + _HEADER.size + length
     at += (len(_CDR_HEADER) - at) % 8
     sequence, episode, epoch_s, epoch_ns, count = _EVENT.unpack_from(data, at)
-    switches = _read_switches(data[at + _EVENT.size :], count)
+    if count > limits.max_switches or length > limits.max_frame:
+        return None
+    switches = _read_switches(data[at + _EVENT.size :], count, limits.max_name)
     stamp, epoch = seconds * NS_PER_S + nanoseconds, epoch_s * NS_PER_S + epoch_ns
     if not data.startswith(_CDR_HEADER[:2]) or max(nanoseconds, epoch_ns) >= NS_PER_S:
         return None
@@ -81,7 +127,7 @@ def _read_usual_impact(data: bytes) -> ImpactEvent | None:
 
 
 @lru_cache(_MAX_CACHED)
-def _read_switches(data: bytes, count: int) -> tuple[Switch, ...]:
+def _read_switches(data: bytes, count: int, max_name: int) -> tuple[Switch, ...]:
     """The ``count`` switches at the end of an event; cached, as few differ.
 
     Raises:
@@ -92,6 +138,8 @@ def _read_switches(data: bytes, count: int) -> tuple[Switch, ...]:
         at += -at % 4
         (length,) = _LENGTH.unpack_from(data, at)
         end = at + _LENGTH.size + length
+        if not 0 < length <= max_name + 1:  # a zero ends it
+            raise ValueError
         switches.append(Switch(data[at + _LENGTH.size : end - 1].decode(), _KINDS[data[end]]))
         at = end + 1
     return tuple(switches)

@@ -495,3 +495,45 @@ def test_page_of_events_names_everything_that_is_counted() -> None:
     """docs/events.md lists every remark."""
     page = (Path(__file__).parents[2] / "docs" / "events.md").read_text()
     assert [remark.value for remark in Remark if f"`{remark.value}`" not in page] == []
+
+
+@examples(4)
+@given(data=st.data())
+def test_events_received_together_have_the_effect_of_each(data: st.DataObject) -> None:
+    """Equal in every bit, in any order and with duplicates; a verdict on each."""
+    law = data.draw(st.sampled_from(["geometric", "minimum-variance"]))
+    events = data.draw(streams(numbered=data.draw(st.booleans())))
+    if not events[0].sequence:
+        events = [each for i, each in enumerate(events) if each not in events[:i]]
+    order = data.draw(arrivals(events))
+    cut = data.draw(st.integers(0, len(order)))
+    alone, together = watcher_of(law, order), watcher_of(law, order[:cut])
+    found = [item for item in together.receiving(order[cut:]) if item is not None]
+    assert sorted(each.stamp for each, _ in found) == sorted(e.stamp for e in order[cut:])
+    assert all(verdicts for _, verdicts in found)
+    assert bits(together) == bits(alone)
+    assert internal_state(together) == internal_state(alone)
+
+
+def test_a_flood_of_late_events_runs_the_others_again_once() -> None:
+    """The estimates are the earlier ones until all are applied."""
+    events = [event(0.01 * k, f"c{1 + k % 2}", sequence=k) for k in range(1, 401)]
+    watcher, calls = watcher_of("geometric", events[::2], ensemble=1), 0
+    timeline = watcher._timeline
+    assert timeline is not None
+    update = timeline._update
+
+    def counted(*given: object) -> object:
+        nonlocal calls
+        calls += 1
+        return update(*given)  # type: ignore[arg-type]
+
+    timeline._update = counted  # type: ignore[assignment]
+    stamp = EPOCH + 3 * NS_PER_S
+    before, seen = bits(watcher, [stamp]), 0
+    for item in watcher.receiving(events[1::2][::-1]):
+        if not seen and item is None:
+            assert bits(watcher, [stamp]) == before
+        seen += item is not None
+    assert (seen, calls) == (200, 399)
+    assert bits(watcher) == bits(watcher_of("geometric", events, ensemble=1))

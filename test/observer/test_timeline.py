@@ -87,12 +87,12 @@ def test_cut_keeps_the_states_after_it() -> None:
     """States after the cut are the same as before."""
     timeline = filled(key(1), key(2), key(4))
     was_complete = [timeline.is_complete]
-    timeline.forget_before(3)
+    timeline.forget_before(3, 100)
     assert states(timeline) == [12, 124]
     assert timeline.start == key(2)
     assert [*was_complete, timeline.is_complete] == [True, False]
     assert timeline.at(3).belief.x[0] == 12
-    timeline.forget_before(-5)
+    timeline.forget_before(-5, 100)
     assert states(timeline) == [12, 124]
 
 

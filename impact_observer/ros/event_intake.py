@@ -1,0 +1,155 @@
+"""How an observer node takes in events: in slices of time, so that estimates go on meanwhile."""
+
+import heapq
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+
+from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
+from impact_observer.io.messages import MessageError
+from impact_observer.observer import Observer
+from impact_observer.ros.serialized import MessageLimits, read_impact
+from impact_observer.stamps import NS_PER_S
+
+MOST_WAITING = 2000
+"""Events that wait to be applied, and as many that wait for the clock: the depth of the topic."""
+_SLICE = 5_000_000
+"""Longest time for events before estimates and services have their turn, ns."""
+
+
+class EventIntake:
+    """Takes serialized events, and applies them in slices of time.
+
+    Events that wait together are given to the observer together, so that late ones cost one run.
+    What is ahead of the clock is rejected, and taken once the clock has come near enough.
+
+    Attributes:
+        counts: ``future``: events ahead of the clock; ``invalid``: messages that are no event;
+            ``overflow``: events for which there was no room.
+    """
+
+    def __init__(
+        self,
+        observer: Observer,
+        now: Callable[[], int],
+        future: int,
+        limits: MessageLimits,
+        counts: Counter[str],
+    ) -> None:
+        """Apply events to ``observer`` that are at most ``future`` (ns) ahead of ``now()`` (ns)."""
+        self._observer = observer
+        self._now, self._future = now, future
+        self._limits = limits
+        self.counts = counts
+        self._waiting: deque[tuple[ImpactEvent, bool]] = deque()
+        self._ahead: list[tuple[int, int, ImpactEvent]] = []
+        self._refused: deque[tuple[ImpactEvent, tuple[Verdict, ...]]] = deque()
+        self._again: Counter[ImpactEvent] = Counter()
+        self._work: Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None] | None = None
+        self._number = 0
+
+    @property
+    def room(self) -> int:
+        """How many events it takes before the next slice."""
+        return MOST_WAITING - len(self._waiting)
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether there is work for another slice."""
+        return bool(self._work is not None or self._waiting or self._refused)
+
+    def add(self, data: bytes) -> str:
+        """Take a serialized event; in words why it cannot be used, empty where it can."""
+        try:
+            event = read_impact(data, self._limits)
+        except MessageError as error:
+            self.counts["invalid"] += 1
+            return str(error)
+        if reason := self._reason_to_wait(event):
+            self.counts["future"] += 1
+            self._number += 1
+            heapq.heappush(self._ahead, (max(event.stamp, event.epoch), self._number, event))
+            if len(self._ahead) > MOST_WAITING:
+                self._ahead.remove(max(self._ahead))
+            verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
+            self._refused.append((event, (verdict,)))
+        elif self.room > 0:
+            self._waiting.append((event, False))
+        else:
+            self.counts["overflow"] += 1
+        return ""
+
+    def clear(self) -> None:
+        """Forget all that waits, as when the clock has jumped back."""
+        self._waiting.clear()
+        self._ahead.clear()
+        self._again.clear()
+        self._work = None
+
+    def finish(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
+        """Finish the work that is begun, so that the observer may be changed otherwise."""
+        if self._work is not None:
+            yield from self._results(self._work)
+            self._work = None
+
+    def slice(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
+        """Work for some milliseconds: events with their verdicts, each when it is applied."""
+        end = time.monotonic_ns() + _SLICE
+        while self._refused:
+            yield self._refused.popleft()
+        self._take_what_was_ahead()
+        while time.monotonic_ns() < end:
+            if self._work is None:
+                if not self._waiting:
+                    return
+                self._work = self._begin()
+            for item in self._work:
+                if item is not None:
+                    yield self._revised(*item)
+                if time.monotonic_ns() >= end:
+                    return
+            self._work = None
+
+    def _begin(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
+        """Give the observer all that waits."""
+        events = [event for event, _ in self._waiting]
+        self._again.update(event for event, was_refused in self._waiting if was_refused)
+        self._waiting.clear()
+        return self._observer.receiving(events)
+
+    def _results(
+        self, work: Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]
+    ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
+        return (self._revised(*item) for item in work if item is not None)
+
+    def _revised(
+        self, event: ImpactEvent, verdicts: tuple[Verdict, ...]
+    ) -> tuple[ImpactEvent, tuple[Verdict, ...]]:
+        """The verdicts on an event that was ahead of the clock say that they are not the first."""
+        if event not in self._again:
+            return event, verdicts
+        del self._again[event]
+        first, *others = verdicts
+        reason = f"{REVISED}{first.reason or 'as reported'}"
+        return event, (first._replace(reason=reason), *others)
+
+    def _take_what_was_ahead(self) -> None:
+        if not self._ahead:
+            return
+        latest = self._now() + self._future
+        while self._ahead and self._ahead[0][0] <= latest and self.room > 0:
+            self._waiting.append((heapq.heappop(self._ahead)[2], True))
+
+    def _reason_to_wait(self, event: ImpactEvent) -> str:
+        """Why an event is too far ahead of the clock; empty where it is not."""
+        latest = max(event.stamp, event.epoch)
+        if latest <= self._observer.last_event:  # no need to read the clock
+            return ""
+        now = self._now()
+        if not now:
+            return "no /clock has come, by which to judge its stamp; it is taken then"
+        if (ahead := latest - now) <= self._future:
+            return ""
+        what = "stamped" if event.stamp - now > self._future else "its epoch is"
+        most = self._future / NS_PER_S
+        return f"{what} {ahead / NS_PER_S:.3f} s after the clock; future allows {most:g} s"
