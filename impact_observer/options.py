@@ -29,6 +29,7 @@ class Option:
         required: whether the empty default is refused.
         flag: on the command line, where it differs from ``name``.
         metavar: stands for the value in ``--help``.
+        live: whether ``ros2 param set`` may change it while a node runs.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Option:
     required: bool = False
     flag: str = ""
     metavar: str = ""
+    live: bool = False
 
     @property
     def type(self) -> str:
@@ -129,9 +131,10 @@ def option(
     high: float | None = None,
     flag: str = "",
     metavar: str = "",
+    live: bool = False,
 ) -> _Default:
     """A field of a dataclass of options; the arguments are the attributes of its ``Option``."""
-    row = Option("", default, meaning, unit, low=low, high=high, flag=flag, metavar=metavar)
+    row = Option("", default, meaning, unit, low, high, flag=flag, metavar=metavar, live=live)
     return field(default=default, metadata={"option": row})
 
 
@@ -218,6 +221,7 @@ class Options:
         low=1e-30,
         high=1.0,
         metavar="R",
+        live=True,
     )
     epoch: int = option(0, "stamp of t = 0 of the forcing; 0: from the events", "ns", low=0)
     history: float = option(

@@ -469,6 +469,15 @@ class Observer:
         return self._update.epoch
 
     @property
+    def agreed(self) -> float:
+        """V distance at which replicas count as synchronized, from the next event on."""
+        return self._test.threshold
+
+    @agreed.setter
+    def agreed(self, value: float) -> None:
+        self._test.threshold = value
+
+    @property
     def last_event(self) -> int:
         """Stamp of the latest event applied, ns; 0 before the first."""
         newest = self._timeline.newest if self._timeline else None

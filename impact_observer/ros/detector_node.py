@@ -13,6 +13,7 @@ from impact_observer.detector.source import SWITCH
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
 from impact_observer.ros import parameters
+from impact_observer.ros.introduction import introduce
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.subscribing import MessageInfo, common_offer, waiting_messages
@@ -65,6 +66,9 @@ class DetectorNode(Node):
         self._jump = self.get_clock().create_jump_callback(
             backwards, post_callback=self._on_clock_back
         )
+        topics = sorted({self.resolve_topic_name(each.topic) for each in self._wanted})
+        contacts = sorted({each.contact for each in self._wanted})
+        introduce(self, f"contacts {', '.join(contacts)}", f"publishers of {', '.join(topics)}")
 
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)

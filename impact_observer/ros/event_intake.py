@@ -36,7 +36,7 @@ class EventIntake:
         limits: MessageLimits,
         counts: Counter[str],
     ) -> None:
-        """Apply events to ``observer`` that are at most ``future`` (ns) ahead of ``now()`` (ns)."""
+        """Apply events to ``observer`` up to ``future`` (ns) ahead of ``now()`` (ns)."""
         self._observer = observer
         self._now, self._future = now, future
         self._limits = limits

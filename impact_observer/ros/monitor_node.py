@@ -11,6 +11,7 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.messages import AnyMessage, EstimateError, JointState
 from impact_observer.model import read_model
 from impact_observer.ros import parameters
+from impact_observer.ros.introduction import introduce
 from impact_observer.ros.message_classes import message_class, read_state, ros_messages
 from impact_observer.ros.qos import qos_profile
 
@@ -39,6 +40,8 @@ class MonitorNode(Node):
             joint_state, "observer/joint_states", self._on_estimate, burst
         )
         self._law = values.text("law") or estimates.topic_name.rpartition("/")[0].lstrip("/")
+        waits = "a true state and an estimate of one stamp"
+        introduce(self, f"model {self._system.name}, law {self._law}", waits)
 
     def _on_truth(self, message: AnyMessage) -> None:
         state = read_state(self, "plant/joint_states", message, self._system.coordinates)

@@ -1,5 +1,7 @@
 """What an observer node reports on ``/diagnostics``."""
 
+import math
+import time
 from collections import Counter
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -13,13 +15,17 @@ from impact_observer.states import Estimate
 _STALE = 60 * NS_PER_S
 """Time without an impact after which stamps and clock may disagree, ns."""
 
+_REFUSALS = (Ruling.REJECTED, Ruling.TOO_LATE, Ruling.UNKNOWN_CONTACT)
+_REFUSAL_HOLDS = 10.0
+"""How long after the last refusal the status is not OK, whatever is applied, s."""
+
 
 class ObserverDiagnostics:
     """Counts, and makes the diagnostic status of one observer.
 
     Attributes:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
-            ``invalid``, ``large innovations``, ``clock_jumps``.
+            ``invalid``, ``overflow``, ``large innovations``, ``clock_jumps``.
         mismatch: an incompatible quality of service; empty for none.
     """
 
@@ -30,6 +36,10 @@ class ObserverDiagnostics:
         self.mismatch = ""
         self._reported: Counter[str] = Counter()
         self._latency = 0.0
+        self._applied = False
+        self._row = self._refused = 0
+        self._why = ""
+        self._refused_at = -math.inf
 
     def note_latency(self, latency: float) -> None:
         """An event was applied ``latency`` (s) after its stamp."""
@@ -39,6 +49,16 @@ class ObserverDiagnostics:
         """Count a verdict, and whether its innovation was large."""
         self.counts[verdict.ruling.name.lower()] += not verdict.revises
         self.counts["large innovations"] += large
+        if verdict.ruling is Ruling.APPLIED:
+            self._applied, self._row = True, 0
+        elif verdict.ruling in _REFUSALS and not verdict.revises:
+            self.note_refusal(verdict.reason)
+
+    def note_refusal(self, why: str) -> None:
+        """Something received could not be used, for this reason."""
+        self._row += 1
+        self._refused += 1
+        self._why, self._refused_at = why, time.monotonic()
 
     def status(self, now: int, last: Estimate | None) -> DiagnosticStatus:
         """The status at the time ``now`` (ns), with the ``last`` estimate, if there is one."""
@@ -52,6 +72,7 @@ class ObserverDiagnostics:
             **{remark.value: observer.remarks[remark] for remark in Remark},
             "from the future": self.counts["future"],
             "invalid messages": self.counts["invalid"],
+            "without room": self.counts["overflow"],
             "missing sequence numbers": observer.missing,
             "estimates corrected": self.counts["corrected"],
             "estimates passed over": self.counts["passed_over"],
@@ -73,15 +94,20 @@ class ObserverDiagnostics:
         """Level and message: the worst that holds."""
         if self.mismatch:
             return DiagnosticStatus.ERROR, self.mismatch
-        if fault := self._clock_fault(now):
+        if self._refused and not self._applied:
+            return DiagnosticStatus.ERROR, f"no event was applied, the last: {self._why}"
+        new = self._new_faults()
+        fault = self._clock_fault(now) or _doubt(last) or ", ".join(new) or self._refusals()
+        if fault:
             return DiagnosticStatus.WARN, fault
-        if last is not None and last.inconsistent:
-            return DiagnosticStatus.WARN, "events contradict the model or initial_deviation"
-        if last is not None and last.misfit:
-            return DiagnosticStatus.WARN, last.misfit
-        if faults := self._new_faults():
-            return DiagnosticStatus.WARN, ", ".join(faults)
         return DiagnosticStatus.OK, f"{self.counts['applied']} impacts applied"
+
+    def _refusals(self) -> str:
+        """What was refused, while it goes on; empty where it does not."""
+        if not self._row and time.monotonic() - self._refused_at > _REFUSAL_HOLDS:
+            return ""
+        last = f"the last {self._row}" if self._row else f"{self._refused}"
+        return f"{last} events were not applied: {self._why}"
 
     def _clock_fault(self, now: int) -> str:
         """Why there are no impacts at the time ``now`` (ns); empty where there are."""
@@ -104,6 +130,7 @@ class ObserverDiagnostics:
             "are missing": self._observer.missing,
             "were missed by the sensor, and inserted": self.counts["inserted"],
             "were not applied": refused + self.counts["invalid"],
+            "found no room": self.counts["overflow"],
             "had a large innovation (is clock_error too small?)": self.counts["large innovations"],
         }
         new = [f"{n} events {what}" for what, n in faults.items() if n > self._reported[what]]
@@ -134,6 +161,13 @@ class MisfitNews:
         is_new = not was_misfit or not names <= self._told
         self._told = names | self._told if was_misfit else names
         return estimate.misfit if is_new else ""
+
+
+def _doubt(last: Estimate | None) -> str:
+    """Why an estimate is not to be trusted; empty where it is."""
+    if last is None or not (last.inconsistent or last.misfit):
+        return ""
+    return "events contradict the model or initial_deviation" if last.inconsistent else last.misfit
 
 
 def _estimate_values(last: Estimate) -> dict[str, object]:

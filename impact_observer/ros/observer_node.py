@@ -5,7 +5,8 @@ An event passes through ``_on_impact``, ``EventIntake``, ``_apply`` and ``_publi
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
 from impact_observer_msgs.srv import SetState
@@ -27,8 +28,10 @@ from impact_observer.observer import (
     initial_state,
     make_observer,
 )
+from impact_observer.options import Options, Value
 from impact_observer.ros import parameters
 from impact_observer.ros.event_intake import EventIntake
+from impact_observer.ros.introduction import introduce
 from impact_observer.ros.log_lines import LogLines
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
@@ -58,9 +61,7 @@ class ObserverNode(Node):
         super().__init__("observer")
         values = parameters.declare(self, parameters.OBSERVER)
         options, lag = values.options(), values.number("lag")
-        if lag > options.history:
-            found = f"parameter lag: {lag:g} found"
-            raise UsageError(f"{found}; expected at most history, {options.history:g}")
+        _check_lag(options, {"lag": lag})
         model = read_model(values.text("model"))
         system = model.system
         self._initial = initial_state(options.initial_state, system)
@@ -96,7 +97,7 @@ class ObserverNode(Node):
         )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(SetState, "~/set_state", self._on_set_state)
-        self.create_timer(1.0 / self._rate, self._on_timer)
+        self._timer = self.create_timer(1.0 / self._rate, self._on_timer)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         backwards = JumpThreshold(
@@ -105,6 +106,9 @@ class ObserverNode(Node):
         self._jump = self.get_clock().create_jump_callback(
             backwards, post_callback=self._on_clock_back
         )
+        parameters.on_change(self, parameters.OBSERVER, partial(_check_lag, options), self._change)
+        known = f", epoch {options.epoch} ns" if options.epoch else ""
+        introduce(self, f"model {system.name}, law {options.law}{known}", "events on impacts")
 
     def _publisher(self, interface: interfaces.Interface) -> Publisher:
         topic = f"~/{interface.name.rpartition('/')[2]}"
@@ -119,6 +123,20 @@ class ObserverNode(Node):
         self._last: Estimate | None = None
         self._misfit_news = MisfitNews()
 
+    def _change(self, values: Mapping[str, Value]) -> None:
+        """Use parameters that were set while the node runs; stamps never go back."""
+        given = {name: float(str(value)) for name, value in values.items()}
+        self._lag = from_seconds(given.get("lag", self._lag / NS_PER_S))
+        self._observer.agreed = given.get("agreed", self._observer.agreed)
+        if (rate := given.get("rate", self._rate)) == self._rate:
+            return
+        self._rate = rate
+        if self._last_sample is not None:
+            epoch = self._observer.epoch or self._observer.start or 0
+            self._last_sample = math.floor(seconds_between(epoch, self._last_stamp) * rate)
+        self.destroy_timer(self._timer)
+        self._timer = self.create_timer(1.0 / rate, self._on_timer)
+
     def _now(self) -> int:
         return int(self.get_clock().now().nanoseconds)
 
@@ -129,6 +147,7 @@ class ObserverNode(Node):
 
     def _take(self, message: bytes) -> None:
         if problem := self._intake.add(message):
+            self._diagnostics.note_refusal(problem)
             self._lines.error(f"impacts: {problem}")
 
     def _take_waiting(self) -> None:
@@ -288,3 +307,11 @@ class ObserverNode(Node):
         array = DiagnosticArray(status=[self._diagnostics.status(self._now(), self._last)])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_topic.publish(array)
+
+
+def _check_lag(options: Options, values: Mapping[str, Value]) -> None:
+    """Raise unless the lag among some parameters is within the history."""
+    lag = float(str(values.get("lag", 0.0)))
+    if lag > options.history:
+        found = f"parameter lag: {lag:g} found"
+        raise UsageError(f"{found}; expected at most history, {options.history:g}")

@@ -4,7 +4,7 @@ A parameter of a node is an ``Option``. Those of observers come from ``options.O
 those of the plant's sensor from ``sensor_faults.SENSOR_FAULTS``.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -55,7 +55,7 @@ PLANT = (
 OBSERVER = (
     _MODEL,
     *OBSERVER_OPTIONS,
-    Option("rate", 100.0, "estimates published", "Hz", low=0.001, high=1e5),
+    Option("rate", 100.0, "estimates published", "Hz", low=0.001, high=1e5, live=True),
     Option(
         "lag",
         0.0,
@@ -63,6 +63,7 @@ OBSERVER = (
         "s",
         low=0.0,
         high=1e9,
+        live=True,
     ),
     Option(
         "future",
@@ -166,7 +167,8 @@ def declare(node: "Node", table: tuple[Option, ...]) -> Values:
         descriptor = ParameterDescriptor(
             description=each.summary,
             additional_constraints=each.limits,
-            read_only=True,
+            read_only=not each.live,
+            dynamic_typing=each.live,  # so that a whole number may be set for a double
         )
         if each.low is not None and each.type == "int":
             to = _LARGEST if each.high is None else int(each.high)
@@ -194,6 +196,42 @@ def _declared(node: "Node", each: Option, descriptor: "ParameterDescriptor") -> 
         return value
     # An empty list has no type in ROS, whichever way it comes; one empty string stands for it.
     return tuple(filter(None, node.declare_parameter(each.name, [""], descriptor).value or ()))
+
+
+def on_change(
+    node: "Node",
+    table: tuple[Option, ...],
+    check: Callable[[Mapping[str, Value]], None],
+    apply: Callable[[Mapping[str, Value]], None],
+) -> None:
+    """Let the parameters of a table that may change be set while ``node`` runs.
+
+    Args:
+        node: has declared them.
+        table: of its parameters.
+        check: raises ``UsageError`` where new values, by name, do not fit the others.
+        apply: uses new values, all of them allowed.
+    """
+    from rcl_interfaces.msg import SetParametersResult
+    from rclpy.parameter import Parameter
+
+    rows = {each.name: each for each in table if each.live}
+
+    def known(given: Iterable[Parameter]) -> dict[str, Value]:
+        return {each.name: each.value for each in given if each.name in rows}
+
+    def allowed(given: list[Parameter]) -> SetParametersResult:
+        values = known(given)
+        try:
+            for name, value in values.items():
+                rows[name].check(value)
+            check(values)
+        except UsageError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(allowed)
+    node.add_post_set_parameters_callback(lambda given: apply(known(given)))
 
 
 def check(table: tuple[Option, ...], values: Mapping[str, Value]) -> None:

@@ -19,6 +19,7 @@ from impact_observer.io.recordings import published_model
 from impact_observer.model import read_model
 from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
 from impact_observer.ros import parameters
+from impact_observer.ros.introduction import introduce
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import qos_profile
 from impact_observer.sensor_faults import SENSOR_FAULTS
@@ -84,6 +85,10 @@ class PlantNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_LONGEST_SLEEP, self._tick, clock=steady)
         self._ready_since: float | None = None
+        waits = "nothing"
+        if self._wanted_subscribers:
+            waits = f"{self._wanted_subscribers} subscribers on each topic"
+        introduce(self, f"model {self._model.system.name}, {how}", waits)
 
     def _check_time_source(self) -> None:
         """Refuse two owners of the time, or a pace that other nodes could not follow."""

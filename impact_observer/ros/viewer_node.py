@@ -12,6 +12,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, JointState, MessageError, read_event
 from impact_observer.model import read_model
 from impact_observer.ros import parameters
+from impact_observer.ros.introduction import introduce
 from impact_observer.ros.markers import ESTIMATE, PLANT, MarkerRow, Painter
 from impact_observer.ros.message_classes import message_class, read_state, ros_messages
 from impact_observer.ros.qos import qos_profile
@@ -49,6 +50,7 @@ class ViewerNode(Node):
         self.create_timer(1.0 / values.number("rate"), self._publish)
         for line in scene.omitted:
             self.get_logger().warning(f"{model.system.name}: shown {line}")
+        introduce(self, f"model {model.system.name}", "states of plant or observers")
 
     def _subscribe(self) -> None:
         """Subscribe to the states of all rows, and to impacts."""

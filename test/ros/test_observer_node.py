@@ -15,6 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from impact_observer_msgs.msg import EventVerdict, ImpactEvent, ObserverState
 from impact_observer_msgs.srv import SetState
 from processes import Spinner, ros_arguments, running_node, spinning
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -276,6 +277,69 @@ def test_an_epoch_from_the_future_is_rejected(rig: Rig) -> None:
     rig.send(event(EPOCH + 20_000_000, 2))
     assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
     assert rig.values()["from the future"] == "1"
+
+
+def test_an_event_ahead_of_the_clock_is_taken_when_the_clock_is_near(rig: Rig) -> None:
+    """Also one that came before any clock; the estimates are as if it had come in time."""
+    before, ahead = event(EPOCH + 1_000_000, 1), event(EPOCH + 2_000_000_000, 2)
+    rig.send(before)
+    assert rig.verdicts[-1].reason.startswith("no /clock has come")
+    rig.tick(EPOCH + 50_000_000)
+    rig.spinner.until(lambda: Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED)
+    rig.send(ahead)
+    assert Ruling(rig.verdicts[-1].verdict) is Ruling.REJECTED
+    rig.tick(EPOCH + 1_500_000_000)
+    rig.spinner.until(lambda: Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED)
+    assert rig.verdicts[-1].reason == "revised: as reported"
+    rig.tick(EPOCH + 2_010_000_000)
+    assert_same(rig.estimates()[-1], replica(before, ahead).estimate(EPOCH + 2_010_000_000))
+
+
+def test_a_message_beyond_the_limits_is_refused_by_name(ros_environment: dict[str, str]) -> None:
+    """By the name of the limit; a status is not OK after refusals only."""
+    assert ros_environment
+    with rig_with(max_switches=2, max_name=5, max_frame=3) as rig:
+        rig.tick(EPOCH + 50_000_000)
+        framed = ros_messages().event(event(EPOCH + 1_000_000, 1))
+        framed.header.frame_id = "world"
+        rig.impacts.publish(framed)
+        rig.spinner.until(lambda: rig.values()["invalid messages"] == "1")
+        assert rig.diagnostics[-1].level == DiagnosticStatus.ERROR
+        assert (
+            "5 bytes in the name of its frame; max_frame allows 3" in rig.diagnostics[-1].message
+        )
+        for contacts in (["stop"] * 3, ["stopper"]):
+            many = Event(EPOCH + 1_000_000, tuple(map(Switch, contacts)), 1, epoch=EPOCH)
+            rig.impacts.publish(ros_messages().event(many))
+        rig.spinner.until(lambda: rig.values()["invalid messages"] == "3")
+        assert "max_name allows 5" in rig.diagnostics[-1].message
+        rig.send(event(EPOCH + 20_000_000, 1))
+        assert Ruling(rig.verdicts[-1].verdict) is Ruling.APPLIED
+        rig.values()
+        assert rig.diagnostics[-1].level == DiagnosticStatus.WARN
+
+
+def test_some_parameters_may_be_set_while_the_node_runs(rig: Rig) -> None:
+    """Checked as at the start; the stamps of estimates stay ascending, on the new grid."""
+    rig.tick(EPOCH + 30_000_000)
+    rig.send(event(EPOCH + 5_000_000, 1))
+
+    def answer(name: str, value: object) -> str:
+        (result,) = rig.node.set_parameters([Parameter(name, value=value)])
+        return "" if result.successful else result.reason
+
+    assert "-1.0" in answer("rate", -1.0)
+    assert "nan" in answer("rate", float("nan"))
+    assert "rate: fast found; expected" in answer("rate", "fast")
+    assert "lag: 99 found; expected at most history, 10" in answer("lag", 99.0)
+    assert "read-only" in answer("history", 5.0)
+    assert [answer(*each) for each in (("rate", 50), ("lag", 0.01), ("agreed", 0.5))] == [""] * 3
+    assert rig.node._observer.agreed == 0.5
+    before = len(rig.states)
+    rig.tick(EPOCH + 95_000_000)
+    rig.spinner.until(lambda: len(rig.states) >= before + 3)
+    later = [each.stamp - EPOCH for each in rig.estimates()[before:]]
+    assert later == [40_000_000, 60_000_000, 80_000_000]
 
 
 def test_bytes_that_are_no_event_are_counted_and_ignored(rig: Rig) -> None:
