@@ -1,4 +1,4 @@
-"""The pictures of a film: plant and estimates above each other at one scale, V over time below.
+"""The pictures of a film: plant and estimates at one scale, V over time below.
 
 The background is drawn once; only moving artists are drawn for each picture, which takes a quarter
 of the time of a whole figure.
@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 
 from impact_observer.draw.pictures import MOST_ROWS, mark_rows, styles
 from impact_observer.draw.scene.film import Film
+from impact_observer.draw.scene.placement import SIDE, WIDTH, Placement
 from impact_observer.draw.scene.row import (
     LARGE,
     NAMED,
-    SIDE,
-    WIDTH,
     DrawStyle,
     SceneRow,
     draw_scale,
-    row_height,
     write_note,
 )
 from impact_observer.stamps import NS_PER_S
@@ -58,14 +56,14 @@ class FilmPictures:
         """
         self._film = film
         self._highlight = round(_HIGHLIGHT * speed * NS_PER_S)
-        height = row_height(film.scene)
+        placement = Placement(film.scene, len(film.tracks))
         lower = _LEGEND + _DISTANCE + _AXIS if film.distances else _NOTHING
-        inches = (WIDTH, _TITLE + height * len(film.tracks) + lower)
+        inches = (WIDTH, _TITLE + placement.height + lower)
         self.size = (_even(inches[0]), _even(inches[1]))
         with mpl.rc_context({"font.size": LARGE, "hatch.linewidth": 0.7}):
             figure = Figure(figsize=(self.size[0] / DPI, self.size[1] / DPI), dpi=DPI)
             self._canvas = _canvas(figure)
-            self._rows = _rows(figure, film, height)
+            self._rows = _rows(figure, film, placement)
             self._distances = _DistancePlot(figure, film) if film.distances else None
             self._clock = _write(figure, film, title)
             self._artists: list[Artist] = [self._clock]
@@ -105,17 +103,18 @@ def _even(inches: float) -> int:
     return round(inches * DPI / 2) * 2
 
 
-def _rows(figure: Figure, film: Film, height: float) -> list[SceneRow]:
-    """One row for each track, of the given height, inches."""
+def _rows(figure: Figure, film: Film, placement: Placement) -> list[SceneRow]:
+    """Axes with the scene for each track."""
     whole = float(figure.get_figheight())
     rows = []
     for k, (track, style) in enumerate(zip(film.tracks, _track_styles(film), strict=True)):
-        bottom = whole - _TITLE - (k + 1) * height
-        axes = figure.add_axes((0.0, bottom / whole, 1.0, height / whole))
-        rows.append(SceneRow(axes, film, track, style))
-    draw_scale(rows[0].axes, film.scene)
+        left, top, width, height = placement.box(k)
+        bottom = whole - _TITLE - top - height
+        place = (left / WIDTH, bottom / whole, width / WIDTH, height / whole)
+        rows.append(SceneRow(figure.add_axes(place), placement, film, track, style))
+    draw_scale(rows[0].axes, placement)
     if film.truth is not None and film.estimates:
-        write_note(rows[1].axes, film.scene, "dashed: the plant")
+        write_note(rows[1].axes, placement, "dashed: the plant")
     return rows
 
 

@@ -12,16 +12,16 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.patches import Rectangle
+from matplotlib.transforms import Transform
 
 from impact_observer.draw.pictures import Style
 from impact_observer.draw.scene.film import Film, Track
-from impact_observer.draw.scene.scene import Frame, Scene
+from impact_observer.draw.scene.placement import SIDE, Placement
+from impact_observer.draw.scene.scene import Frame
 from impact_observer.draw.scene.shapes import (
     Box,
-    bar_height,
     couplings,
     grounds,
-    lane_height,
     pads,
     pins,
     plates,
@@ -30,17 +30,9 @@ from impact_observer.draw.scene.shapes import (
 )
 from impact_observer.states import Vector
 
-WIDTH = 9.6
-"""Width of the pictures, inches."""
-SIDE = 0.25
-"""Margin beside the scene, inches."""
 LARGE, NAMED = 10.0, 7.0
 """Font sizes of titles and of names, points."""
 _LIT = "#D55E00"
-_HEIGHT, _CLOSEST = 0.75, 0.36
-"""Largest and least height of a body, inches."""
-_LABEL, _BELOW_FLOOR = 0.36, 0.22
-"""Room for the label above a row, and for the names of stops below it, inches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,36 +53,58 @@ class DrawStyle:
 class SceneRow:
     """One track: bodies, couplings, stops."""
 
-    def __init__(self, axes: Axes, film: Film, track: Track, style: DrawStyle) -> None:
+    def __init__(
+        self, axes: Axes, placement: Placement, film: Film, track: Track, style: DrawStyle
+    ) -> None:
         """Draw what does not move, and make the artists that do."""
         self.axes, self._film, self._track = axes, film, track
         scene = film.scene
-        _prepare(axes, scene)
         self._scene = scene
-        _draw_still(axes, scene, track.label)
-        width, size = 2 * scene.half, _name_size(axes, scene)
+        placed = self._placed = placement.prepare(axes)
+        _draw_still(axes, placement, placed, track.label)
+        width, size = 2 * scene.half, _name_size(placement)
         line: Style = {"edgecolor": style.line, "linewidth": style.width}
-        self._bodies = [_box(axes, width, facecolor=style.fill, **line) for _ in scene.order]
+        self._bodies = [
+            _box(axes, placed, width, facecolor=style.fill, **line) for _ in scene.order
+        ]
         self._names = [
-            axes.text(0, 0.5, name, ha="center", va="center", size=size[0], rotation=size[1])
+            axes.text(
+                0,
+                0.5,
+                name,
+                ha="center",
+                va="center",
+                size=size[0],
+                rotation=size[1],
+                transform=placed,
+            )
             for name in scene.names
         ]
         dashed: Style = {"fill": False, "edgecolor": "0.25", "linestyle": (0, (2, 2))}
         compared = track is not film.truth and film.truth is not None
-        self._ghosts = [_box(axes, width, **dashed) for _ in (scene.order if compared else ())]
-        self._strokes, self._rods = (_lines(axes, width) for width in (1.1, 3.0))
+        self._ghosts = [
+            _box(axes, placed, width, **dashed) for _ in (scene.order if compared else ())
+        ]
+        self._strokes, self._rods = (_lines(axes, placed, width) for width in (1.1, 3.0))
         edge: Style = {"edgecolor": "0.15"}
-        self._pins = [_box(axes, 0.0, facecolor="white", **edge) for _ in scene.bars]
-        self._pads = [_box(axes, 0.0, facecolor="0.15", **edge) for _ in scene.bumpers]
+        self._pins = [_box(axes, placed, 0.0, facecolor="white", **edge) for _ in scene.bars]
+        self._pads = [_box(axes, placed, 0.0, facecolor="0.15", **edge) for _ in scene.bumpers]
         self._lit = [
-            _box(axes, 0.0, facecolor=_LIT, edgecolor="black") for _ in range(scene.system.m)
+            _box(axes, placed, 0.0, facecolor=_LIT, edgecolor="black")
+            for _ in range(scene.system.m)
         ]
         (self._bursts,) = axes.plot(
-            [], [], "*", color=_LIT, markeredgecolor="black", markersize=13, clip_on=False
+            [],
+            [],
+            "*",
+            color=_LIT,
+            markeredgecolor="black",
+            markersize=13,
+            clip_on=False,
+            transform=placed,
         )
-        self._absent = axes.text(
-            scene.homes.mean(), 0.5, "no state here", ha="center", va="center", color="0.4"
-        )
+        middle: Style = {"ha": "center", "va": "center", "transform": placed}
+        self._absent = axes.text(scene.homes.mean(), 0.5, "no state here", color="0.4", **middle)
         self._moving = [
             *self._ghosts,
             self._strokes,
@@ -147,106 +161,97 @@ class SceneRow:
         self._bursts.set_data(*np.reshape(bursts, (-1, 2)).T)
 
 
-def row_height(scene: Scene) -> float:
-    """Height of a row, inches."""
-    return _body_height(scene) * (_top(scene) - _bottom(scene))
-
-
-def _top(scene: Scene) -> float:
-    """Upper end of a row, in heights of a body."""
-    drawn = lane_height(scene.lanes) + 0.15 if scene.lanes else 1.0
-    return drawn + _LABEL / _body_height(scene)
-
-
-def _bottom(scene: Scene) -> float:
-    """Lower end of a row, in heights of a body."""
-    drawn = bar_height(scene.bar_lanes - 1) - 0.15 if scene.bar_lanes else 0.0
-    return drawn - _BELOW_FLOOR / _body_height(scene)
-
-
-def _body_height(scene: Scene) -> float:
-    """Height of a body, inches: about its width, within limits."""
-    start, end = scene.extent
-    width = 2 * scene.half / (end - start) * (WIDTH - 2 * SIDE)
-    return min(max(width, _CLOSEST), _HEIGHT)
-
-
-def _prepare(axes: Axes, scene: Scene) -> None:
-    """Set limits that make the scale equal in every row, and hide the axes."""
-    start, end = scene.extent
-    margin = (end - start) * SIDE / (WIDTH - 2 * SIDE)
-    axes.set_xlim(start - margin, end + margin)
-    axes.set_ylim(_bottom(scene), _top(scene))
-    axes.set_axis_off()
-
-
-def draw_scale(axes: Axes, scene: Scene) -> None:
+def draw_scale(axes: Axes, placement: Placement) -> None:
     """Draw a scale bar in the upper right corner."""
-    start, end = scene.extent
-    length = _round_length((end - start) / 8)
-    height = _top(scene) - 0.12 / _body_height(scene)
-    axes.plot([end - length, end], [height, height], color="black", linewidth=1.4)
-    tick = 0.05 / _body_height(scene)
-    for x in (end - length, end):
-        axes.plot([x, x], [height - tick, height + tick], color="black", linewidth=1.4)
-    axes.text(end - length, height, f"{length:g} m  ", ha="right", va="center", size=LARGE - 1)
+    start, end = placement.scene.extent
+    length, tick = _round_length((end - start) / 8), 0.05 / placement.body
+    if placement.up:
+        top = max(placement.up * start, placement.up * end)
+        x = axes.get_xlim()[1] - SIDE / placement.body
+        ends, across = [(x, top - length), (x, top)], (tick, 0.0)
+        place = (x, top - length / 2)
+    else:
+        height = placement.top - 0.12 / placement.body
+        ends, across = [(end - length, height), (end, height)], (0.0, tick)
+        place = ends[0]
+    axes.plot(*zip(*ends, strict=True), color="black", linewidth=1.4)
+    for x, y in ends:
+        (dx, dy) = across
+        axes.plot([x - dx, x + dx], [y - dy, y + dy], color="black", linewidth=1.4)
+    axes.text(*place, f"{length:g} m  ", ha="right", va="center", size=LARGE - 1)
 
 
-def write_note(axes: Axes, scene: Scene, text: str) -> None:
+def write_note(axes: Axes, placement: Placement, text: str) -> None:
     """Write a small line in the upper right corner."""
-    x, y = scene.extent[1], _top(scene) - 0.05
-    axes.text(x, y, text, ha="right", va="top", size=NAMED + 1, color="0.25")
+    x = 1 - SIDE / placement.box(0)[2]
+    style: Style = {"ha": "right", "va": "top", "size": NAMED + 1, "color": "0.25"}
+    axes.text(x, 1 - 0.05 / placement.box(0)[3], text, transform=axes.transAxes, **style)
 
 
-def _box(axes: Axes, width: float, **style: Any) -> Rectangle:  # noqa: ANN401 (matplotlib's)
-    """A box as high as a body, to be placed later."""
-    box = Rectangle((0, 0), width, 1, **style)
+def _box(
+    axes: Axes,
+    placed: Transform,
+    width: float,
+    **style: Any,  # noqa: ANN401 (matplotlib's)
+) -> Rectangle:
+    """A box as large as a body across the line, to be placed later."""
+    box = Rectangle((0, 0), width, 1, transform=placed, **style)
     axes.add_patch(box)
     return box
 
 
-def _lines(axes: Axes, width: float) -> LineCollection:
+def _lines(axes: Axes, placed: Transform, width: float) -> LineCollection:
     """Lines whose points are set later."""
-    lines = LineCollection([], colors="0.15", linewidths=width)
+    lines = LineCollection([], colors="0.15", linewidths=width, transform=placed)
     axes.add_collection(lines)
     return lines
 
 
-def _name_size(axes: Axes, scene: Scene) -> tuple[float, float]:
+def _name_size(placement: Placement) -> tuple[float, float]:
     """Font size and rotation of the names, so that they stay within the bodies."""
-    start, end = axes.get_xlim()
-    points = 2 * scene.half / (end - start) * WIDTH * 72
+    scene = placement.scene
+    start, end = scene.extent
+    along = 72 * 2 * scene.half / (end - start) * placement.length
+    across = 72 * placement.body
+    points, other = (across, along) if placement.up else (along, across)
     longest = max(map(len, scene.names))
     if points > 0.65 * LARGE * longest:
         return LARGE, 0.0
     if points > 0.65 * NAMED * longest:
         return NAMED, 0.0
-    return max(min(NAMED, 72 * _body_height(scene) / (0.65 * longest), 0.9 * points), 3.0), 90.0
+    return max(min(NAMED, other / (0.65 * longest), 0.9 * points), 3.0), 90.0
 
 
-def _draw_still(axes: Axes, scene: Scene, label: str) -> None:
+def _draw_still(axes: Axes, placement: Placement, placed: Transform, label: str) -> None:
     """Draw the floor, the walls and the plates, with their names."""
+    scene = placement.scene
     start, end = scene.extent
-    axes.plot([start, end], [0, 0], color="0.6", linewidth=0.9, zorder=1)
+    line: Style = {"color": "0.6", "linewidth": 0.9, "transform": placed}
+    axes.plot([start, end], [0, 0], zorder=1, **line)
     for home in scene.homes:
-        axes.plot([home, home], [-0.07, 0], color="0.6", linewidth=0.9)
-    axes.add_collection(LineCollection(list(rails(scene)), colors="0.3", linewidths=1.0))
+        axes.plot([home, home], [-0.07, 0], **line)
+    rail = LineCollection(list(rails(scene)), colors="0.3", linewidths=1.0, transform=placed)
+    axes.add_collection(rail)
     for box in grounds(scene):
-        _hatch(axes, box)
+        _hatch(axes, placed, box)
     names, rods_at = scene.system.contact_names, {each.contact for each in scene.bumpers}
+    beside = ("right", "center") if placement.up else ("center", "top")
     for contact, box in plates(scene, scene.frame(np.zeros(scene.system.n))):
         if contact not in rods_at:
-            _hatch(axes, box)
+            _hatch(axes, placed, box)
             middle = box.left + box.width / 2
-            style: Style = {"ha": "center", "va": "top", "size": NAMED}
-            axes.text(middle, box.bottom - 0.06, names[contact], **style)
-    axes.text(start, _top(scene) - 0.05, label, va="top", weight="bold", size=LARGE)
+            style: Style = dict(zip(("ha", "va"), beside, strict=True), size=NAMED)
+            axes.text(middle, box.bottom - 0.06, names[contact], transform=placed, **style)
+    x, y = SIDE / placement.box(0)[2], 1 - 0.05 / placement.box(0)[3]
+    axes.text(x, y, label, transform=axes.transAxes, va="top", weight="bold", size=LARGE)
 
 
-def _hatch(axes: Axes, box: Box) -> None:
+def _hatch(axes: Axes, placed: Transform, box: Box) -> None:
     """Draw a hatched box that does not move."""
     style: Style = {"facecolor": "white", "edgecolor": "0.35", "hatch": "/////", "linewidth": 0.9}
-    axes.add_patch(Rectangle((box.left, box.bottom), box.width, box.height, zorder=2, **style))
+    corner = (box.left, box.bottom)
+    patch = Rectangle(corner, box.width, box.height, zorder=2, transform=placed, **style)
+    axes.add_patch(patch)
 
 
 def _round_length(length: float) -> float:

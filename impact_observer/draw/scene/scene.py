@@ -174,6 +174,13 @@ class Scene:
         return tuple(self.system.coordinates[i] for i in self.order)
 
     @property
+    def up(self) -> int:
+        """Which sign of a single coordinate that falls points up; 0 for any other system."""
+        system = self.system
+        falls = system.n == 1 and not system.K.any()
+        return -int(np.sign(system.forcing.constant[0])) if falls else 0
+
+    @property
     def lanes(self) -> int:
         """Number of lanes of couplings above the bodies."""
         return max((each.lane for each in self.couplings), default=0)

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 from systems import EPOCH, Array, chain, run, sample, system
 
@@ -243,3 +244,50 @@ def test_other_models_fit_into_the_picture(model: System) -> None:
         assert inside.x0 <= box.x0
         assert box.x1 <= inside.x1
         assert float(name.get_fontsize()) <= LARGE
+
+
+def falling(direction: float) -> System:
+    """A ball whose coordinate is positive upwards, or downwards."""
+    ball = sample("bouncing_ball").system
+    (floor,) = ball.contacts
+    return replace(
+        ball,
+        forcing=replace(ball.forcing, constant=direction * ball.forcing.constant),
+        contacts=(replace(floor, direction=direction * floor.direction),),
+    )
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+@pytest.mark.parametrize("height", [0.2, 1.0])
+def test_a_coordinate_that_falls_stands_upright(direction: float, height: float) -> None:
+    """Its box is above the floor, by as many pixels as the gap has."""
+    moving = FilmPictures(still(falling(direction), np.array([direction * height])), title="")
+    axes = moving._rows[0].axes
+    picture = moving.picture(EPOCH)
+    boxes = [each for each in axes.patches if isinstance(each, Rectangle) and each.get_hatch()]
+    floor = picture.shape[0] - boxes[0].get_window_extent().y1
+    box = np.flatnonzero(is_colour(picture, "#B9CFE0").any(axis=1))
+    low, high = axes.get_ylim()
+    metre = axes.bbox.height / (high - low)
+    assert floor - box.max() == pytest.approx(height * metre, abs=3)
+
+
+def test_tracks_that_stand_upright_are_beside_each_other() -> None:
+    """At one scale, which the first of them shows."""
+    shown = still(falling(1.0), np.array([0.5]))
+    assert shown.truth is not None
+    estimate = replace(shown.truth, label="geometric", law="geometric")
+    moving = FilmPictures(replace(shown, estimates=(estimate,)), title="")
+    first, second = (row.axes.get_position() for row in moving._rows)
+    assert (first.y0, first.height, first.width) == (second.y0, second.height, second.width)
+    assert second.x0 == pytest.approx(first.x1)
+    assert moving._rows[0].axes.get_ylim() == moving._rows[1].axes.get_ylim()
+    assert any(text.get_text().endswith(" m  ") for text in moving._rows[0].axes.texts)
+
+
+def test_a_coordinate_on_a_spring_lies() -> None:
+    """As do systems of several coordinates; only what falls has an up and a down."""
+    ball = falling(1.0)
+    for model in (replace(ball, K=np.eye(1)), sample("two_mass").system):
+        assert still(model, np.zeros(model.n)).scene.up == 0
+    assert still(ball, np.zeros(1)).scene.up == 1
