@@ -22,7 +22,8 @@ _PAGE = """\
 Made by `./dev docs` from the tables in the code (`impact_observer/options.py`,
 `sensor_faults.py`, `ros/parameters.py`). Nodes read their parameters once, at the
 start. Of an observer `agreed`, `rate` and `lag` may be changed while it runs:
-`ros2 param set /observer rate 50.0`. Others are read-only: start the node again. A double needs its point: `-p rate:=100.0`.
+`ros2 param set /observer rate 50.0`. Others are read-only: start the node again.
+A double needs its point: `-p rate:=100.0`.
 
 ## Options of observers
 

@@ -31,6 +31,28 @@ def shared(relative: str) -> Path:
     raise UsageError(f"{relative}: not among the package's shared files; reinstall the package")
 
 
+MOST_BYTES = 10_000_000
+"""Largest file of text that is read as a whole: it takes minutes to parse a larger one."""
+
+
+def read_text(path: Path) -> str:
+    """The text of a file.
+
+    Raises:
+        UsageError: it is no text, or too large.
+    """
+    try:
+        if (size := path.stat().st_size) > MOST_BYTES:
+            raise UsageError(
+                f"{path}: {size / 1e6:.1f} MB found; expected at most {MOST_BYTES / 1e6:g} MB;"
+                " write matrices as .npy files, and tables with fewer rows"
+            )
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"{path}: cannot be read as text: {reason}") from None
+
+
 def read_file_or_sample(source: str | Path, folder: str, wanted: str) -> tuple[Path, str]:
     """Path and text of a file, or of a sample in ``folder`` by its name; ``wanted`` is expected.
 
@@ -46,8 +68,4 @@ def read_file_or_sample(source: str | Path, folder: str, wanted: str) -> tuple[P
             what = "a folder" if path.is_dir() else "no such file"
             raise UsageError(f"{source}: {what}; expected {wanted}: {names}")
         path = sample
-    try:
-        return path, path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise UsageError(f"{path}: cannot be read as text: {reason}") from None
+    return path, read_text(path)

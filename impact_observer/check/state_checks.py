@@ -15,7 +15,10 @@ from impact_observer.errors import BagError
 from impact_observer.io.messages import AnyMessage, MessageError, read_joint_state
 from impact_observer.io.reader import RawMessage
 from impact_observer.model import System
-from impact_observer.stamps import text
+from impact_observer.stamps import NS_PER_S, text
+
+_FAR = 3600 * NS_PER_S
+"""Difference of the stamps of two states in a row beyond which one of them is wrong, ns."""
 
 
 class StateCheck:
@@ -38,7 +41,8 @@ class StateCheck:
         self.topic = topic
         self.count = self.first = self.last = 0
         self._deserialize = deserialize
-        self._invalid, self._renamed = Occurrences(), Occurrences()
+        self._invalid, self._renamed, self._far = Occurrences(), Occurrences(), Occurrences()
+        self._previous = 0
         self._names: tuple[str, ...] = ()
 
     def add(self, raw: RawMessage) -> None:
@@ -50,6 +54,11 @@ class StateCheck:
         except (BagError, MessageError) as error:
             self._invalid.add(f"{where}: {error}")
             return
+        if self._previous and abs(state.stamp - self._previous) > _FAR:
+            hours = (state.stamp - self._previous) / NS_PER_S / 3600
+            side = "after" if hours > 0 else "before"
+            self._far.add(f"{where}, {abs(hours):.4g} h {side} the one before it")
+        self._previous = state.stamp
         self._names = self._names or state.names
         if len(set(state.names)) < len(state.names) or set(state.names) != set(self._names):
             self._renamed.add(f"{where}: {listed(state.names)}")
@@ -73,6 +82,11 @@ class StateCheck:
                     "one finite position and velocity for every coordinate, the same throughout",
                     "observe and compare refuse it; record again, or leave the topic out",
                 )
+        if self._far.count:
+            jumps = times(self._far.count, "jump")
+            found = f"{jumps} of the stamps, the first is {self._far.first}"
+            remedy = "observe --rate makes estimates up to the last stamp; record again"
+            yield Finding(WARNING, self.topic, found, "stamps of one clock", remedy)
         if self._names and system is not None and set(self._names) != set(system.coordinates):
             found = f"states of {listed(self._names)}"
             wanted = f"the coordinates {listed(system.coordinates)} of the model {system.name}"

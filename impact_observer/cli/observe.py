@@ -12,6 +12,7 @@ from impact_observer.cli.arguments import (
     observer_options,
     positive,
 )
+from impact_observer.cli.arguments import count as whole
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,6 +32,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
     add_observer_arguments(parser, convergence=True)
     add("--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)")
+    add(
+        "--most-estimates",
+        metavar="N",
+        type=whole,
+        help="refuse to make more (default 10000000): one wrong stamp could fill the disk",
+    )
     add_bag_output(parser)
 
 
@@ -40,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.errors import BagError
     from impact_observer.estimation.misfit import MISFIT
     from impact_observer.events import Remark, Ruling
-    from impact_observer.io.observed_bag import observe_bag
+    from impact_observer.io.observed_bag import MOST_ESTIMATES, observe_bag
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.observer import make_observer
@@ -59,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
             args.output,
             rate=args.rate,
             epoch=chosen.epoch,
+            most=args.most_estimates or MOST_ESTIMATES,
             flush=args.flush,
             progress=show,
         )

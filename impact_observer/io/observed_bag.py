@@ -1,6 +1,7 @@
 """Runs an observer on the events of a bag, and writes a bag with its estimates."""
 
 import heapq
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
@@ -19,8 +20,14 @@ from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_i
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import count_rulings
+from impact_observer.observer.sender_runs import placed
 from impact_observer.stamps import grid, text
 from impact_observer.states import Estimates, Stamps
+
+MOST_ESTIMATES = 10_000_000
+"""Estimates that ``observe`` makes unless more are asked for: those of a day at 100 Hz."""
+_MOST_FIXED = 256
+"""Bytes of an estimate's two messages besides names and numbers of its coordinates, about."""
 
 
 def observe_bag(
@@ -30,6 +37,7 @@ def observe_bag(
     *,
     rate: float | None = None,
     epoch: int = 0,
+    most: int = MOST_ESTIMATES,
     flush: float = FLUSH,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> tuple[int, Counter[Ruling]]:
@@ -41,7 +49,9 @@ def observe_bag(
         output: the bag to make.
         rate: of the estimates, Hz; None for the stamps of the true states.
         epoch: stamp of the forcing's ``t = 0``, ns; 0 to take it from the events.
+        most: estimates that are made, at most.
         flush: longest time until a message is on the disk, s.
+        most: estimates that are made, at most.
         progress: called with the number of estimates made and of those to be made.
 
     Returns:
@@ -58,6 +68,7 @@ def observe_bag(
             f" {text(min(epochs))} s; leave --epoch out"
         )
     stamps = _sample_stamps(reader, events, rate, epoch)
+    _check_size(reader, observer, output, stamps, most)
     topics = [topic for each in PLANT_TOPICS if (topic := reader.find(each)) is not None]
     with all_or_nothing(output, flush) as writer:
         for topic in topics:
@@ -83,11 +94,38 @@ def _sample_stamps(
         if truth is None:
             raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
         return _stamps_of(reader, truth)
-    if not events:
+    used = [each.event for each in placed(events, epoch) if each.period >= 0]
+    if not used:
         return np.empty(0, dtype=np.int64)
-    start = epoch or events[0].epoch or events[0].stamp
-    last = int(_stamps_of(reader, truth).max()) if truth else events[-1].stamp
+    start = epoch or used[0].epoch or used[0].stamp
+    last = int(_stamps_of(reader, truth).max()) if truth else max(each.stamp for each in used)
     return grid(start, last, rate)
+
+
+def _check_size(
+    reader: BagReader, observer: Observer, output: Path, stamps: Stamps, most: int
+) -> None:
+    """Refuse more estimates than asked for, or than the disk has room for.
+
+    Raises:
+        UsageError: naming the limit, and until when estimates would be made.
+    """
+    count, n = stamps.size, observer.system.n
+    covariance = 4 * n * n if observer.law.name == "minimum-variance" else 0
+    names = sum(len(each) + 8 for each in observer.system.coordinates)
+    size = count * (_MOST_FIXED + 2 * (names + 16 * n) + 8 * covariance)
+    folder = next((each for each in output.absolute().parents if each.exists()), Path.cwd())
+    free = shutil.disk_usage(folder).free
+    found = ""
+    if count > most:
+        found = f"{count} estimates; --most-estimates allows {most}"
+    elif size > free:
+        found = f"{count} estimates of {size / 1e9:.3g} GB; {folder} has {free / 1e9:.3g} GB free"
+    if found:
+        raise UsageError(
+            f"{reader.path}: {found}; they would go on until {text(int(stamps[-1]))} s: is that"
+            " stamp right (`impact-observer check`)? Otherwise lower --rate"
+        )
 
 
 def _stamps_of(reader: BagReader, topic: str) -> Stamps:

@@ -18,7 +18,7 @@ from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.system import LARGEST_STATE, Contact, System
-from impact_observer.resources import read_file_or_sample
+from impact_observer.resources import MOST_BYTES, read_file_or_sample
 from impact_observer.states import Matrix, Vector, frozen
 
 _MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "forcing", "contacts")
@@ -183,8 +183,10 @@ def load_yaml(text: str) -> Value:
     """The document in a YAML text.
 
     Raises:
-        ModelError: it is not YAML; without a key.
+        ModelError: it is not YAML, or too long; without a key.
     """
+    if len(text) > MOST_BYTES:
+        raise ModelError("", f"{len(text)} characters found; expected at most {MOST_BYTES}")
     try:
         return YAML(typ="safe", pure=True).load(text)
     except _NOT_YAML as error:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from impact_observer.errors import ModelError
+from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import (
     LARGEST,
     Section,
@@ -19,6 +19,7 @@ from impact_observer.model.document import (
 )
 from impact_observer.model.force_samples import HOLDS, Samples
 from impact_observer.model.forcing import Forcing
+from impact_observer.resources import read_text
 from impact_observer.states import Matrix
 
 KEYS = ("sampled", "hold")
@@ -75,9 +76,9 @@ def _column(key: str, value: Value) -> Matrix:
 def _lines(key: str, relative: str, folder: Path | None) -> list[str]:
     path = file_beside(key, relative, folder)
     try:
-        return path.read_text(encoding="utf-8-sig").splitlines(keepends=True)
-    except (OSError, UnicodeDecodeError) as error:
-        raise ModelError(key, f"{path} cannot be read: {error}") from None
+        return read_text(path).splitlines(keepends=True)
+    except UsageError as error:
+        raise ModelError(key, str(error)) from None
 
 
 def _read_csv(text: Iterable[str], coordinates: Sequence[str]) -> Matrix:

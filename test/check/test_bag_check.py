@@ -9,6 +9,7 @@ import pytest
 from faulty_bags import GOOD, MAKE, S, model, state, three, write
 
 from impact_observer.check.bag_check import check_bag
+from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io.typestores import typestore
 from impact_observer.model import read_model
@@ -266,3 +267,22 @@ def test_the_first_fault_among_many_states_is_named() -> None:
         "error /plant/joint_states: 3 messages have no state, the first is message 300:"
         " JointState.velocity[0] is inf; expected finite numbers; expected one finite"
     )
+
+
+def test_a_true_state_of_another_day_is_named_before_estimates_fill_the_disk(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The check warns of it; observe refuses by the limit that would be exceeded."""
+    write(truth=[*(state(k * S) for k in range(1, 7)), state(30 * 86400 * S)])
+    (far,) = lines(usable=True)
+    assert far.startswith(
+        "warning /plant/joint_states: 1 jump of the stamps, the first is message 6, 720 h after"
+    )
+    command = ["observe", "bag", "--law", "geometric", "-o", "out"]
+    assert main([*command, "--rate", "20"]) == 2
+    found = capsys.readouterr().err
+    assert "51839981 estimates; --most-estimates allows 10000000" in found
+    assert "they would go on until 2592000.000000000 s" in found
+    assert main([*command, "--rate", "1", "--most-estimates", "1000"]) == 2
+    assert not Path("out").exists()
+    assert main([*command, "--rate", "0.001"]) == 0

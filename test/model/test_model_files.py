@@ -495,3 +495,13 @@ stops: [{name: stop, body: b, limit: 0.5, side: above, restitution: 0.7}]
     assert_equal_models(model, again)
     assert [each.label for each in again.elements] == [each.label for each in model.elements]
     assert again.text() == model.text({"version": 1})
+
+
+def test_a_file_that_takes_minutes_to_parse_is_refused_at_once(tmp_path: Path) -> None:
+    """By its size; a text of the same length, as in a bag, too."""
+    large = tmp_path / "large.yaml"
+    large.write_bytes(b"name: x\n#" + b"-" * 10_000_000)
+    with pytest.raises(UsageError, match=r"large\.yaml: 10\.0 MB found; expected at most 10 MB"):
+        read_model(large)
+    with pytest.raises(ModelError, match="10000009 characters found"):
+        parse_model(large.read_text(), "model")

@@ -80,7 +80,7 @@ def test_samples_are_read_from_a_file_beside_the_model(
         ("time,x1,x2\n0,1,2\n", "1 samples found; expected at least two"),
         ("time,x1,x2\n", "0 samples found; expected at least two"),
         ("time,x1,x2\n0.1,1,2\n1,1,2\n", "begins at 0.1; expected a first time of 0 or before"),
-        (b"time,x1,x2\n\xff,1,2\n", "cannot be read: "),
+        (b"time,x1,x2\n\xff,1,2\n", "cannot be read as text: "),
         ('time,x1,x2\n"0,1,2\n', "line 2 has 1 values; expected 3"),
     ],
 )
