@@ -1,7 +1,6 @@
 """The entry point: runs the subcommand, and prints the package's errors in one line."""
 
 import argparse
-import os
 import re
 import sys
 from collections.abc import Sequence
@@ -11,8 +10,8 @@ from types import ModuleType
 from typing import NoReturn
 
 from impact_observer import __version__
-from impact_observer.errors import ImpactObserverError
 from impact_observer.matrix_threads import one_matrix_thread
+from impact_observer.process_end import run
 
 PROGRAM = "impact-observer"
 COMMANDS = {
@@ -53,21 +52,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run ``impact-observer`` with ``argv``, by default the process's own arguments.
 
     Returns:
-        0, or 1 for a job that failed, or 2 for wrong use.
+        0, or 1 for a job that failed or was interrupted, or 2 for wrong use; 143 after SIGTERM.
     """
     one_matrix_thread()  # before numpy is imported
-    try:
-        return _run(sys.argv[1:] if argv is None else argv)
-    except ImpactObserverError as error:
-        print(f"{PROGRAM}: {error}", file=sys.stderr)
-        return error.exit_code
-    except KeyboardInterrupt as stopped:
-        print(f"{PROGRAM}: {'; '.join(['interrupted', *map(str, stopped.args)])}", file=sys.stderr)
-        return 1
-    except BrokenPipeError:
-        # The reader of our output has closed it; Python would report that again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+    own = argv is None
+    given = sys.argv[1:] if argv is None else argv
+    return run(PROGRAM, lambda: _run(given), own=own)
 
 
 def _joined(argv: Sequence[str]) -> list[str]:

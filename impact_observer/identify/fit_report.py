@@ -56,7 +56,7 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
         "initial_state": found.start.tolist(),
         "initial_state_error": np.sqrt(np.diag(found.covariance))[: found.start.size].tolist(),
         "initial_state_seconds": recording.start,
-        "clock_error": found.clock,
+        "clock_error": float(found.clock),
         "clock_error_declared": found.declared,
         "clock_error_with_all_accepted": found.accepted,
         "doubted": found.doubted,
@@ -215,7 +215,7 @@ def model_text(found: Identification, given: ModelText, bag: Path, output: Path)
         "package": "impact_observer",
         "version": __version__,
         "identified_from": str(bag),
-        "clock_error": found.clock,
+        "clock_error": float(found.clock),
         "parameters": {name: {"value": v, "standard_error": error} for name, v, error in rows},
     }
     if "provenance" in document:

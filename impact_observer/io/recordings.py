@@ -3,7 +3,7 @@
 import heapq
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from operator import itemgetter
 from pathlib import Path
 
@@ -54,15 +54,18 @@ def all_or_nothing(path: Path, flush: float = FLUSH) -> Iterator[BagWriter]:
     Raises:
         KeyboardInterrupt: with the bag's name; the bag is complete up to the interrupt.
     """
-    with BagWriter(path, flush=flush) as writer:
-        try:
-            yield writer
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(f"{path} holds what was done until then") from None
-        except BaseException:
+    writer = BagWriter(path, flush=flush)
+    try:
+        yield writer
+        writer.close()
+    except KeyboardInterrupt:  # of a signal, which raises it once: closing is not interrupted
+        writer.close()
+        raise KeyboardInterrupt(f"{path} holds what was done until then") from None
+    except BaseException:
+        with suppress(BagError):
             writer.close()
-            shutil.rmtree(path, ignore_errors=True)
-            raise
+        shutil.rmtree(path, ignore_errors=True)
+        raise
 
 
 def write_run(

@@ -2,11 +2,11 @@
 
 import math
 import os
+import shutil
 import threading
 from collections import deque
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar, final
 
@@ -84,17 +84,19 @@ class BagWriter:
         self._pending: deque[Item] = deque()
         self._pending_bytes = 0
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="bag")
-        try:
-            self._file = self._run(lambda: self._make_file(compressed))
-        except BaseException:
-            self._thread.shutdown()
-            with suppress(OSError):
-                self.path.rmdir()
-            raise
-        self._open = True
+        self._made = False
         self._closing = threading.Event()
         self._failure: OSError | None = None
-        threading.Thread(target=self._flush_every, args=(flush,), daemon=True).start()
+        self._open = True
+        try:
+            self._file = self._run(lambda: self._make_file(compressed))
+            threading.Thread(target=self._flush_every, args=(flush,), daemon=True).start()
+        except BaseException:
+            self._closing.set()
+            self._thread.shutdown()
+            if self._made:
+                shutil.rmtree(self.path, ignore_errors=True)
+            raise
 
     def __enter__(self) -> "BagWriter":
         return self
@@ -110,11 +112,13 @@ class BagWriter:
         """
         if not self._open:
             return
-        self._open = False
-        self._closing.set()
         try:
             self._run(self._finish)
+        except KeyboardInterrupt:  # a signal raises it once
+            self._run(self._finish)
+            raise
         finally:
+            self._open = False
             self._thread.shutdown()
 
     def declare(
@@ -215,6 +219,7 @@ class BagWriter:
     def _make_file(self, compressed: bool) -> McapWriter:
         """In the thread: make the folder and begin the file."""
         self.path.mkdir(mode=0o755)
+        self._made = True
         file = McapWriter(self.path / bag_file(self.path), compressed=compressed)
         file.synchronize()
         _synchronize(self.path)
@@ -243,7 +248,10 @@ class BagWriter:
         self._file.write([self._pending.popleft() for _ in range(len(self._pending))])
 
     def _finish(self) -> None:
-        """In the thread: write the rest, then index and metadata."""
+        """In the thread: write the rest, then index and metadata, once."""
+        if self._closing.is_set():
+            return
+        self._closing.set()
         try:
             self._write_pending()
             self._file.end_chunk()

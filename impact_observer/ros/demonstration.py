@@ -19,12 +19,13 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage
 from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.node_process import FOLLOW
 from impact_observer.ros.parameters import TABLES, check
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.recorder import Recorder, drain
-from impact_observer.ros.session import Stop, ros_node
+from impact_observer.ros.session import ros_node
 from impact_observer.ros.wiring import (
     DemoSetup,
     NodeSetup,

@@ -1,9 +1,7 @@
 """Running one node as a process: arguments in, an orderly end, an exit code out."""
 
-import ctypes
 import faulthandler
 import os
-import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -11,16 +9,16 @@ from importlib import import_module
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from impact_observer.errors import ImpactObserverError, UsageError
+from impact_observer.errors import UsageError
 from impact_observer.matrix_threads import one_matrix_thread
-from impact_observer.ros.session import Stop, require_ros
+from impact_observer.process_end import Stop, end_with_parent, run
+from impact_observer.ros.session import require_ros
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
 FOLLOW = "IMPACT_OBSERVER_FOLLOW"
 """Environment variable with the id of a parent process; this process ends when the parent does."""
-_PR_SET_PDEATHSIG = 1
 _SHUTDOWN_TIMEOUT = 5.0
 """How long the middleware may take to shut down before the process ends without it, s."""
 _SIGNAL_PERIOD = 0.1
@@ -42,21 +40,15 @@ def run_node(name: str, module: str, node_class: str, args: Sequence[str] | None
     Returns:
         0 after an orderly end, also by a signal; 1 for a failure; 2 for wrong use.
     """
-    try:
+
+    def job() -> int:
         with Stop() as stop:
-            _end_with_parent(os.environ.get(FOLLOW))
+            end_with_parent(int(os.environ.get(FOLLOW, "0")))
             require_ros()
             _spin(stop, module, node_class, sys.argv[1:] if args is None else args)
-    except ImpactObserverError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        return error.exit_code
-    return 0
+        return 0
 
-
-def _end_with_parent(process: str | None) -> None:
-    """Have the kernel send SIGTERM when ``process``, if it is the parent, ends (Linux)."""
-    if process == str(os.getppid()):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    return run(name, job, own=args is None)
 
 
 def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None:

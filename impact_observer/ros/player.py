@@ -17,9 +17,10 @@ from impact_observer.errors import UsageError
 from impact_observer.io.interfaces import EVENTS, SIMULATED_CLOCK, Quality, usual_quality
 from impact_observer.io.play_schedule import Control, Pace, Playing, ReadAhead, Ticks
 from impact_observer.io.reader import BagReader, RawMessage
+from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import overriding_profile, qos_profile
-from impact_observer.ros.session import Stop, ros_node
+from impact_observer.ros.session import ros_node
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 
 DELAY = 5.0

@@ -17,8 +17,9 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.reader import RawMessage
 from impact_observer.io.typestores import installed_definition, typestore
 from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.session import Stop, ros_node
+from impact_observer.ros.session import ros_node
 from impact_observer.ros.subscribing import common_offer, subscribe_raw
 
 _DISCOVERY_PERIOD = 0.1

@@ -1,19 +1,14 @@
-"""Starting and ending a process that uses ROS: one node, and an orderly stop."""
+"""A process that uses ROS without being a node of the package: one node, and its end."""
 
-import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, final
+from typing import TYPE_CHECKING
 
 from impact_observer.errors import UsageError
 
 if TYPE_CHECKING:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
-
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def require_ros() -> None:
@@ -30,49 +25,14 @@ def require_ros() -> None:
         ) from error
 
 
-@final
-class Stop:
-    """Whether SIGINT (Ctrl-C) or SIGTERM has asked the process to end; a context manager.
-
-    The first signal only sets ``requested``, so that work is finished in order; a second one
-    raises ``KeyboardInterrupt``. Outside the main thread, which receives signals, it does nothing.
-
-    Attributes:
-        requested: whether a signal has come.
-    """
-
-    def __init__(self) -> None:
-        self.requested = False
-        self._previous: dict[signal.Signals, signal._HANDLER] = {}
-
-    def __enter__(self) -> "Stop":
-        if threading.current_thread() is threading.main_thread():
-            self._previous = {each: signal.signal(each, self._handle) for each in _SIGNALS}
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        for each, handler in self._previous.items():
-            signal.signal(each, handler)
-
-    def _handle(self, _number: int, _frame: FrameType | None) -> None:
-        """Handle a signal."""
-        if self.requested:
-            raise KeyboardInterrupt
-        self.requested = True
-
-
 @contextmanager
 def ros_node(
     name: str, *, use_sim_time: bool = False
 ) -> Iterator[tuple["Node", "SingleThreadedExecutor"]]:
     """A node in a context of its own, with an executor; both end with the block.
 
-    ``rclpy`` installs no signal handlers for such a context; :class:`Stop` does.
+    ``rclpy`` installs no signal handlers for such a context;
+    ``process_end.Stop`` does.
 
     Args:
         name: the node's name.

@@ -1,6 +1,8 @@
 """Runs cases: in processes of this machine by joblib, or on a Dask cluster."""
 
 import logging
+import os
+import warnings
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import closing, contextmanager, suppress
@@ -9,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from impact_observer import __version__
 from impact_observer.errors import SweepError, UsageError
+from impact_observer.process_end import end_with_parent
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -49,7 +52,6 @@ def _on_machine(batches: "Batches", jobs: int | None) -> "Generator[Outcome, Non
         import joblib
     except ImportError as error:
         raise UsageError(f"sweep needs joblib ({error}); {_INSTALL}") from None
-    from impact_observer.sweep.case_runs import run_batch
 
     with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
         # One by one: laws differ in cost, and with batches some cores would be idle.
@@ -57,14 +59,33 @@ def _on_machine(batches: "Batches", jobs: int | None) -> "Generator[Outcome, Non
             n_jobs=-1 if jobs is None else jobs, return_as="generator_unordered", batch_size=1
         )
         try:
-            with closing(
-                parallel(joblib.delayed(run_batch)(each) for each in batches)
-            ) as finished:
+            with (
+                _unused_results_dropped(),
+                closing(
+                    parallel(joblib.delayed(_run_for)(os.getpid(), each) for each in batches)
+                ) as finished,
+            ):
                 for outcomes in finished:
                     yield from outcomes
         except BrokenExecutor as error:
             line = str(error).splitlines()[0]
             raise SweepError(f"a process of the sweep has died: {line}") from None
+
+
+def _run_for(parent: int, batch: "tuple[Case, ...]") -> "list[Outcome]":
+    """The outcomes of a batch, in a process that ends with the one that wants them."""
+    end_with_parent(parent)
+    from impact_observer.sweep.case_runs import run_batch
+
+    return run_batch(batch)
+
+
+@contextmanager
+def _unused_results_dropped() -> "Iterator[None]":
+    """Without the warning of joblib that an interrupted sweep does not use some results."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*successfully executed.*but not used")
+        yield
 
 
 def _on_cluster(batches: "Batches", scheduler: str) -> "Generator[Outcome, None, None]":

@@ -8,7 +8,7 @@ is always complete. Equal outcomes make equal files.
 import json
 import time
 from collections.abc import Callable, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import get_args, get_type_hints
@@ -73,8 +73,10 @@ def write_outcomes(path: Path, sweep: Sweep, outcomes: Mapping[int, Outcome]) ->
         pq.write_table(pa.table(columns, _schema(sweep)), part, compression="zstd")
         part.replace(path)
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise SweepError(f"{path}: cannot be written: {error.strerror or error}") from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
 
 
 def _schema(sweep: Sweep) -> pa.Schema:

@@ -196,8 +196,8 @@ def test_a_disk_that_fills_up_between_two_messages_is_reported_by_the_next(
     def full(_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(writer._file, "flush", lambda: full(None))
     writer.write("/impacts", 1, event(1))
+    monkeypatch.setattr(writer._file, "flush", lambda: full(None))
     wait(lambda: writer._failure)
     with pytest.raises(BagError, match="bag: cannot be written: No space left on device"):
         writer.write("/impacts", 2, event(2))

@@ -8,8 +8,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
+from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.session import Stop, ros_node
+from impact_observer.ros.session import ros_node
 from impact_observer.ros.subscribing import common_offer, subscribe_raw
 from impact_observer.ros.watch.snapshot import Snapshot
 from impact_observer.ros.watch.topic_listener import TopicListener

@@ -1,0 +1,231 @@
+"""How a process ends: in order after a signal, in one line after an error.
+
+All commands and nodes run inside :func:`run`. A command that goes through ``COMMANDS`` needs no
+code of its own: a signal raises ``KeyboardInterrupt`` in it, once, so that its ``with`` and
+``finally`` blocks finish what was begun.
+"""
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import final
+
+from impact_observer.errors import ImpactObserverError, printable
+
+TRACEBACK = "IMPACT_OBSERVER_TRACEBACK"
+"""Environment variable: if it is set, errors show their traceback too."""
+MAINTAINERS = "maintainers@impact-observer.invalid"
+"""Where unforeseen errors are reported, as in package.xml."""
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_PR_SET_PDEATHSIG = 1
+_PACKAGE = Path(__file__).resolve().parent
+
+
+class _Interrupt(KeyboardInterrupt):
+    """A class of its own: after one of Python's, in an ``exec``, the process ends by SIGINT."""
+
+
+@dataclass(slots=True)
+class Received:
+    """The signals of nested blocks: the first, how many, how many after the exception.
+
+    ``over``: the work is done, and what still comes changes nothing.
+    """
+
+    number: int | None = None
+    count: int = 0
+    late: int = 0
+    raised: bool = False
+    over: bool = False
+
+
+@final
+class Stop:
+    """Whether SIGINT (Ctrl-C), SIGTERM or SIGHUP has asked the process to end; a context manager.
+
+    The first signal sets ``requested``; a second one, or the first if ``at_once``, raises
+    ``KeyboardInterrupt``. That is raised once: what comes while the process ends is answered by a
+    line, and then by an end at once. Blocks may be nested; the signals are counted together.
+    Outside the main thread, which receives signals, it does nothing.
+
+    Attributes:
+        received: the signals of this block and of those around it.
+    """
+
+    def __init__(self, *, at_once: bool = False) -> None:
+        """Do nothing yet.
+
+        Args:
+            at_once: whether the first signal raises ``KeyboardInterrupt``.
+        """
+        self._at_once = at_once
+        self.received = Received()
+        self._previous: dict[signal.Signals, signal._HANDLER] = {}
+
+    @property
+    def requested(self) -> bool:
+        """Whether a signal has come."""
+        return self.received.number is not None
+
+    @property
+    def number(self) -> int | None:
+        """The first signal that has come."""
+        return self.received.number
+
+    def __enter__(self) -> "Stop":
+        if threading.current_thread() is threading.main_thread():
+            outer = getattr(signal.getsignal(signal.SIGTERM), "__self__", None)
+            if isinstance(outer, Stop):
+                self.received = outer.received
+            for each in _SIGNALS:
+                if each != signal.SIGHUP or signal.getsignal(each) is not signal.SIG_IGN:  # nohup
+                    self._previous[each] = signal.signal(each, self._handle)
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        for each, handler in self._previous.items():
+            signal.signal(each, handler)
+
+    def _handle(self, number: int, _frame: FrameType | None) -> None:
+        """Handle a signal."""
+        received = self.received
+        if received.over:
+            return
+        received.number = received.number or number
+        received.count += 1
+        if not received.raised:
+            received.raised = self._at_once or received.count > 1
+            if received.raised:
+                raise _Interrupt
+            return
+        received.late += 1
+        if received.late == 1:
+            _write("ending already; once more ends it at once, with work unfinished")
+        else:
+            _write("ended at once; `impact-observer check --salvage` mends a bag that was open")
+            os._exit(128 + number)
+
+
+def run(program: str, job: Callable[[], int], *, own: bool = True) -> int:
+    """Run ``job``; whatever it raises becomes one line on standard error and an exit code.
+
+    Args:
+        program: what the line begins with.
+        job: returns an exit code.
+        own: whether the process ends after this: then signals have their default effect.
+
+    Returns:
+        That of ``job``; 2 for wrong use; 1 for another error, and after Ctrl-C; 128 and the
+        number of another signal: 143 after SIGTERM.
+    """
+    with Stop(at_once=True) as stop, _hooks(program):
+        try:
+            code = job()
+            stop.received.over = True
+        except SystemExit:
+            raise
+        except BaseException as error:  # noqa: BLE001 (whatever it is, it is reported here)
+            stop.received.over = not stop.requested
+            code = _report(program, error, stop.number)
+    if own and threading.current_thread() is threading.main_thread():
+        for each in _SIGNALS:  # Python's own handler would show a traceback
+            signal.signal(each, signal.SIG_DFL)
+    return code
+
+
+def end_with_parent(parent: int) -> None:
+    """Have the kernel send SIGTERM when the process ``parent``, if it is the parent, ends (Linux).
+
+    In any other process nothing is done.
+    """
+    if parent == os.getppid():
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+def one_line(error: BaseException) -> str:
+    """An error in one line, without control characters.
+
+    Errors of the package say what to do. Of those that nobody foresaw the line has the place in
+    the package and where to report them.
+    """
+    words = printable(" ".join(str(error).split()))
+    if isinstance(error, ImpactObserverError):
+        return words
+    if isinstance(error, MemoryError):
+        return f"not enough memory{words and f': {words}'}; use a smaller model, or shorter data"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{printable(str(error.filename or 'files'))}: {error.strerror}"
+    place = next(
+        (
+            f" in {Path(frame.filename).relative_to(_PACKAGE.parent)}, line {frame.lineno}"
+            for frame in reversed(traceback.extract_tb(error.__traceback__))
+            if Path(frame.filename).is_relative_to(_PACKAGE)
+        ),
+        "",
+    )
+    kind = type(error).__name__
+    return (
+        f"unforeseen {kind}{place}{words and f': {words}'}; please report it to {MAINTAINERS},"
+        f" with what {TRACEBACK}=1 shows"
+    )
+
+
+def _report(program: str, error: BaseException, number: int | None) -> int:
+    """Write why a process ends; its exit code."""
+    if os.environ.get(TRACEBACK):
+        traceback.print_exception(error)
+    by_user = number in (None, signal.SIGINT)
+    if isinstance(error, ImpactObserverError):
+        _write(f"{program}: {one_line(error)}")
+        return error.exit_code if by_user else 128 + (number or 0)
+    if isinstance(error, BrokenPipeError):
+        # The reader of our output has closed it; Python would report that again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    if isinstance(error, KeyboardInterrupt) or number is not None:
+        how = "interrupted" if by_user else f"ended by {signal.Signals(number or 0).name}"
+        done = map(str, error.args) if isinstance(error, KeyboardInterrupt) else ()
+        _write(f"{program}: {'; '.join([how, *done])}")
+        return 1 if by_user else 128 + (number or 0)
+    _write(f"{program}: {one_line(error)}")
+    return 1
+
+
+@contextmanager
+def _hooks(program: str) -> Iterator[None]:
+    """Within the block, errors of threads and of finalizers are one line too."""
+    before = threading.excepthook, sys.unraisablehook
+
+    def report(error: BaseException | None) -> None:
+        if error is not None and not isinstance(error, (SystemExit, KeyboardInterrupt)):
+            if os.environ.get(TRACEBACK):
+                traceback.print_exception(error)
+            _write(f"{program}: {one_line(error)}")
+
+    threading.excepthook = lambda args: report(args.exc_value)
+    sys.unraisablehook = lambda args: report(args.exc_value)
+    try:
+        yield
+    finally:
+        threading.excepthook, sys.unraisablehook = before
+
+
+def _write(line: str) -> None:
+    """Write a line to standard error; nothing where that is closed."""
+    try:
+        print(printable(line), file=sys.stderr, flush=True)
+    except (OSError, ValueError, RuntimeError):  # the last within a handler of a signal
+        return

@@ -1,0 +1,168 @@
+"""Signals are noted or raised once; whatever ends a process is one line."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from impact_observer.errors import ImpactObserverError, ModelError, UsageError, printable
+from impact_observer.process_end import MAINTAINERS, TRACEBACK, Stop, one_line, run
+from impact_observer.resources import shared
+
+LATE = """
+import signal, time
+from impact_observer.process_end import run
+def job():
+    print("begun", flush=True)
+    try:
+        time.sleep(60)
+    finally:
+        print("ending", flush=True)
+        for _ in range(600):
+            time.sleep(0.1)
+raise SystemExit(run("job", job))
+"""
+
+
+def test_the_first_signal_is_noted_and_the_second_raises() -> None:
+    """So that a user who is in a hurry presses Ctrl-C twice; more than that raises no more."""
+    with Stop() as stop:
+        signal.raise_signal(signal.SIGINT)
+        assert stop.requested
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGINT)
+        assert stop.number == signal.SIGINT
+
+
+def test_nested_blocks_count_together(capsys: pytest.CaptureFixture[str]) -> None:
+    """What raised within is known outside, where the next signal only writes a line."""
+    with Stop(at_once=True) as outer:
+        with Stop() as inner:
+            signal.raise_signal(signal.SIGTERM)
+            assert inner.requested
+            assert outer.number == signal.SIGTERM
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)
+    assert capsys.readouterr().err == (
+        "ending already; once more ends it at once, with work unfinished\n"
+    )
+
+
+def test_a_third_signal_ends_at_once_without_a_traceback() -> None:
+    """The first ends in order, the second says that it is being done."""
+    with subprocess.Popen(
+        [sys.executable, "-c", LATE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == "begun\n"
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.readline() == "ending\n"
+        process.send_signal(signal.SIGINT)
+        assert process.stderr.readline().startswith("ending already")
+        process.send_signal(signal.SIGINT)
+        assert process.stderr.readline().startswith("ended at once")
+        assert process.wait(timeout=60) == 130
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (UsageError("a: wrong"), 2, "a: wrong"),
+        (ModelError("mass", "is\x1b[31m odd"), 2, "mass: is\\x1b[31m odd"),
+        (ImpactObserverError("two\nlines"), 1, "two lines"),
+        (
+            OSError(errno.ENAMETOOLONG, "File name too long", "x\ny"),
+            1,
+            "x\\ny: File name too long",
+        ),
+        (
+            MemoryError("72 TiB"),
+            1,
+            "not enough memory: 72 TiB; use a smaller model, or shorter data",
+        ),
+        (MemoryError(), 1, "not enough memory; use a smaller model, or shorter data"),
+        (KeyboardInterrupt("x holds it"), 1, "interrupted; x holds it"),
+    ],
+)
+def test_an_error_is_one_line_and_an_exit_code(
+    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What a user can mend says how; control characters are escaped."""
+
+    def job() -> int:
+        raise error
+
+    assert run("program", job, own=False) == code
+    assert capsys.readouterr().err == f"program: {line}\n"
+
+
+def test_an_unforeseen_error_names_its_place_and_where_to_report_it(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One line; all of it with IMPACT_OBSERVER_TRACEBACK."""
+
+    def job() -> int:
+        printable(None)  # type: ignore[arg-type]
+        return 0
+
+    assert run("program", job, own=False) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(
+        "program: unforeseen AttributeError in impact_observer/errors.py, line "
+    )
+    assert line.endswith(f"; please report it to {MAINTAINERS}, with what {TRACEBACK}=1 shows")
+    monkeypatch.setenv(TRACEBACK, "1")
+    assert run("program", job, own=False) == 1
+    assert "Traceback (most recent call last)" in capsys.readouterr().err
+
+
+def test_maintainers_are_those_of_the_manifest() -> None:
+    """package.xml, setup.py and the line agree."""
+    assert f'email="{MAINTAINERS}"' in shared("package.xml").read_text("utf-8")
+
+
+def test_an_error_in_a_thread_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """It does not end the process."""
+
+    def job() -> int:
+        thread = threading.Thread(target=lambda: 1 // 0)
+        thread.start()
+        thread.join()
+        return 0
+
+    assert run("program", job, own=False) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("program: unforeseen ZeroDivisionError: integer division")
+
+
+def test_a_reader_that_is_gone_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of ``impact-observer info BAG | head``."""
+    replaced: list[int] = []
+    monkeypatch.setattr(os, "dup2", lambda _, target: replaced.append(target))
+    monkeypatch.setattr(sys, "stdout", sys.__stdout__)
+
+    def job() -> int:
+        raise BrokenPipeError
+
+    assert run("program", job, own=False) == 1
+    assert len(replaced) == 1
+
+
+@given(st.text())
+def test_printable_text_cannot_control_a_terminal(text: str) -> None:
+    """No control character is left, and what has none is unchanged."""
+    shown = printable(text)
+    assert not any(ord(each) < 32 or 127 <= ord(each) < 160 for each in shown)
+    assert len(shown.splitlines()) <= 1
+    if text.isascii() and text.isprintable():
+        assert shown == text
+    assert one_line(UsageError(text)) == printable(" ".join(text.split()))
