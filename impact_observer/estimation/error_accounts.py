@@ -5,9 +5,11 @@ An error begins in retrospect: it has been there since the last event, and expla
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 
 import numpy as np
 
+from impact_observer.dynamics import KEPT
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import NO_KICKS, Hypothesis
@@ -43,7 +45,8 @@ class ErrorAccounts:
         self._timescale = filter_.phases.scales.timescale
         self._clocks = sorted(clocks)
         kicks = unit_kicks(filter_.system)
-        self._unit_kicks = np.concatenate([np.zeros_like(kicks), kicks])
+        kicks = np.concatenate([np.zeros_like(kicks), kicks])
+        self._of = lru_cache(KEPT)(lambda hit: (kicks[:, hit], filter_.system.W[:, hit].T))
 
     def is_coarse(self, clock: float) -> bool:
         """Whether so large a deviation of stamps, s, may be an error of the model."""
@@ -87,7 +90,8 @@ class ErrorAccounts:
         if error.level and here.hit:
             unit, most = self._seen(h, error.kind, here), self._largest(h, error.kind, here)
             error = error.matched(likelihood.normalised, likelihood.deviation, unit, most)
-        posterior = posterior._replace(error=error)
+        if error is not NO_ERROR:
+            posterior = posterior._replace(error=error)
         return posterior if here.closed else self.kicked(posterior, h.state.x, here.hit)
 
     def kicked(self, after: Hypothesis, x: Vector, hit: Contacts) -> Hypothesis:
@@ -100,9 +104,8 @@ class ErrorAccounts:
 
     def kicks(self, x: Vector, hit: Contacts) -> Matrix:
         """What an error of 1 of the restitution adds at an impact at the state ``x``, (2n, k)."""
-        which = list(hit)
-        speeds = x[self._system.n :].dot(self._system.W[:, which])
-        return np.asarray(self._unit_kicks[:, which] * np.abs(speeds))
+        kicks, W = self._of(hit)
+        return np.asarray(kicks * np.abs(W.dot(x[self._system.n :])))
 
     def _root(self, h: Hypothesis, kind: ErrorKind) -> Matrix:
         """What a model error of level 1 has added to ``h`` since the last event, (2n, any)."""

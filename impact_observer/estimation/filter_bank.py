@@ -5,18 +5,24 @@ Multiple hypothesis tracking (Blackman and Popoli, Design and Analysis of Modern
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import NamedTuple, TypeAlias
 
-import numpy as np
 from scipy import special
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.error_accounts import ErrorAccounts
 from impact_observer.estimation.forecast import Dip, Flight, Forecast, dips_of
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import NOTHING, Hypothesis, MissedSwitch, Note
+from impact_observer.estimation.hypotheses import (
+    NOTHING,
+    Hypothesis,
+    MissedSwitch,
+    Note,
+    log_sum,
+    normalised,
+)
 from impact_observer.estimation.impact_filter import Asked, ImpactFilter
 from impact_observer.estimation.likelihood import CERTAIN, Likelihood
 from impact_observer.estimation.missed_switch import insert_switch
@@ -91,6 +97,10 @@ class _Branch(NamedTuple):
         return Asked(self.here, self.before.state, self.before.clock, self.likelihood)
 
 
+_Draft: TypeAlias = tuple[float, Hypothesis, ContactChange, str]
+"""Weight, hypothesis before, event and reason of a branch whose likelihood is not known yet."""
+
+
 class FilterBank:
     """Hypotheses of one system from event to event.
 
@@ -136,65 +146,70 @@ class FilterBank:
         ``restarts`` makes those of a restart.
         """
         branches = self._branches(change, hypotheses)
-        branches.sort(key=lambda branch: branch.weight, reverse=True)
+        branches.sort(key=_weight)
         likely = branches[: min(_likely(branches), self._most)]
-        expected = self._is_expected(branches[0])
         made = self._distinct([h for h in self._made(change, likely) if h.state.is_finite])
-        if not (self._trusts_estimate or expected):
+        if not (self._trusts_estimate or self._is_expected(branches[0])):
             made = sorted([*made, *_restarted(change, made, restarts())], key=_weight)
-        total = _total(made)
-        return tuple(h._replace(weight=h.weight - total) for h in made)
+        return normalised(made)
 
     def _branches(self, change: ContactChange, hypotheses: Sequence[Hypothesis]) -> list[_Branch]:
         """The interpretations of an event; more of them under hypotheses that lead."""
         weights = [each.weight_before(change.contacts) for each in hypotheses]
         leading = max(weights) + LEADING
-        found, true = [], []
+        found: list[_Branch] = []
+        true: list[_Draft] = []
+        clocks: list[_Draft] = []
+        leads = []
         for h, weight in zip(hypotheses, weights, strict=True):
             here = change.from_closed(h.state.closed)
             if not here.hit and here.before == here.closed:
                 found.append(self._spurious_event(change, h, "its contact is not closed"))
-            else:
-                prior = h.weight_before(here.contacts)
-                true.append((weight, _Branch(prior + self._reported, h, here)))
-        weighed = self._weighed([each for _, each in true])
+                continue
+            prior = self._reported + (weight if here is change else h.weight_before(here.contacts))
+            true.append((prior, h, here, ""))
+            leads.append(weight >= leading)
+            nexts = self._next_clocks.get(h.clock, ()) if leads[-1] else ()
+            clocks += [
+                (prior + CLOCK_CHANGE, h._replace(clock=clock), here, "") for clock in nexts
+            ]
+        weighed = self._weighed([*true, *clocks])
         others = [
             other
-            for (weight, _), each in zip(true, weighed, strict=True)
-            for other in self._others(change, each, leads=weight >= leading)
+            for each, leading_ in zip(weighed, leads, strict=False)
+            for other in self._others(change, each, leads=leading_)
         ]
-        nothing = [
-            self._spurious_event(change, each.before, _excuse(each.likelihood))
-            for each in weighed
-            if self._spurious > -math.inf
-        ]
-        return [*found, *weighed, *nothing, *self._weighed(others)]
+        if self._spurious > -math.inf:
+            found += [
+                self._spurious_event(change, each.before, _excuse(each.likelihood))
+                for each in weighed[: len(true)]
+            ]
+        return [*found, *weighed, *(self._weighed(others) if others else ())]
 
-    def _weighed(self, branches: Sequence[_Branch]) -> list[_Branch]:
-        """``branches`` with the likelihoods of what the event was."""
-        likelihoods = self.filter.likelihoods([each.asked for each in branches])
+    def _weighed(self, drafts: Sequence[_Draft]) -> list[_Branch]:
+        """Branches with the likelihoods of what the event was."""
+        asked = [Asked(here, h.state, h.clock) for _, h, here, _ in drafts]
         return [
-            each._replace(weight=each.weight + likelihood.density, likelihood=likelihood)
-            for each, likelihood in zip(branches, likelihoods, strict=True)
+            _Branch(weight + likelihood.density, h, here, reason, likelihood)
+            for (weight, h, here, reason), likelihood in zip(
+                drafts, self.filter.likelihoods(asked), strict=True
+            )
         ]
 
-    def _others(self, change: ContactChange, true: _Branch, *, leads: bool) -> Iterator[_Branch]:
-        """Alternatives to the branch in which the event is ``true``."""
+    def _others(self, change: ContactChange, true: _Branch, *, leads: bool) -> Iterator[_Draft]:
+        """Alternatives to the branch in which the event is ``true``, but for other clocks."""
         h, here, likelihood = true.before, true.here, true.likelihood
         assert here is not None, "it is true"
         prior = h.weight_before(here.contacts)
         depth = max(likelihood.innovations.values(), default=-1.0)
-        for clock in self._next_clocks.get(h.clock, ()) if leads else ():
-            chance = self._reported + CLOCK_CHANGE
-            yield _Branch(prior + chance, h._replace(clock=clock), here)
         if leads and self.errors is not None:
             for other, chance in self.errors.others(h, here, likelihood):
-                yield _Branch(prior + self._reported + chance, other, here)
+                yield prior + self._reported + chance, other, here, ""
         if leads and depth > SURPRISE and not self._trusts_estimate:
             for factor in WIDENING:
                 wider = h._replace(state=self.filter.widened(h.state, factor * depth))
                 reason = f"accepted: the covariance is made {factor * depth:.3g} times wider"
-                yield _Branch(prior + RESTART, wider, here, reason)
+                yield prior + RESTART, wider, here, reason
         impact = len(change.hit) == 1 and here.before == here.closed
         if impact and self._mislabelled > -math.inf and not self._is_expected(true):
             closed = h.state.closed
@@ -204,7 +219,7 @@ class FilterBank:
                 other_contact = change._replace(before=closed, hit=(i,), closed=closed)
                 weight = h.weight_before((i,)) + self._mislabelled - math.log(len(others))
                 reason = f"mislabelled: it hit {self.filter.system.contact_names[i]}"
-                yield _Branch(weight, h, other_contact, reason)
+                yield weight, h, other_contact, reason
 
     def _is_expected(self, branch: _Branch) -> bool:
         """Whether the event came about when it was predicted."""
@@ -230,16 +245,19 @@ class FilterBank:
     ) -> Hypothesis:
         """The event was ``here``, and leads to ``state``."""
         h, likelihood = branch.before, branch.likelihood
-        innovations = {
-            reported: likelihood.innovations[i]
-            for reported, i in zip(change.contacts, here.contacts, strict=False)
-            if i in likelihood.innovations
-        }
-        notes = _noted(h, change, (Ruling.APPLIED, branch.reason), innovations)
-        after = Hypothesis(state, h.clock, branch.weight, notes, subset=h.subset)
-        if innovations:
-            nu = likelihood.normalised
-            after = after._replace(innovation=nu, residual=nu * likelihood.deviation)
+        innovations = likelihood.innovations
+        if here is not change:
+            pairs = zip(change.contacts, here.contacts, strict=False)
+            innovations = {i: innovations[j] for i, j in pairs if j in innovations}
+        after = Hypothesis(
+            state,
+            h.clock,
+            branch.weight,
+            _noted(h, change, (Ruling.APPLIED, branch.reason), innovations),
+            innovation=likelihood.normalised if innovations else None,
+            residual=likelihood.normalised * likelihood.deviation if innovations else 0.0,
+            subset=h.subset,
+        )
         return after if self.errors is None else self.errors.after(h, here, likelihood, after)
 
     @staticmethod
@@ -294,6 +312,8 @@ class FilterBank:
             enough = max(path.weight for path in found) + UNLIKELY
             for h, some in zip(group, dips, strict=True):
                 waiting += self._inserted(h, some, t, s, enough)
+        if len(found) == 1:
+            return tuple(found)
         found.sort(key=_weight)
         enough = found[0].weight + UNLIKELY
         likely = [each for each in found[: 2 * self._most] if each.weight >= enough]
@@ -384,11 +404,13 @@ def _is_now(dip: Dip, now: float, clock: float) -> bool:
     return not dip.over and now - (dip.below if dip.began is None else dip.began) <= LATE * clock
 
 
-def _likely(ordered: Sequence[_Branch] | Sequence[Hypothesis]) -> int:
+def _likely(ordered: Sequence[_Branch]) -> int:
     """How many of ``ordered``, the likeliest first, are kept."""
-    weights = np.array([each.weight for each in ordered])
-    shares = np.cumsum(np.exp(weights - weights[0]))
-    return 1 + int(np.searchsorted(shares, (1 - NEGLIGIBLE) * shares[-1]))
+    shares = [math.exp(each.weight - ordered[0].weight) for each in ordered]
+    left = NEGLIGIBLE * sum(shares)
+    while len(shares) > 1 and (left := left - shares[-1]) >= 0:
+        shares.pop()
+    return len(shares)
 
 
 def _excuse(likelihood: Likelihood) -> str:
@@ -402,7 +424,7 @@ def _restarted(
     change: ContactChange, made: Sequence[Hypothesis], restarts: Sequence[Hypothesis]
 ) -> Iterator[Hypothesis]:
     """``restarts`` after an event, weighed beside the hypotheses ``made`` of it."""
-    total = _total(made)
+    total = log_sum([h.weight for h in made]) if made else 0.0
     ruling = (Ruling.APPLIED, "restart: the estimate before it is rejected")
     event = (change.stamp, change.sequence)
     notes = made[0].notes if made else ()
@@ -416,16 +438,15 @@ def _logs(probability: float) -> tuple[float, float]:
     return (math.log(probability) if probability else -math.inf), math.log1p(-probability)
 
 
-def _total(hypotheses: Sequence[Hypothesis]) -> float:
-    return float(np.logaddexp.reduce([h.weight for h in hypotheses])) if hypotheses else 0.0
-
-
-def _weight(h: Hypothesis) -> float:
+def _weight(h: Hypothesis | _Branch) -> float:
     return -h.weight
 
 
 def _noted(
-    h: Hypothesis, change: ContactChange, ruling: tuple[Ruling, str], innovations: dict[int, float]
+    h: Hypothesis,
+    change: ContactChange,
+    ruling: tuple[Ruling, str],
+    innovations: Mapping[int, float],
 ) -> tuple[Note, ...]:
     """The notes of ``h`` with those on an event, and on the missed switches before it."""
     event = (change.stamp, change.sequence)

@@ -128,6 +128,20 @@ class Hypothesis(NamedTuple):
         return [note for note in latest if not note.is_inserted][::-1]
 
 
+def log_sum(weights: Sequence[float]) -> float:
+    """The logarithm of the sum of the probabilities whose logarithms are ``weights``."""
+    largest = max(weights)
+    return largest + math.log(sum(math.exp(each - largest) for each in weights))
+
+
+def normalised(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """``hypotheses`` with probabilities that add up to one."""
+    if not hypotheses:
+        return ()
+    total = log_sum([h.weight for h in hypotheses])
+    return tuple([h._replace(weight=h.weight - total) for h in hypotheses])
+
+
 def published(hypotheses: Sequence[Hypothesis], *, misfit: bool) -> Sequence[Hypothesis]:
     """Those whose mixture is published, the estimate's own first.
 
@@ -153,7 +167,7 @@ def published(hypotheses: Sequence[Hypothesis], *, misfit: bool) -> Sequence[Hyp
 
 def _share(some: Sequence[Hypothesis], whole: Sequence[Hypothesis]) -> Vector:
     """The probability that the first, the first two, ... of ``some`` hold of ``whole``."""
-    total = np.logaddexp.reduce([h.penalised_weight for h in whole])
+    total = log_sum([h.penalised_weight for h in whole])
     return np.cumsum(np.exp([h.penalised_weight - total for h in some]))
 
 

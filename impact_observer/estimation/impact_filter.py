@@ -1,7 +1,7 @@
 """The Kalman filter of impact times: prediction, likelihood and correction by one event."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -135,46 +135,46 @@ class ImpactFilter:
 
     def likelihoods(self, asked: Sequence[Asked]) -> list[Likelihood]:
         """The likelihoods of events, each if it is what it is reported to be."""
-        found = [
-            None if self.is_alone(each.change) else self._likelihood_of(each) for each in asked
-        ]
+        found: dict[int, Likelihood] = {}
         for contact, which in self._grouped(asked):
+            if contact is None:
+                found.update((i, self._likelihood_of(asked[i])) for i in which)
+                continue
             some = [asked[i] for i in which]
             clocks = np.array([each.clock for each in some])
             states = [each.state for each in some]
             fits = self.members.given.impact(contact).fits(some[0].change.t, states, clocks)
             for i, fit in zip(which, fits.tolist(), strict=True):
                 found[i] = Likelihood.of_single(contact, *fit)
-        return [each for each in found if each is not None]
+        return [found[i] for i in range(len(asked))]
 
     def posteriors(self, asked: Sequence[Asked]) -> list[GaussianState]:
         """The states after events."""
-        found = [
-            each.state if self.is_alone(each.change) else self._posterior_of(each)
-            for each in asked
-        ]
+        found: dict[int, GaussianState] = {}
         for contact, which in self._grouped(asked):
+            if contact is None:
+                found.update((i, self._posterior_of(asked[i])) for i in which)
+                continue
             some = [asked[i] for i in which]
             change, clocks = some[0].change, np.array([each.clock for each in some])
             after = self.members.given.impact(contact).posteriors(
                 change.t, change.flown, [each.state for each in some], clocks
             )
-            for i, state in zip(which, after, strict=True):
-                found[i] = GaussianState(*state)
-        return found
+            found.update((i, GaussianState(*state)) for i, state in zip(which, after, strict=True))
+        return [found[i] for i in range(len(asked))]
 
     def is_alone(self, change: ContactChange) -> bool:
         """Whether an event is an impact of one contact while none is closed: for the kernel."""
         alone = len(change.hit) == 1 and not (change.before or change.closed)
         return alone and self._is_smooth
 
-    def _grouped(self, asked: Sequence[Asked]) -> Iterator[tuple[int, list[int]]]:
-        """Contacts that impact alone, and where they are asked for."""
-        found: dict[int, list[int]] = {}
-        for i, each in enumerate(asked):
-            if self.is_alone(each.change):
-                found.setdefault(each.change.hit[0], []).append(i)
-        yield from found.items()
+    def _grouped(self, asked: Sequence[Asked]) -> Iterable[tuple[int | None, list[int]]]:
+        """Contacts that impact alone, and None for all else, and where they are asked for."""
+        found: dict[int | None, list[int]] = {}
+        for i, (change, *_) in enumerate(asked):
+            contact = change.hit[0] if self.is_alone(change) else None
+            found.setdefault(contact, []).append(i)
+        return found.items()
 
     def _likelihood_of(self, asked: Asked) -> Likelihood:
         """By the general methods, as ``_posterior_of``."""

@@ -3,6 +3,7 @@
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple, TypeAlias
 
@@ -19,6 +20,22 @@ from impact_observer.states import Matrix, Vector
 _NOTHING: Mapping[int, float] = MappingProxyType({})
 Parameters: TypeAlias = tuple[tuple[str, float, float], ...]
 """What is estimated besides the state: name, value, standard deviation, SI units."""
+
+
+class Learned:
+    """What is estimated besides the state; computed when it is first asked for."""
+
+    def __init__(self, make: Callable[[], Parameters] = tuple) -> None:
+        """``make`` computes it."""
+        self._make = make
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """Name, value, standard deviation of each."""
+        return self._make()
+
+
+_NO_PARAMETERS = Learned()
 
 
 class Fallback(NamedTuple):
@@ -91,7 +108,7 @@ class Belief(NamedTuple):
         innovations: of the last event, by contact: the estimate's gap in standard deviations.
         accepted: whether the law accepted every switch of the last event as reported.
         clock_offset: estimated delay of the sensor's stamps, s.
-        learned: finds ``parameters``, which most beliefs are never asked for.
+        learned: parameters, which most beliefs are never asked for.
         fit: how the model has explained the latest events, of a law with innovations.
         hypotheses: of a law that carries several, the likeliest first; empty for others. The
             estimate is that of the first, the covariance that of the whole mixture.
@@ -107,7 +124,7 @@ class Belief(NamedTuple):
     innovations: Mapping[int, float] = _NOTHING
     accepted: bool = True
     clock_offset: float = 0.0
-    learned: Callable[[], Parameters] = tuple
+    learned: Learned = _NO_PARAMETERS
     fit: Fit = Fit()
     hypotheses: tuple[Hypothesis, ...] = ()
     fallback: Fallback | None = None
@@ -122,7 +139,7 @@ class Belief(NamedTuple):
     @property
     def parameters(self) -> Parameters:
         """What is estimated besides the state."""
-        return self.learned()
+        return self.learned.parameters
 
     @property
     def replicas(self) -> Matrix:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
@@ -25,7 +25,14 @@ from impact_observer.estimation.square_root import lengths
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, Ruling
 from impact_observer.model import System
-from impact_observer.observer.belief import Account, Belief, Fallback, Parameters, Prediction
+from impact_observer.observer.belief import (
+    Account,
+    Belief,
+    Fallback,
+    Learned,
+    Parameters,
+    Prediction,
+)
 from impact_observer.observer.laws.fallback import (
     FallbackReplica,
     MisfitPrediction,
@@ -235,7 +242,7 @@ class MinimumVariance(Law):
             innovations={n.contact: n.innovation for n in notes if n.innovation >= 0},
             accepted=all(note.ruling is Ruling.APPLIED for note in notes),
             clock_offset=best.state.offset,
-            learned=cache(partial(self._learned, shown, whole[size:], names)),
+            learned=Learned(partial(self._learned, shown, whole[size:], names)),
             misfit=fit.message(instead),
         )
 

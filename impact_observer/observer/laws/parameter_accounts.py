@@ -12,7 +12,12 @@ from impact_observer.dynamics import Phases
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.filter_bank import FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
-from impact_observer.estimation.hypotheses import Hypothesis, error_share, mixture
+from impact_observer.estimation.hypotheses import (
+    Hypothesis,
+    error_share,
+    mixture,
+    normalised,
+)
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.misfit import ESTABLISHED
 from impact_observer.estimation.square_root import lengths, triangular
@@ -113,8 +118,7 @@ class ParameterAccounts:
             kinds = {kind_of(name) for name, each in zip(self.names, free, strict=True) if each}
             weight = len(kinds) * FURTHER
             begun += [Hypothesis(prior, clock, weight, subset=k) for clock in clocks]
-        total = np.logaddexp.reduce([h.weight for h in begun])
-        return Account(tuple(h._replace(weight=h.weight - total) for h in begun))
+        return Account(normalised(begun))
 
     def after(self, change: ContactChange, before: Account, fallback: Fallback) -> Account:
         """The account after an event."""
