@@ -6,12 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.kernel import largest_distance
 from impact_observer.states import Matrix, Vector
 
 _SAME = 1e-200
 """Squared size of a map after which all differences count as zero."""
-_FEW = 4096
-"""Most numbers of all pairs' products that are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,23 +27,6 @@ class Differences:
     def count(self) -> int:
         """How many replicas there are."""
         return int(self.columns.shape[1])
-
-    @cached_property
-    def are_few(self) -> bool:
-        """Whether ``products`` are few enough to be kept."""
-        size, others = self.columns.shape
-        return bool(size * size * others * (others + 1) <= 2 * _FEW)
-
-    @cached_property
-    def products(self) -> Matrix:
-        """``vec(d d^T)`` of every two replicas, the estimate among them, shape (pairs, 4n^2).
-
-        Squared distances in a metric are their products with ``vec`` of that.
-        """
-        replicas = np.concatenate([np.zeros((1, len(self.columns))), self.columns.T])
-        one, two = np.triu_indices(len(replicas), 1)
-        d = replicas[one] - replicas[two]
-        return np.asarray(np.einsum("pi,pj->pij", d, d).reshape(len(d), -1))
 
 
 class Ensemble(NamedTuple):
@@ -96,14 +78,7 @@ class Ensemble(NamedTuple):
 
     def largest_distance(self, metric: Matrix) -> float:
         """The largest ``d^T metric d`` between two replicas, at least two; (2n, 2n) is given."""
-        if self.due is not None and self.since.are_few:
-            seen = self.due.T.dot(metric.dot(self.due))
-            return max(float(np.maximum.reduce(self.since.products.dot(seen.ravel()))), 0.0)
-        differences = self.differences
-        products = differences.T.dot(metric.dot(differences))
-        squares = products.diagonal()
-        among = squares[:, None] + squares - 2 * products
-        return max(float(among.max()), float(squares.max()))  # and from the estimate itself
+        return largest_distance(self.differences, metric)
 
     def propagated(self, x: Vector, map_: Matrix) -> "Ensemble":
         """The estimate is ``x`` now; ``map_``, shape (2n, 2n), propagates all differences."""

@@ -81,7 +81,7 @@ class _Branch(NamedTuple):
         before: the hypothesis before it, with the clock and the model error that it assumes.
         here: what the event was; None for nothing.
         reason: of its notes.
-        likelihood: of ``here``.
+        likelihood: of ``here``, or of the event if it had not been nothing.
     """
 
     weight: float
@@ -181,7 +181,7 @@ class FilterBank:
         ]
         if self._spurious > -math.inf:
             found += [
-                self._spurious_event(change, each.before, _excuse(each.likelihood))
+                self._spurious_event(change, each.before, likelihood=each.likelihood)
                 for each in weighed[: len(true)]
             ]
         return [*found, *weighed, *(self._weighed(others) if others else ())]
@@ -264,14 +264,23 @@ class FilterBank:
     def _rejected(change: ContactChange, branch: _Branch) -> Hypothesis:
         """The event was nothing."""
         h = branch.before
-        notes = _noted(h, change, (Ruling.REJECTED, branch.reason), {})
+        reason = branch.reason or _excuse(branch.likelihood)
+        notes = _noted(h, change, (Ruling.REJECTED, reason), {})
         return h._replace(
             weight=branch.weight, notes=notes, penetrating=NOTHING, missed=(), innovation=None
         )
 
-    def _spurious_event(self, change: ContactChange, h: Hypothesis, reason: str) -> _Branch:
+    def _spurious_event(
+        self,
+        change: ContactChange,
+        h: Hypothesis,
+        reason: str = "",
+        likelihood: Likelihood = CERTAIN,
+    ) -> _Branch:
+        """The event was nothing, for a ``reason`` or as its ``likelihood`` is small."""
         odds = self._spurious if self._spurious > -math.inf else 0.0
-        return _Branch(h.penalised_weight + len(change.contacts) * odds, h, None, reason)
+        weight = h.penalised_weight + len(change.contacts) * odds
+        return _Branch(weight, h, None, reason, likelihood)
 
     def _distinct(self, made: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The likeliest of those with the same latest decisions, in order (N-scan pruning).
@@ -321,19 +330,17 @@ class FilterBank:
 
     def _dips(self, t: float, s: float, group: Sequence[Hypothesis]) -> list[list[Dip]]:
         """Of each hypothesis the dips in the ``s`` seconds after ``t``."""
-        found: list[list[Dip]] = [[] for _ in group]
-        free = [i for i, h in enumerate(group) if self.filter.gaps(h.state.closed, s)]
-        if free:
-            states = [group[i].state for i in free]
-            levels = [group[i].acceleration_error for i in free]
-            for i, dips in zip(
-                free, dips_of(self.filter, t, s, states, levels) or (), strict=True
-            ):
-                found[i] = dips
-        for i in {*range(len(group))} - {*free}:
-            h = group[i]
-            found[i] = self.forecast(t, h.state, h.acceleration_error).dips(s)
-        return found
+        by_kernel = self.filter.gaps((), s) is not None
+        free = [each for each in group if by_kernel and not each.state.closed]
+        states = [each.state for each in free]
+        levels = [each.acceleration_error for each in free]
+        found = iter(dips_of(self.filter, t, s, states, levels) or () if free else ())
+        return [
+            next(found)
+            if by_kernel and not h.state.closed
+            else self.forecast(t, h.state, h.acceleration_error).dips(s)
+            for h in group
+        ]
 
     def _flown(
         self, t: float, s: float, group: Sequence[Hypothesis], dips: Sequence[Sequence[Dip]]

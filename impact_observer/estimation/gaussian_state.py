@@ -62,9 +62,8 @@ class GaussianState(NamedTuple):
     @property
     def is_finite(self) -> bool:
         """Whether the states of all replicas are finite."""
-        if not math.isfinite(self.x.dot(self.x)):
-            return False
-        return not self.differences.size or bool(np.isfinite(self.differences).all())
+        others = self.differences.ravel()
+        return math.isfinite(self.x.dot(self.x)) and math.isfinite(others.dot(others))
 
     def propagated(
         self, x: Vector, map_: Matrix, sensitivity: Matrix | None = None

@@ -25,6 +25,7 @@ from impact_observer.kernel._kernel import (  # another kernel may not have them
     Sizes,
     Trace,
     divided,
+    largest_distance,
     triangular,
 )
 
@@ -41,5 +42,6 @@ __all__ = [
     "Sizes",
     "Trace",
     "divided",
+    "largest_distance",
     "triangular",
 ]

@@ -11,6 +11,7 @@ SOURCES: str
 State: TypeAlias = tuple[Vector, Vector, Matrix, Matrix]
 
 def triangular(root: Matrix) -> Matrix: ...
+def largest_distance(columns: Matrix, metric: Matrix) -> float: ...
 
 class FreeMotion:
     def __init__(

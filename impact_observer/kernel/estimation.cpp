@@ -173,8 +173,9 @@ py::list dips(const Gaps& gaps, double t, double duration, const py::sequence& s
     std::vector<std::vector<Dip>> found(given.priors.size());
     {
         const py::gil_scoped_release released;
+        const Gaps::Grid grid = gaps.grid(t, duration, found.size());
         for (std::size_t b = 0; b < found.size(); ++b)
-            found[b] = gaps.dips(t, duration, given.priors[b], level[b]);
+            found[b] = gaps.dips(grid, given.priors[b], level[b]);
     }
     py::list each_state;
     for (const auto& some : found) {
@@ -197,6 +198,29 @@ double root_of(const Gaps& gaps, double t, const py::tuple& state, double level,
     duration_of(gaps, t, below);
     const py::gil_scoped_release released;
     return gaps.root(t, given.priors[0], level, contact, above, below, depth);
+}
+
+// The largest d^T metric d between two of the columns, or one of them and zero; NaN where the
+// numbers overflow.
+double largest_distance(const Array& columns, const Array& metric) {
+    const View given = checked(columns, "columns", ANY, ANY);
+    const std::size_t size = given.rows, count = given.columns;
+    const View weights = checked(metric, "metric", py::ssize_t(size), py::ssize_t(size));
+    Matrix one(count + 1, size), seen(count + 1, size);  // the last one is zero
+    for (std::size_t k = 0; k < count; ++k)
+        for (std::size_t i = 0; i < size; ++i) {
+            one(k, i) = given(i, k);
+            add(given(i, k), weights.row(i), seen.row(k), size);
+        }
+    double found = 0.0;
+    for (std::size_t k = 0; k <= count; ++k)
+        for (std::size_t j = 0; j < k; ++j) {
+            double square = 0.0;
+            for (std::size_t i = 0; i < size; ++i)
+                square += (one(k, i) - one(j, i)) * (seen(k, i) - seen(j, i));
+            if (!(square <= found)) found = square;
+        }
+    return found;
 }
 
 Array rates_of(const Motion& motion, double t, const Array& x) {
@@ -242,6 +266,8 @@ void bind_estimation(py::module_& module) {
              py::arg("clocks"), "The states after the impact, at its stamp t.")
         .def("missed", &missed, py::arg("t"), py::arg("flown"), py::arg("states"),
              "The same where it was not reported, near the zero t of the gap.");
+    module.def("largest_distance", &largest_distance, py::arg("columns"), py::arg("metric"),
+               "The largest d^T metric d between two columns, or one of them and zero.");
     py::class_<Gaps>(module, "Gaps", "Predicted gaps while no contact is closed.")
         .def(py::init(&gaps_of), py::arg("motion"), py::arg("sizes"), py::arg("W"),
              py::arg("rest"))

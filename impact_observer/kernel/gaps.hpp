@@ -31,12 +31,48 @@ class Gaps {
     Matrix W;     // a row each contact, m x n
     Vector rest;  // gaps at rest, m
 
-    // All dips in the next `duration` seconds, in the order in which they begin. `level` is that
-    // of white accelerations, m/s^1.5.
-    std::vector<Dip> dips(double t, double duration, const Prior& prior, double level) const {
+    // Steps of a flight, for many states.
+    struct Grid {
+        double t, duration;
+        std::size_t count;
+        Matrix step, pushed;  // one step of a difference, and what forces add in each
+    };
+
+    // `states` say how many of them will share it.
+    Grid grid(double t, double duration, std::size_t states) const {
+        const double wanted = std::ceil(duration * FINE / sizes.timescale);
+        const auto count = std::size_t(std::min(std::max(wanted, 4.0), MOST_SAMPLES));
+        Grid found{t, duration, count, {}, {}};
+        const std::size_t size = motion.size();
+        if (size > 2 * LARGE || size > count * states) return found;
+        const double h = duration / double(count);
+        found.step = Matrix(size, size), found.pushed = Matrix(count, size);
+        for (std::size_t j = 0; j < size; ++j) {
+            Vector column(size);
+            column[j] = 1.0;
+            column = motion.carried(std::move(column), h);
+            for (std::size_t i = 0; i < size; ++i) found.step(i, j) = column[i];
+        }
+        const Matrix parts = motion.pushed(h);
+        for (std::size_t k = 0; k < count; ++k) {
+            const double at = t + duration * (double(k) / double(count));
+            add(1.0, parts.row(0), found.pushed.row(k), size);
+            for (std::size_t i = 0; i < motion.frequency.size(); ++i) {
+                const double angle = motion.frequency[i] * at;
+                add(std::cos(angle), parts.row(1 + 2 * i), found.pushed.row(k), size);
+                add(std::sin(angle), parts.row(2 + 2 * i), found.pushed.row(k), size);
+            }
+        }
+        return found;
+    }
+
+    // All dips on a grid, in the order in which they begin. `level` is that of white
+    // accelerations, m/s^1.5.
+    std::vector<Dip> dips(const Grid& grid, const Prior& prior, double level) const {
+        const double t = grid.t;
         std::vector<Dip> found;
-        if (!(duration > 0)) return found;
-        const Samples samples = sampled(t, duration, vector(prior.x));
+        if (!(grid.duration > 0)) return found;
+        const Samples samples = sampled(grid, vector(prior.x));
         Vector scale;
         for (std::size_t j = 0; j < W.rows; ++j) {
             Vector s = samples.s, values(s.size());
@@ -119,18 +155,25 @@ class Gaps {
     }
 
     // Samples of a flight; a flight after an impact may be short.
-    Samples sampled(double t, double duration, Vector x) const {
-        const double wanted = std::ceil(duration * FINE / sizes.timescale);
-        const auto count = std::size_t(std::min(std::max(wanted, 4.0), MOST_SAMPLES));
-        const std::size_t last = count + FINER;
-        Samples found{Vector(last + 1), Matrix(last + 1, x.size())};
-        std::copy(x.begin(), x.end(), found.x.row(0));
-        const double first = duration / double(count);
+    Samples sampled(const Grid& grid, const Vector& start) const {
+        const std::size_t last = grid.count + FINER, size = start.size();
+        Samples found{Vector(last + 1), Matrix(last + 1, size)};
+        std::copy(start.begin(), start.end(), found.x.row(0));
+        const double first = grid.duration / double(grid.count);
         for (std::size_t k = 1; k <= last; ++k) {
-            found.s[k] = k <= FINER ? std::ldexp(first, 3 * (int(k) - FINER - 1))
-                                    : duration * (double(k - FINER) / double(count));
-            x = motion.flown(t + found.s[k - 1], std::move(x), found.s[k] - found.s[k - 1]);
-            std::copy(x.begin(), x.end(), found.x.row(k));
+            const bool is_finer = k <= FINER, is_first = k == FINER + 1;
+            found.s[k] = is_finer ? std::ldexp(first, 3 * (int(k) - FINER - 1))
+                                  : grid.duration * (double(k - FINER) / double(grid.count));
+            const double* from = found.x.row(is_first ? 0 : k - 1);
+            if (is_finer || grid.step.rows == 0) {
+                const double s = is_first ? 0.0 : found.s[k - 1];
+                const Vector x =
+                    motion.flown(grid.t + s, Vector(from, from + size), found.s[k] - s);
+                std::copy(x.begin(), x.end(), found.x.row(k));
+                continue;
+            }
+            for (std::size_t i = 0; i < size; ++i)
+                found.x(k, i) = grid.pushed(k - FINER - 1, i) + dot(grid.step.row(i), from, size);
         }
         return found;
     }

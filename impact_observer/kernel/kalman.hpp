@@ -134,6 +134,30 @@ struct Motion {
         return x;
     }
 
+    // What forces add in s seconds, by the constant and by each harmonic that starts as a cosine
+    // and as a sine: (1 + 2h) x 2n.
+    Matrix pushed(double s) const {
+        Matrix found(1 + 2 * frequency.size(), size());
+        Motion one = *this;
+        const auto respond = [&](std::size_t k) {
+            const Vector x = one.flown(0.0, Vector(size()), s);
+            std::copy(x.begin(), x.end(), found.row(k));
+        };
+        one.frequency = {}, one.cosine = one.sine = Matrix(0, n());
+        respond(0);
+        one.constant.assign(n(), 0.0), one.cosine = one.sine = Matrix(1, n());
+        for (std::size_t i = 0; i < frequency.size(); ++i) {
+            one.frequency = {frequency[i]};
+            std::copy(cosine.row(i), cosine.row(i) + n(), one.cosine.row(0));
+            std::copy(sine.row(i), sine.row(i) + n(), one.sine.row(0));
+            respond(1 + 2 * i);
+            std::swap(one.cosine, one.sine);
+            for (double& each : one.sine.data) each = -each;
+            respond(2 + 2 * i);
+        }
+        return found;
+    }
+
     // Phi(s) x
     Vector carried(Vector x, double s) const {
         moved(x, s, nullptr, [&](const double* term, double* to) { rates(term, to); });

@@ -4,6 +4,7 @@ Replicas under the same events approach each other, and the plant behaves like o
 estimate's own gap at an impact gives a lower bound of its error.
 """
 
+import math
 from functools import cached_property
 from typing import NamedTuple
 
@@ -99,7 +100,7 @@ class SynchronizationTest:
         """The largest V distance of two replicas, of very many an upper bound, and energy, J."""
         x = ensemble.x
         energy = max(float(x.dot(self._metric.dot(x))), 0.0) / 2  # NaN stays, standing first
-        if not ensemble.others:
+        if not (ensemble.others and math.isfinite(energy)):
             return -1.0, energy
         if ensemble.others >= _MOST_COMPARED:
             lengths = ensemble.mapped(self._lengths)
@@ -115,4 +116,4 @@ class SynchronizationTest:
 
     def _expected(self, root: Matrix) -> float:
         """The expectation of ``V`` under a covariance ``root root^T``, J."""
-        return max(float(np.sum(root * (self._metric @ root))), 0.0) / 2
+        return max(float(np.vdot(root, self._metric.dot(root))), 0.0) / 2

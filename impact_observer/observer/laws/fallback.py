@@ -67,13 +67,18 @@ class FallbackReplica:
 
     def motion(self, t: float, before: Fallback, closed: Contacts) -> Callable[[float], Fallback]:
         """The replica some seconds after ``t``, s since the epoch, until the next event."""
-        motion, phase = self._geometric.motion(t, before.x, closed), self._moving.phase(closed)
+        phase = self._moving.phase(closed)
+        held = self._geometric.motion(t, before.x, closed) if closed else None
 
         def after(s: float) -> Fallback:
-            errors = phase.transition(s).dot(before.errors)
+            if held is None:
+                x, map_ = phase.moved(t, before.x, s)
+            else:
+                x, map_ = held.state(s), phase.transition(s)
+            errors = map_.dot(before.errors)
             unit = np.concatenate([errors[:, :-1], self._moving.diffusion(closed, s)], axis=1)
             errors[:, :-1] = triangular(unit)
-            return Fallback(motion.state(s), before.largest, errors)
+            return Fallback(x, before.largest, errors)
 
         return after
 

@@ -135,7 +135,7 @@ class MinimumVariance(Law):
         restarts = partial(self._starts.restarts, fallback, change.closed, count)
         corrected = self._bank.correct(change, hypotheses, restarts) or restarts()
         fit = fitted(belief.fit, change, belief.x, corrected, self._bank)
-        best = published(corrected, misfit=fit.is_misfit)[0]
+        best = _shown(corrected, fit)[0]
         account = belief.account
         if account is not None:
             account = self._accounts.after(change, account, fallback)
@@ -164,7 +164,7 @@ class MinimumVariance(Law):
             later = None if account is None else self._accounts.predicted(t, account, s)
             return self._prior(predicted, motion(s), belief.fit, later)
 
-        shown = published(hypotheses, misfit=belief.fit.is_misfit)
+        shown = _shown(hypotheses, belief.fit)
         found: Prediction = (
             MixturePrediction(self._bank.filter, t, shown, prior)
             if self.uncertainty.trusts_events
@@ -203,7 +203,7 @@ class MinimumVariance(Law):
 
         It has the published one first.
         """
-        best = published(hypotheses, misfit=fit.is_misfit)[0]
+        best = _shown(hypotheses, fit)[0]
         if hypotheses[0] is not best:
             hypotheses = tuple(sorted(hypotheses, key=lambda h: h is not best))
         ensemble = best.state.ensemble
@@ -224,7 +224,7 @@ class MinimumVariance(Law):
     ) -> Belief:
         """The belief of ``hypotheses`` with their covariance, after a ``change`` if any."""
         prior, size = self._prior(hypotheses, fallback, fit, account), fallback.x.size
-        shown = published(hypotheses, misfit=fit.is_misfit)
+        shown = _shown(hypotheses, fit)
         best, whole, names, instead = shown[0], mixture(shown).root, self._names, ""
         root, notes = whole[:size], []
         if fit.is_compared:
@@ -273,3 +273,8 @@ class MinimumVariance(Law):
         if self.uncertainty.clock_offset_error:
             found.append(("clock_offset", best.offset, deviations[-1]))
         return tuple(found)
+
+
+def _shown(hypotheses: Sequence[Hypothesis], fit: Fit) -> Sequence[Hypothesis]:
+    """Those whose mixture is published."""
+    return hypotheses if len(hypotheses) == 1 else published(hypotheses, misfit=fit.is_misfit)
