@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeAlias
 from scipy import special
 
 from impact_observer.estimation.contact_change import ContactChange
-from impact_observer.estimation.error_accounts import ErrorAccounts
+from impact_observer.estimation.error_accounts import UNEXPLAINED, ErrorAccounts
 from impact_observer.estimation.forecast import Dip, Flight, Forecast, dips_of
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
@@ -145,6 +145,8 @@ class FilterBank:
 
         ``restarts`` makes those of a restart.
         """
+        if len(hypotheses) == 1 and (clear := self._clear(change, hypotheses[0])):
+            return clear
         branches = self._branches(change, hypotheses)
         branches.sort(key=_weight)
         likely = branches[: min(_likely(branches), self._most)]
@@ -152,6 +154,28 @@ class FilterBank:
         if not (self._trusts_estimate or self._is_expected(branches[0])):
             made = sorted([*made, *_restarted(change, made, restarts())], key=_weight)
         return normalised(made)
+
+    def _clear(self, change: ContactChange, h: Hypothesis) -> tuple[Hypothesis, ...]:
+        """What ``correct`` finds where one hypothesis is left that explains the event well.
+
+        Empty where anything but the event itself has to be weighed or kept.
+        """
+        in_doubt = h.error.level or (self.errors is not None and self.errors.is_coarse(h.clock))
+        if in_doubt or h.state.closed or not self.filter.is_alone(change):
+            return ()
+        clocks = (h.clock, *self._next_clocks.get(h.clock, ()))
+        own, *of_clocks = self.filter.fits(change, [h.state] * len(clocks), clocks)
+        density, innovation, _ = own
+        if not (abs(innovation) <= UNEXPLAINED and density > self._rate):
+            return ()
+        weight = h.weight_before(change.hit) + self._reported + density
+        others = [CLOCK_CHANGE + other - density for other, *_ in of_clocks]
+        others.append(h.penalised_weight + self._spurious - weight)
+        if log_sum([0.0, *others]) > -math.log1p(-NEGLIGIBLE):
+            return ()
+        branch = _Branch(0.0, h, change, "", Likelihood.of_single(change.hit[0], *own))
+        found = self._made(change, [branch])
+        return tuple(found) if found[0].state.is_finite else ()
 
     def _branches(self, change: ContactChange, hypotheses: Sequence[Hypothesis]) -> list[_Branch]:
         """The interpretations of an event; more of them under hypotheses that lead."""

@@ -141,12 +141,19 @@ class ImpactFilter:
                 found.update((i, self._likelihood_of(asked[i])) for i in which)
                 continue
             some = [asked[i] for i in which]
-            clocks = np.array([each.clock for each in some])
-            states = [each.state for each in some]
-            fits = self.members.given.impact(contact).fits(some[0].change.t, states, clocks)
-            for i, fit in zip(which, fits.tolist(), strict=True):
+            fits = self.fits(
+                some[0].change, [each.state for each in some], [each.clock for each in some]
+            )
+            for i, fit in zip(which, fits, strict=True):
                 found[i] = Likelihood.of_single(contact, *fit)
         return [found[i] for i in range(len(asked))]
+
+    def fits(
+        self, change: ContactChange, states: Sequence[GaussianState], clocks: Sequence[float]
+    ) -> list[list[float]]:
+        """How states fit an impact that ``is_alone``: arguments of ``Likelihood.of_single``."""
+        impact = self.members.given.impact(change.hit[0])
+        return impact.fits(change.t, states, np.array(clocks)).tolist()
 
     def posteriors(self, asked: Sequence[Asked]) -> list[GaussianState]:
         """The states after events."""
