@@ -107,6 +107,36 @@ def test_contact_of_the_event_does_not_count_as_penetrated(penetrated: int, lead
     assert {h.clock for h in of_best} == ({*clocks} if leads else set())
 
 
+def test_clear_event_is_corrected_as_if_all_alternatives_were_weighed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The oracle weighs them; a spurious impact is not clear."""
+    model, start, whole = truth("two_mass", 20.0)
+    events = [*whole.events[:9], event(12.9, "stop", sequence=90), *whole.events[9:]]
+    clear, found = FilterBank._clear, []
+
+    def counted(*given: Any) -> tuple[Hypothesis, ...]:  # noqa: ANN401
+        found.append(bool(after := clear(*given)))
+        return after
+
+    both = []
+    for method in (counted, lambda *_: ()):
+        monkeypatch.setattr(FilterBank, "_clear", method)
+        watcher = observer(
+            model, "minimum-variance", start, uncertainty=Uncertainty(), epoch=EPOCH
+        )
+        for each in events:
+            watcher.receive(each)
+        both.append(beliefs(watcher))
+    assert 5 <= sum(found) < len(events)
+    for one, two in zip(*both, strict=True):
+        assert [h.notes for h in one.hypotheses] == [h.notes for h in two.hypotheses]
+        np.testing.assert_allclose(one.x, two.x, rtol=1e-12)
+        for h, other in zip(one.hypotheses, two.hypotheses, strict=True):
+            assert h.weight == pytest.approx(other.weight, abs=1e-9)
+            np.testing.assert_allclose(h.state.root, other.state.root, rtol=1e-9, atol=1e-15)
+
+
 def test_one_account_is_left_of_an_exact_run() -> None:
     """Once the others hold less than 1e-4 of the probability."""
     model, start, whole = truth("two_mass", 40.0)
