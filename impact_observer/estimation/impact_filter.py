@@ -153,7 +153,8 @@ class ImpactFilter:
     ) -> list[list[float]]:
         """How states fit an impact that ``is_alone``: arguments of ``Likelihood.of_single``."""
         impact = self.members.given.impact(change.hit[0])
-        return impact.fits(change.t, states, np.array(clocks)).tolist()
+        found: list[list[float]] = impact.fits(change.t, states, np.array(clocks)).tolist()
+        return found
 
     def posteriors(self, asked: Sequence[Asked]) -> list[GaussianState]:
         """The states after events."""
