@@ -54,8 +54,9 @@ def messages_of(
         MessageError: a message cannot carry an estimate.
     """
     n, x, stamps = len(names), estimates.x, estimates.stamps
-    if stamps[-1] > MAX_STAMP or not np.isfinite(x).all():  # one of them raises the error
-        for each in estimates:
+    is_wrong = stamps[-1] > MAX_STAMP or not np.isfinite(x).all()  # one of them raises the error
+    if is_wrong or stamps.size == 1:
+        for each in estimates if is_wrong else (estimates.first,):
             for topic, data in _one(each, names, serialize):
                 yield each.stamp, topic, data
         return

@@ -154,9 +154,11 @@ class MissedSwitchPrediction(Prediction):
 
     def _begun(self, since: float, start: float, state: GaussianState, root: Matrix) -> _Stretch:
         t = self._t + start
-        level = mean_level(self._hypotheses, ErrorKind.ACCELERATION)
-        spread = self._bank.filter.predict(t, state._replace(root=root), level)
         forecast = self._bank.forecast(t, state, self._hypotheses[0].acceleration_error)
+        spread = forecast.prediction
+        if root is not state.root:
+            level = mean_level(self._hypotheses, ErrorKind.ACCELERATION)
+            spread = self._bank.filter.predict(t, state._replace(root=root), level)
         return _Stretch(since, start, forecast, state.closed, spread)
 
     def _search(self) -> None:
