@@ -18,8 +18,6 @@ from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.states import Matrix, Vector, frozen
 
 _SQRT2 = math.sqrt(2.0)
-_BLOCK = 32
-"""Columns that LAPACK turns together."""
 _FEW = 32
 """Columns of a root that cost less than to make it triangular."""
 
@@ -66,7 +64,7 @@ def triangular(root: Matrix) -> Matrix:
     if columns < d:
         root = np.concatenate([root, np.zeros((d, d - columns))], axis=1)
     # LAPACK's routine itself: of small matrices checks cost more than it.
-    turned = linalg.lapack.dgeqrf(root.T, lwork=_BLOCK * d)[0] if d else root.T
+    turned = linalg.lapack.dgeqrf(root.T)[0] if d else root.T
     found: Matrix = (turned[:d] * _upper(d)).T
     return found
 

@@ -24,7 +24,7 @@ from impact_observer.states import Matrix, Vector
 
 _MOST_MISSED = 1024
 """Missed switches that are inserted one after the other."""
-_WINDOW = 64 / FINE
+_WINDOW = 16 / FINE
 """First window in which penetrations are searched, in the inverse of the fastest rate."""
 
 
