@@ -12,7 +12,7 @@ import numpy as np
 
 from impact_observer.states import Vector
 
-LARGEST_STATISTIC = 32.0
+LARGEST_STATISTIC = 48.0
 """Of the test; above it the model does not explain the impacts."""
 DOUBTFUL_STATISTIC = 16.0
 """Of the test; above it errors of the clock are no good explanation."""
@@ -39,6 +39,8 @@ _CLEARLY = 0.5
 model."""
 _SIGNIFICANT = 5.0
 """Change of a parameter, in standard deviations, that refutes the model then."""
+_NOTABLE = 3.0
+"""The same where an error of the model is established, and the account is ``NEARER``."""
 _EXPLAINED = 0.8
 """Share of the latest events that other parameters explain, at least, to be the right ones."""
 _LAGS = 4
@@ -77,22 +79,26 @@ class Fit(NamedTuple):
 
     Attributes:
         innovations: the latest, in standard deviations, with their signs, clipped.
-        as_reported: of the latest events, whether an exact model explains them as they were
-            reported, without a spurious or missed impact or a restart.
+        as_reported: of the latest events, whether they are explained as they were reported,
+            without a spurious or missed impact or a restart.
+        explained: the same, and without an error of the model.
         errors: events in a row after which an error of the model has been ``ESTABLISHED``.
         by_clock: whether that account explains the innovations by errors of the clock.
         statistic: of the test; 0 while there are too few innovations.
         residuals: at the latest impacts.
-        is_refuted: whether other parameters explain the latest impacts clearly better.
+        is_refuted: whether other parameters explain the latest impacts better.
+        was_misfit: whether the model did not explain the impacts up to the event before.
     """
 
     innovations: tuple[float, ...] = ()
     as_reported: tuple[bool, ...] = ()
+    explained: tuple[bool, ...] = ()
     errors: int = 0
     by_clock: bool = False
     statistic: float = 0.0
     residuals: tuple[Residual, ...] = ()
     is_refuted: bool = False
+    was_misfit: bool = False
 
     def after(
         self,
@@ -103,19 +109,19 @@ class Fit(NamedTuple):
         as_reported: bool = True,
     ) -> "Fit":
         """The fit after an event; ``innovation`` is None where it measured nothing."""
-        explained = (*self.as_reported[-(LATEST - 1) :], as_reported and not in_error)
+        before = self._replace(
+            as_reported=(*self.as_reported[-(LATEST - 1) :], as_reported),
+            explained=(*self.explained[-(LATEST - 1) :], as_reported and not in_error),
+            was_misfit=self.is_misfit,
+        )
         if innovation is None:
-            return self._replace(as_reported=explained)
+            return before
         clipped = min(max(innovation, -_CLIPPED), _CLIPPED)
         latest = (*self.innovations[-(LATEST - 1) :], clipped)
         errors = self.errors + 1 if in_error else 0
         statistic = _statistic(latest)
-        return self._replace(
-            innovations=latest,
-            as_reported=explained,
-            errors=errors,
-            by_clock=by_clock,
-            statistic=statistic,
+        return before._replace(
+            innovations=latest, errors=errors, by_clock=by_clock, statistic=statistic
         )
 
     def compared(self, latest: Residual) -> "Fit":
@@ -127,24 +133,35 @@ class Fit(NamedTuple):
 
         ``change`` of the parameters is the largest, in standard deviations.
         """
-        is_refuted = change > _SIGNIFICANT and len(self.residuals) >= _RECENT
-        if is_refuted:
-            by_filter, *_, by_account = self._recent
-            is_refuted = by_account < _CLEARLY * by_filter
-        return self._replace(is_refuted=is_refuted)
+        if change < _NOTABLE or len(self.residuals) < _RECENT:
+            return self._replace(is_refuted=False)
+        by_filter, by_replica, _, by_account = self._recent
+        is_clear = change > _SIGNIFICANT and by_account < _CLEARLY * by_filter
+        is_nearer = by_account < NEARER * min(by_filter, by_replica)
+        return self._replace(is_refuted=is_clear or (self.is_in_error and is_nearer))
 
     @property
     def is_misfit(self) -> bool:
-        """Whether the model does not explain the impacts."""
+        """Whether the model does not explain the impacts.
+
+        An error of the model that is established is no proof: it may be that of a clock. But while
+        it is, a warning does not end.
+        """
         n = len(self.as_reported)
         is_excused = n >= _LATEST_EXCUSED and sum(self.as_reported) < _LEAST_EXPLAINED * n
         is_correlated = self.statistic > LARGEST_STATISTIC
-        return is_excused or is_correlated or self.errors >= _FEWEST or self.is_refuted
+        lasts = self.was_misfit and self.is_in_error
+        return is_excused or is_correlated or self.is_refuted or lasts
+
+    @property
+    def is_in_error(self) -> bool:
+        """Whether an error of the model is established, at the latest events in a row."""
+        return self.errors >= _FEWEST
 
     @property
     def is_doubted(self) -> bool:
         """Whether the model may not explain the impacts: parameters are worth an estimate."""
-        latest = self.as_reported[-_FEWEST:]
+        latest = self.explained[-_FEWEST:]
         is_excused = len(latest) == _FEWEST and 2 * sum(latest) < _FEWEST
         is_correlated = self.statistic > _DOUBTED_STATISTIC
         return self.is_misfit or is_excused or is_correlated or self.errors >= _DOUBTED
@@ -152,17 +169,17 @@ class Fit(NamedTuple):
     @property
     def is_explained(self) -> bool:
         """Whether the model explains nearly all of the latest events, without any doubt."""
-        n = len(self.as_reported)
+        n = len(self.explained)
         is_doubted = self.errors or self.statistic > DOUBTFUL_STATISTIC
-        return not is_doubted and n >= _FEWEST and sum(self.as_reported) >= _EXPLAINED * n
+        return not is_doubted and n >= _FEWEST and sum(self.explained) >= _EXPLAINED * n
 
     @property
     def is_established(self) -> bool:
         """Whether the model fits, and errors of the clock would be the errors of a clock."""
-        if not self.by_clock:
-            return not self.is_misfit
+        if self.is_misfit or self.is_in_error or self.statistic > _DOUBTED_STATISTIC:
+            return False
         tested = len(self.innovations) >= _FEWEST and self.statistic <= DOUBTFUL_STATISTIC
-        return tested and not self.is_misfit
+        return tested or not self.by_clock
 
     def message(self, account: str = "") -> str:
         """The warning of a misfit; empty while the model fits.
@@ -181,10 +198,13 @@ class Fit(NamedTuple):
     def shares(self, *, with_account: bool) -> Vector:
         """The weights of filter, replica and perhaps account in what is published.
 
-        By the inverse squares of their residuals.
+        Their posterior probabilities, if the k residuals compared are independent and normal with
+        a deviation that is unknown: ``(sum r^2)^(-k/2)`` (Jeffreys' prior).
         """
         sizes = self._recent if with_account else self._sizes
-        shares = np.array(sizes)[[0, 1, 3][: 2 + with_account]] ** -2.0
+        compared = min(_RECENT if with_account else _COMPARED, len(self.residuals))
+        by = np.array(sizes)[[0, 1, 3][: 2 + with_account]]
+        shares = (by / by.min()) ** -float(compared)
         return np.asarray(shares / shares.sum())
 
     @property

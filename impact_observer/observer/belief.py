@@ -87,7 +87,7 @@ class Account(NamedTuple):
     @property
     def published(self) -> Sequence[Hypothesis]:
         """Those whose mixture is published, the estimate's own first."""
-        return published(self.hypotheses, misfit=self.fit.is_misfit)
+        return published(self.hypotheses, misfit=self.fit.is_misfit or self.fit.is_in_error)
 
     @property
     def is_explained(self) -> bool:

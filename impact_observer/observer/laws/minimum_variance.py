@@ -277,4 +277,6 @@ class MinimumVariance(Law):
 
 def _shown(hypotheses: Sequence[Hypothesis], fit: Fit) -> Sequence[Hypothesis]:
     """Those whose mixture is published."""
-    return hypotheses if len(hypotheses) == 1 else published(hypotheses, misfit=fit.is_misfit)
+    if len(hypotheses) == 1:
+        return hypotheses
+    return published(hypotheses, misfit=fit.is_misfit or fit.is_in_error)
