@@ -241,11 +241,13 @@ class Fit(NamedTuple):
 
 
 def _statistic(innovations: tuple[float, ...]) -> float:
-    """Of the test on ``innovations``: large where neighbours have one sign, or alternate."""
-    n = len(innovations)
-    if n < _FEWEST or not any(innovations):
-        return 0.0
+    """Of the test on ``innovations``: large where neighbours have one sign, or alternate.
+
+    Zeros are rounding, which says nothing: they do not count.
+    """
     nu, lags = np.array(innovations), range(1, _LAGS + 1)
-    whole = nu.dot(nu)
-    rho = [float(nu[k:].dot(nu[:-k]) / whole) for k in lags]
+    n = int(np.count_nonzero(nu))
+    if n < _FEWEST:
+        return 0.0
+    rho = [float(nu[k:] @ nu[:-k] / (nu @ nu)) for k in lags]
     return n * (n + 2) * sum(r * r / (n - k) for r, k in zip(rho, lags, strict=True))

@@ -31,6 +31,13 @@ def test_statistic_agrees_with_its_definition() -> None:
     assert fitted(nu).statistic == pytest.approx(expected, rel=1e-12)
 
 
+def test_rounding_is_no_innovation() -> None:
+    """Zeros after a few that agree by chance, before the estimate has locked, prove nothing."""
+    nu = np.random.default_rng(5).normal(size=14)
+    assert fitted([*nu, *np.zeros(18)]).statistic == pytest.approx(fitted(nu).statistic)
+    assert not any(fitted([*np.ones(11), *np.zeros(k)]).statistic for k in range(21))
+
+
 @pytest.mark.parametrize("pattern", [[1.0], [1.0, -1.0], [0.2], [1.0, 1.0, -1.0, -1.0]])
 def test_patterns_warn_and_white_innovations_end_the_warning(pattern: list[float]) -> None:
     """One sign, however small, or a period: within 28 impacts; gone 40 impacts later."""
