@@ -225,7 +225,11 @@ class Options:
     )
     epoch: int = option(0, "stamp of t = 0 of the forcing; 0: from the events", "ns", low=0)
     history: float = option(
-        10.0, "how late an event may arrive and still be applied", "s", low=0.001
+        10.0,
+        "how late an event may arrive and still be applied",
+        "s",
+        low=0.001,
+        high=1e9,
     )
 
     def __post_init__(self) -> None:

@@ -25,6 +25,8 @@ TRACEBACK = "IMPACT_OBSERVER_TRACEBACK"
 MAINTAINERS = "maintainers@impact-observer.invalid"
 """Where unforeseen errors are reported, as in package.xml."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_LONGEST = 1000
+"""Most letters of an error."""
 _PR_SET_PDEATHSIG = 1
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -161,13 +163,13 @@ def one_line(error: BaseException) -> str:
     Errors of the package say what to do. Of those that nobody foresaw the line has the place in
     the package and where to report them.
     """
-    words = printable(" ".join(str(error).split()))
+    words = _shortened(printable(" ".join(str(error).split())))
     if isinstance(error, ImpactObserverError):
         return words
     if isinstance(error, MemoryError):
         return f"not enough memory{words and f': {words}'}; use a smaller model, or shorter data"
     if isinstance(error, OSError) and error.strerror:
-        return f"{printable(str(error.filename or 'files'))}: {error.strerror}"
+        return f"{_shortened(printable(str(error.filename or 'files')))}: {error.strerror}"
     place = next(
         (
             f" in {Path(frame.filename).relative_to(_PACKAGE.parent)}, line {frame.lineno}"
@@ -180,6 +182,13 @@ def one_line(error: BaseException) -> str:
     return (
         f"unforeseen {kind}{place}{words and f': {words}'}; please report it to {MAINTAINERS},"
         f" with what {TRACEBACK}=1 shows"
+    )
+
+
+def _shortened(line: str) -> str:
+    """A line without its middle, where it is very long, as with a name of thousands of letters."""
+    return (
+        line if len(line) <= _LONGEST else f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
     )
 
 

@@ -19,8 +19,8 @@ LATE = """
 import signal, time
 from impact_observer.process_end import run
 def job():
-    print("begun", flush=True)
     try:
+        print("begun", flush=True)
         time.sleep(60)
     finally:
         print("ending", flush=True)

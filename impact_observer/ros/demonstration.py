@@ -25,7 +25,7 @@ from impact_observer.ros.node_process import FOLLOW
 from impact_observer.ros.parameters import TABLES, check
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.recorder import Recorder, drain
-from impact_observer.ros.session import ros_node
+from impact_observer.ros.session import ros_node, spin_once
 from impact_observer.ros.wiring import (
     DemoSetup,
     NodeSetup,
@@ -113,7 +113,7 @@ def run(
             with _process(plant(setup, recorders=1), logs) as master:
                 last_message, count = time.monotonic(), -1
                 while master.poll() is None and not stop.requested:
-                    executor.spin_once(timeout_sec=_SPIN)
+                    spin_once(executor, node, _SPIN)
                     _check_all(processes, logs)
                     show(progress)
                     if writer.message_count > count:

@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 from impact_observer.errors import UsageError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.process_end import Stop, end_with_parent, run
-from impact_observer.ros.session import require_ros
+from impact_observer.ros.session import require_ros, spin_once
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -21,6 +22,8 @@ FOLLOW = "IMPACT_OBSERVER_FOLLOW"
 """Environment variable with the id of a parent process; this process ends when the parent does."""
 _SHUTDOWN_TIMEOUT = 5.0
 """How long the middleware may take to shut down before the process ends without it, s."""
+_CLOCK_PATIENCE = 5.0
+"""How often it is seen whether simulated time has begun, s."""
 _SIGNAL_PERIOD = 0.1
 """Longest time until a signal is noticed, s."""
 
@@ -67,10 +70,11 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None
         # the executor makes a new timer for each.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(_SIGNAL_PERIOD, lambda: None, clock=steady)
+        node.create_timer(_CLOCK_PATIENCE, partial(_warn_of_no_clock, node), clock=steady)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while rclpy.ok() and not stop.requested and not getattr(node, "done", False):
-            executor.spin_once()
+            spin_once(executor, node)
     except ExternalShutdownException:
         return
     except KeyboardInterrupt:
@@ -85,6 +89,16 @@ def _spin(stop: Stop, module: str, node_class: str, args: Sequence[str]) -> None
             node.destroy_node()
         rclpy.try_shutdown()
         faulthandler.cancel_dump_traceback_later()
+
+
+def _warn_of_no_clock(node: "Node") -> None:
+    """Warn of simulated time that has not begun; until then there are no stamps."""
+    clock = node.get_clock()
+    if node.get_parameter("use_sim_time").value and clock.now().nanoseconds == 0:
+        node.get_logger().warning(
+            "use_sim_time is set, but no /clock has come: nothing is published until it does",
+            throttle_duration_sec=30.0,
+        )
 
 
 def _make_node(make: "type[Node]", args: Sequence[str]) -> "Node":

@@ -168,7 +168,7 @@ def declare(node: "Node", table: tuple[Option, ...]) -> Values:
             description=each.summary,
             additional_constraints=each.limits,
             read_only=not each.live,
-            dynamic_typing=each.live,  # so that a whole number may be set for a double
+            dynamic_typing=each.type == "double",  # a whole number is one too
         )
         if each.low is not None and each.type == "int":
             to = _LARGEST if each.high is None else int(each.high)
@@ -184,6 +184,8 @@ def declare(node: "Node", table: tuple[Option, ...]) -> Values:
             article = "an" if each.type == "int" else "a"
             wanted = ", ".join(filter(None, (f"{article} {each.type}", each.limits)))
             raise UsageError(f"parameter {each.name}: expected {wanted}: {error}") from None
+        if each.type == "double" and type(value) is int:
+            value = float(value)
         each.check(value)
         values[each.name] = value
     return Values(values)

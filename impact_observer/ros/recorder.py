@@ -19,7 +19,7 @@ from impact_observer.io.typestores import installed_definition, typestore
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.session import ros_node
+from impact_observer.ros.session import ros_node, spin_once
 from impact_observer.ros.subscribing import common_offer, subscribe_raw
 
 _DISCOVERY_PERIOD = 0.1
@@ -183,6 +183,10 @@ class Recorder:
         self._waiting.append((topic, data))
         now = self._node.get_clock().now().nanoseconds
         if now == 0:
+            self._node.get_logger().warning(
+                "use_sim_time is set, but no /clock has come: what comes waits in memory for it",
+                throttle_duration_sec=30.0,
+            )
             return
         self._last = max(self._last, now)
         waiting, self._waiting = self._waiting, []
@@ -240,7 +244,7 @@ def record(
         recorder = Recorder(node, writer, topics, exclude=exclude, on_topic=on_topic)
         begin = shown = time.monotonic()
         while not stop.requested and (duration is None or time.monotonic() < begin + duration):
-            executor.spin_once(timeout_sec=_DISCOVERY_PERIOD)
+            spin_once(executor, node, _DISCOVERY_PERIOD)
             if on_progress and time.monotonic() > shown + _DISCOVERY_PERIOD:
                 shown = time.monotonic()
                 on_progress(writer.message_count, shown - begin)

@@ -1,5 +1,7 @@
 """A process that uses ROS without being a node of the package: one node, and its end."""
 
+import os
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -10,13 +12,22 @@ if TYPE_CHECKING:
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
 
+_DOMAIN = "ROS_DOMAIN_ID"
+_LAST_DOMAIN = 232
+"""Fast DDS has no ports for more."""
+
 
 def require_ros() -> None:
     """Raise an error of one line where ROS 2 is not installed.
 
     Raises:
-        UsageError: ``rclpy`` cannot be imported.
+        UsageError: ``rclpy`` cannot be imported, or ``ROS_DOMAIN_ID`` is no domain.
     """
+    domain = os.environ.get(_DOMAIN, "")
+    if domain and not (domain.isascii() and domain.isdigit() and int(domain) <= _LAST_DOMAIN):
+        raise UsageError(
+            f"{_DOMAIN}: {domain[:40]} found; expected a whole number from 0 to {_LAST_DOMAIN}"
+        )
     try:
         import rclpy  # noqa: F401
     except ImportError as error:
@@ -61,3 +72,24 @@ def ros_node(
             node.destroy_node()
     finally:
         context.try_shutdown()
+
+
+def spin_once(
+    executor: "SingleThreadedExecutor", node: "Node", timeout: float | None = None
+) -> None:
+    """Spin ``executor`` once; a time before zero on ``/clock`` is ignored, and warned of.
+
+    Args:
+        executor: of ``node``.
+        node: warns.
+        timeout: longest wait, s; None for until there is something to do.
+    """
+    try:
+        executor.spin_once(timeout_sec=timeout)
+    except (ValueError, OverflowError) as error:
+        frames = traceback.walk_tb(error.__traceback__)
+        if all(frame.f_globals.get("__name__") != "rclpy.time_source" for frame, _ in frames):
+            raise
+        node.get_logger().warning(
+            f"/clock: a time that is none is ignored ({error})", throttle_duration_sec=5.0
+        )

@@ -170,7 +170,8 @@ def test_a_signal_ends_a_node_with_exit_code_0(
         ("observer", {"model": "nothing.yaml"}, "nothing.yaml: no such file"),
         ("observer", {"model": "two_mass", "law": "magic"}, "law 'magic': not installed"),
         ("observer", {"model": "two_mass", "rate": -1.0}, "parameter rate: expected a double"),
-        ("observer", {"model": "two_mass", "rate": 100}, "parameter rate: expected a double"),
+        ("observer", {"model": "two_mass", "rate": "[]"}, "parameter rate: None found"),
+        ("observer", {"model": "two_mass", "history": 1e300}, "parameter history: expected a"),
         ("observer", {"model": "two_mass", "initial_state": "one"}, "initial state 'one'"),
         ("plant", {"model": "two_mass", "realtime_factor": 2.0}, "needs publish_clock"),
         (

@@ -10,7 +10,7 @@ from rclpy.subscription import Subscription
 
 from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.session import ros_node
+from impact_observer.ros.session import ros_node, spin_once
 from impact_observer.ros.subscribing import common_offer, subscribe_raw
 from impact_observer.ros.watch.snapshot import Snapshot
 from impact_observer.ros.watch.topic_listener import TopicListener
@@ -83,5 +83,5 @@ def watch(
             if now >= due:
                 due = now + 1.0 / rate
                 show(listener.snapshot(now, time.time_ns()))
-            executor.spin_once(timeout_sec=min(max(due - now, 0.0), _KEY_PERIOD))
+            spin_once(executor, node, min(max(due - now, 0.0), _KEY_PERIOD))
         show(listener.snapshot(time.monotonic(), time.time_ns()))

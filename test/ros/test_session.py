@@ -1,0 +1,71 @@
+"""What a process that uses ROS checks, and what it survives."""
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from processes import spinning
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+from impact_observer.errors import UsageError
+from impact_observer.options import Option
+from impact_observer.ros import parameters
+from impact_observer.ros.session import require_ros, spin_once
+
+
+@pytest.mark.parametrize("domain", ["abc", "-1", "233", "1e2", "\u0661"])
+def test_a_domain_that_is_none_is_one_line(monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
+    """Before the middleware, which says so in other words or not at all."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    with pytest.raises(UsageError, match=rf"ROS_DOMAIN_ID: {domain} found; expected a whole"):
+        require_ros()
+
+
+@pytest.mark.parametrize("domain", ["", "0", "232"])
+def test_every_domain_is_accepted(monkeypatch: pytest.MonkeyPatch, domain: str) -> None:
+    """Also none at all."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", "none")
+    with pytest.raises(UsageError):
+        require_ros()
+    monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+    require_ros()
+
+
+@pytest.mark.ros
+def test_a_time_before_zero_on_the_clock_is_ignored(
+    ros_environment: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """With a warning; the same error of other code is raised."""
+    assert ros_environment
+    of_clock: dict[str, object] = {"__name__": "rclpy.time_source"}
+    source = "def spin_once(timeout_sec=None):\n    raise ValueError('must not be negative')\n"
+    exec(source, of_clock)
+    of_others: dict[str, object] = {"__name__": "elsewhere"}
+    exec(source, of_others)
+    with spinning() as spinner:
+        executor = SingleThreadedExecutor()
+        monkeypatch.setattr(executor, "spin_once", of_clock["spin_once"])
+        spin_once(executor, spinner.probe)
+        monkeypatch.setattr(executor, "spin_once", of_others["spin_once"])
+        with pytest.raises(ValueError, match="negative"):
+            spin_once(executor, spinner.probe)
+        executor.shutdown()
+    assert "/clock: a time that is none is ignored" in capfd.readouterr().err
+
+
+@pytest.mark.ros
+def test_a_whole_number_is_a_double_and_a_list_is_not(ros_environment: dict[str, str]) -> None:
+    """``-p rate:=100`` is meant as 100.0; ``[]`` is refused in one line."""
+    assert ros_environment
+    table = (Option("rate", 1.0, "a rate", "Hz", low=0.1, high=1000.0),)
+    with spinning(["--ros-args", "-p", "one:rate:=100", "-p", "two:rate:=[]"]) as spinner:
+        one, two = Node("one"), Node("two")
+        spinner.add(one)
+        spinner.add(two)
+        value = parameters.declare(one, table).value("rate")
+        assert (value, type(value)) == (100.0, float)
+        with pytest.raises(UsageError, match="parameter rate: "):
+            parameters.declare(two, table)
