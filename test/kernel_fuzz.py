@@ -14,6 +14,7 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from types import ModuleType, WrapperDescriptorType
 from typing import Any, NamedTuple
 
@@ -102,21 +103,25 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
     from systems import PRESSED
 
     from impact_observer.dynamics import Phases, Search, Watched
-    from impact_observer.kernel import divided, triangular
+    from impact_observer.kernel import triangular
+    from impact_observer.model import Forcing
+    from impact_observer.model.force_samples import Samples
 
     triangular(np.arange(12.0).reshape(3, 4))
-    divided(np.array([[-1.0], [1j], [-1j]]), np.arange(3.0))
     free, _, w = calls["Impact.__init__"][0].given[:3]
     free.flown(0.1, np.ones(2 * w.size), 0.2)
     impact, t, flown, states, _ = calls["Impact.posteriors"][0].given
     impact.missed(t, flown, states)
-    phase = Phases(PRESSED).phase()
-    motion = phase.start(0.3, np.array([0.1, -0.2, 0.5, 0.0]))
-    motion.each(np.linspace(0.0, 1.0, 5))
-    gaps = Watched.gaps(PRESSED, [0, 1])
-    Search(phase, gaps, 1.0).first(motion, 2.0)
-    trace = calls["RootSearch.__init__"][0].given[0]
-    trace.known(0.1, 0.2)
+    samples = Samples(np.arange(-1.0, 9.0), np.ones((10, 2)) * np.arange(2.0), "linear")
+    sampled = replace(PRESSED, forcing=Forcing.of_samples(samples))
+    for model in (PRESSED, sampled):
+        phase = Phases(model).phase()
+        motion = phase.start(0.3, np.array([0.1, -0.2, 0.5, 0.0]))
+        motion.states(np.linspace(0.0, 1.0, 5))
+        search = Search(phase, Watched.gaps(model, [0, 1]), 1.0)
+        search.first(motion, 2.0)
+        search.guards.known(motion, 0.1, 0.2)
+    Phases(PRESSED).phase().transition(0.1)
     arena, _, _, x = calls["Arena.start"][0].given
     arena.fly_all(0, 0.0, x[None], 2_000_000_000, 9)
 

@@ -14,7 +14,7 @@ from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow.flow import Flow, Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
 from impact_observer.dynamics.flow.scales import Scales, sizes
-from impact_observer.dynamics.flow.spectral import flow_of
+from impact_observer.dynamics.flow.strides import flow_of
 from impact_observer.dynamics.guards.location import DEPTH, Crossing, Search
 from impact_observer.dynamics.guards.watched import Watched
 

@@ -1,4 +1,4 @@
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -45,10 +45,19 @@ class Impact:
         self, t: float, flown: float, states: Sequence[tuple[object, ...]]
     ) -> list[State]: ...
 
-class ModalFlow:
+class PhaseMotion:
+    t: float
+    def state(self, s: float, /) -> Vector: ...
+    def states(self, s: Vector, /) -> Matrix: ...
+
+class PhaseFlow:
+    def start(self, t: float, x: Vector) -> PhaseMotion: ...
+
+class ModalFlow(PhaseFlow):
     def __init__(
         self,
-        splitting: tuple[Matrix, Matrix, Matrix, Matrix, NDArray[np.bool_]],
+        coordinates: tuple[Matrix, Matrix, Matrix, Matrix, Vector, bool],
+        splitting: tuple[Matrix, Matrix, NDArray[np.bool_]],
         waves: tuple[Vector, NDArray[np.uint64]],
         response: Matrix,
         load: Matrix,
@@ -58,30 +67,45 @@ class ModalFlow:
         small: float,
         young: float,
     ) -> None: ...
-    def start(self, t: float, x: Vector) -> ModalMotion: ...
     def transition(self, s: float) -> Matrix: ...
+    def guards(self, position: Matrix, seen: Matrix, reach: Matrix, waves: Matrix) -> Guards: ...
 
-class ModalMotion:
-    t: float
-    def state(self, s: float, /) -> Vector: ...
-    def states(self, s: Vector, /) -> Matrix: ...
-    def each(self, s: Vector, /) -> Matrix: ...
+class SampledForces:
+    def __init__(
+        self,
+        time: Vector,
+        force: Matrix,
+        slope: Matrix,
+        rounding: float,
+        check: Callable[[Vector], None],
+    ) -> None: ...
+
+class SeriesFlow(PhaseFlow):
+    def __init__(
+        self,
+        coordinates: tuple[Matrix, Matrix, Matrix, Matrix, Vector, bool],
+        J: Matrix,
+        waves: tuple[Vector, NDArray[np.uint64]],
+        load: Matrix,
+        push: Matrix,
+        samples: SampledForces | None,
+        rate: float,
+    ) -> None: ...
+    def guards(
+        self, position: Matrix, seen: Matrix, reach: Matrix, waves: Matrix, force: Matrix
+    ) -> Guards: ...
 
 class Guards:
-    def __init__(
-        self, flow: ModalFlow, seen: Matrix, reach: Matrix, harmonics: Matrix, constant: Vector
-    ) -> None: ...
-    def trace(self, motion: ModalMotion, shift: Vector) -> Trace: ...
-
-class Trace:
-    def known(self, s: float, stop: float) -> tuple[Matrix, Matrix, Vector]: ...
+    def known(
+        self, motion: PhaseMotion, s: float, stop: float
+    ) -> tuple[Matrix, Matrix, Vector, float]: ...
 
 class RootSearch:
     looks: int
-    def __init__(self, trace: Trace, window: float, end: float, start: float = 0.0) -> None: ...
+    def __init__(
+        self, guards: Guards, motion: PhaseMotion, window: float, start: float = 0.0
+    ) -> None: ...
     def first(self, horizon: float) -> tuple[float, tuple[int, ...]] | None: ...
-
-def divided(points: NDArray[np.complex128], s: Vector) -> NDArray[np.complex128]: ...
 
 class Gaps:
     def __init__(self, motion: FreeMotion, sizes: Sizes, W: Matrix, rest: Vector) -> None: ...

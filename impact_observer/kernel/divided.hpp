@@ -1,5 +1,5 @@
 // Divided differences of exp(s z) that stay accurate where their points coincide: the answer of
-// a mode to a harmonic, a step or a ramp from rest, resonance included.
+// a mode to a harmonic or a constant from rest, resonance included.
 #pragma once
 
 #include <algorithm>
@@ -23,44 +23,27 @@ inline Complex divided(Complex a, Complex b, double s) {
     return s * std::exp(b * s) * (z == 0.0 ? Complex(1.0) : expm1(z) / z);
 }
 
-constexpr std::size_t MOST_POINTS = 8;
-
-// exp[points], whatever their order; s^k e^{as} / k! where all k + 1 coincide.
-inline Complex divided(const Complex* points, std::size_t count, double s) {
-    if (count == 2) return divided(points[0], points[1], s);
-    std::size_t first = 0, last = 0;
-    double distance = -1.0;
-    for (std::size_t i = 0; i < count; ++i)
-        for (std::size_t j = i + 1; j < count; ++j)
-            if (const double apart = std::abs(points[i] - points[j]); apart > distance)
-                distance = apart, first = i, last = j;
-    Complex ordered[MOST_POINTS];  // the two most distant ones first and last
-    std::size_t k = 0;
-    ordered[k++] = points[first];
-    for (std::size_t i = 0; i < count; ++i)
-        if (i != first && i != last) ordered[k++] = points[i];
-    ordered[k] = points[last];
-    if (distance * s > 1.0)  // the recursion, with the largest distance for its divisor
-        return (divided(ordered, k, s) - divided(ordered + 1, k, s)) / (ordered[0] - ordered[k]);
-    // s^k e^{ms} sum_i h_i / (i+k)! about the mean m, h_i homogeneous symmetric; with 18 terms
+// exp[a, b, c], whatever their order; s^2 e^{as} / 2 where all coincide.
+inline Complex divided(Complex a, Complex b, Complex c, double s) {
+    // The two most distant ones first and last.
+    if (std::abs(a - b) > std::abs(a - c)) std::swap(b, c);
+    if (std::abs(b - c) > std::abs(a - c)) std::swap(a, b);
+    const double distance = std::abs(a - c);
+    if (distance * s > 1.0) return (divided(a, b, s) - divided(b, c, s)) / (a - c);
+    // s^2 e^{ms} sum_i h_i / (i + 2)! about the mean m, h_i homogeneous symmetric; with 18 terms
     // the first one left out is below 1e-16 of the sum.
-    Complex mean = 0.0, parts[MOST_POINTS], symmetric[MOST_POINTS];
-    for (std::size_t i = 0; i < count; ++i) mean += ordered[i] / double(count);
-    double factorial = 1.0;
-    for (std::size_t i = 0; i < count; ++i) {
-        parts[i] = (ordered[i] - mean) * s;
-        symmetric[i] = 1.0;
-        if (i > 0) factorial *= double(i);
-    }
-    Complex total = 1.0 / factorial;
+    const Complex mean = (a + b + c) / 3.0;
+    const Complex parts[3] = {(a - mean) * s, (b - mean) * s, (c - mean) * s};
+    Complex symmetric[3] = {1.0, 1.0, 1.0}, total = 0.5;
+    double factorial = 2.0;
     for (std::size_t i = 1; i < (distance > 0 ? 18 : 1); ++i) {
-        factorial *= double(i + k);
+        factorial *= double(i + 2);
         symmetric[0] *= parts[0];
-        for (std::size_t j = 1; j <= k; ++j)
+        for (std::size_t j = 1; j < 3; ++j)
             symmetric[j] = symmetric[j - 1] + parts[j] * symmetric[j];
-        total += symmetric[k] / factorial;
+        total += symmetric[2] / factorial;
     }
-    return std::pow(s, double(k)) * std::exp(mean * s) * total;
+    return s * s * std::exp(mean * s) * total;
 }
 
 // A bound on the size of exp[points] of 2 or 3 points without positive real part, until s: of

@@ -1,9 +1,10 @@
 // Flow, guards and event location for Python.
-#include <pybind11/complex.h>
 #include <pybind11/stl.h>
 
 #include "bindings.hpp"
 #include "flights.hpp"
+#include "guards.hpp"
+#include "series.hpp"
 
 namespace kernel {
 
@@ -29,10 +30,26 @@ double finite(double value, const char* name) {
     return value;
 }
 
+// Samples, and what raises Python's error for instants without any.
+struct SampledForces : Samples {
+    py::object check;
+};
+
 // A motion and its start as Python gave it.
 struct Started {
     py::object t;
+    std::shared_ptr<const Flow> flow;
     std::shared_ptr<const Motion> motion;
+    std::shared_ptr<const SampledForces> samples;
+
+    std::size_t size() const { return 2 * flow->coordinates.n; }
+
+    void check(const double* s, std::size_t count) const {
+        const double start = py::cast<double>(t);
+        for (std::size_t k = 0; samples && k < count; ++k)
+            if (start + s[k] < samples->time.front() || start + s[k] > samples->time.back())
+                samples->check(to_python(std::vector<double>{start + s[k]}));
+    }
 };
 
 std::vector<Pair> pairs_of(const Array& J, const Array& rates, const Flags& oscillates) {
@@ -64,8 +81,8 @@ Harmonics harmonics_of(const Array& frequency, const Counts& turns) {
 }
 
 // The loads of those pairs and harmonics that are marked, n x (1 + h).
-std::vector<Drive> drives_of(const Flow& flow, const View& load, const Flags& marked) {
-    const std::size_t n = flow.modes.n, h = flow.harmonics.size();
+std::vector<Drive> drives_of(const ModalFlow& flow, const View& load, const Flags& marked) {
+    const std::size_t n = flow.pairs.size(), h = flow.harmonics.size();
     if (marked.ndim() != 2 || std::size_t(marked.shape(0)) != n ||
         std::size_t(marked.shape(1)) != 1 + h)
         throw py::value_error("near, driven: shape " + shape_of(marked) + "; expected (n, 1 + h)");
@@ -73,7 +90,7 @@ std::vector<Drive> drives_of(const Flow& flow, const View& load, const Flags& ma
     for (std::size_t p = 0; p < n; ++p)
         for (std::size_t k = 0; k <= h; ++k) {
             if (!marked.data()[p * (1 + h) + k]) continue;
-            const Pair& pair = flow.modes.pairs[p];
+            const Pair& pair = flow.pairs[p];
             Drive drive;
             drive.pair = p, drive.harmonic = k;
             drive.one = pair.oscillates ? Complex(pair.a, pair.d) : Complex(pair.slow);
@@ -90,110 +107,179 @@ std::vector<Drive> drives_of(const Flow& flow, const View& load, const Flags& ma
     return found;
 }
 
-std::shared_ptr<Flow> make_flow(const py::tuple& splitting, const py::tuple& waves,
-                                const Array& response, const Array& load, const Flags& near,
-                                const Flags& all, const Array& energy, double small,
-                                double young) {
-    const auto part = [](const py::tuple& of, std::size_t k) { return py::cast<Array>(of[k]); };
+Array part(const py::tuple& of, std::size_t k) { return py::cast<Array>(of[k]); }
+
+// T, T^-1, what is held, Q, the offset, and whether coordinates and velocities are side by side.
+Coordinates coordinates_of(const py::tuple& given) {
+    const bool paired = py::cast<bool>(given[5]);
+    const Array T = part(given, 0), inverse = part(given, 1), held = part(given, 2);
+    const Array Q = part(given, 3), offset = part(given, 4);
+    const View forward = checked(T, "T", ANY, ANY);
+    if (!paired && (forward.rows % 2 || forward.columns % 2))
+        throw py::value_error("T: shape " + shape_of(T) + "; expected even numbers");
+    const py::ssize_t n = T.shape(0) / (paired ? 1 : 2);
+    const py::ssize_t rest = held.size() ? n : 0, seen = Q.size() ? n : 0;
+    return Coordinates(forward, checked(inverse, "T_inverse", T.shape(1), T.shape(0)),
+                       checked(held, "held", rest, rest), checked(Q, "Q", seen, seen),
+                       checked(offset, "offset", seen), paired);
+}
+
+Harmonics harmonics_of(const py::tuple& waves) {
+    return harmonics_of(part(waves, 0), py::cast<Counts>(waves[1]));
+}
+
+std::shared_ptr<ModalFlow> make_modal(const py::tuple& coordinates, const py::tuple& splitting,
+                                      const py::tuple& waves, const Array& response,
+                                      const Array& load, const Flags& near, const Flags& all,
+                                      const Array& energy, double small, double young) {
     const auto pairs =
-        pairs_of(part(splitting, 2), part(splitting, 3), py::cast<Flags>(splitting[4]));
-    const py::ssize_t n = py::ssize_t(pairs.size());
-    const Array T = part(splitting, 0), T_inverse = part(splitting, 1);
-    const py::ssize_t size = T.ndim() == 2 && T.shape(0) == n ? n : 2 * n;
-    const Harmonics harmonics = harmonics_of(part(waves, 0), py::cast<Counts>(waves[1]));
+        pairs_of(part(splitting, 0), part(splitting, 1), py::cast<Flags>(splitting[2]));
+    const py::ssize_t r = py::ssize_t(pairs.size());
+    const Harmonics harmonics = harmonics_of(waves);
     const py::ssize_t columns = 1 + 2 * py::ssize_t(harmonics.size());
-    auto flow = std::make_shared<Flow>(Flow{
-        Modes(pairs, checked(T, "T", size, size), checked(T_inverse, "T_inverse", size, size)),
-        harmonics,
-        Matrix(checked(response, "response", 2 * n, columns)),
-        {},
-        {},
-        Matrix(checked(energy, "energy", n, 2)),
-        finite(small, "small"),
-        finite(young, "young")});
-    const View loads = checked(load, "load", 2 * n, columns);
+    Coordinates checked_coordinates = coordinates_of(coordinates);
+    if (checked_coordinates.size != 2 * pairs.size())
+        throw py::value_error("T: expected twice as many coordinates as pairs");
+    auto flow = std::make_shared<ModalFlow>(std::move(checked_coordinates), harmonics, pairs,
+                                            Matrix(checked(response, "response", 2 * r, columns)),
+                                            Matrix(checked(energy, "energy", r, 2)),
+                                            finite(small, "small"), finite(young, "young"));
+    const View loads = checked(load, "load", 2 * r, columns);
     flow->near = drives_of(*flow, loads, near);
     flow->all = drives_of(*flow, loads, all);
     return flow;
 }
 
+std::shared_ptr<SampledForces> make_samples(const Array& time, const Array& force,
+                                            const Array& slope, double rounding,
+                                            const py::object& check) {
+    const View at = checked(time, "time", ANY);
+    const py::ssize_t k = py::ssize_t(at.rows);
+    const View values = checked(force, "force", k, ANY);
+    const py::ssize_t columns = py::ssize_t(values.columns);
+    if (k < 2) throw py::value_error("time: expected two samples at least");
+    for (std::size_t i = 1; i < at.rows; ++i)
+        if (!(at[i] > at[i - 1])) throw py::value_error("time: does not ascend");
+    return std::make_shared<SampledForces>(
+        SampledForces{{{at.data, at.data + at.rows},
+                       Matrix(values),
+                       Matrix(checked(slope, "slope", k, columns)),
+                       finite(rounding, "rounding")},
+                      check});
+}
+
+std::shared_ptr<SeriesFlow> make_series(const py::tuple& coordinates, const Array& J,
+                                        const py::tuple& waves, const Array& load,
+                                        const Array& push,
+                                        const std::shared_ptr<SampledForces>& samples,
+                                        double rate) {
+    Coordinates checked_coordinates = coordinates_of(coordinates);
+    const py::ssize_t size = py::ssize_t(checked_coordinates.size);
+    const View blocks = checked(J, "J", size, ANY);
+    if (size > 0 && (blocks.columns == 0 || checked_coordinates.size % blocks.columns))
+        throw py::value_error("J: shape " + shape_of(J) + "; expected whole blocks");
+    if (!(finite(rate, "rate") >= 0)) throw py::value_error("rate: negative");
+    const Harmonics harmonics = harmonics_of(waves);
+    const py::ssize_t columns = 1 + 2 * py::ssize_t(harmonics.size());
+    const py::ssize_t forces = samples ? py::ssize_t(samples->force.columns) : 0;
+    return std::make_shared<SeriesFlow>(std::move(checked_coordinates), harmonics, Matrix(blocks),
+                                        Matrix(checked(load, "load", size, columns)),
+                                        Matrix(checked(push, "push", size, forces)), samples,
+                                        rate);
+}
+
 Started start(const std::shared_ptr<Flow>& flow, const py::object& t, const Array& x) {
-    const View state = checked(x, "x", py::ssize_t(2 * flow->modes.n));
-    return {t, std::make_shared<Motion>(flow, time_of(t), state.data)};
-}
-
-Array transition(const Flow& flow, double s) {
-    return to_python(flow.modes.transition(finite(s, "s")));
-}
-
-Array state(const Started& started, double s) {
-    Array found(py::ssize_t(2 * started.motion->flow->modes.n));
-    finite(s, "s");
-    started.motion->states(&s, 1, found.mutable_data());
+    const View state = checked(x, "x", py::ssize_t(2 * flow->coordinates.n));
+    Started found{t, flow, nullptr, nullptr};
+    const Time at = time_of(t);
+    if (const auto series = std::dynamic_pointer_cast<const SeriesFlow>(flow)) {
+        found.samples = std::static_pointer_cast<const SampledForces>(series->samples);
+        const double now = 0.0;
+        found.check(&now, 1);
+    }
+    found.motion = flow->start(at, state.data);
     return found;
+}
+
+Array transition(const ModalFlow& flow, double s) {
+    return to_python(flow.transition(finite(s, "s")));
 }
 
 Array states(const Started& started, const Array& s) {
     const View at = checked(s, "s", ANY);
-    const std::size_t size = 2 * started.motion->flow->modes.n;
-    Array found({at.rows, size});
-    double* rows = found.mutable_data();
-    const Motion& motion = *started.motion;
-    const py::gil_scoped_release unlocked;
-    motion.states(at.data, at.rows, rows);
+    started.check(at.data, at.rows);
+    Array found({at.rows, started.size()});
+    started.motion->states(at.data, at.rows, found.mutable_data());
     return found;
 }
 
-std::shared_ptr<Guards> make_guards(const std::shared_ptr<Flow>& flow, const Array& seen,
-                                    const Array& reach, const Array& harmonics,
-                                    const Array& constant) {
-    const py::ssize_t n = py::ssize_t(flow->modes.n), h = py::ssize_t(flow->harmonics.size());
-    const View rows = checked(seen, "seen", ANY, 2 * n);
-    const py::ssize_t w = py::ssize_t(rows.rows);
-    const View waves = checked(harmonics, "harmonics", w, 2 * h),
-               level = checked(constant, "constant", w);
-    std::vector<Complex> amplitudes(std::size_t(w * h));
-    for (std::size_t k = 0; k < amplitudes.size(); ++k) {
-        const std::size_t i = k / std::size_t(h), j = k % std::size_t(h);
-        amplitudes[k] = {waves(i, j), waves(i, std::size_t(h) + j)};
+Array state(const Started& started, double s) {
+    Array found(py::ssize_t(started.size()));
+    finite(s, "s");
+    started.check(&s, 1);
+    started.motion->states(&s, 1, found.mutable_data());
+    return found;
+}
+
+// The rows of functions that both kinds of motions need: of q, of y, what the latter are rounded
+// against, and of (1, cos, sin).
+struct Rows {
+    Matrix position, seen, reach, waves;
+
+    Rows(const Flow& flow, const Array& q, const Array& y, const Array& rounded,
+         const Array& driven) {
+        const py::ssize_t size = py::ssize_t(flow.coordinates.size);
+        position = Matrix(checked(q, "position", ANY, py::ssize_t(flow.coordinates.n)));
+        const py::ssize_t w = py::ssize_t(position.rows);
+        seen = Matrix(checked(y, "seen", w, size));
+        reach = Matrix(checked(rounded, "reach", w, size));
+        waves = Matrix(checked(driven, "waves", w, 1 + 2 * py::ssize_t(flow.harmonics.size())));
     }
-    return std::make_shared<Guards>(flow, Matrix(rows), Matrix(checked(reach, "reach", w, 2 * n)),
-                                    amplitudes, std::vector<double>(level.data, level.data + w));
+};
+
+std::shared_ptr<Guards> modal_guards(const std::shared_ptr<ModalFlow>& flow, const Array& position,
+                                     const Array& seen, const Array& reach, const Array& waves) {
+    const Rows rows(*flow, position, seen, reach, waves);
+    return std::make_shared<ModalGuards>(flow, rows.position, rows.seen, rows.reach, rows.waves);
 }
 
-Trace trace(const std::shared_ptr<Guards>& guards, const Started& started, const Array& shift) {
-    if (started.motion->flow != guards->flow) throw py::value_error("motion: of another flow");
-    const View added = checked(shift, "shift", py::ssize_t(guards->w));
-    return Trace(guards, started.motion, {added.data, added.data + added.rows});
+std::shared_ptr<Guards> series_guards(const std::shared_ptr<SeriesFlow>& flow,
+                                      const Array& position, const Array& seen, const Array& reach,
+                                      const Array& waves, const Array& force) {
+    const Rows rows(*flow, position, seen, reach, waves);
+    const View pushed =
+        checked(force, "force", py::ssize_t(rows.position.rows), py::ssize_t(flow->push.columns));
+    return std::make_shared<SeriesGuards>(flow, rows.position, rows.seen, rows.reach, rows.waves,
+                                          Matrix(pushed));
 }
 
-// What the search knows of each function at s: value, derivatives, a bound on each up to `stop`,
+// What a search knows of each function at s: value, derivatives, a bound on each up to `stop`,
 // and what it is rounded against.
-py::tuple known(Trace& trace, double s, double stop) {
+py::tuple known(const Guards& guards, const Started& started, double s, double stop) {
     if (!(finite(s, "s") >= 0) || !(finite(stop, "stop") >= s))
         throw py::value_error("s, stop: expected 0 <= s <= stop");
-    trace.look(s);
-    Matrix derivatives(ORDERS, trace.size()), bounds(ORDERS, trace.size());
+    const std::unique_ptr<Functions> trace = guards.along(started.motion);
+    trace->look(s);
+    Matrix derivatives(ORDERS, trace->size()), bounds(ORDERS, trace->size());
     std::vector<double> scales;
-    for (std::size_t i = 0; i < trace.size(); ++i) {
-        scales.push_back(trace.scale(i));
+    for (std::size_t i = 0; i < trace->size(); ++i) {
+        scales.push_back(trace->scale(i));
         for (std::size_t k = 0; k < ORDERS; ++k) {
-            derivatives(k, i) = trace.derivative(k, i);
-            bounds(k, i) = trace.largest(k, i, stop) + (k ? 0.0 : std::abs(trace.constant(i)));
+            derivatives(k, i) = trace->derivative(k, i);
+            bounds(k, i) = trace->largest(k, i, stop) + (k ? 0.0 : std::abs(trace->constant(i)));
         }
     }
-    return py::make_tuple(to_python(derivatives), to_python(bounds), to_python(scales));
+    return py::make_tuple(to_python(derivatives), to_python(bounds), to_python(scales),
+                          trace->smooth_until());
 }
 
-using Search = Hunt<Trace>;
-
-Search hunt(const Trace& trace, double window, double end, double start) {
-    if (!(window > 0) || std::isnan(end) || !(start >= 0))
-        throw py::value_error("window, end, start: out of range");
-    return Search(trace, window, end, start);
+Hunt hunt(const Guards& guards, const Started& started, double window, double start) {
+    if (!(finite(window, "window") > 0) || !(finite(start, "start") >= 0))
+        throw py::value_error("window, start: out of range");
+    return Hunt(guards.along(started.motion), window, start);
 }
 
-py::object first(Search& search, double horizon) {
+py::object first(Hunt& search, double horizon) {
     finite(horizon, "horizon");
     const std::optional<Crossing>* found;
     {
@@ -207,17 +293,11 @@ py::object first(Search& search, double horizon) {
 std::shared_ptr<Arena> make_arena(const std::shared_ptr<Guards>& gaps, const Array& M,
                                   const Array& W, const Array& q_r, const Array& length,
                                   const py::tuple& times, double lowest) {
-    const py::ssize_t n = py::ssize_t(gaps->flow->modes.n), m = py::ssize_t(gaps->w);
+    const py::ssize_t n = py::ssize_t(gaps->flow->coordinates.n), m = py::ssize_t(gaps->w);
     const View rows = checked(W, "W", m, n), gap = checked(q_r, "q_r", m),
                size = checked(length, "length", m);
-    auto arena = std::make_shared<Arena>(Arena{gaps->flow,
-                                               gaps,
-                                               Matrix(checked(M, "M", n, n)),
-                                               {},
-                                               0.0,
-                                               0.0,
-                                               0.0,
-                                               finite(lowest, "lowest")});
+    auto arena = std::make_shared<Arena>(
+        Arena{gaps, Matrix(checked(M, "M", n, n)), {}, 0.0, 0.0, 0.0, finite(lowest, "lowest")});
     double* const each[3] = {&arena->window, &arena->timescale, &arena->shortest};
     for (std::size_t k = 0; k < 3; ++k)
         if (*each[k] = finite(py::cast<double>(times[k]), "times"); !(*each[k] > 0))
@@ -308,50 +388,36 @@ py::list fly_all(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double
     return found;
 }
 
-using Points = ArrayOf<Complex>;
-
-// Divided differences of the exponential on the columns of `points` at each s, (samples, columns).
-Points differences(const Points& points, const Array& s) {
-    const View at = checked(s, "s", ANY);
-    if (points.ndim() != 2 || points.shape(0) < 2 || std::size_t(points.shape(0)) > MOST_POINTS)
-        throw py::value_error("points: shape " + shape_of(points) + "; expected (2 to 8, any)");
-    const std::size_t count = std::size_t(points.shape(0)), columns = std::size_t(points.shape(1));
-    for (std::size_t k = 0; k < count * columns; ++k)
-        if (!std::isfinite(std::abs(points.data()[k])))
-            throw py::value_error("points: not finite");
-    Points found({at.rows, columns});
-    Complex column[MOST_POINTS];
-    for (std::size_t j = 0; j < columns; ++j) {
-        for (std::size_t k = 0; k < count; ++k) column[k] = points.data()[k * columns + j];
-        for (std::size_t i = 0; i < at.rows; ++i)
-            found.mutable_data()[i * columns + j] = divided(column, count, at[i]);
-    }
-    return found;
-}
-
 }  // namespace
 
 void bind_dynamics(py::module_& module) {
-    py::class_<Flow, std::shared_ptr<Flow>>(module, "ModalFlow")
-        .def(py::init(&make_flow), py::arg("splitting"), py::arg("waves"), py::arg("response"),
-             py::arg("load"), py::arg("near"), py::arg("driven"), py::arg("energy"),
-             py::arg("small"), py::arg("young"))
-        .def("start", &start, py::arg("t"), py::arg("x"))
-        .def("transition", &transition, py::arg("s"));
-    py::class_<Started>(module, "ModalMotion")
+    py::class_<Started>(module, "PhaseMotion")
         .def_readonly("t", &Started::t)
         .def("state", &state, py::arg("s"))
-        .def("states", &states, py::arg("s"))
-        .def("each", &states, py::arg("s"));
+        .def("states", &states, py::arg("s"));
+    py::class_<Flow, std::shared_ptr<Flow>>(module, "PhaseFlow")
+        .def("start", &start, py::arg("t"), py::arg("x"));
+    py::class_<ModalFlow, Flow, std::shared_ptr<ModalFlow>>(module, "ModalFlow")
+        .def(py::init(&make_modal), py::arg("coordinates"), py::arg("splitting"), py::arg("waves"),
+             py::arg("response"), py::arg("load"), py::arg("near"), py::arg("driven"),
+             py::arg("energy"), py::arg("small"), py::arg("young"))
+        .def("transition", &transition, py::arg("s"))
+        .def("guards", &modal_guards, py::arg("position"), py::arg("seen"), py::arg("reach"),
+             py::arg("waves"));
+    py::class_<SampledForces, std::shared_ptr<SampledForces>>(module, "SampledForces")
+        .def(py::init(&make_samples), py::arg("time"), py::arg("force"), py::arg("slope"),
+             py::arg("rounding"), py::arg("check"));
+    py::class_<SeriesFlow, Flow, std::shared_ptr<SeriesFlow>>(module, "SeriesFlow")
+        .def(py::init(&make_series), py::arg("coordinates"), py::arg("J"), py::arg("waves"),
+             py::arg("load"), py::arg("push"), py::arg("samples"), py::arg("rate"))
+        .def("guards", &series_guards, py::arg("position"), py::arg("seen"), py::arg("reach"),
+             py::arg("waves"), py::arg("force"));
     py::class_<Guards, std::shared_ptr<Guards>>(module, "Guards")
-        .def(py::init(&make_guards), py::arg("flow").none(false), py::arg("seen"),
-             py::arg("reach"), py::arg("harmonics"), py::arg("constant"))
-        .def("trace", &trace, py::arg("motion"), py::arg("shift"));
-    py::class_<Trace>(module, "Trace").def("known", &known, py::arg("s"), py::arg("stop"));
-    py::class_<Search>(module, "RootSearch")
-        .def(py::init(&hunt), py::arg("trace"), py::arg("window"), py::arg("end"),
+        .def("known", &known, py::arg("motion"), py::arg("s"), py::arg("stop"));
+    py::class_<Hunt>(module, "RootSearch")
+        .def(py::init(&hunt), py::arg("guards"), py::arg("motion"), py::arg("window"),
              py::arg("start") = 0.0)
-        .def_readonly("looks", &Search::looks)
+        .def_readonly("looks", &Hunt::looks)
         .def("first", &first, py::arg("horizon"));
     py::class_<Arena, std::shared_ptr<Arena>>(module, "Arena")
         .def(py::init(&make_arena), py::arg("gaps").none(false), py::arg("M"), py::arg("W"),
@@ -362,7 +428,6 @@ void bind_dynamics(py::module_& module) {
              py::arg("limit"), py::arg("most"));
     py::class_<Flights>(module, "Flights")
         .def("advance", &advance, py::arg("limit"), py::arg("most"));
-    module.def("divided", &differences, py::arg("points"), py::arg("s"));
 }
 
 }  // namespace kernel

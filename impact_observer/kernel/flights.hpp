@@ -36,7 +36,6 @@ struct Hit {
 // What all flights of one plant share. Times that are short against `shortest` are left to others,
 // who see accumulation; so are gaps below `lowest`, relative to what they are rounded against.
 struct Arena {
-    std::shared_ptr<const Flow> flow;
     std::shared_ptr<const Guards> gaps;
     Matrix M;
     std::vector<Contact> contacts;
@@ -70,7 +69,7 @@ class Flights {
     struct Flight {
         Instant start;
         std::shared_ptr<const Motion> motion;
-        Hunt<Trace> hunt;
+        Hunt hunt;
     };
 
     std::shared_ptr<const Arena> arena;
@@ -79,9 +78,9 @@ class Flights {
     Flight begun(const Instant& start, const double* x) const {
         const Time t{double(start.stamp) / 1e9 + start.remainder, true, start.stamp,
                      start.remainder};
-        auto motion = std::make_shared<const Motion>(arena->flow, t, x);
-        Trace trace(arena->gaps, motion, std::vector<double>(arena->contacts.size(), 0.0));
-        return {start, motion, Hunt<Trace>(std::move(trace), arena->window, INFINITY)};
+        auto motion = arena->gaps->flow->start(t, x);
+        Hunt hunt(arena->gaps->along(motion), arena->window);
+        return {start, std::move(motion), std::move(hunt)};
     }
 
     // Goes through an impact if it is a plain one.
@@ -113,10 +112,10 @@ class Flights {
     // is long and high enough with the largest acceleration that it could have.
     bool may_rest(std::size_t i, double gamma, double energy, const Flight& next) const {
         if (gamma <= 1e-11 * arena->contacts[i].length * std::sqrt(2 * energy)) return true;
-        Trace gap(arena->gaps, next.motion, std::vector<double>(arena->contacts.size(), 0.0));
-        gap.look(0.0);
-        const double fall = gap.largest(2, i, arena->timescale);
-        const double scale = std::abs(gap.constant(i)) + gap.largest(0, i, arena->timescale);
+        const std::unique_ptr<Functions> gaps = arena->gaps->along(next.motion);
+        gaps->look(0.0);
+        const double fall = gaps->largest(2, i, arena->timescale);
+        const double scale = std::abs(gaps->constant(i)) + gaps->largest(0, i, arena->timescale);
         return gamma <= fall * arena->shortest ||
                gamma * gamma <= 16 * fall * arena->lowest * scale;
     }

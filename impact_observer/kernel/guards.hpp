@@ -2,18 +2,17 @@
 #pragma once
 
 #include <array>
+#include <stdexcept>
 
 #include "motion.hpp"
 
 namespace kernel {
 
-constexpr std::size_t ORDERS = 9;  // derivatives 0 to 8
-
-// Functions rows x + Re(harmonics e^{i omega t}) + constant of the motions of one flow.
 // With r T = (r_1, .., r_n), a part for each pair, the k-th derivative of what a pair does freely
 // is r_p J_p^k e^{J_p s} z_p. A harmonic has a factor i omega for each derivative. An answer to a
 // load has r_p J_p^k in place of r_p and, besides, more and more of the load itself.
-struct Guards {
+class ModalGuards : public Guards, public std::enable_shared_from_this<ModalGuards> {
+  public:
     // What differs between a young motion and one with a steady response.
     struct View {
         const std::vector<Drive>* drives;
@@ -22,46 +21,44 @@ struct Guards {
         std::vector<Complex> loads, turned, direct;  // ORDERS x w x drives
     };
 
-    std::shared_ptr<const Flow> flow;
-    std::size_t w;
+    std::shared_ptr<const ModalFlow> modal;
     std::array<Matrix, ORDERS> rows;  // r J^k, w x 2n
     Matrix reach;                     // what entries of r T are rounded against, w x 2n
     View early, late;
 
-    // `seen` is r T; `harmonics` w x h; `constant` w.
-    Guards(std::shared_ptr<const Flow> of, Matrix seen, Matrix rounded,
-           const std::vector<Complex>& harmonics, const std::vector<double>& constant)
-        : flow(std::move(of)), w(seen.rows), reach(std::move(rounded)) {
+    // `seen` is r T; `waves` w x (1 + 2h).
+    ModalGuards(std::shared_ptr<const ModalFlow> of, Matrix position, Matrix seen, Matrix rounded,
+                Matrix waves)
+        : Guards(of, std::move(position)), modal(std::move(of)), reach(std::move(rounded)) {
         rows[0] = std::move(seen);
         for (std::size_t k = 1; k < ORDERS; ++k) {
-            rows[k] = Matrix(w, 2 * flow->modes.n);
+            rows[k] = Matrix(w, rows[0].columns);
             for (std::size_t i = 0; i < w; ++i)
-                for (std::size_t p = 0; p < flow->modes.n; ++p) {
-                    const double *J = flow->modes.pairs[p].J, *r = rows[k - 1].row(i) + 2 * p;
+                for (std::size_t p = 0; p < modal->pairs.size(); ++p) {
+                    const double *J = modal->pairs[p].J, *r = rows[k - 1].row(i) + 2 * p;
                     rows[k](i, 2 * p) = r[0] * J[0] + r[1] * J[2];
                     rows[k](i, 2 * p + 1) = r[0] * J[1] + r[1] * J[3];
                 }
         }
-        early = view(flow->all, harmonics, constant);
-        std::vector<Complex> steady = harmonics;
-        std::vector<double> level = constant;
-        const std::size_t h = flow->harmonics.size();
-        const Matrix& response = flow->response;
+        early = view(modal->all, waves);
+        const Matrix& response = modal->response;
         for (std::size_t i = 0; i < w; ++i)
-            for (std::size_t k = 0; k < response.rows; ++k) {
-                level[i] += rows[0](i, k) * response(k, 0);
-                for (std::size_t j = 0; j < h; ++j)
-                    steady[i * h + j] +=
-                        rows[0](i, k) * Complex(response(k, 1 + j), -response(k, 1 + h + j));
-            }
-        late = view(flow->near, steady, level);
+            for (std::size_t k = 0; k < response.rows; ++k)
+                add(rows[0](i, k), response.row(k), waves.row(i), response.columns);
+        late = view(modal->near, waves);
     }
 
+    std::unique_ptr<Functions> along(const std::shared_ptr<const Motion>& motion) const override;
+
   private:
-    View view(const std::vector<Drive>& drives, const std::vector<Complex>& harmonics,
-              const std::vector<double>& constant) const {
+    View view(const std::vector<Drive>& drives, const Matrix& waves) const {
         const std::size_t h = flow->harmonics.size(), r = drives.size();
-        View found{&drives, constant, harmonics, {}, {}, {}};
+        View found{&drives, {}, {}, {}, {}, {}};
+        for (std::size_t i = 0; i < w; ++i) {
+            found.constant.push_back(waves(i, 0));
+            for (std::size_t j = 0; j < h; ++j)
+                found.harmonics.emplace_back(waves(i, 1 + j), -waves(i, 1 + h + j));
+        }
         found.harmonics.resize(ORDERS * w * h);
         for (std::size_t k = w * h; k < ORDERS * w * h; ++k)
             found.harmonics[k] =
@@ -84,56 +81,53 @@ struct Guards {
     }
 };
 
-// The functions along one motion: `look` goes to an instant, the others tell what is there.
-class Trace {
+class ModalFunctions : public Functions {
   public:
     // `shift` is added to the constants.
-    Trace(std::shared_ptr<const Guards> of, std::shared_ptr<const Motion> along,
-          std::vector<double> shift)
+    ModalFunctions(std::shared_ptr<const ModalGuards> of, std::shared_ptr<const ModalMotion> along,
+                   std::vector<double> shift)
         : guards(std::move(of)),
           motion(std::move(along)),
           added(std::move(shift)),
-          n(guards->flow->modes.n),
+          n(guards->modal->pairs.size()),
           h(motion->angles.size()),
           y(2 * n),
           decay(n),
-          waves(2 * h) {
+          waves(1 + 2 * h) {
         enter();
     }
 
-    std::size_t size() const { return guards->w; }
+    std::size_t size() const override { return guards->w; }
 
-    // Until when the functions keep the form that they have there, s.
-    double smooth_until() const { return early ? motion->flow->young : INFINITY; }
+    double smooth_until() const override { return early ? motion->flow->young : INFINITY; }
 
-    void look(double to) {
+    void look(double to) override {
         s = to;
         if (early != motion->is_young(s)) enter();
         const std::vector<double>& z = motion->free(early);
         for (std::size_t p = 0; p < n; ++p) {
-            const Pair& pair = guards->flow->modes.pairs[p];
+            const Pair& pair = guards->modal->pairs[p];
             const Propagated by = pair.dead(s) ? Propagated{0, 0, 0} : pair.propagated(s);
             for (std::size_t k = 0; k < 2; ++k)
                 y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
             decay[p] = by.decay;
         }
-        motion->waves(s, waves.data());
+        motion->flow->harmonics.waves(motion->angles, s, waves.data());
         for (std::size_t j = 0; j < view->drives->size(); ++j)
             (*view->drives)[j].answers(s, &phi[2 * j]);
     }
 
-    // A derivative of one function there.
-    double derivative(std::size_t order, std::size_t i) const {
+    double derivative(std::size_t order, std::size_t i) const override {
         const double* row = guards->rows[order].row(i);
         const std::size_t k = order * size() + i, r = phase.size();
         double found = (order == 0 ? constant(i) : 0.0) + dot(row, y.data(), 2 * n);
         for (std::size_t j = 0; j < h; ++j) {
             const Complex& amplitude = view->harmonics[k * h + j];
-            found += amplitude.real() * waves[j] - amplitude.imag() * waves[h + j];
+            found += amplitude.real() * waves[1 + j] - amplitude.imag() * waves[1 + h + j];
         }
         for (std::size_t j = 0; j < r; ++j) {
             const std::size_t of = (*view->drives)[j].harmonic;
-            const Complex turn = of ? Complex(waves[of - 1], waves[h + of - 1]) : Complex(1.0);
+            const Complex turn = of ? Complex(waves[of], waves[h + of]) : Complex(1.0);
             const Complex answer =
                 view->loads[k * r + j] * phi[2 * j] + view->turned[k * r + j] * phi[2 * j + 1];
             found += (answer * phase[j] + view->direct[k * r + j] * turn).real();
@@ -141,10 +135,9 @@ class Trace {
         return found;
     }
 
-    double constant(std::size_t i) const { return view->constant[i] + added[i]; }
+    double constant(std::size_t i) const override { return view->constant[i] + added[i]; }
 
-    // A bound on one derivative, less the constant, from there to `stop`.
-    double largest(std::size_t order, std::size_t i, double stop) {
+    double largest(std::size_t order, std::size_t i, double stop) override {
         const std::size_t k = order * size() + i, r = phase.size();
         if (sizes[order].rows == 0) prepare(order);
         const double *flat = sizes[order].row(i), *value = flat + n, *rate = value + n;
@@ -167,14 +160,13 @@ class Trace {
         return found;
     }
 
-    // What one function is rounded against there.
-    double scale(std::size_t i) {
+    double scale(std::size_t i) override {
         return std::abs(constant(i)) + largest(0, i, s) + dot(decay.data(), rounded.row(i), n);
     }
 
   private:
-    std::shared_ptr<const Guards> guards;
-    std::shared_ptr<const Motion> motion;
+    std::shared_ptr<const ModalGuards> guards;
+    std::shared_ptr<const ModalMotion> motion;
     std::vector<double> added;
     std::size_t n, h;
     std::vector<double> y, decay, waves;
@@ -183,7 +175,7 @@ class Trace {
     Matrix rounded;                    // w x n
     double s = 0.0;
     bool early = false;
-    const Guards::View* view = nullptr;
+    const ModalGuards::View* view = nullptr;
 
     // Take the form that the motion has at s.
     void enter() {
@@ -209,11 +201,18 @@ class Trace {
                 const double *row = guards->rows[order].row(i) + 2 * p, *of = &z[4 * p];
                 const double A = row[0] * of[0] + row[1] * of[1];
                 const double B = row[0] * of[2] + row[1] * of[3];
-                sizes[order](i, p) = guards->flow->modes.pairs[p].amplitude(A, B);
+                sizes[order](i, p) = guards->modal->pairs[p].amplitude(A, B);
                 sizes[order](i, n + p) = std::abs(A);
                 sizes[order](i, 2 * n + p) = std::abs(B);
             }
     }
 };
+
+inline std::unique_ptr<Functions> ModalGuards::along(
+    const std::shared_ptr<const Motion>& motion) const {
+    auto mine = std::dynamic_pointer_cast<const ModalMotion>(motion);
+    if (!mine || mine->flow != modal) throw std::invalid_argument("motion: of another flow");
+    return std::make_unique<ModalFunctions>(shared_from_this(), mine, shift(mine->rest));
+}
 
 }  // namespace kernel

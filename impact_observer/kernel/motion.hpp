@@ -1,42 +1,11 @@
-// Motions of a linear phase under harmonics and a constant force.
+// Motions of a linear phase under harmonics and a constant force, in closed form.
 #pragma once
-
-#include <cstdint>
-#include <memory>
 
 #include "divided.hpp"
 #include "modes.hpp"
+#include "phase.hpp"
 
 namespace kernel {
-
-__extension__ typedef unsigned __int128 Turns;
-
-// Seconds since the epoch: whole nanoseconds and a remainder, or one number.
-struct Time {
-    double seconds;
-    bool exact = false;
-    std::int64_t ns = 0;
-    double remainder = 0.0;
-};
-
-// Angles omega t of harmonics, accurate however late it is: turns in a nanosecond are counted in
-// parts of 2^-128, so that whole turns are left out before anything is rounded.
-struct Harmonics {
-    std::vector<double> frequency;  // omega, rad/s
-    std::vector<Turns> turns;
-
-    std::size_t size() const { return frequency.size(); }
-
-    std::vector<double> at(const Time& t) const {
-        const double part = 6.283185307179586476925286766559 / 0x1p128;
-        std::vector<double> found(size());
-        for (std::size_t k = 0; k < size(); ++k)
-            found[k] = t.exact ? double(Turns(__int128(t.ns)) * turns[k]) * part +
-                                     frequency[k] * t.remainder
-                               : frequency[k] * t.seconds;
-        return found;
-    }
-};
 
 // A pair and a load Re(beta e^{mu t}) that drives it, answered from the motion's start on by
 // (exp[l1, mu] + exp[l1, l2, mu] (J - l1)) beta.
@@ -46,42 +15,66 @@ struct Drive {
 
     // exp[l1, mu] and exp[l1, l2, mu] at s.
     void answers(double s, Complex* phi) const {
-        const Complex points[3] = {one, two, mu};
         phi[0] = divided(one, mu, s);
-        phi[1] = divided(points, 3, s);
+        phi[1] = divided(one, two, mu, s);
     }
 };
 
-// All that motions of one phase share.
-struct Flow {
-    Modes modes;
-    Harmonics harmonics;
-    Matrix response;  // steady, in pairs: 2n x (1 + 2h), for 1 and each cosine, then each sine
+// A phase that falls into pairs.
+class ModalFlow : public Flow, public std::enable_shared_from_this<ModalFlow> {
+  public:
+    std::vector<Pair> pairs;
+    Matrix response;               // steady, in pairs: 2r x (1 + 2h), for (1, cos, sin)
     std::vector<Drive> near, all;  // loads near resonance; and all loads
-    Matrix energy;                 // weights of a pair's squares in twice the energy, n x 2
+    Matrix energy;                 // weights of a pair's squares in twice the energy, r x 2
     double small;  // root of twice the energy below which a motion is young at its start
     double young;  // how long, s
+
+    ModalFlow(Coordinates coordinates, Harmonics harmonics, std::vector<Pair> pairs,
+              Matrix response, Matrix energy, double small, double young)
+        : Flow(std::move(coordinates), std::move(harmonics)),
+          pairs(std::move(pairs)),
+          response(std::move(response)),
+          energy(std::move(energy)),
+          small(small),
+          young(young) {}
+
+    std::shared_ptr<const Motion> start(const Time& t, const double* x) const override;
+
+    // T e^{Js} T^-1, for s of any sign; nothing at rest.
+    Matrix transition(double s) const {
+        Matrix found(2 * coordinates.n, 2 * coordinates.n);
+        for (std::size_t p = 0; p < pairs.size(); ++p) {
+            if (pairs[p].dead(s)) continue;
+            const Propagated by = pairs[p].propagated(s);
+            for (std::size_t k = 0; k < 4; ++k) {  // carries y_j to y_i
+                const double e = (k % 3 == 0 ? by.c : 0.0) + by.S * pairs[p].D[k];
+                if (e != 0) coordinates.add_product(2 * p + k / 2, 2 * p + k % 2, e, found);
+            }
+        }
+        return found;
+    }
 };
 
 // One motion, from a state x at t on. A young one, small against the steady response that it has
 // not had time to reach, is answered from its start on for a while.
-class Motion {
+class ModalMotion : public Motion {
   public:
-    std::shared_ptr<const Flow> flow;
+    std::shared_ptr<const ModalFlow> flow;
     std::vector<double> angles;  // of the harmonics at the start
+    std::vector<double> rest;
     bool young;
 
-    Motion(std::shared_ptr<const Flow> of, const Time& t, const double* x) : flow(std::move(of)) {
-        angles = flow->harmonics.at(t);
-        std::vector<double> y(2 * flow->modes.n);
-        flow->modes.split(x, y.data());
-        begin(y);
-    }
-
-    // From pairs y = T^-1 x.
-    Motion(std::shared_ptr<const Flow> of, std::vector<double> at, const std::vector<double>& y)
-        : flow(std::move(of)), angles(std::move(at)) {
-        begin(y);
+    ModalMotion(std::shared_ptr<const ModalFlow> of, const Time& t, const double* x)
+        : flow(std::move(of)), angles(flow->harmonics.at(t)), rest(flow->coordinates.rest(x)) {
+        std::vector<double> y(flow->coordinates.size), now(flow->response.columns);
+        flow->coordinates.split(x, rest, y.data());
+        double squares = 0.0;
+        for (std::size_t k = 0; k < y.size(); ++k) squares += flow->energy.data[k] * y[k] * y[k];
+        young = std::sqrt(squares) < flow->small;
+        if (young) from_start = with_deviator(y);
+        add_steady(0.0, -1.0, y.data(), now.data());
+        beside_steady = with_deviator(y);
     }
 
     bool is_young(double s) const { return young && s < flow->young; }
@@ -91,30 +84,30 @@ class Motion {
         return early ? from_start : beside_steady;
     }
 
-    // Cosines and sines of the harmonics at s, h of each.
-    void waves(double s, double* waves) const {
-        const std::size_t h = angles.size();
-        for (std::size_t k = 0; k < h; ++k) {
-            const double angle = angles[k] + flow->harmonics.frequency[k] * s;
-            waves[k] = std::cos(angle);
-            waves[h + k] = std::sin(angle);
-        }
-    }
-
     // e^{i angle} of what drives, at the start.
     Complex phase(std::size_t harmonic) const {
         return harmonic == 0 ? Complex(1.0) : std::polar(1.0, angles[harmonic - 1]);
     }
 
-    // All pairs at s, x = T y; `now` is room for 1 + 2h numbers.
+    void states(const double* s, std::size_t count, double* rows) const override {
+        std::vector<double> y(flow->coordinates.size), now(flow->response.columns);
+        for (std::size_t i = 0; i < count; ++i) {
+            pairs(s[i], y.data(), now.data());
+            flow->coordinates.state(y.data(), rest, rows + i * 2 * flow->coordinates.n);
+        }
+    }
+
+  private:
+    std::vector<double> from_start, beside_steady;  // four numbers a pair: z, D z
+
+    // All pairs at s; `now` is room for 1 + 2h numbers.
     void pairs(double s, double* y, double* now) const {
         const bool early = is_young(s);
         const std::vector<double>& z = free(early);
-        const Modes& modes = flow->modes;
-        for (std::size_t p = 0; p < modes.n; ++p) {
+        for (std::size_t p = 0; p < flow->pairs.size(); ++p) {
             y[2 * p] = y[2 * p + 1] = 0.0;
-            if (modes.pairs[p].dead(s)) continue;
-            const Propagated by = modes.pairs[p].propagated(s);
+            if (flow->pairs[p].dead(s)) continue;
+            const Propagated by = flow->pairs[p].propagated(s);
             for (std::size_t k = 0; k < 2; ++k)
                 y[2 * p + k] = by.c * z[4 * p + k] + by.S * z[4 * p + 2 + k];
         }
@@ -129,34 +122,10 @@ class Motion {
         if (!early) add_steady(s, 1.0, y, now);
     }
 
-    // States (q, u) at `count` instants, a row each; a row does not depend on the others.
-    void states(const double* s, std::size_t count, double* rows) const {
-        const std::size_t size = 2 * flow->modes.n;
-        std::vector<double> y(size), now(flow->response.columns);
-        for (std::size_t i = 0; i < count; ++i) {
-            pairs(s[i], y.data(), now.data());
-            flow->modes.state(y.data(), rows + i * size);
-        }
-    }
-
-  private:
-    std::vector<double> from_start, beside_steady;  // four numbers a pair: z, D z
-
-    void begin(const std::vector<double>& y) {
-        double squares = 0.0;
-        for (std::size_t k = 0; k < y.size(); ++k) squares += flow->energy.data[k] * y[k] * y[k];
-        young = std::sqrt(squares) < flow->small;
-        if (young) from_start = with_deviator(y);
-        std::vector<double> z = y;
-        std::vector<double> now(flow->response.columns);
-        add_steady(0.0, -1.0, z.data(), now.data());
-        beside_steady = with_deviator(z);
-    }
-
     std::vector<double> with_deviator(const std::vector<double>& y) const {
         std::vector<double> found(2 * y.size());
         for (std::size_t p = 0; 2 * p < y.size(); ++p) {
-            const double *D = flow->modes.pairs[p].D, one = y[2 * p], two = y[2 * p + 1];
+            const double *D = flow->pairs[p].D, one = y[2 * p], two = y[2 * p + 1];
             const double four[4] = {one, two, D[0] * one + D[1] * two, D[2] * one + D[3] * two};
             std::copy(four, four + 4, &found[4 * p]);
         }
@@ -166,8 +135,7 @@ class Motion {
     // y += factor times the steady response at s.
     void add_steady(double s, double factor, double* y, double* now) const {
         const Matrix& response = flow->response;
-        now[0] = 1.0;
-        waves(s, now + 1);
+        flow->harmonics.waves(angles, s, now);
         for (std::size_t k = 0; k < response.rows; ++k) {
             double sum = 0.0;
             for (std::size_t j = 0; j < response.columns; ++j) sum += response(k, j) * now[j];
@@ -175,5 +143,9 @@ class Motion {
         }
     }
 };
+
+inline std::shared_ptr<const Motion> ModalFlow::start(const Time& t, const double* x) const {
+    return std::make_shared<const ModalMotion>(shared_from_this(), t, x);
+}
 
 }  // namespace kernel

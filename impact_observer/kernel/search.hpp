@@ -3,7 +3,7 @@
 
 #include <optional>
 
-#include "guards.hpp"
+#include "phase.hpp"
 
 namespace kernel {
 
@@ -22,25 +22,27 @@ struct Crossing {
 
 // A search along one motion that goes on where it has stopped. From s, where a function has value
 // g and slope v and |g''| <= b from there on, it is above -delta at least until the root of
-// g + delta + v h - b h^2 / 2: so far a step may go, the least one of all functions. Nothing can
+// g + delta + v h - b h^2 / 2: so far a step may go, the least one of all functions-> Nothing can
 // be jumped, and near a root the steps converge like Newton's. What is found does not depend on
 // who asks when: steps are the same for any horizon.
-template <class Functions>
 class Hunt {
   public:
     // Begins at `start`; nothing crosses before. `window` is a time in which the fastest part of
-    // motions turns once or twice; there are no functions beyond `end`.
-    Hunt(Functions along, double window, double end, double start = 0.0)
+    // motions turns once or twice.
+    Hunt(std::unique_ptr<Functions> along, double window, double start = 0.0)
         : functions(std::move(along)),
           window(window),
-          end(end),
+          end(functions->end()),
           s(start),
           last(start),
           stretch(window),
-          before(functions.size(), 0.0) {}
+          values(functions->size(), 0.0),
+          before(values) {}
 
     // The first crossing, if all before `horizon` has to be looked at to find it.
     const std::optional<Crossing>& first(double horizon) {
+        if ((std::min(horizon, end) - s) * functions->rate() > MOST_STRIDES)
+            throw std::invalid_argument("horizon: too far");
         while (!found && s <= horizon && s < end) step();
         return found;
     }
@@ -48,27 +50,26 @@ class Hunt {
     std::size_t looks = 0;  // instants at which it has looked
 
   private:
-    Functions functions;
+    std::unique_ptr<Functions> functions;
     double window, end, s, last, stretch;
-    std::vector<double> before;  // values at `last`
+    std::vector<double> values, before;  // at s and at `last`
     std::optional<Crossing> found;
 
     void step() {
         ++looks;
-        functions.look(s);
-        const double stop = std::min({s + stretch, functions.smooth_until(), end});
+        functions->look(s);
+        const double stop = std::min({s + stretch, functions->smooth_until(), end});
         double h = stop - s;
         bool deep = false;
-        std::vector<double> values(functions.size());
         for (std::size_t i = 0; i < values.size() && !deep; ++i) {
-            values[i] = functions.derivative(0, i);
-            const double delta = DEPTH * functions.scale(i);
+            values[i] = functions->derivative(0, i);
+            const double delta = DEPTH * functions->scale(i);
             if (s == 0) values[i] = std::max(values[i], 0.0);  // below zero by rounding only
             deep = values[i] < -delta / 2;
             if (!deep) h = std::min(h, safe(i, values[i] + delta, h, stop));
         }
         if (deep) return cross();
-        before = std::move(values);
+        before.swap(values);
         last = s;
         stretch = h < stop - s ? std::max(window, 4 * h) : std::max(stretch, 2 * h);
         s += std::max(h, ROOT * std::max(s, FIRST * window));
@@ -76,14 +77,14 @@ class Hunt {
 
     // How far one function stays above -delta; no more than `most`.
     double safe(std::size_t i, double value, double most, double stop) {
-        const double slope = functions.derivative(1, i);
-        const double bend = functions.largest(2, i, stop) * (1 + 1e-9);
+        const double slope = functions->derivative(1, i);
+        const double bend = functions->largest(2, i, stop) * (1 + 1e-9);
         const double root = std::sqrt(slope * slope + 2 * bend * value);
         double h = INFINITY;
         if (slope > 0 && bend > 0) h = (slope + root) / bend;
         if (slope <= 0 && (slope < 0 || bend > 0)) h = root > 0 ? 2 * value / (root - slope) : 0.0;
         if (h >= most) return most;
-        if (functions.constant(i) >= functions.largest(0, i, stop)) return most;
+        if (functions->constant(i) >= functions->largest(0, i, stop)) return most;
         const bool falls = slope < 0 && bend * value < slope * slope / 4;
         if (h < SHORT * window && !falls) h = std::max(h, closely(i, value, h, most, stop));
         return std::min(h, most);
@@ -94,10 +95,10 @@ class Hunt {
     double closely(std::size_t i, double value, double least, double most, double stop) {
         double taylor[ORDERS];
         taylor[0] = value;
-        for (std::size_t k = 1; k + 1 < ORDERS; ++k) taylor[k] = functions.derivative(k, i);
-        taylor[8] = -functions.largest(8, i, stop);
+        for (std::size_t k = 1; k + 1 < ORDERS; ++k) taylor[k] = functions->derivative(k, i);
+        taylor[8] = -functions->largest(8, i, stop);
         // Where the remainder has grown to what the acceleration makes.
-        const double bend = functions.largest(2, i, stop);
+        const double bend = functions->largest(2, i, stop);
         double h =
             taylor[8] < 0 ? std::min(most, std::pow(-20160 * bend / taylor[8], 1.0 / 6)) : most;
         for (; h > 2 * least; h /= 2)
@@ -126,21 +127,21 @@ class Hunt {
     void cross() {
         Crossing first{INFINITY, {}};
         std::size_t earliest = 0;
-        for (std::size_t i = 0; i < functions.size(); ++i) {
-            if (at(i, s) >= -DEPTH / 2 * functions.scale(i)) continue;
+        for (std::size_t i = 0; i < functions->size(); ++i) {
+            if (at(i, s) >= -DEPTH / 2 * functions->scale(i)) continue;
             const double x = root(i);
             if (x < first.s) first.s = x, earliest = i;
         }
-        functions.look(first.s);
-        for (std::size_t i = 0; i < functions.size(); ++i)
-            if (i == earliest || functions.derivative(0, i) <= ZERO * functions.scale(i))
+        functions->look(first.s);
+        for (std::size_t i = 0; i < functions->size(); ++i)
+            if (i == earliest || functions->derivative(0, i) <= ZERO * functions->scale(i))
                 first.which.push_back(i);
         found = first;
     }
 
     double at(std::size_t i, double where) {
-        functions.look(where);
-        return functions.derivative(0, i);
+        functions->look(where);
+        return functions->derivative(0, i);
     }
 
     // The last root of one function before s, by Newton's method between points of both signs.
@@ -156,8 +157,8 @@ class Hunt {
         }
         double x = high, step = high - low;
         for (int k = 0; k < 1100 && high - low > ROOT * high; ++k) {
-            const double value = at(i, x), slope = functions.derivative(1, i);
-            const bool rounded = std::abs(value) <= ROUNDED * functions.scale(i);
+            const double value = at(i, x), slope = functions->derivative(1, i);
+            const bool rounded = std::abs(value) <= ROUNDED * functions->scale(i);
             (value < 0 ? high : low) = x;
             double next = x - value / slope;
             const bool newton = low <= next && next <= high && slope < 0 &&

@@ -8,7 +8,6 @@ from impact_observer.dynamics import (
     KEPT,
     Crossing,
     ImpactLaw,
-    Motion,
     Phase,
     Phases,
     Search,
@@ -16,6 +15,7 @@ from impact_observer.dynamics import (
     persistent_contacts,
 )
 from impact_observer.errors import DynamicsError, ImpactLawError
+from impact_observer.kernel import PhaseMotion
 from impact_observer.model import System
 from impact_observer.plant.flights import Hit, PlainImpacts
 from impact_observer.plant.switching import Switching, switches
@@ -42,7 +42,7 @@ class Plant:
     _crossing: Crossing | None
     _next: Switching | None
     _last: Switching | None
-    _moving: Motion | None
+    _moving: PhaseMotion | None
 
     def __init__(self, system: System, position: Vector, velocity: Vector, *, epoch: int) -> None:
         """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
@@ -139,15 +139,17 @@ class Plant:
         self._phase = self._phases.phase(held)
         self._state = x
         self._moving = None
-        self._flies = not closed and self.impacts.start(self._time(instant), x)
-        if not self._flies:
+        self._flies = not closed
+        if self._flies:
+            self.impacts.start(self._time(instant), x)
+        else:
             self._hunt = self._searcher(self._phase, self._open).along(self._motion)
         self._crossing = None
         self._next = None
         self._is_plain = False
 
     @property
-    def _motion(self) -> Motion:
+    def _motion(self) -> PhaseMotion:
         """In the present phase."""
         if self._moving is None:
             self._moving = self._phase.start(self._time(self._start), self._state)

@@ -41,7 +41,7 @@ class PlainImpacts:
     """Flights of one plant while no contact is closed.
 
     Attributes:
-        arena: what all flights share; None where motions have no closed form.
+        arena: what all flights share.
         left: the crossing that the kernel leaves to the plant, if there is one.
     """
 
@@ -55,13 +55,10 @@ class PlainImpacts:
             lowest: height of a flight that counts as none, relative to what gaps are rounded
                 against.
         """
-        system, scales, guards = phases.system, phases.scales, search.guards
-        self.arena: Arena | None = None
-        if guards is not None:
-            times = search.window, scales.timescale, shortest
-            self.arena = Arena(
-                guards, system.M, system.W.T, system.q_r, phases.length, times, lowest
-            )
+        system, times = phases.system, (search.window, phases.scales.timescale, shortest)
+        self.arena = Arena(
+            search.guards, system.M, system.W.T, system.q_r, phases.length, times, lowest
+        )
         self._phases = phases
         self._flights: Flights | None = None
         self._known: set[int] = set()
@@ -69,18 +66,15 @@ class PlainImpacts:
         self._hits: deque[Hit] = deque()
         self.left: tuple[float, tuple[int, ...]] | None = None
 
-    def start(self, t: Elapsed, x: Vector) -> bool:
-        """Fly on from the state ``x``, shape (2n,), at ``t``; False where the kernel cannot."""
+    def start(self, t: Elapsed, x: Vector) -> None:
+        """Fly on from the state ``x``, shape (2n,), at ``t``."""
         self._hits.clear()
         self.left = None
-        if self.arena is None:
-            return False
         self._flights = self.arena.start(t.ns, t.remainder, x)
-        return True
 
     def learn(self, contact: int, law: ImpactLaw) -> None:
         """From now on the kernel makes the impacts of ``contact`` by ``law``."""
-        if self.arena is None or contact in self._known:
+        if contact in self._known:
             return
         self._known.add(contact)
         Z = self._phases.projection.jump((contact,))[:, 0]

@@ -7,7 +7,6 @@ geometric law the gaps stay closed in both.
 """
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -23,6 +22,7 @@ from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
 from impact_observer.dynamics.guards.location import Crossing, Search
 from impact_observer.dynamics.guards.watched import Watched
+from impact_observer.kernel import PhaseMotion
 from impact_observer.model import System
 from impact_observer.states import Vector
 
@@ -75,7 +75,7 @@ class Part:
 
     start: float
     phase: Phase
-    motion: Motion
+    motion: PhaseMotion
     slipping: tuple[int, ...]
     stopped: tuple[int, ...] = ()
 
@@ -114,21 +114,12 @@ class Piecewise(Motion):
 
     def states(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
         """States (q, u) at ``s`` seconds, shape (samples, 2n)."""
-        return self._by_parts(s, Phase.states)
-
-    def each(self, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """``state`` at each of ``s`` seconds, equal to the bit, shape (samples, 2n)."""
-        return self._by_parts(s, Phase.each)
-
-    def _by_parts(
-        self, s: Vector, states: Callable[[Phase, Motion, Vector], NDArray[np.float64]]
-    ) -> NDArray[np.float64]:
         self._extend(float(np.max(s, initial=0.0)))
         which = np.searchsorted([part.start for part in self._parts], s, side="right") - 1
         found = np.empty((s.size, 2 * self._clutches.system.n))
         for k in np.unique(which):
             part, mine = self._parts[k], which == k
-            found[mine] = states(part.phase, part.motion, s[mine] - part.start)
+            found[mine] = part.motion.states(s[mine] - part.start)
         return found
 
     def _extend(self, until: float) -> None:
@@ -177,7 +168,7 @@ class _ClutchMotion(Piecewise):
 
     def _next(self, part: Part, crossing: Crossing) -> Part:
         start = part.start + crossing.s
-        x = part.phase.states(part.motion, np.array([crossing.s]))[0]
+        x = part.motion.state(crossing.s)
         held = part.phase.held
         released = {held[i] for i in crossing.which if i < len(held)}
         caught = {part.slipping[i - len(held)] for i in crossing.which if i >= len(held)}

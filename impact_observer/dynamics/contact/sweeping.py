@@ -31,8 +31,6 @@ _ZERO = 1e-11
 """Rate of a gap that counts as none, relative to the largest term of its sum."""
 _CLOSED = 1e-12
 """Gap that counts as zero, relative to the terms of its sum."""
-_LEAST = 1e-6
-"""Least magnitude that a gap or reaction is rounded against, relative to all of the motion."""
 
 
 class SweepingProcess:
@@ -126,7 +124,7 @@ class SweepingProcess:
             pushing = -R @ system.W[:, list(phase.fixed)].T
             watched = watched.and_also(Watched.of_velocity(pushing[-len(stopped) :]))
         watched = watched.and_also(Watched.gaps(system, list(opened), phase))
-        return Search(phase, watched, clutches.window, least=_LEAST)
+        return Search(phase, watched, clutches.window)
 
 
 class _SweepingMotion(Piecewise):
@@ -160,7 +158,7 @@ class _SweepingMotion(Piecewise):
 
     def _next(self, part: Part, crossing: Crossing) -> Part:
         start = part.start + crossing.s
-        x = part.phase.states(part.motion, np.array([crossing.s]))[0]
+        x = part.motion.state(crossing.s)
         watched = [
             *((0, i) for i in part.phase.held),
             *((1, i) for i in part.slipping),

@@ -1,1 +1,1 @@
-"""The flow of one linear phase: states at given instants, in closed form."""
+"""The flow of one linear phase: states at given instants, exact but for rounding."""

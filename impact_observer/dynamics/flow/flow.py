@@ -1,20 +1,21 @@
 """Exact flow of a linear phase ``M du/dt = -C u - K q + f(t)``, ``dq/dt = u``.
 
-Two ways lead to it. ``SpectralFlow`` splits the motion into ``n`` pairs of modes, each in closed
-form; it costs a few microseconds. Where that splitting is ill-conditioned (eigenvectors of
-a non-proportionally damped system that almost coincide), ``DenseFlow`` takes a matrix
-exponential, a hundred times slower, for any spectrum. The response to a sampled forcing is added
-to either: ``sampled.py``.
+Two ways lead to it, both in the kernel. ``SpectralFlow`` splits the motion into ``n`` pairs of
+modes, each in closed form. ``SeriesFlow`` goes on in strides, by Taylor polynomials: where that
+splitting is ill-conditioned (eigenvectors of a non-proportionally damped system that almost
+coincide), and under a sampled forcing.
 """
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from impact_observer.kernel import Guards, Trace
+from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
+from impact_observer.kernel import Guards, PhaseMotion
 from impact_observer.model import Forcing
 from impact_observer.states import Matrix, Vector
 
@@ -46,7 +47,7 @@ class Equations(Protocol):
 
     @property
     def forcing(self) -> Forcing:
-        """``f(t)`` on ``n`` coordinates."""
+        """``f(t)``, on all coordinates of the frame."""
 
 
 def state_matrix(system: Equations) -> Matrix:
@@ -95,64 +96,116 @@ class Motion(Protocol):
         """The state (q, u), shape (2n,), at ``s`` seconds after the phase's start."""
         return np.asarray(self.states(np.array([s]))[0])
 
-    def each(self, s: NDArray[np.float64], /) -> NDArray[np.float64]:
-        """``state`` at many instants, equal to the bit, where ``states`` may round differently.
 
-        Args:
-            s: shape (samples,), at least one, s.
+class PhaseFrame(NamedTuple):
+    """Where the coordinates of a phase lie in which contacts are held or fixed.
 
-        Returns:
-            States (q, u), shape (samples, 2n).
-        """
-        return np.array([self.state(at) for at in s.tolist()])
+    Attributes:
+        free: those that are free.
+        inverse: free coordinates of the nearest motion, shape (r, n).
+        held: the part of ``p`` that does not move, shape (n, n), or empty where all moves.
+        Q: ``dq/dt = Q u``, shape (n, n), or empty where ``p`` is ``q``.
+        rest: ``q = Q p + rest``, shape (n,), m, or empty.
+    """
+
+    free: ReducedCoordinates
+    inverse: Matrix
+    held: Matrix
+    Q: Matrix
+    rest: Vector
 
 
 class Functions(NamedTuple):
-    """Functions ``rows x + Re(harmonics e^{i omega t}) + constant`` of states and of time.
+    """Functions ``rows x + waves (1, cos, sin) + force f_sampled`` of states and of time.
 
     Attributes:
         rows: shape (w, 2n).
-        harmonics: shape (w, h), a column a harmonic of the forcing.
-        constant: shape (w,).
+        waves: of 1 and of the forcing's harmonics, shape (w, 1 + 2h).
+        force: of its samples, shape (w, n).
     """
 
     rows: Matrix
-    harmonics: NDArray[np.complex128]
-    constant: Vector
-
-
-class View(ABC):
-    """Functions of the motions of one flow, in closed form."""
-
-    guards: Guards
-    """What the kernel needs of them."""
-
-    @abstractmethod
-    def of(self, motion: Motion, shift: Vector | None = None) -> Trace | None:
-        """The functions along ``motion``; None where it has no closed form.
-
-        ``shift``, shape (w,), is added to their constants.
-        """
+    waves: Matrix
+    force: Matrix
 
 
 class Flow(ABC):
     """The flow of one linear phase."""
 
-    @abstractmethod
-    def start(self, t: float, x: Vector) -> Motion:
-        """The motion through state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
-
-    def view(self, functions: Functions) -> View | None:  # noqa: ARG002
-        """``functions`` of this flow's motions in closed form; None where there is none."""
-        return None
+    def __init__(self, system: Equations, frame: PhaseFrame | None) -> None:
+        """Take what moves, and the frame in which its coordinates lie; None where all move."""
+        self._system, self._frame = system, frame
 
     @abstractmethod
+    def start(self, t: float, x: Vector) -> PhaseMotion:
+        """The motion through state ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch.
+
+        Raises:
+            DynamicsError: there is no sample of the forcing at ``t``; so also where states are
+                asked for beyond the samples.
+        """
+
+    @abstractmethod
+    def guards(self, functions: Functions) -> Guards:
+        """``functions`` of this flow's motions, as the kernel needs them."""
+
     def transition(self, s: float) -> Matrix:
         """Propagate the difference of two motions by ``s`` seconds, which may be negative.
 
         Returns:
             ``e^{As}``, shape (2n, 2n).
         """
+        found = self.moving(s)
+        if self._frame is not None and self._frame.held.size:
+            n, held = len(found) // 2, self._frame.held
+            found[:, :n] -= found[:, :n] @ held
+            found[:n, :n] += held
+        if self._frame is not None and self._frame.Q.size:
+            Q = self._frame.Q
+            found[: len(Q)] = Q @ found[: len(Q)]
+        return found
+
+    @abstractmethod
+    def moving(self, s: float) -> Matrix:
+        """``transition`` without what is at rest."""
+
+    def _pushed(self, forces: Matrix) -> Matrix:
+        """Accelerations of the coordinates, shape (r, k), by forces, shape (n, k)."""
+        if self._frame is not None:
+            forces = self._frame.free.seen(forces)
+        return self._accelerated(forces)
+
+    def _accelerated(self, forces: Matrix) -> Matrix:
+        """``M^-1 forces``, shape (r, k)."""
+        return linalg.cho_solve(self._inertia, forces) if forces.size else forces
+
+    @cached_property
+    def _inertia(self) -> tuple[Matrix, bool]:
+        factor: tuple[Matrix, bool] = linalg.cho_factor(self._system.M)
+        return factor
+
+    def _seen(
+        self, functions: Functions, T: Matrix, time: float
+    ) -> tuple[Matrix, Matrix, Matrix, Matrix]:
+        """Rows of ``q``, rows of ``y``, what these are rounded against, and those of waves.
+
+        By all that moves, also by what pulls at it within the ``time`` scale, s: a body may rest
+        while others move.
+
+        Args:
+            functions: what is seen.
+            T: states, of the free coordinates, are ``T y``.
+            time: inverse of the fastest rate, s.
+        """
+        position, velocity = np.split(functions.rows, 2, axis=1)
+        q, u = position.T, velocity.T
+        if self._frame is not None:
+            q, u = self._frame.free.seen(q), self._frame.free.seen(u)
+        pulls = np.hstack([self._system.K, self._system.C])
+        pulled = time**2 / 2 * np.abs(self._accelerated(q).T @ pulls)
+        pulled += time * np.abs(self._accelerated(u).T @ pulls)
+        rows = np.hstack([q.T, u.T])
+        return position, rows @ T, (np.abs(rows) + pulled) @ np.abs(T), functions.waves
 
     def transitions(self, s: Vector) -> NDArray[np.float64]:
         """``transition`` by each of ``s`` seconds, shape (2n, samples, 2n)."""

@@ -1,6 +1,7 @@
 """Splitting of the state into ``n`` real 2 x 2 blocks, where that is safe."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy import linalg
 
 from impact_observer.dynamics.flow.double_double import product
 from impact_observer.dynamics.flow.eigenmodes import congruence, diagonal, modes_of
-from impact_observer.dynamics.flow.flow import Complex, Equations
+from impact_observer.dynamics.flow.flow import Complex, Equations, PhaseFrame
 from impact_observer.states import Matrix, Vector
 
 _PROPORTIONAL = 1e-12
@@ -36,27 +37,33 @@ class Rates(NamedTuple):
     slow: Vector
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Modes:
-    """A splitting of the state into ``n`` pairs with eigenvalues ``a +- d``.
+    """A splitting of the state into ``n`` pairs with eigenvalues ``a +- d``, or into nothing.
 
     Attributes:
-        T: columns of pair ``k`` at ``2k`` and ``2k + 1``, shape (2n, 2n).
+        T: columns of block ``k`` one after the other, those of pairs at ``2k`` and ``2k + 1``,
+            shape (2n, 2n).
         T_inverse: shape (2n, 2n).
-        J: blocks, shape (n, 2, 2), 1/s.
+        J: blocks, shape (n, 2, 2), 1/s; one block, shape (1, 2n, 2n), in units of energy, where no
+            splitting is well-conditioned.
         proportional: whether a pair is a coordinate, to ``M``-orthonormal shapes, and its
             velocity; otherwise it is an eigenvector's two parts, or two real eigenvectors.
-        rates: ``a`` and ``d``. Derived.
     """
 
     T: Matrix
     T_inverse: Matrix
     J: NDArray[np.float64]
     proportional: bool
-    rates: Rates = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Derive the eigenvalues."""
+    @property
+    def are_pairs(self) -> bool:
+        """Whether the state is split."""
+        return 2 * len(self.J) == len(self.T)
+
+    @cached_property
+    def rates(self) -> Rates:
+        """Of pairs, ``a`` and ``d``."""
         J = self.J
         a = (J[:, 0, 0] + J[:, 1, 1]) / 2
         d2 = (J[:, 0, 0] - a) ** 2 + J[:, 0, 1] * J[:, 1, 0]
@@ -65,16 +72,35 @@ class Modes:
         fast = a - np.where(oscillates, 0.0, d)
         # The slow eigenvalue a + d would cancel; the product of both is the determinant.
         slow = np.where(oscillates | (fast == 0), a, determinant / np.where(fast == 0, 1.0, fast))
-        object.__setattr__(self, "rates", Rates(a, d, oscillates, slow))
+        return Rates(a, d, oscillates, slow)
 
     @property
-    def splitting(self) -> tuple[Matrix, Matrix, Matrix, Matrix, NDArray[np.bool_]]:
-        """What the kernel needs: ``T`` and its inverse, or shapes; blocks; rates."""
-        n, T, T_inverse = len(self.J), self.T, self.T_inverse
-        if self.proportional:
-            T, T_inverse = T[:n, 0::2], T_inverse[0::2, :n]
+    def fastest(self) -> float:
+        """Bound on ``|J^k|^(1/k)`` in units of energy, 1/s."""
+        if not self.are_pairs:
+            return float(np.linalg.norm(self.J[0], 2))
+        return float(np.max(np.abs(self.eigenvalues), initial=0.0))
+
+    @property
+    def splitting(self) -> tuple[Matrix, Matrix, NDArray[np.bool_]]:
+        """What the kernel needs of pairs: blocks and rates."""
         a, d, oscillates, slow = self.rates
-        return T, T_inverse, self.J.reshape(n, 4), np.stack([a, d, slow], axis=1), oscillates
+        return self.J.reshape(-1, 4), np.stack([a, d, slow], axis=1), oscillates
+
+    def coordinates(
+        self, frame: PhaseFrame | None
+    ) -> tuple[Matrix, Matrix, Matrix, Matrix, Vector, bool]:
+        """What the kernel needs: ``T`` and its inverse in ``frame``, or shapes, and the frame."""
+        T, T_inverse, r = self.T, self.T_inverse, len(self.T) // 2
+        if self.proportional:
+            T, T_inverse = T[:r, 0::2], T_inverse[0::2, :r]
+        if frame is None:
+            none = np.zeros((0, 0))
+            return T, T_inverse, none, none, np.zeros(0), self.proportional
+        halves = 1 if self.proportional else 2
+        shapes = np.vstack([frame.free.all(part.T).T for part in np.split(T, halves)])
+        inverse = [part @ frame.inverse for part in np.split(T_inverse, halves, axis=1)]
+        return shapes, np.hstack(inverse), frame.held, frame.Q, frame.rest, self.proportional
 
     @property
     def energy(self) -> Matrix:
@@ -89,14 +115,6 @@ class Modes:
         n, k = acceleration.shape
         return np.reshape(self.T_inverse[:, n:] @ acceleration, (n, 2, k))
 
-    def reach(self, inertia: Vector) -> Matrix:
-        """Length of each pair's positions and velocities, shape (2, 2n).
-
-        ``inertia`` are the roots of the masses of the coordinates, shape (n,).
-        """
-        parts = self.T.reshape(2, inertia.size, -1) * inertia[:, None]
-        return np.asarray(np.linalg.norm(parts, axis=1))
-
     @property
     def eigenvalues(self) -> tuple[Complex, Complex]:
         """Both of each pair, the one with positive imaginary part or the slow one first."""
@@ -107,8 +125,8 @@ class Modes:
         return one, two
 
 
-def split(system: Equations, shapes: Matrix | None = None) -> Modes | None:
-    """Split ``system`` into pairs of modes; None where no splitting is well-conditioned.
+def split(system: Equations, shapes: Matrix | None = None) -> Modes:
+    """Split ``system`` into pairs of modes, where that is well-conditioned.
 
     Args:
         system: what is split.
@@ -142,9 +160,7 @@ def _proportional(system: Equations, stiffness: Vector, damping: Vector, shapes:
     return Modes(T, T_inverse, J, proportional=True)
 
 
-def _general(
-    system: Equations, stiffness: Vector, damping: Matrix, shapes: Matrix
-) -> Modes | None:
+def _general(system: Equations, stiffness: Vector, damping: Matrix, shapes: Matrix) -> Modes:
     """Eigenvectors, complex ones as real and imaginary part, real ones two by two.
 
     They are sought in ``(omega y, y')`` of the undamped modes ``y``, whose square is the energy,
@@ -172,7 +188,7 @@ def _general(
         J[k] = np.diag([values[i].real, values[j].real])
         Y[:, 2 * k], Y[:, 2 * k + 1] = vectors[:, i].real, vectors[:, j].real
     if not np.linalg.cond(Y / np.linalg.norm(Y, axis=0)) < _WORST_CONDITION:
-        return None
+        Y, J = np.eye(2 * n), A[None]
     T = np.vstack([shapes @ (Y[0::2][::-1] / unit[:, None]), shapes @ Y[1::2][::-1]])
     inverse = linalg.inv(Y)
     back = system.M @ shapes

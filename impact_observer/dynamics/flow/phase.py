@@ -19,16 +19,15 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow.few import Factor, Product, product_with
-from impact_observer.dynamics.flow.flow import Equations, Flow, Motion
-from impact_observer.dynamics.flow.held import HeldFlow
+from impact_observer.dynamics.flow.flow import Equations, Flow, PhaseFrame
 from impact_observer.dynamics.flow.reduced_coordinates import ReducedCoordinates
 from impact_observer.dynamics.flow.scales import Scales
-from impact_observer.dynamics.flow.spectral import flow_of
+from impact_observer.dynamics.flow.strides import flow_of
+from impact_observer.kernel import PhaseMotion
 from impact_observer.model import Forcing, System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -87,7 +86,7 @@ class Phase:
         equations: of ``p``, without the loads of the held contacts.
         inverse: what is left of ``M^-1`` when the held contacts take their loads, shape (n, n).
         loads: ``lambda = -loads (f - C u - K p)``, shape (len(held), n).
-        flow: of (p, u).
+        flow: of states (q, u), from such with ``p = q`` on.
         Q: ``dq/dt = Q u``, shape (n, n).
         rest: ``q = Q p + rest``, shape (n,), m.
         scales: of the equations.
@@ -103,31 +102,13 @@ class Phase:
     rest: Vector
     scales: Scales
 
-    def start(self, t: float, x: Vector) -> Motion:
-        """The motion of (p, u) through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
+    def start(self, t: float, x: Vector) -> PhaseMotion:
+        """The motion through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
         return self.flow.start(t, x)
-
-    def states(self, motion: Motion, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """States (q, u) ``s`` seconds after the start of ``motion``, shape (samples, 2n)."""
-        x = motion.states(s)
-        if not self.fixed:
-            return x
-        n = self.equations.n
-        return np.hstack([x[:, :n] @ self.Q.T + self.rest, x[:, n:]])
-
-    def each(self, motion: Motion, s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """``states`` at each of ``s`` alone, which may round differently."""
-        if not self.fixed:
-            return motion.each(s)
-        return np.concatenate([self.states(motion, at) for at in s[:, None]])
 
     def transition(self, s: float) -> Matrix:
         """Propagation of the difference of two states (q, u) by ``s`` seconds, shape (2n, 2n)."""
-        found = self.flow.transition(s)
-        if not self.fixed:
-            return found
-        n = self.equations.n
-        return np.vstack([self.Q @ found[:n], found[n:]])
+        return self.flow.transition(s)
 
     def moved(self, t: float, x: Vector, s: float) -> tuple[Vector, Matrix]:
         """State (q, u) and ``transition`` ``s`` seconds after or, where negative, before ``x``.
@@ -265,30 +246,38 @@ class Phases:
                 # scipy before 1.14 refuses empty systems
                 linalg.solve_triangular(triangular[:p], pressing.T) if p else pressing.T
             ),
-            flow=self._held_flow(held, fixed)
-            if held
+            flow=self._framed(held, fixed)
+            if held or fixed
             else flow_of(free.equations, free.scales.shapes),
             Q=free.Q,
             rest=free.rest,
             scales=free.scales,
         )
 
-    def _held_flow(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Flow:
+    def _framed(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Flow:
         """Flow of the coordinates that the held contacts leave free."""
-        equations, *_, scales = self.unloaded(fixed)
+        whole = self.unloaded(fixed)
+        equations, n, none = whole.equations, self.system.n, np.zeros((0, 0))
+        Q, rest = (whole.Q, whole.rest) if fixed else (none, np.zeros(0))
+        if not held:
+            free = ReducedCoordinates(np.arange(n), np.arange(0), np.zeros((0, n)))
+            return flow_of(
+                equations, whole.scales.shapes, PhaseFrame(free, np.eye(n), none, Q, rest)
+            )
         W = self.system.W[:, list(held)]
         free = ReducedCoordinates.of(W, equations.M)
-        inverse, inner = np.zeros((free.free.size, self.system.n)), None
-        if free.free.size:
-            M = _symmetric(free.restricted(equations.M))
-            inverse = linalg.cho_solve(linalg.cho_factor(M), free.seen(equations.M))
-            C, K = free.restricted(equations.C), _symmetric(free.restricted(equations.K))
-            C = self._cleaned(C, np.diag(M), self._damping)
-            K = self._cleaned(K, np.diag(M), float(np.linalg.norm(scales.squares)))
-            inner = flow_of(Reduced(M, C, K, equations.forcing.mapped(free.shapes.T)))
         # Deflections of held contacts that load no other contact.
-        static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]
-        return HeldFlow(inner, free, inverse, (static, W.T))
+        static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)] @ W.T
+        M = _symmetric(free.restricted(equations.M))
+        C, K = free.restricted(equations.C), _symmetric(free.restricted(equations.K))
+        inverse = np.zeros((free.free.size, n))
+        if free.free.size:
+            inverse = linalg.cho_solve(linalg.cho_factor(M), free.seen(equations.M))
+            C = self._cleaned(C, np.diag(M), self._damping)
+            K = self._cleaned(K, np.diag(M), float(np.linalg.norm(whole.scales.squares)))
+        return flow_of(
+            Reduced(M, C, K, equations.forcing), frame=PhaseFrame(free, inverse, static, Q, rest)
+        )
 
     def _left(self, orthogonal: Matrix) -> Matrix:
         """What is left of ``M^-1`` where only motions along ``orthogonal`` are free."""

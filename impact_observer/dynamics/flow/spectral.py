@@ -17,22 +17,17 @@ What is the same for all motions is prepared here; the kernel computes motions (
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from impact_observer.dynamics.flow.angles import Angles
-from impact_observer.dynamics.flow.dense import DenseFlow
 from impact_observer.dynamics.flow.flow import (
     Complex,
     Equations,
     Flow,
     Functions,
-    Motion,
-    View,
+    PhaseFrame,
 )
-from impact_observer.dynamics.flow.modes import Modes, split
-from impact_observer.dynamics.flow.responses import response_of
-from impact_observer.dynamics.flow.sampled import SampledFlow
-from impact_observer.kernel import Guards, ModalFlow, ModalMotion, Trace
+from impact_observer.dynamics.flow.modes import Modes
+from impact_observer.kernel import Guards, ModalFlow, PhaseMotion
 from impact_observer.states import Matrix, Vector
 
 _RESONANCE = 1e-2
@@ -41,34 +36,17 @@ _HUGE = 30.0
 """Steady response, over the state, that would cost digits while the motion is young."""
 
 
-def flow_of(system: Equations, shapes: Matrix | None = None) -> Flow:
-    """The fastest flow of ``system`` without contact that keeps full accuracy.
-
-    Args:
-        system: what moves.
-        shapes: of its undamped modes by LAPACK, shape (n, n), if available.
-    """
-    modes = split(system, shapes)
-    flow = DenseFlow(system) if modes is None else SpectralFlow(system, modes)
-    samples = system.forcing.sampled
-    if samples is None:
-        return flow
-    longest = float(np.max(samples.steps))
-    return SampledFlow(flow, response_of(system, modes, longest), samples)
-
-
 class SpectralFlow(Flow):
     """Flow of a system in its modes."""
 
-    def __init__(self, system: Equations, modes: Modes) -> None:
+    def __init__(self, system: Equations, modes: Modes, frame: PhaseFrame | None = None) -> None:
         """Prepare steady responses and the pairs that resonate."""
+        super().__init__(system, frame)
         self.modes = modes
-        self._inertia = linalg.cho_factor(system.M)
-        self._pulls = np.hstack([system.K, system.C])
         forcing = system.forcing
         mu = 1j * np.concatenate([[0.0], forcing.frequency])
         forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine])
-        load = modes.pushed(linalg.cho_solve(self._inertia, forces.T))
+        load = modes.pushed(self._pushed(forces.T))
         beta = load[:, :, : mu.size].astype(np.complex128)
         beta[..., 1:] -= 1j * load[:, :, mu.size :]
         one, two = modes.eigenvalues
@@ -86,6 +64,7 @@ class SpectralFlow(Flow):
         young = 1.0 / float(np.min(distance[far], initial=np.inf))
         real = np.concatenate([response.real, -response.imag[..., 1:]], axis=2)
         self._kernel = ModalFlow(
+            modes.coordinates(frame),
             modes.splitting,
             (forcing.frequency, Angles(forcing.frequency).turns),
             real.reshape(2 * system.n, -1),
@@ -97,46 +76,17 @@ class SpectralFlow(Flow):
             young,
         )
 
-    def start(self, t: float, x: Vector) -> Motion:
+    def start(self, t: float, x: Vector) -> PhaseMotion:
         """The motion through ``x`` at ``t``."""
         return self._kernel.start(t, x)
 
-    def view(self, functions: Functions) -> View:
-        """Of all motions."""
-        rows, harmonics, constant = functions
-        seen = Guards(
-            self._kernel,
-            rows @ self.modes.T,
-            self._cancelled(rows) @ np.abs(self.modes.T),
-            np.hstack([harmonics.real, harmonics.imag]),
-            constant,
-        )
-        return _SpectralView(seen, constant.size)
+    def guards(self, functions: Functions) -> Guards:
+        """``functions`` of all motions."""
+        return self._kernel.guards(*self._seen(functions, self.modes.T, self._time))
 
-    def transition(self, s: float) -> Matrix:
-        """``T e^{Js} T^{-1}``, shape (2n, 2n)."""
+    def moving(self, s: float) -> Matrix:
+        """``T e^{Js} T^{-1}``."""
         return self._kernel.transition(s)
-
-    def _cancelled(self, rows: Matrix) -> Matrix:
-        """What may cancel in ``rows x``, shape (w, 2n), where all of ``x`` moves.
-
-        Also by what pulls at it within the time scale: a body may rest while others move.
-        """
-        n, time = rows.shape[1] // 2, self._time
-        q, u = (linalg.cho_solve(self._inertia, part.T).T for part in np.split(rows, [n], axis=1))
-        pulled = time**2 / 2 * np.abs(q @ self._pulls) + time * np.abs(u @ self._pulls)
-        return np.asarray(np.abs(rows) + pulled)
-
-
-class _SpectralView(View):
-    def __init__(self, guards: Guards, count: int) -> None:
-        self.guards = guards
-        self._none = np.zeros(count)
-
-    def of(self, motion: Motion, shift: Vector | None = None) -> Trace | None:
-        if not isinstance(motion, ModalMotion):
-            return None
-        return self.guards.trace(motion, self._none if shift is None else shift)
 
 
 def _steady(modes: Modes, mu: Complex, beta: Complex, far: NDArray[np.bool_]) -> Complex:

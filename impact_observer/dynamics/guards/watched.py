@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from impact_observer.dynamics.flow.flow import Functions
 from impact_observer.dynamics.flow.phase import Phase
@@ -67,23 +66,7 @@ class Watched:
         )
 
     def functions(self, forcing: Forcing) -> Functions:
-        """The same functions where nothing but constants and harmonics drives the motion."""
-        harmonics = self.force @ (forcing.cosine - 1j * forcing.sine).T
-        constant = self.constant + self.force @ forcing.constant
-        return Functions(np.hstack([self.position, self.velocity]), harmonics, constant)
-
-    def values(self, forcing: Forcing, t: Vector, x: NDArray[np.float64]) -> Matrix:
-        """Their values, shape (samples, w).
-
-        Args:
-            forcing: of the motion.
-            t: s since the epoch, shape (samples,).
-            x: states (p, u), shape (samples, 2n).
-        """
-        n = self.position.shape[1]
-        found = x[:, :n] @ self.position.T + self.constant
-        if np.any(self.velocity):
-            found = found + x[:, n:] @ self.velocity.T
-        if np.any(self.force):
-            found = found + forcing.derivatives(t, 0)[0] @ self.force.T
-        return np.asarray(found)
+        """The same functions under ``forcing``."""
+        driven = np.vstack([forcing.constant, forcing.cosine, forcing.sine]) @ self.force.T
+        driven[0] += self.constant
+        return Functions(np.hstack([self.position, self.velocity]), driven.T, self.force)

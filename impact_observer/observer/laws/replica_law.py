@@ -184,7 +184,7 @@ class _OwnMotions(Prediction):
         return self._motions[0].state(s)
 
     def states(self, s: Vector) -> Matrix:
-        return self._motions[0].each(s)
+        return self._motions[0].states(s)
 
     def belief(self, s: float) -> Belief:
         replicas = np.array([motion.state(s) for motion in self._motions])
@@ -209,7 +209,7 @@ class _CommonPhase(Prediction):
         return self._first.state(s)
 
     def states(self, s: Vector) -> Matrix:
-        return self._first.each(s)
+        return self._first.states(s)
 
     def belief(self, s: float) -> Belief:
         before = self._belief.ensemble

@@ -111,7 +111,7 @@ def test_states_one_by_one_are_those_of_many_modes_alone(n: int) -> None:
     moving = flow_of(model).start(0.3, x)
     s = np.array([0.0, 1e-3, 0.1, 1.0, 10.0])
     alone = np.array([moving.state(at) for at in s.tolist()])
-    np.testing.assert_array_equal(moving.each(s), alone)
+    np.testing.assert_array_equal(moving.states(s), alone)
     np.testing.assert_allclose(moving.states(s), alone, rtol=0, atol=1e-12)
 
 

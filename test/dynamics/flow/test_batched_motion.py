@@ -15,7 +15,7 @@ from systems import (
 )
 
 from impact_observer.dynamics.flow.flow import Motion
-from impact_observer.dynamics.flow.spectral import flow_of
+from impact_observer.dynamics.flow.strides import flow_of
 from impact_observer.model import System
 
 SIZES = (1, 2, 3, 4, 5, 7, 8, 9, 15, 16, 17, 31, 33, 64, 100, 257, 1000)
@@ -61,8 +61,8 @@ def test_states_are_those_of_each_instant_alone(kind: str) -> None:
     motion, random = motions()[kind], np.random.default_rng(7)
     for size in SIZES[: -1 if kind in {"dense", "resonant", "soft"} else None]:
         s = np.sort(random.uniform(0, 50, size))
-        assert motion.each(s).tobytes() == each_alone(motion, s)
-        assert motion.each(s[::-1]).tobytes() == each_alone(motion, s[::-1])
+        assert motion.states(s).tobytes() == each_alone(motion, s)
+        assert motion.states(s[::-1]).tobytes() == each_alone(motion, s[::-1])
 
 
 @examples(60)
@@ -73,4 +73,4 @@ def test_states_of_any_system_are_those_of_each_instant_alone(
     """Rigid bodies, critical damping, resonance."""
     motion = start(model)
     s = np.linspace(longest / size, longest, size)
-    assert motion.each(s).tobytes() == each_alone(motion, s)
+    assert motion.states(s).tobytes() == each_alone(motion, s)

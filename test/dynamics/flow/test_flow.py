@@ -1,9 +1,11 @@
 """The exact flow of a linear phase, against arithmetic that shares nothing with it."""
 
+from collections.abc import Callable
+
 import numpy as np
 import precise
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import integrate, linalg
@@ -14,6 +16,7 @@ from systems import (
     examples,
     forcing,
     numbers,
+    one_block,
     sample,
     system,
     systems,
@@ -21,9 +24,10 @@ from systems import (
 )
 
 from impact_observer.dynamics import Flow, flow_of
-from impact_observer.dynamics.flow.dense import DenseFlow
+from impact_observer.dynamics.flow.flow import state_matrix
 from impact_observer.dynamics.flow.modes import split
 from impact_observer.dynamics.flow.spectral import SpectralFlow
+from impact_observer.dynamics.flow.strides import SeriesFlow
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
@@ -32,7 +36,7 @@ Array = NDArray[np.float64]
 def spectral(model: System) -> SpectralFlow:
     """The flow by modes, which must exist."""
     modes = split(model)
-    assert modes is not None
+    assert modes.are_pairs
     return SpectralFlow(model, modes)
 
 
@@ -52,6 +56,11 @@ def oscillator(c: float, k: float, *harmonics: Harmonic, constant: float = 0.0) 
 def push(frequency: float) -> Harmonic:
     """A harmonic on one coordinate."""
     return Harmonic(frequency, [1.0], [0.5])
+
+
+def strides(model: System) -> SeriesFlow:
+    """The flow in strides, by modes where these can be split."""
+    return SeriesFlow(model, split(model))
 
 
 TWO = [Harmonic(2.7, [3, 0, 1], [0, 0, 2]), Harmonic(0.4, [0, 1, 0], [0, 1, 1])]
@@ -117,8 +126,8 @@ def test_flow_is_exact(model: System) -> None:
     seconds = np.array([0.0, 1e-9, 0.013, 0.4, 1.7])
     for t in (0.0, 3.3):
         expected = precise.flow(model, t, x, seconds.tolist())
-        for flow, rounding in ((flow_of(model), 3e-14), (DenseFlow(model), 1e-13)):
-            assert error(model, flow.start(t, x).states(seconds), expected, x) < rounding
+        for flow in (flow_of(model), strides(model), SeriesFlow(model, one_block(model))):
+            assert error(model, flow.start(t, x).states(seconds), expected, x) < 3e-14
 
 
 @pytest.mark.parametrize("seconds", [1e-6, 1e-3, 1.0, 100.0, 2e4])
@@ -214,25 +223,25 @@ def test_flow_is_a_group(data: st.DataObject) -> None:
 
 @examples(40)
 @given(st.data())
-def test_flow_by_modes_agrees_with_the_matrix_exponential(data: st.DataObject) -> None:
+def test_flow_by_modes_agrees_with_that_in_strides(data: st.DataObject) -> None:
     """Wherever the modes can be split, both ways give the same motion."""
     model = data.draw(systems(contacts=(0, 0)))
     x, t = data.draw(vectors(2 * model.n)), data.draw(numbers(0.0, 4.0))
     modes = split(model)
-    if modes is None:
-        assert isinstance(flow_of(model), DenseFlow)
-        return
+    assume(modes.are_pairs)
     s = np.array([0.0, 0.1, 1.0, 3.0])
-    dense = DenseFlow(model).start(t, x).states(s)
-    assert error(model, SpectralFlow(model, modes).start(t, x).states(s), dense, x) < 1e-11
+    found = strides(model).start(t, x).states(s)
+    assert error(model, SpectralFlow(model, modes).start(t, x).states(s), found, x) < 1e-11
 
 
-@pytest.mark.parametrize("flow", [spectral, DenseFlow])
-def test_flow_of_unforced_system_does_not_depend_on_the_start_time(flow: type[Flow]) -> None:
+@pytest.mark.parametrize("flow", [spectral, strides])
+def test_flow_of_unforced_system_does_not_depend_on_the_start_time(
+    flow: Callable[[System], Flow],
+) -> None:
     """Shifting an autonomous motion in time changes no bit."""
     model = chain(3)
     x = np.arange(6.0)
-    early, late = (flow(model).start(t, x).state(0.7) for t in (0.0, 123.456))  # type: ignore[call-arg]
+    early, late = (flow(model).start(t, x).state(0.7) for t in (0.0, 123.456))
     assert early.tolist() == late.tolist()
 
 
@@ -252,11 +261,11 @@ def defective() -> System:
     return system(np.eye(2), np.diag([1.0, 0.0]), [[1.25, 0.5], [0.5, 1.0]])
 
 
-def test_defective_system_is_left_to_the_matrix_exponential() -> None:
+def test_defective_system_moves_in_strides() -> None:
     """Where eigenvectors coincide no splitting is safe, and the flow stays exact."""
     model = defective()
-    assert split(model) is None
-    assert isinstance(flow_of(model), DenseFlow)
+    assert not split(model).are_pairs
+    assert isinstance(flow_of(model), SeriesFlow)
     x, s = np.array([1.0, 0.5, -0.3, 0.2]), np.array([0.3, 2.0])
     expected = precise.flow(model, 0.0, x, s.tolist())
     assert error(model, flow_of(model).start(0.0, x).states(s), expected, x) < 1e-13
@@ -265,7 +274,7 @@ def test_defective_system_is_left_to_the_matrix_exponential() -> None:
 def test_motion_has_its_start_time() -> None:
     """Seconds since the epoch, for whoever evaluates the forcing along it."""
     model = sample("two_mass").system
-    for flow in (spectral(model), DenseFlow(model)):
+    for flow in (spectral(model), strides(model)):
         assert flow.start(2.5, np.zeros(4)).t == 2.5
 
 
@@ -277,8 +286,7 @@ def test_one_state_is_as_exact_as_many(model: System) -> None:
     for t in (0.0, 17.3):
         motion = flow.start(t, x)
         alone = np.array([motion.state(at) for at in s.tolist()])
-        assert error(model, alone, motion.states(s), x) < 1e-13
-        np.testing.assert_array_equal(motion.each(s), alone)
+        np.testing.assert_array_equal(motion.states(s), alone)
         for at, state in zip(s.tolist(), alone, strict=True):
             moved, transition = flow.moved(motion, at)
             np.testing.assert_array_equal(moved, state)
@@ -291,6 +299,6 @@ def test_difference_of_two_motions_goes_on_by_the_transition(data: st.DataObject
     """Forwards and backwards, whatever the modes are, against the matrix exponential."""
     model = data.draw(systems(max_n=3, forced=False))
     flow, s = flow_of(model), data.draw(numbers(0.0, 2.0))
-    dense = DenseFlow(model).transition(s)
-    scale = np.max(np.abs(dense)) * (1 + np.max(np.abs(model.K)))
-    np.testing.assert_allclose(flow.transition(s), dense, atol=1e-11 * scale)
+    expected = linalg.expm(s * state_matrix(model))
+    scale = np.max(np.abs(expected)) * (1 + np.max(np.abs(model.K)))
+    np.testing.assert_allclose(flow.transition(s), expected, atol=1e-11 * scale)

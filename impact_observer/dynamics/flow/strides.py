@@ -1,0 +1,100 @@
+"""Flow in strides, for what has no closed form: sampled forces, and spectra that cannot be split.
+
+Between two samples, and over strides short against the fastest rate, the motion is its Taylor
+polynomial but for rounding. Strides are counted from the phase's start, so that the result does
+not depend on which instants are asked for, to the bit. The kernel makes them (``series.hpp``).
+"""
+
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from impact_observer.dynamics.contact.projection import KEPT
+from impact_observer.dynamics.flow.angles import Angles
+from impact_observer.dynamics.flow.flow import Equations, Flow, Functions, PhaseFrame
+from impact_observer.dynamics.flow.modes import Modes, split
+from impact_observer.dynamics.flow.spectral import SpectralFlow
+from impact_observer.kernel import Guards, PhaseMotion, SampledForces
+from impact_observer.kernel import SeriesFlow as Strides
+from impact_observer.model.force_samples import Samples
+from impact_observer.states import Matrix, Vector
+
+
+def flow_of(
+    system: Equations, shapes: Matrix | None = None, frame: PhaseFrame | None = None
+) -> Flow:
+    """The flow of ``system`` without contact: in closed form where there is one.
+
+    Args:
+        system: what moves.
+        shapes: of its undamped modes by LAPACK, shape (n, n), if available.
+        frame: in which its coordinates lie; None where they are all that there are.
+    """
+    modes = split(system, shapes) if system.n else _NOTHING
+    if modes.are_pairs and system.n and system.forcing.sampled is None:
+        return SpectralFlow(system, modes, frame)
+    return SeriesFlow(system, modes, frame)
+
+
+_NOTHING = Modes(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 2, 2)), proportional=True)
+
+
+class SeriesFlow(Flow):
+    """Flow of a system, free or in its modes, in strides."""
+
+    def __init__(self, system: Equations, modes: Modes, frame: PhaseFrame | None = None) -> None:
+        """Prepare loads and rates."""
+        super().__init__(system, frame)
+        self.modes = modes
+        forcing, r = system.forcing, system.n
+        forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine]).T
+        sampled, self._active = None, np.zeros(0, dtype=np.intp)
+        if forcing.sampled is not None:
+            sampled, self._active = _forces(forcing.sampled)
+        forces = np.hstack([forces, np.eye(len(forces))[:, self._active]])
+        load, push = np.hsplit(
+            modes.T_inverse[:, r:] @ self._pushed(forces), [1 + 2 * forcing.frequency.size]
+        )
+        self._rate = max(modes.fastest, *forcing.frequency, 0.0)
+        self._kernel = Strides(
+            modes.coordinates(frame),
+            modes.J.reshape(2 * r, -1) if r else np.zeros((0, 2)),
+            (forcing.frequency, Angles(forcing.frequency).turns),
+            load,
+            push,
+            sampled,
+            self._rate,
+        )
+
+    def start(self, t: float, x: Vector) -> PhaseMotion:
+        """The motion through ``x`` at ``t``."""
+        return self._kernel.start(t, x)
+
+    def guards(self, functions: Functions) -> Guards:
+        """``functions`` of all motions."""
+        time = 1 / self._rate if self._rate > 0 else 0.0
+        rows = self._seen(functions, self.modes.T, time)
+        return self._kernel.guards(*rows, functions.force[:, self._active])
+
+    @cached_property
+    def _spectral(self) -> SpectralFlow:
+        return SpectralFlow(self._system, self.modes, self._frame)
+
+    def moving(self, s: float) -> Matrix:
+        """``T e^{Js} T^{-1}``; where it is not split, by a matrix exponential."""
+        if self.modes.are_pairs and self._system.n:
+            return self._spectral.moving(s)
+        T, T_inverse, *_ = self.modes.coordinates(self._frame)
+        if not self._system.n:
+            return np.zeros((2 * len(T), 2 * len(T)))
+        return np.asarray(T @ linalg.expm(s * self.modes.J[0]) @ T_inverse)
+
+
+@lru_cache(KEPT)
+def _forces(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
+    """The forces that are not always zero, and their coordinates."""
+    active = np.flatnonzero(np.any(samples.force != 0, axis=0))
+    force, slope = samples.force[:, active], samples.slope[:, active]
+    return SampledForces(samples.time, force, slope, samples.rounding, samples.check), active

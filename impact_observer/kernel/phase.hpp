@@ -1,0 +1,201 @@
+// What all motions of a linear phase have, and functions along them.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <memory>
+
+#include "arrays.hpp"
+#include "rows.hpp"
+
+namespace kernel {
+
+__extension__ typedef unsigned __int128 Turns;
+
+// Seconds since the epoch: whole nanoseconds and a remainder, or one number.
+struct Time {
+    double seconds;
+    bool exact = false;
+    std::int64_t ns = 0;
+    double remainder = 0.0;
+};
+
+// Angles omega t of harmonics, accurate however late it is: turns in a nanosecond are counted in
+// parts of 2^-128, so that whole turns are left out before anything is rounded.
+struct Harmonics {
+    std::vector<double> frequency;  // omega, rad/s
+    std::vector<Turns> turns;
+
+    std::size_t size() const { return frequency.size(); }
+
+    std::vector<double> at(const Time& t) const {
+        const double part = 6.283185307179586476925286766559 / 0x1p128;
+        std::vector<double> found(size());
+        for (std::size_t k = 0; k < size(); ++k)
+            found[k] = t.exact ? double(Turns(__int128(t.ns)) * turns[k]) * part +
+                                     frequency[k] * t.remainder
+                               : frequency[k] * t.seconds;
+        return found;
+    }
+
+    // 1, cosines and sines, s seconds after the instant with these angles.
+    void waves(const std::vector<double>& angles, double s, double* waves) const {
+        const std::size_t h = size();
+        waves[0] = 1.0;
+        for (std::size_t k = 0; k < h; ++k) {
+            const double angle = angles[k] + frequency[k] * s;
+            waves[1 + k] = std::cos(angle);
+            waves[1 + h + k] = std::sin(angle);
+        }
+    }
+};
+
+// Coordinates y of the motions of a phase: p, u = T y + (rest, 0), where rest = held p_0 stays.
+// States are q = Q p + offset and u; at the start p is q.
+class Coordinates {
+  public:
+    std::size_t n, size;  // numbers in q and in y
+
+    // T is 2n x size. Where y are `paired`, coordinates and their velocities side by side, it is
+    // the shapes of the coordinates, n x size / 2. `held` and `Q` are n x n, or empty.
+    Coordinates(const View& T, const View& T_inverse, const View& held, const View& Q,
+                const View& offset, bool paired)
+        : n(paired ? T.rows : T.rows / 2),
+          size(paired ? 2 * T.columns : T.columns),
+          paired(paired),
+          forward(transposed(T)),
+          backward(transposed(T_inverse)),
+          held(held),
+          Q(Q),
+          offset(offset.data, offset.data + offset.rows) {}
+
+    // y = T^-1 (x - rest).
+    void split(const double* x, const std::vector<double>& rest, double* y) const {
+        std::vector<double> moves(x, x + 2 * n), part(paired ? size / 2 : size);
+        for (std::size_t i = 0; i < rest.size(); ++i) moves[i] -= rest[i];
+        for (std::size_t k = 0; k < (paired ? 2 : 1); ++k) {
+            std::fill(part.begin(), part.end(), 0.0);
+            for (std::size_t i = 0; i < backward.rows; ++i)
+                add(moves[k * n + i], backward.row(i), part.data(), part.size());
+            for (std::size_t p = 0; p < part.size(); ++p) y[paired ? 2 * p + k : p] = part[p];
+        }
+    }
+
+    // The part of the position that does not move, n numbers, or none where all moves.
+    std::vector<double> rest(const double* x) const {
+        std::vector<double> found(held.rows);
+        for (std::size_t i = 0; i < found.size(); ++i) found[i] = dot(held.row(i), x, n);
+        return found;
+    }
+
+    // The state. Terms are added in the order of the pairs, whatever else is computed.
+    void state(const double* y, const std::vector<double>& rest, double* x) const {
+        std::fill(std::copy(rest.begin(), rest.end(), x), x + 2 * n, 0.0);
+        for (std::size_t j = 0; j < size; ++j) {
+            if (y[j] == 0) continue;
+            if (paired)
+                add(y[j], forward.row(j / 2), x + j % 2 * n, n);
+            else
+                add(y[j], forward.row(j), x, 2 * n);
+        }
+        if (Q.rows == 0) return;
+        const std::vector<double> p(x, x + n);
+        for (std::size_t i = 0; i < n; ++i) x[i] = dot(Q.row(i), p.data(), n) + offset[i];
+    }
+
+    // found += factor times column i of T times row j of T^-1.
+    void add_product(std::size_t i, std::size_t j, double factor, Matrix& found) const {
+        const std::size_t k = paired ? n : 2 * n;  // numbers in either
+        const std::size_t down = paired ? i % 2 * n : 0, right = paired ? j % 2 * n : 0;
+        const double* column = forward.row(paired ? i / 2 : i);
+        std::vector<double> row(k);
+        for (std::size_t c = 0; c < k; ++c) row[c] = factor * backward(c, paired ? j / 2 : j);
+        for (std::size_t c = 0; c < k; ++c)
+            add(column[c], row.data(), found.row(down + c) + right, k);
+    }
+
+  private:
+    bool paired;
+    Matrix forward, backward;  // transposed: T and T^-1 by columns
+    Matrix held, Q;
+    std::vector<double> offset;
+
+    static Matrix transposed(const View& A) {
+        Matrix found(A.columns, A.rows);
+        for (std::size_t i = 0; i < A.rows; ++i)
+            for (std::size_t j = 0; j < A.columns; ++j) found(j, i) = A(i, j);
+        return found;
+    }
+};
+
+// One motion of a phase.
+class Motion {
+  public:
+    virtual ~Motion() = default;
+
+    // States (q, u) at `count` instants, a row each; a row does not depend on the others.
+    virtual void states(const double* s, std::size_t count, double* rows) const = 0;
+};
+
+// All motions of a phase.
+class Flow {
+  public:
+    Coordinates coordinates;
+    Harmonics harmonics;
+
+    Flow(Coordinates coordinates, Harmonics harmonics)
+        : coordinates(std::move(coordinates)), harmonics(std::move(harmonics)) {}
+    virtual ~Flow() = default;
+
+    // The motion through x at t.
+    virtual std::shared_ptr<const Motion> start(const Time& t, const double* x) const = 0;
+};
+
+constexpr std::size_t ORDERS = 9;     // derivatives 0 to 8
+constexpr double MOST_STRIDES = 1e9;  // of a motion: more would never end
+
+// Functions along one motion: `look` goes to an instant, the others tell what is there.
+class Functions {
+  public:
+    virtual ~Functions() = default;
+    virtual std::size_t size() const = 0;
+    virtual void look(double s) = 0;
+    // Until when the functions keep the form that they have there, and where they end, s.
+    virtual double smooth_until() const = 0;
+    virtual double end() const { return INFINITY; }
+    // How fast they may be looked at, strides a second; 0 where it does not matter.
+    virtual double rate() const { return 0.0; }
+    // A derivative of one function there.
+    virtual double derivative(std::size_t order, std::size_t i) const = 0;
+    virtual double constant(std::size_t i) const = 0;
+    // A bound on one derivative, less the constant, from there to `stop`.
+    virtual double largest(std::size_t order, std::size_t i, double stop) = 0;
+    // What one function is rounded against there.
+    virtual double scale(std::size_t i) = 0;
+};
+
+// Functions rows x + waves (1, cos, sin) + forces f of the motions of one flow, w of them.
+class Guards {
+  public:
+    std::shared_ptr<const Flow> flow;
+    std::size_t w;
+    Matrix position;  // rows of q, w x n: what they see of a position at rest
+
+    Guards(std::shared_ptr<const Flow> flow, Matrix position)
+        : flow(std::move(flow)), w(position.rows), position(std::move(position)) {}
+    virtual ~Guards() = default;
+
+    virtual std::unique_ptr<Functions> along(
+        const std::shared_ptr<const Motion>& motion) const = 0;
+
+  protected:
+    // What is added to the constants along a motion.
+    std::vector<double> shift(const std::vector<double>& rest) const {
+        std::vector<double> found(w, 0.0);
+        for (std::size_t i = 0; i < w && !rest.empty(); ++i)
+            found[i] = dot(position.row(i), rest.data(), rest.size());
+        return found;
+    }
+};
+
+}  // namespace kernel

@@ -1,0 +1,318 @@
+// Motions in strides, each so short that a Taylor polynomial is exact but for rounding: for forces
+// that are sampled, and for phases that fall into no pairs.
+#pragma once
+
+#include <stdexcept>
+
+#include "phase.hpp"
+
+namespace kernel {
+
+constexpr std::size_t TERMS = 20;     // of the longest strides: (rate s)^k / k! with rate s = 1
+constexpr double NEGLIGIBLE = 1e-18;  // the first term left out, relative to the whole
+constexpr std::size_t KEPT = 64;      // of so many strides one is kept, to go back to
+
+// Forces at instants: in between they are held, or linear.
+struct Samples {
+    std::vector<double> time;  // s since the epoch, ascending
+    Matrix force, slope;       // from each instant on, a row each
+    double rounding;           // difference of instants that counts as none, s
+
+    // The sample that holds from t on.
+    std::size_t index(double t) const {
+        const auto after = std::upper_bound(time.begin(), time.end(), t + rounding);
+        return std::size_t(std::max<std::ptrdiff_t>(after - time.begin(), 1)) - 1;
+    }
+};
+
+// dy/dt = J y + load (1, cos, sin) + push f. In a suitable norm |J^k| <= rate^k.
+class SeriesFlow : public Flow, public std::enable_shared_from_this<SeriesFlow> {
+  public:
+    Matrix J;                                // blocks below each other, as many columns as one
+    Matrix load, push;                       // size x (1 + 2h), size x forces
+    std::shared_ptr<const Samples> samples;  // or none
+    double rate;                             // also of the harmonics, 1/s
+
+    SeriesFlow(Coordinates coordinates, Harmonics harmonics, Matrix J, Matrix load, Matrix push,
+               std::shared_ptr<const Samples> samples, double rate)
+        : Flow(std::move(coordinates), std::move(harmonics)),
+          J(std::move(J)),
+          load(std::move(load)),
+          push(std::move(push)),
+          samples(std::move(samples)),
+          rate(rate) {}
+
+    std::shared_ptr<const Motion> start(const Time& t, const double* x) const override;
+
+    // dy = J y.
+    void turn(const double* y, double* dy) const {
+        for (std::size_t i = 0; i < J.rows; ++i)
+            dy[i] = dot(J.row(i), y + i / J.columns * J.columns, J.columns);
+    }
+};
+
+// A motion at one of its strides. Strides do not depend on what is looked at.
+class Walk {
+  public:
+    double begin, end, length;     // s since the start; the last stride has no end
+    std::size_t terms, count = 0;  // of the polynomial; strides begun
+    Matrix y, waves, force;        // there and their derivatives, a row each
+
+    Walk(std::shared_ptr<const SeriesFlow> of, const Time& t, const double* x)
+        : y(TERMS, of->coordinates.size),
+          waves(TERMS, of->load.columns),
+          force(2, of->push.columns),
+          flow(std::move(of)),
+          t(t.seconds),
+          angles(flow->harmonics.at(t)) {
+        if (flow->samples) {
+            first = flow->samples->index(this->t);
+            intervals = std::max(flow->samples->time.size() - 1, first + 1) - first;
+        }
+        flow->coordinates.split(x, flow->coordinates.rest(x), y.row(0));
+        enter();
+    }
+
+    const SeriesFlow& of() const { return *flow; }
+
+    // Where the forces end, s.
+    double last() const { return flow->samples ? flow->samples->time.back() - t : INFINITY; }
+
+    // To the stride that holds at s.
+    void go(double s) {
+        if (s < begin) {
+            const auto after = std::upper_bound(kept.begin(), kept.end(), s,
+                                                [](double at, const Kept& k) { return at < k.s; });
+            const Kept& from = *(after == kept.begin() ? after : after - 1);
+            interval = from.interval, stride = from.stride, passed = from.passed;
+            std::copy(from.y.begin(), from.y.end(), y.row(0));
+            enter();
+        }
+        if ((s - begin) * flow->rate > MOST_STRIDES) throw std::invalid_argument("s: too far");
+        while (s >= end) {
+            std::vector<double> next(y.columns);
+            value(length, next.data());
+            std::copy(next.begin(), next.end(), y.row(0));
+            ++stride, ++passed;
+            if (stride == strides) ++interval, stride = 0;
+            enter();
+        }
+    }
+
+    // y `s` seconds after the begin.
+    void value(double s, double* found) const {
+        std::copy(y.row(terms - 1), y.row(terms - 1) + y.columns, found);
+        for (std::size_t k = terms - 1; k-- > 0;)
+            for (std::size_t i = 0; i < y.columns; ++i)
+                found[i] = y(k, i) + s / double(k + 1) * found[i];
+    }
+
+  private:
+    struct Kept {
+        double s;
+        std::size_t interval, passed;
+        double stride;
+        std::vector<double> y;
+    };
+
+    std::shared_ptr<const SeriesFlow> flow;
+    double t;
+    std::vector<double> angles;
+    std::size_t first = 0, intervals = 1, interval = 0, passed = 0;
+    double stride = 0, strides = INFINITY;  // in the interval between two samples
+    std::vector<Kept> kept;
+
+    // Where an interval begins.
+    double knot(std::size_t k) const { return k == 0 ? 0.0 : flow->samples->time[first + k] - t; }
+
+    // Begins the stride with y: where it lies, and all derivatives.
+    void enter() {
+        const double from = knot(interval), rate = flow->rate;
+        if (flow->samples && first + interval + 1 < flow->samples->time.size()) {
+            const double whole = knot(interval + 1) - from;
+            strides = std::max(std::ceil(whole * rate), 1.0);
+            begin = from + whole * (stride / strides);
+            end = stride + 1 < strides ? from + whole * ((stride + 1) / strides) : from + whole;
+        } else {
+            strides = INFINITY;
+            begin = from + (rate > 0 ? stride / rate : 0.0);
+            end = rate > 0 ? from + (stride + 1) / rate : INFINITY;
+        }
+        length = end < INFINITY ? end - begin : 0.0;
+        if (flow->samples && interval + 1 == intervals && !(stride + 1 < strides)) end = INFINITY;
+        if (passed % KEPT == 0 && (kept.empty() || kept.back().s < begin))
+            kept.push_back({begin, interval, passed, stride, {y.row(0), y.row(0) + y.columns}});
+        double left_out = 1.0;
+        for (terms = 1; terms < TERMS && (terms <= ORDERS || left_out > NEGLIGIBLE); ++terms)
+            left_out *= rate * length / double(terms);
+        drive(begin - from);
+        for (std::size_t k = 0; k + 1 < terms; ++k) {
+            double* next = y.row(k + 1);
+            flow->turn(y.row(k), next);
+            for (std::size_t i = 0; i < y.columns; ++i) {
+                if (k == 0 || waves.columns > 1)
+                    next[i] += dot(flow->load.row(i), waves.row(k), waves.columns);
+                if (k < 2) next[i] += dot(flow->push.row(i), force.row(k), force.columns);
+            }
+        }
+        ++count;
+    }
+
+    // Waves and forces at the begin, `s` seconds into the interval, and their derivatives.
+    void drive(double s) {
+        const std::size_t h = flow->harmonics.size();
+        flow->harmonics.waves(angles, begin, waves.row(0));
+        for (std::size_t k = 0; k + 1 < terms; ++k)
+            for (std::size_t j = 0; j < h; ++j) {
+                waves(k + 1, 1 + j) = -flow->harmonics.frequency[j] * waves(k, 1 + h + j);
+                waves(k + 1, 1 + h + j) = flow->harmonics.frequency[j] * waves(k, 1 + j);
+            }
+        if (!flow->samples) return;
+        const std::size_t now = first + interval;
+        if (interval == 0) s += t - flow->samples->time[first];
+        for (std::size_t j = 0; j < force.columns; ++j) {
+            force(1, j) = flow->samples->slope(now, j);
+            force(0, j) = flow->samples->force(now, j) + force(1, j) * s;
+        }
+    }
+};
+
+class SeriesMotion : public Motion {
+  public:
+    std::vector<double> rest;
+
+    SeriesMotion(const std::shared_ptr<const SeriesFlow>& flow, const Time& t, const double* x)
+        : rest(flow->coordinates.rest(x)), start(flow, t, x), walk(start) {}
+
+    // From its start, for somebody else.
+    const Walk& begun() const { return start; }
+
+    void states(const double* s, std::size_t count, double* rows) const override {
+        std::vector<double> y(walk.y.columns);
+        const Coordinates& coordinates = walk.of().coordinates;
+        for (std::size_t i = 0; i < count; ++i) {
+            walk.go(s[i]);
+            walk.value(s[i] - walk.begin, y.data());
+            coordinates.state(y.data(), rest, rows + i * 2 * coordinates.n);
+        }
+    }
+
+  private:
+    Walk start;
+    mutable Walk walk;
+};
+
+inline std::shared_ptr<const Motion> SeriesFlow::start(const Time& t, const double* x) const {
+    return std::make_shared<const SeriesMotion>(shared_from_this(), t, x);
+}
+
+class SeriesGuards : public Guards, public std::enable_shared_from_this<SeriesGuards> {
+  public:
+    std::shared_ptr<const SeriesFlow> series;
+    Matrix seen, reach;   // rows of y, and what these are rounded against, w x size
+    Matrix waves, force;  // w x (1 + 2h), w x forces
+
+    SeriesGuards(std::shared_ptr<const SeriesFlow> of, Matrix position, Matrix seen, Matrix reach,
+                 Matrix waves, Matrix force)
+        : Guards(of, std::move(position)),
+          series(std::move(of)),
+          seen(std::move(seen)),
+          reach(std::move(reach)),
+          waves(std::move(waves)),
+          force(std::move(force)) {}
+
+    std::unique_ptr<Functions> along(const std::shared_ptr<const Motion>& motion) const override;
+};
+
+class SeriesFunctions : public Functions {
+  public:
+    SeriesFunctions(std::shared_ptr<const SeriesGuards> of, const SeriesMotion& motion,
+                    std::vector<double> shift)
+        : guards(std::move(of)),
+          walk(motion.begun()),
+          added(std::move(shift)),
+          there(guards->w, TERMS),
+          here(there),
+          scales(guards->w) {
+        enter();
+    }
+
+    std::size_t size() const override { return guards->w; }
+    double smooth_until() const override { return walk.end; }
+    double end() const override { return walk.last(); }
+    double rate() const override { return guards->series->rate; }
+    double derivative(std::size_t order, std::size_t i) const override { return here(i, order); }
+    double constant(std::size_t i) const override { return guards->waves(i, 0) + added[i]; }
+    double scale(std::size_t i) override { return scales[i]; }
+
+    void look(double to) override {
+        const std::size_t before = walk.count;
+        walk.go(s = to);
+        if (walk.count != before) enter();
+        const double after = s - walk.begin;
+        for (std::size_t i = 0; i < size(); ++i)
+            for (std::size_t k = 0; k < walk.terms; ++k) {
+                double sum = there(i, walk.terms - 1);
+                for (std::size_t j = walk.terms - 1; j-- > k;)
+                    sum = there(i, j) + after / double(j + 1 - k) * sum;
+                here(i, k) = sum;
+            }
+    }
+
+    double largest(std::size_t order, std::size_t i, double stop) override {
+        const double h = std::min(stop, walk.end) - s, rate = guards->series->rate;
+        double found = 0.0, factor = 1.0;
+        for (std::size_t k = order; k < walk.terms; ++k) {
+            found += factor * std::abs(here(i, k) - (k == 0 ? constant(i) : 0.0));
+            factor *= h / double(k + 1 - order);
+        }
+        double left_out = scales[i] * std::exp(1.0);  // all terms from walk.terms on
+        for (std::size_t k = 0; k < walk.terms; ++k)
+            left_out *= k < order ? rate : rate * walk.length / double(k + 1 - order);
+        return found + left_out;
+    }
+
+  private:
+    std::shared_ptr<const SeriesGuards> guards;
+    Walk walk;
+    std::vector<double> added;
+    Matrix there, here;  // the functions at the begin of the stride and at s, with derivatives
+    std::vector<double> scales;
+    double s = 0.0;
+
+    // The functions of a stride, and how large what they are made of is within the time scale, but
+    // not longer than since the start.
+    void enter() {
+        const double rate = guards->series->rate, ended = walk.begin + walk.length;
+        const double h = rate > 0 ? std::min(1 / rate, ended) : ended;
+        for (std::size_t i = 0; i < size(); ++i) {
+            const double *row = guards->seen.row(i), *reach = guards->reach.row(i);
+            for (std::size_t k = 0; k < walk.terms; ++k)
+                there(i, k) =
+                    dot(row, walk.y.row(k), walk.y.columns) +
+                    dot(guards->waves.row(i), walk.waves.row(k), walk.waves.columns) +
+                    (k < 2 ? dot(guards->force.row(i), walk.force.row(k), walk.force.columns) : 0);
+            there(i, 0) += added[i];
+            scales[i] = std::abs(constant(i));
+            for (std::size_t j = 0; j < walk.y.columns; ++j)
+                scales[i] += reach[j] * (std::abs(walk.y(0, j)) + std::abs(walk.y(1, j)) * h +
+                                         std::abs(walk.y(2, j)) * h * h / 2);
+            for (std::size_t j = 1; j < walk.waves.columns; ++j)
+                scales[i] += std::abs(guards->waves(i, j));
+            for (std::size_t j = 0; j < walk.force.columns; ++j)
+                scales[i] +=
+                    std::abs(guards->force(i, j)) *
+                    (std::abs(walk.force(0, j)) + std::abs(walk.force(1, j)) * walk.length);
+        }
+    }
+};
+
+inline std::unique_ptr<Functions> SeriesGuards::along(
+    const std::shared_ptr<const Motion>& motion) const {
+    auto mine = std::dynamic_pointer_cast<const SeriesMotion>(motion);
+    if (!mine || &mine->begun().of() != series.get())
+        throw std::invalid_argument("motion: of another flow");
+    return std::make_unique<SeriesFunctions>(shared_from_this(), *mine, shift(mine->rest));
+}
+
+}  // namespace kernel
