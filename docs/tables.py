@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from docs import rooms
+from impact_observer.io import access
 from impact_observer.io.qos_overrides import SHIPPED, shipped_text
 from impact_observer.options import OBSERVER_OPTIONS, Option, Value
 from impact_observer.ros.parameters import TABLES
@@ -23,7 +24,7 @@ Made by `./dev docs` from the tables in the code (`impact_observer/options.py`,
 `sensor_faults.py`, `ros/parameters.py`). Nodes read their parameters once, at the
 start. Of an observer `agreed`, `rate` and `lag` may be changed while it runs:
 `ros2 param set /observer rate 50.0`. Others are read-only: start the node again.
-A double needs its point: `-p rate:=100.0`.
+A whole number is accepted for a double: `-p rate:=100`.
 
 ## Options of observers
 
@@ -129,6 +130,7 @@ def files() -> dict[Path, str]:
         docs / "images" / "rooms.svg": rooms.picture(),
         ROOT / SHIPPED: shipped_text(),
         **{path: sample(path.stem) for path in samples},
+        **{ROOT / access.FOLDER / f"{node}.xml": access.policy(node) for node in access.NODES},
     }
 
 

@@ -9,11 +9,22 @@ The observers receive the plant's impacts only, and start from a wrong state. Wa
 import time
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from impact_observer.ros.wiring import DemoSetup, NodeSetup, monitors, observers, plant
+from impact_observer.ros.wiring import (
+    DISCOVERY,
+    LOCAL,
+    DemoSetup,
+    NodeSetup,
+    following,
+    monitors,
+    observers,
+    plant,
+)
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -42,6 +53,14 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "epoch", default_value=str(time.time_ns()), description="stamp of t = 0 [ns]; now"
+            ),
+            DeclareLaunchArgument(
+                "local",
+                default_value="false",
+                description="whether only nodes on this machine are discovered",
+            ),
+            SetEnvironmentVariable(
+                DISCOVERY, LOCAL, condition=IfCondition(LaunchConfiguration("local"))
             ),
             OpaqueFunction(function=_nodes),
         ]
@@ -75,5 +94,6 @@ def _node(node_setup: NodeSetup) -> Node:
         ],
         remappings=list(node_setup.remappings.items()),
         output="screen",
+        additional_env=following(),
         on_exit=Shutdown(),
     )

@@ -6,13 +6,15 @@ An argument beats params_file; one that is left out stays as the file, else the 
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.options import Option
 from impact_observer.ros.parameters import DETECTOR
+from impact_observer.ros.wiring import DISCOVERY, LOCAL, following
 
 PARAMETERS = (
     *DETECTOR,
@@ -35,6 +37,14 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "impacts", default_value="impacts", description="the topic of the impacts"
+            ),
+            DeclareLaunchArgument(
+                "local",
+                default_value="false",
+                description="whether only nodes on this machine are discovered",
+            ),
+            SetEnvironmentVariable(
+                DISCOVERY, LOCAL, condition=IfCondition(LaunchConfiguration("local"))
             ),
             OpaqueFunction(function=_detector),
         ]
@@ -64,5 +74,6 @@ def _detector(context: LaunchContext) -> list[Node]:
             parameters=[*filter(None, (given["params_file"], values))],
             remappings=[("impacts", given["impacts"])],
             output="screen",
+            additional_env=following(),
         )
     ]

@@ -6,13 +6,15 @@ An argument beats params_file; one that is left out stays as the file, else the 
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.options import Option
 from impact_observer.ros.parameters import PLANT
+from impact_observer.ros.wiring import DISCOVERY, LOCAL, following
 
 PARAMETERS = (*PLANT, Option("use_sim_time", False, "follow a /clock that is not the plant's"))
 
@@ -29,6 +31,14 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "namespace", default_value="", description="of the node and its topics"
+            ),
+            DeclareLaunchArgument(
+                "local",
+                default_value="false",
+                description="whether only nodes on this machine are discovered",
+            ),
+            SetEnvironmentVariable(
+                DISCOVERY, LOCAL, condition=IfCondition(LaunchConfiguration("local"))
             ),
             OpaqueFunction(function=_plant),
         ]
@@ -57,5 +67,6 @@ def _plant(context: LaunchContext) -> list[Node]:
             namespace=given["namespace"],
             parameters=[*filter(None, (given["params_file"], values))],
             output="screen",
+            additional_env=following(),
         )
     ]

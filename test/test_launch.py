@@ -142,6 +142,16 @@ def test_launch_file_compiles_and_names_only_executables_of_the_package(path: Pa
     assert set(re.findall(r'executable="(\w+)"', text)) <= set(installed)
 
 
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+def test_nodes_of_a_launch_file_end_with_it_and_may_be_local(path: Path) -> None:
+    """Every process gets the environment that lets it follow; ``local`` is off by default."""
+    text = path.read_text(encoding="utf-8")
+    assert text.count("additional_env=following(),") == len(re.findall(r"\bNode\(\n", text)) > 0
+    assert '"local",\n                default_value="false"' in text
+    assert "SetEnvironmentVariable(\n                DISCOVERY, LOCAL, condition=" in text
+    assert text.index("SetEnvironmentVariable(\n") < text.index("OpaqueFunction(function=")
+
+
 def test_every_launch_file_is_tested() -> None:
     """A new launch file needs its arguments listed here."""
     assert {path.name.partition(".")[0] for path in LAUNCH_FILES} == set(ARGUMENTS)
@@ -189,7 +199,7 @@ def seen(probe: Any, name: str) -> bool:  # noqa: ANN401 (rclpy has no types)
 def test_launch_file_declares_its_arguments(launcher: Launcher, name: str) -> None:
     """Each with a description and a default, as ``--show-args`` prints them."""
     arguments = launcher.load(name).get_launch_arguments()
-    assert {argument.name for argument in arguments} == ARGUMENTS[name]
+    assert {argument.name for argument in arguments} == ARGUMENTS[name] | {"local"}
     assert all(argument.description for argument in arguments)
     assert all(argument.default_value is not None for argument in arguments)
 

@@ -21,14 +21,16 @@ from impact_observer.io.messages import AnyMessage
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
-from impact_observer.ros.node_process import FOLLOW
 from impact_observer.ros.parameters import TABLES, check
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.recorder import Recorder, drain
 from impact_observer.ros.session import ros_node, spin_once
 from impact_observer.ros.wiring import (
+    DISCOVERY,
+    LOCAL,
     DemoSetup,
     NodeSetup,
+    following,
     monitor_name,
     monitors,
     observer_name,
@@ -96,6 +98,7 @@ def run(
     """
     for each in (plant(setup), *observers(setup), *monitors(setup)):
         check(TABLES[each.executable], each.parameters)
+    os.environ.setdefault(DISCOVERY, LOCAL)  # nobody else's nodes, on no other machine
     bag, logs = folder / "bag", folder / "logs"
     with (
         Stop() as stop,
@@ -252,7 +255,7 @@ def _process(node: NodeSetup, logs: Path) -> Iterator["subprocess.Popen[bytes]"]
 def _spawn(arguments: Sequence[str], log: IO[bytes]) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(
         [sys.executable, "-m", *arguments],
-        env={**os.environ, FOLLOW: str(os.getpid())},
+        env={**os.environ, **following()},
         stdin=subprocess.DEVNULL,
         stdout=log,
         stderr=subprocess.STDOUT,

@@ -3,6 +3,7 @@
 import faulthandler
 import os
 import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -14,14 +15,14 @@ from impact_observer.errors import UsageError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.process_end import Stop, end_with_parent, run
 from impact_observer.ros.session import require_ros, spin_once
+from impact_observer.ros.wiring import FOLLOW
 
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-FOLLOW = "IMPACT_OBSERVER_FOLLOW"
-"""Environment variable with the id of a parent process; this process ends when the parent does."""
 _SHUTDOWN_TIMEOUT = 5.0
 """How long the middleware may take to shut down before the process ends without it, s."""
+_SECURITY = "ROS_SECURITY_ENABLE"
 _CLOCK_PATIENCE = 5.0
 """How often it is seen whether simulated time has begun, s."""
 _SIGNAL_PERIOD = 0.1
@@ -113,13 +114,21 @@ def _make_node(make: "type[Node]", args: Sequence[str]) -> "Node":
 
     try:
         rclpy.init(args=list(args), signal_handler_options=SignalHandlerOptions.NO)
-        node = make()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of a node that cannot be made
+            node = make()
     except ParameterException as error:
         raise UsageError(f"parameters: {' '.join(str(error).split())}") from None
     except RuntimeError as error:
         # The classes that rclpy raises here have no public names.
         if type(error).__module__.partition(".")[0] != rclpy.__name__:
             raise
+        if os.environ.get(_SECURITY, "").lower() == "true":
+            reason = str(error).splitlines()[0]
+            raise UsageError(
+                f"{_SECURITY} is true, but no secure node can be made: {reason};"
+                " docs/security.md says what it needs"
+            ) from None
         raise UsageError(f"--ros-args: not understood: {str(error).splitlines()[0]}") from None
     _warn_of_unknown_parameters(node, args)
     return node

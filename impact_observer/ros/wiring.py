@@ -3,10 +3,23 @@
 Imports no ROS, so that launch files and tests can read it.
 """
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from impact_observer.options import Value
+
+FOLLOW = "IMPACT_OBSERVER_FOLLOW"
+"""Environment variable with the id of a parent process; this process ends when the parent does."""
+DISCOVERY = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+"""Environment variable that says how far away nodes are discovered."""
+LOCAL = "LOCALHOST"
+"""Its value for: on this machine only."""
+
+
+def following() -> dict[str, str]:
+    """The environment of a process that ends with this one."""
+    return {FOLLOW: str(os.getpid())}
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from processes import spinning
+from processes import refusal, spinning
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -69,3 +69,20 @@ def test_a_whole_number_is_a_double_and_a_list_is_not(ros_environment: dict[str,
         assert (value, type(value)) == (100.0, float)
         with pytest.raises(UsageError, match="parameter rate: "):
             parameters.declare(two, table)
+
+
+@pytest.mark.ros
+def test_a_node_that_cannot_be_secure_says_so_and_ends(
+    ros_environment: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Where the middleware has no security libraries, as in the wheels, or there is no key."""
+    assert ros_environment
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
+    line = refusal("monitor", ["--ros-args", "-p", "model:=two_mass"], capfd)
+    assert line.startswith(
+        "monitor: ROS_SECURITY_ENABLE is true, but no secure node can be made: "
+    )
+    assert line.endswith("; docs/security.md says what it needs")

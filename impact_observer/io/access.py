@@ -1,0 +1,104 @@
+"""What each node publishes, receives and serves; the policies of SROS2 that allow no more.
+
+A policy (https://design.ros2.org/articles/ros2_access_control_policies.html) has an enclave for
+each node, in a file of its own, made by ``./dev docs`` from the table here.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from impact_observer.io import interfaces
+from impact_observer.io.interfaces import Interface
+
+FOLDER = "config/sros2"
+"""Where the policies are."""
+_PARAMETERS = ("describe_parameters", "get_parameter_types", "get_parameters", "list_parameters")
+_SETTING = ("set_parameters", "set_parameters_atomically")
+OF_EVERY_NODE = tuple(f"~/{each}" for each in (*_PARAMETERS, *_SETTING, "get_type_description"))
+"""Services that rclpy makes."""
+LOGS, CHANGES = "/rosout", "/parameter_events"
+"""Topics that rclpy publishes."""
+
+
+class Access(NamedTuple):
+    """What a node does on the graph.
+
+    Attributes:
+        publishes: topics.
+        subscribes: topics; those of sensors come from the detector's own file.
+        serves: names of services.
+    """
+
+    publishes: tuple[Interface, ...]
+    subscribes: tuple[Interface, ...]
+    serves: tuple[str, ...] = ()
+
+
+SENSOR = Interface("switch", "std_msgs/msg/Bool")
+"""The sensor of the sample ``config/detector/switch.yaml``."""
+NODES = {
+    "plant": Access(
+        (
+            interfaces.IMPACTS,
+            interfaces.PLANT_JOINT_STATES,
+            interfaces.PLANT_MODEL,
+            interfaces.SIMULATED_CLOCK,
+        ),
+        (),
+        ("~/reset",),
+    ),
+    "observer": Access(
+        (
+            interfaces.OBSERVER_STATES,
+            interfaces.OBSERVER_JOINT_STATES,
+            interfaces.OBSERVER_VERDICTS,
+            interfaces.OBSERVER_BOUND,
+            interfaces.DIAGNOSTIC_ARRAYS,
+        ),
+        (interfaces.IMPACTS,),
+        ("~/reset", "~/set_state"),
+    ),
+    "detector": Access((interfaces.IMPACTS, interfaces.DIAGNOSTIC_ARRAYS), (SENSOR,)),
+    "monitor": Access(
+        (interfaces.MONITOR_ERROR,),
+        (interfaces.PLANT_JOINT_STATES, interfaces.OBSERVER_JOINT_STATES),
+    ),
+    "viewer": Access(
+        (interfaces.VIEWER_MARKERS,),
+        (interfaces.PLANT_JOINT_STATES, interfaces.OBSERVER_JOINT_STATES, interfaces.IMPACTS),
+    ),
+}
+"""Of each node, by its executable."""
+
+
+def policy(node: str) -> str:
+    """The policy of a node of this name, without a namespace, as XML."""
+    access = NODES[node]
+    published = [*(each.name for each in access.publishes), LOGS, CHANGES]
+    subscribed = [*(each.name for each in access.subscribes), interfaces.SIMULATED_CLOCK.name]
+    served = [*access.serves, *OF_EVERY_NODE]
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f"<!-- Made by ./dev docs: all that the node {node} needs. See docs/security.md. -->",
+        '<policy version="0.2.0">',
+        "  <enclaves>",
+        f'    <enclave path="/impact_observer/{node}">',
+        "      <profiles>",
+        f'        <profile ns="/" node="{node}">',
+        *_group("topics", 'publish="ALLOW"', published),
+        *_group("topics", 'subscribe="ALLOW"', dict.fromkeys(subscribed)),
+        *_group("services", 'reply="ALLOW"', served),
+        "        </profile>",
+        "      </profiles>",
+        "    </enclave>",
+        "  </enclaves>",
+        "</policy>",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _group(kind: str, right: str, names: Iterable[str]) -> list[str]:
+    """The lines that allow something on some topics or services."""
+    one = kind.removesuffix("s")
+    inside = [f"            <{one}>{name}</{one}>" for name in names]
+    return [f"          <{kind} {right}>", *inside, f"          </{kind}>"]
