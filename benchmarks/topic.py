@@ -47,7 +47,7 @@ def prepare(_: Path) -> Contest:
             raise SkippedError(f"no {package} here: source Jazzy, or ./dev setup")
 
     def measured(_: Path, command: tuple[str, ...]) -> Metrics:
-        with take_domain(), _running(command):
+        with take_domain(), running((*command, "--log-level", "error")):
             return _metrics()
 
     return Contest(
@@ -68,15 +68,15 @@ def take_domain() -> Iterator[None]:
 
 
 @contextmanager
-def _running(command: tuple[str, ...]) -> Iterator[None]:
+def running(command: tuple[str, ...]) -> Iterator["subprocess.Popen[bytes]"]:
     """A node as a process, with one thread for small matrices."""
     process = subprocess.Popen(
-        [sys.executable, "-m", *command, "--log-level", "error"],
+        [sys.executable, "-m", *command],
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
         stdin=subprocess.DEVNULL,
     )
     try:
-        yield
+        yield process
     finally:
         process.terminate()
         process.wait(PATIENCE)

@@ -13,7 +13,7 @@ from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000
 """Events that wait to be applied, and as many that wait for the clock: the depth of the topic."""
-_SLICE = 5_000_000
+SLICE = 5_000_000
 """Longest time for events before estimates and services have their turn, ns."""
 
 
@@ -94,7 +94,7 @@ class EventIntake:
 
     def slice(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
         """Work for some milliseconds: events with their verdicts, each when it is applied."""
-        end = time.monotonic_ns() + _SLICE
+        end = time.monotonic_ns() + SLICE
         while self._refused:
             yield self._refused.popleft()
         self._take_what_was_ahead()

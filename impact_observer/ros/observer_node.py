@@ -4,6 +4,7 @@ An event passes through ``_on_impact``, ``EventIntake``, ``_apply`` and ``_publi
 """
 
 import math
+import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
@@ -30,7 +31,7 @@ from impact_observer.observer import (
 )
 from impact_observer.options import Options, Value
 from impact_observer.ros import parameters
-from impact_observer.ros.event_intake import EventIntake
+from impact_observer.ros.event_intake import SLICE, EventIntake
 from impact_observer.ros.introduction import introduce
 from impact_observer.ros.log_lines import LogLines
 from impact_observer.ros.message_classes import message_class, ros_messages
@@ -152,8 +153,10 @@ class ObserverNode(Node):
 
     def _take_waiting(self) -> None:
         """Take the events that have arrived already, if there is room; apply some."""
-        for data, _ in waiting_messages(self._impacts, self._intake.room):
-            self._take(data)
+        end = time.monotonic_ns() + SLICE
+        waiting = waiting_messages(self._impacts, self._intake.room)
+        while time.monotonic_ns() < end and (taken := next(waiting, None)) is not None:
+            self._take(taken[0])
         self._apply_events()
 
     def _apply_events(self) -> None:

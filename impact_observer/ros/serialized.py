@@ -92,10 +92,14 @@ def read_impact(data: bytes, limits: MessageLimits | None = None) -> ImpactEvent
             f"{len(data)} bytes; max_switches, max_name and max_frame allow {limits.size};"
             " left out"
         )
+    event = None
     try:
         event = _read_usual_impact(data, limits)
-    except (StructError, LookupError, ValueError):
-        event = None
+    except (StructError, IndexError):  # the deserializer writes a line of its own on it
+        if data.startswith(_CDR_HEADER[:2]):
+            raise MessageError(f"{len(data)} bytes that are no {IMPACT_EVENT}; left out") from None
+    except (LookupError, ValueError):
+        pass
     if event is not None:
         return event
     try:
@@ -115,6 +119,8 @@ def _read_usual_impact(data: bytes, limits: MessageLimits) -> ImpactEvent | None
     at = len(_CDR_HEADER) + _HEADER.size + length
     at += (len(_CDR_HEADER) - at) % 8
     sequence, episode, epoch_s, epoch_ns, count = _EVENT.unpack_from(data, at)
+    if count > len(data):
+        raise IndexError
     if count > limits.max_switches or length > limits.max_frame:
         return None
     switches = _read_switches(data[at + _EVENT.size :], count, limits.max_name)

@@ -1,0 +1,337 @@
+"""What ``./dev soak`` attacks: each reader of something foreign, with examples of what it reads.
+
+A later file, message or command is covered by a line in ``TARGETS``.
+"""
+
+import argparse
+import math
+import random
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from benchmarks.soak_inputs import mutated
+from impact_observer.check.bag_check import check_bag
+from impact_observer.check.salvage import Salvage, salvage
+from impact_observer.cli.arguments import value_of
+from impact_observer.detector.sensor_file import parse_sources
+from impact_observer.errors import ImpactObserverError
+from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.io import BagReader, BagWriter, JointState
+from impact_observer.io.csv_import import import_csv
+from impact_observer.io.messages import MessageError, bag_messages, read_event
+from impact_observer.io.observed_bag import observe_bag
+from impact_observer.io.typestores import deserialize, new_typestore
+from impact_observer.model import parse_model, read_model
+from impact_observer.observer import Observer, Options, make_observer
+from impact_observer.options import OBSERVER_OPTIONS, Option
+from impact_observer.resources import shared
+from impact_observer.ros import parameters
+from impact_observer.ros.event_intake import EventIntake
+from impact_observer.ros.serialized import MessageLimits
+from impact_observer.sensor_faults import SENSOR_FAULTS
+from impact_observer.stamps import MAX_STAMP
+
+Attack: TypeAlias = Callable[[random.Random], object]
+"""Draws one input and gives it to what is attacked; what it raises is judged by the caller."""
+
+S = 1_000_000_000
+EPOCH = 5 * S
+_MODELS = ("two_mass", "three_mass", "bouncing_ball")
+_TABLE = b"time,x1,x2\n0,0,1\n0.5,1e-3,-2\n1,0,4\n"
+_IMPACTS = b"time,contact,kind,sequence\n0.5,stop,impact,1\n0.9,stop,close,2\n1.25,stop,open,3\n"
+_EDGES = (0, 1, 2, 5, 999, 2**31, 2**32 - 1)
+_LONG = (0, 1, 7, 1007, 2**32, 2**63, 2**64 - 1)
+
+
+class Target(NamedTuple):
+    """Something that reads foreign input.
+
+    Attributes:
+        name: on the command line.
+        share: of all inputs, relative to the others: less where an input takes longer.
+        make: prepares the attack, in a folder of its own.
+    """
+
+    name: str
+    share: float
+    make: Callable[[Path], Attack]
+
+
+def _model(_: Path) -> Attack:
+    """A model file; what it says is integrated over a millisecond if it is valid."""
+    texts = [shared(f"config/{name}.yaml").read_bytes() for name in _MODELS]
+    texts.append(
+        b"name: a\nbodies: [{name: x, mass: 1}]\nsprings: [{between: [ground, x], stiffness: 1}]\n"
+    )
+
+    def attack(draw: random.Random) -> object:
+        return parse_model(_text(mutated(draw, draw.choice(texts), texts)), "model")
+
+    return attack
+
+
+def _table(folder: Path) -> Attack:
+    """A table of forces beside a model."""
+    file = folder / "table.csv"
+    model = shared("config/two_mass.yaml").read_text("utf-8")
+    head, _, rest = model.partition("forcing:")
+    tail = rest[rest.index("contacts:") :] if "contacts:" in rest else ""
+    text = f"{head}forcing: {{sampled: table.csv, hold: linear}}\n{tail}"
+
+    def attack(draw: random.Random) -> object:
+        file.write_bytes(mutated(draw, _TABLE, [_TABLE]))
+        return parse_model(text, "model", folder)
+
+    return attack
+
+
+def _sensors(_: Path) -> Attack:
+    """A file of sensors."""
+    texts = [each.read_bytes() for each in sorted(shared("config/detector").glob("*.yaml"))]
+
+    def attack(draw: random.Random) -> object:
+        return parse_sources(_text(mutated(draw, draw.choice(texts), texts)), "sensors")
+
+    return attack
+
+
+def _csv(folder: Path) -> Attack:
+    """A CSV file of impact times."""
+    number = iter(range(2**62))
+
+    def attack(draw: random.Random) -> object:
+        file, bag = folder / "impacts.csv", folder / f"imported{next(number)}"
+        file.write_bytes(mutated(draw, _IMPACTS, [_IMPACTS, _TABLE]))
+        try:
+            return import_csv(file, bag)
+        finally:
+            _remove(bag)
+
+    return attack
+
+
+def _bag(folder: Path) -> Attack:
+    """A bag: read, checked, observed, salvaged."""
+    source = folder / "seed"
+    make, names = bag_messages(), ("x1", "x2")
+    with BagWriter(source) as writer:
+        model = shared("config/two_mass.yaml").read_text("utf-8")
+        writer.write("/plant/model", S, make.model(model))
+        for k in range(1, 6):
+            event = ImpactEvent(EPOCH + k * S, (Switch("stop"),), k, 0, EPOCH)
+            writer.write("/impacts", event.stamp, make.event(event))
+            state = JointState(event.stamp, names, np.zeros(2), np.ones(2))
+            writer.write("/plant/joint_states", event.stamp, make.joint_state(state))
+    seeds = {file.name: file.read_bytes() for file in source.iterdir()}
+    bag, number = folder / "bag", iter(range(2**62))
+    bag.mkdir()
+
+    def attack(draw: random.Random) -> object:
+        chosen = draw.choice([*seeds])
+        for name, data in seeds.items():
+            content = mutated(draw, data, [data]) if name == chosen else data
+            (bag / name).write_bytes(content)
+        output = folder / f"out{next(number)}"
+        how = draw.randrange(3)
+        try:
+            if how == 0:
+                return check_bag(bag)
+            if how == 1:
+                return salvage(Salvage(bag), output)
+            with BagReader(bag) as reader:
+                return observe_bag(reader, _observer(), output, rate=10.0, most=10_000)
+        finally:
+            _remove(output)
+
+    return attack
+
+
+def _parameters(_: Path) -> Attack:
+    """Values of options on the command line, in Python, and of the nodes' parameters."""
+    rows: list[Option] = [*OBSERVER_OPTIONS, *SENSOR_FAULTS]
+    rows += [row for table in parameters.TABLES.values() for row in table]
+    values: tuple[object, ...] = (
+        *(
+            "",
+            "nan",
+            "-1",
+            "1e999",
+            "0x10",
+            "\u0663",
+            "a" * 9999,
+            "\0",
+            "1,2",
+            "restitution=-1",
+            True,
+        ),
+        *(0, -1, 2**63, 2**70, 1.5, -1e300, math.nan, math.inf, (), ("x",), None, [], b"x"),
+    )
+
+    def attack(draw: random.Random) -> object:
+        row, value = draw.choice(rows), draw.choice(values)
+        if draw.random() < 0.5:
+            text = _text(mutated(draw, str(value).encode("utf-8", "replace"), [b"1.0", b"zero"]))
+            return value_of(row)(text)
+        if draw.random() < 0.3 and row in OBSERVER_OPTIONS:
+            given: dict[str, Any] = {row.name: value}
+            return make_observer(_two_mass(), Options(**given))
+        given = {row.name: value}
+        parameters.check((row,), given)
+        return given
+
+    return attack
+
+
+def _event_bytes(draw: random.Random) -> bytes:
+    """A serialized event, most of them of an observed plant."""
+    return mutated(draw, draw.choice(_serialized()), _serialized())
+
+
+def _rosbags_message(_: Path) -> Attack:
+    """A serialized event, as the reader of a bag takes it."""
+    store = new_typestore()
+
+    def attack(draw: random.Random) -> object:
+        data = _event_bytes(draw)
+        try:
+            message = deserialize(store, data, "impact_observer_msgs/msg/ImpactEvent")
+        except Exception as error:  # noqa: BLE001 (rosbags raises errors of many types)
+            raise MessageError(str(error)) from None  # as the reader does
+        return read_event(message)
+
+    return attack
+
+
+def _message(_: Path) -> Attack:
+    """A serialized event, as a node takes it in; what can be read is applied."""
+    intakes: list[EventIntake] = []
+    observers: list[Observer] = []
+
+    def attack(draw: random.Random) -> object:
+        if not intakes or draw.random() < 1e-3:
+            observers[:] = [_observer()]
+            now = EPOCH + 1000 * S
+            intakes[:] = [EventIntake(observers[0], lambda: now, S, MessageLimits(), Counter())]
+        if problem := intakes[0].add(_event_bytes(draw)):
+            raise MessageError(problem)
+        for _ in intakes[0].finish():
+            pass
+        while intakes[0].is_busy:
+            for _ in intakes[0].slice():
+                pass
+        return _check_finite(observers[0])
+
+    return attack
+
+
+def _event(_: Path) -> Attack:
+    """Events of any values, given to an observer; its estimates stay finite."""
+    observers: dict[str, Observer] = {}
+
+    def attack(draw: random.Random) -> object:
+        law = "minimum-variance" if draw.random() < 0.01 else "geometric"
+        if law not in observers or draw.random() < 0.01:
+            observers[law] = _observer(law)
+        observers[law].receive(_drawn_event(draw))
+        return _check_finite(observers[law])
+
+    return attack
+
+
+TARGETS = (
+    Target("model", 0.5, _model),
+    Target("table", 1, _table),
+    Target("sensors", 0.5, _sensors),
+    Target("csv", 0.5, _csv),
+    Target("bag", 0.1, _bag),
+    Target("parameters", 25, _parameters),
+    Target("bag-message", 25, _rosbags_message),
+    Target("message", 40, _message),
+    Target("event", 8, _event),
+)
+"""All of them."""
+
+
+@cache
+def _two_mass() -> Any:  # noqa: ANN401 (a System; its name would be imported for this line)
+    return read_model("two_mass").system
+
+
+def _observer(law: str = "geometric") -> Observer:
+    return make_observer(_two_mass(), Options(law, "random:1", ensemble=2))
+
+
+@cache
+def _serialized() -> list[bytes]:
+    """Events as messages in CDR."""
+    make, store = bag_messages(), new_typestore()
+    stop = (Switch("stop"),)
+    events = [ImpactEvent(EPOCH + k * S // 4, stop, k, 0, EPOCH) for k in range(1, 40)]
+    events += [
+        ImpactEvent(EPOCH + 11 * S, (Switch("stop", Kind.CLOSE), Switch("bolt")), 41, 0, EPOCH),
+        ImpactEvent(EPOCH + 12 * S, (), 0, 1, 0),
+    ]
+    kind = "impact_observer_msgs/msg/ImpactEvent"
+    return [bytes(store.serialize_cdr(make.event(each), kind)) for each in events]
+
+
+def _drawn_event(draw: random.Random) -> ImpactEvent:
+    """An event that is like those of a plant in most of its values."""
+    near = EPOCH + draw.randrange(30 * S)
+    odd = draw.random() < 0.2
+    contacts = draw.choices(["stop", "bolt", ""], [20, 1, 1], k=draw.choice([1, 1, 1, 2, 0, 50]))
+    return ImpactEvent(
+        draw.choice([1, EPOCH, MAX_STAMP, near]) if odd else near,
+        tuple(Switch(each, draw.choice(list(Kind))) for each in contacts),
+        draw.choice(_LONG) if draw.random() < 0.2 else draw.randrange(5000),
+        draw.choice(_EDGES) if draw.random() < 0.2 else 0,
+        draw.choice([0, 1, EPOCH, near, MAX_STAMP]) if draw.random() < 0.2 else EPOCH,
+    )
+
+
+def _check_finite(observer: Observer) -> object:
+    """The estimate at the last event.
+
+    Raises:
+        AssertionError: it is not finite.
+    """
+    if observer.start is None:
+        return None
+    estimate = observer.estimate(max(observer.last_event, observer.start))
+    assert np.isfinite([*estimate.q, *estimate.u]).all(), "the estimate is not finite"
+    return estimate
+
+
+def _text(data: bytes) -> str:
+    return data.decode("utf-8", "replace")
+
+
+def _remove(path: Path) -> None:
+    """Remove a bag."""
+    for file in path.iterdir() if path.is_dir() else ():
+        file.unlink()
+    if path.is_dir():
+        path.rmdir()
+
+
+def expected_errors() -> tuple[type[BaseException], ...]:
+    """Errors by which what is attacked may refuse an input."""
+    return (ImpactObserverError, argparse.ArgumentTypeError)
+
+
+def named(names: Iterable[str]) -> list[Target]:
+    """The targets of these names; all for none."""
+    wanted = [*names]
+    return [each for each in TARGETS if not wanted or each.name in wanted]
+
+
+def folder() -> "tempfile.TemporaryDirectory[str]":
+    """A folder for the files of an attack, in memory where there is such."""
+    memory = Path("/dev/shm")
+    return tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None)
