@@ -8,8 +8,7 @@ accounted for: those of the recorder in the bags that are salvaged, those of the
 verdicts, the pulses of the switch by the detector's events. What had reached a process more than a
 second before it was killed must be there.
 
-The processes talk over UDP: what a killed one leaves in the shared memory of Fast DDS 2.14 stops
-the others after some dozens of kills (docs/reliability.md).
+The processes talk over UDP, as docs/reliability.md says of Fast DDS after kills.
 """
 
 import argparse
@@ -278,6 +277,8 @@ def run(
                 break
             console.print(f"{k + 1}/{kills}: {rig.kill_one()} killed")
         rig.spin(DUE)
+    except TimeoutError as error:
+        console.print(f"ended early: {error}")
     finally:
         rig.close()
     return {

@@ -6,6 +6,8 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, TextIO, final
 
+from impact_observer.errors import printable
+
 if TYPE_CHECKING:
     from impact_observer.cli.bars import Bars
 
@@ -52,15 +54,16 @@ class Progress:
         """
         if self._lively and (now := time.monotonic()) >= self._next:
             self._next = now + _PERIOD
-            self._shown().step(what, done, total, unit)
+            self._shown().step(printable(what), done, total, unit)
 
     def show(self, text: str) -> None:
         """Show ``text`` at the bottom, for work without a total."""
         if self._lively:
-            self._shown().show(text)
+            self._shown().show(printable(text))
 
     def line(self, text: str) -> None:
-        """Write a permanent line."""
+        """Write a permanent line; control characters of names are escaped."""
+        text = printable(text)
         if self._bars is None:
             print(text, file=self._stream, flush=True)
         else:

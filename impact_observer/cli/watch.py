@@ -89,8 +89,7 @@ def watch(
     Raises:
         UsageError, ModelError: ROS is not here, or an argument cannot be used.
     """
-    from rich.console import Console
-
+    from impact_observer.draw.text_tables import LiteralConsole
     from impact_observer.model import read_model
     from impact_observer.ros.session import require_ros
 
@@ -99,7 +98,7 @@ def watch(
 
     system = None if model is None else read_model(model).system
     listener = TopicListener(observers, system, seconds=window)
-    console = Console(highlight=False, markup=False)
+    console = LiteralConsole(highlight=False, markup=False)
     if once:
         return _once(listener, console, duration or _ONCE, json=json)
     if console.is_terminal and not json:

@@ -3,15 +3,26 @@
 import os
 import sys
 from collections.abc import Collection, Iterable
-from typing import Literal
+from typing import Any, Literal
 
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console, RenderableType
 from rich.table import Column, Table
+from rich.text import Text
+
+from impact_observer.errors import printable
 
 _FOLDED = 10
 """Least width of a column whose words may be folded."""
+
+
+class LiteralConsole(Console):
+    """A console that escapes the control characters of what it prints, such as of names."""
+
+    def render_str(self, text: str, **style: Any) -> Text:  # noqa: ANN401 (as its base class has it)
+        """Make a text, line by line."""
+        return super().render_str("\n".join(map(printable, text.split("\n"))), **style)
 
 
 def console(width: int = 140) -> Console:
@@ -21,10 +32,10 @@ def console(width: int = 140) -> Console:
         width: columns to use where the output is no terminal and ``COLUMNS`` is not set.
     """
     if sys.stdout.isatty():
-        return Console(highlight=False, markup=False, emoji=False)
+        return LiteralConsole(highlight=False, markup=False, emoji=False)
     # With a height too rich does not fall back to 80 columns where TERM is dumb.
     given = None if "COLUMNS" in os.environ else width
-    return Console(highlight=False, markup=False, emoji=False, width=given, height=25)
+    return LiteralConsole(highlight=False, markup=False, emoji=False, width=given, height=25)
 
 
 def ruled_table(title: str, *headings: str) -> Table:

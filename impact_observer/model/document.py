@@ -61,6 +61,8 @@ class Section:
         value = self.value(name)
         if not isinstance(value, str) or not value:
             raise ModelError(self.key(name), f"{_shown(value)} found; expected a name")
+        if not value.isprintable():
+            raise ModelError(self.key(name), f"{value!r} has characters that cannot be printed")
         return value
 
     def number(self, name: str, default: float | None = None) -> float:

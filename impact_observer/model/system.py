@@ -184,6 +184,8 @@ def _check_names(key: str, names: Sequence[object]) -> None:
     for i, name in enumerate(names):
         if not isinstance(name, str) or not name:
             raise ModelError(f"{key}[{i}]", f"{name!r} is not a name; give a non-empty string")
+        if not name.isprintable():
+            raise ModelError(f"{key}[{i}]", f"{name!r} has characters that cannot be printed")
         if name in names[:i]:
             raise ModelError(f"{key}[{i}]", f"{name!r} is taken already; names must differ")
     if key == "coordinates" and not names:

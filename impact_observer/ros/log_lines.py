@@ -2,6 +2,8 @@
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
+from impact_observer.errors import printable
+
 _MOST = 20
 """Lines between two calls of ``restore``."""
 
@@ -17,17 +19,17 @@ class LogLines:
     def error(self, line: str) -> None:
         """Log an error."""
         if self._has_room():
-            self._logger.error(line)
+            self._logger.error(printable(line))
 
     def warning(self, line: str) -> None:
         """Log a warning."""
         if self._has_room():
-            self._logger.warning(line)
+            self._logger.warning(printable(line))
 
     def info(self, line: str) -> None:
         """Log what is usual."""
         if self._has_room():
-            self._logger.info(line)
+            self._logger.info(printable(line))
 
     def restore(self) -> None:
         """Begin to count again, as after a second."""

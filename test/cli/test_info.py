@@ -50,7 +50,8 @@ def test_json_has_all_results(sample_bag: Path, capsys: pytest.CaptureFixture[st
         "observers": {"/observer_geometric": "geometric"},
     }
     assert size == sum(file.stat().st_size for file in sample_bag.iterdir())
-    assert (chunks["count"], chunks["compression"]) == (1, "none")
+    assert chunks["count"] >= 1  # a chunk ends after half a second at the latest
+    assert chunks["compression"] == "none"
     assert 0 < chunks["compressed"] == chunks["uncompressed"] < size
     assert topics[0] == {
         "name": "/impacts",

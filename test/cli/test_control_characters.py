@@ -1,0 +1,58 @@
+"""Names with control characters: refused in models, escaped where they are shown."""
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rosbags")
+
+from impact_observer.cli.main import main
+from impact_observer.events import ImpactEvent, Switch
+from impact_observer.io import BagWriter
+from impact_observer.io.messages import bag_messages
+from impact_observer.resources import shared
+
+HOSTILE = "\x1b]0;owned\x07\x1b[2J"
+"""Would set the title of a terminal, and clear it."""
+
+
+def shown(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """What a command prints on both streams."""
+    main(arguments)
+    return "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize("command", ["check", "info", "observe"])
+def test_names_in_a_bag_do_not_control_the_terminal(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of contacts, and of the bag itself."""
+    make, bag = bag_messages(), tmp_path / f"bag{HOSTILE}"
+    with BagWriter(bag) as writer:
+        text = shared("config/two_mass.yaml").read_text("utf-8")
+        writer.write("/plant/model", 1, make.model(text))
+        for k in range(1, 4):
+            event = ImpactEvent(k * 1_000_000_000, (Switch(HOSTILE),), k, 1, 1_000_000_000)
+            writer.write("/impacts", event.stamp, make.event(event))
+    arguments = [command, str(bag)]
+    if command == "observe":
+        arguments += ["--rate", "10", "-o", str(tmp_path / f"out{HOSTILE}")]
+    text = shown(arguments, capsys)
+    assert "\x1b" not in text
+    assert "\x07" not in text
+    assert "\\x1b[2J" in text
+
+
+@pytest.mark.parametrize("key", ["name: two_mass", "coordinates: [x1, x2]", "name: stop"])
+def test_a_model_with_a_name_that_cannot_be_printed_is_refused(
+    key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """So no log, XML or HTML gets one."""
+    text = shared("config/two_mass.yaml").read_text("utf-8")
+    assert key in text
+    hostile = key.replace("two_mass", '"a\\eb"').replace("x1", '"a\\eb"')
+    hostile = hostile.replace("stop", '"a\\eb"')
+    (tmp_path / "model.yaml").write_text(text.replace(key, hostile, 1), "utf-8")
+    found = shown(["check-model", str(tmp_path / "model.yaml")], capsys)
+    assert found.count("\n") == 1
+    assert "'a\\x1bb' has characters that cannot be printed" in found
