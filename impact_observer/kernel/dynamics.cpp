@@ -322,9 +322,15 @@ std::int64_t stamp_of(std::int64_t given, const char* name) {
     return given;
 }
 
+// A part of an instant that is missing from its stamp.
+double remainder_of(double given) {
+    if (!(std::abs(given) <= 1.0)) throw py::value_error("remainder: out of range");
+    return given;
+}
+
 Flights fly(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double remainder,
             const Array& x) {
-    return Flights(arena, {stamp_of(stamp, "stamp"), finite(remainder, "remainder")},
+    return Flights(arena, {stamp_of(stamp, "stamp"), remainder_of(remainder)},
                    checked(x, "x", py::ssize_t(2 * arena->M.rows)).data);
 }
 
@@ -353,7 +359,7 @@ py::tuple advance(Flights& flights, std::int64_t limit, std::size_t most) {
 py::list fly_all(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double remainder,
                  const Array& x, std::int64_t limit, std::size_t most) {
     const View starts = checked(x, "x", ANY, py::ssize_t(2 * arena->M.rows));
-    const Instant start{stamp_of(stamp, "stamp"), finite(remainder, "remainder")};
+    const Instant start{stamp_of(stamp, "stamp"), remainder_of(remainder)};
     stamp_of(limit, "limit");
     std::vector<std::vector<Hit>> hits(starts.rows);
     std::vector<Flights> flights;

@@ -141,3 +141,11 @@ def test_contact_that_may_come_to_rest_is_left_to_the_plant() -> None:
     plant = Plant(model, np.array([0.5]), np.zeros(1), epoch=0)
     (one,) = switchings(plant, 5.0)
     assert one.closed == (0,)
+
+
+@pytest.mark.parametrize("remainder", [np.nan, -9.3e18, 1e300])
+def test_instants_that_no_stamp_can_hold_are_refused(remainder: float) -> None:
+    """A stamp and a remainder of seconds that do not fit in a stamp."""
+    plant = Plant(sample("two_mass").system, np.zeros(2), np.zeros(2), epoch=0)
+    with pytest.raises(ValueError, match="remainder: out of range"):
+        plant.impacts.arena.fly_all(0, remainder, np.zeros((1, 4)), NS_PER_S, 9)
