@@ -118,7 +118,7 @@ class Option:
                 return False
             low = -math.inf if self.low is None else self.low
             high = math.inf if self.high is None else self.high
-            return math.isfinite(value) and low <= value <= high
+            return low <= value <= high and abs(value) < math.inf
         return type(value) is type(self.default) and (not self.choices or value in self.choices)
 
 

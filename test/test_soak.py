@@ -41,3 +41,10 @@ def test_a_foreign_exception_is_counted_and_can_be_repeated(tmp_path: Path) -> N
     ((what, number),) = found.foreign.items()
     assert what.startswith("IndexError at test_soak.py")
     assert soak(Target("own", 1.0, make), [number], 1, tmp_path).foreign  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("number", [4628, 13717])
+def test_numbers_of_any_length_are_refused(number: int, tmp_path: Path) -> None:
+    """Found by ./dev soak: whole numbers beyond a float, and of 5000 digits."""
+    target = next(each for each in TARGETS if each.name == "parameters")
+    assert soak(target, [number], 1, tmp_path).refused == 1

@@ -13,6 +13,10 @@ _ELSEWHERE = ("law", "history")
 """Chosen by arguments of the subcommands themselves, or of no use with a bag."""
 
 
+_MOST_DIGITS, _DECIMALS = 18, 9
+"""Digits of a whole number, and decimals of a stamp in seconds."""
+
+
 def add_observer_arguments(
     parser: "argparse._ActionsContainer", *, simulated: bool = False, convergence: bool = False
 ) -> None:
@@ -179,11 +183,12 @@ def positive(text: str) -> float:
 def stamp(text: str) -> int:
     """A stamp given in seconds, at least 1 ns, with up to nine exact decimals."""
     whole, _, part = text.partition(".")
-    if not (whole.isascii() and whole.isdigit() and (part + "0").isdigit() and len(part) <= 9):
+    is_short = len(whole) <= _MOST_DIGITS and len(part) <= _DECIMALS
+    if not (text.isascii() and whole.isdigit() and (part + "0").isdigit() and is_short):
         raise argparse.ArgumentTypeError(
             f"{text} found; expected seconds with at most nine decimals, such as 1.5"
         )
-    nanoseconds = int(whole) * 1_000_000_000 + int(part.ljust(9, "0"))
+    nanoseconds = int(whole) * 1_000_000_000 + int(part.ljust(_DECIMALS, "0"))
     if nanoseconds == 0:
         raise argparse.ArgumentTypeError("0 found; stamps start above zero")
     return nanoseconds
@@ -208,7 +213,8 @@ def seed(text: str) -> int:
 
 
 def _whole(text: str, least: int) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) >= least):
+    is_whole = text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS
+    if not (is_whole and int(text) >= least):
         expected = f"a whole number, {least} or more"
         raise argparse.ArgumentTypeError(f"{text} found; expected {expected}")
     return int(text)
