@@ -77,9 +77,9 @@ def test_error_of_the_model_that_lasts_needs_another_account_to_be_a_misfit() ->
     assert not compared(fit, *[near._replace(account=0.019)] * 5).beside(4.0).is_misfit
     refuted = fit.beside(4.0)
     assert refuted.is_misfit
-    lasting = refuted.after(0.2, in_error=True).beside(0.0)
-    assert lasting.is_misfit
-    assert not lasting.after(0.3).beside(0.0).is_misfit
+    persistent = refuted.after(0.2, in_error=True).beside(0.0)
+    assert persistent.is_misfit
+    assert not persistent.after(0.3).beside(0.0).is_misfit
 
 
 def test_events_that_need_an_excuse_are_a_misfit() -> None:
