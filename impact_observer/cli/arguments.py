@@ -215,7 +215,8 @@ def seed(text: str) -> int:
 def _whole(text: str, least: int) -> int:
     is_whole = text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS
     if not (is_whole and int(text) >= least):
-        expected = f"a whole number, {least} or more"
+        digits = f", of at most {_MOST_DIGITS} digits" if len(text) > _MOST_DIGITS else ""
+        expected = f"a whole number, {least} or more{digits}"
         raise argparse.ArgumentTypeError(f"{text} found; expected {expected}")
     return int(text)
 

@@ -1,5 +1,6 @@
 """Event location: the first closing gap is found, and found once."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -82,9 +83,11 @@ def assert_known(phase: Phase, motion: PhaseMotion, watched: Watched) -> None:
         assert np.all(scale >= np.abs(found[0]) * (1 - 1e-12))
         expected = derivatives(phase, motion, watched, start)
         size = 1 + np.abs(expected).max(axis=1, keepdims=True)
-        # High derivatives of a stride's polynomial have fewer terms; times h^k they are exact.
-        within = np.where(np.arange(9) < 5, 1e-9, 1e-6)[:, None]
-        assert np.all(np.abs(found - expected) <= within * size)
+        # A stride's polynomial drops terms that change no value in it: derivative k is exact to
+        # rounding times k!/h^k, with h the length of the stride.
+        h = min(smooth - start, 1.0)
+        within = 1e-9 + 1e-14 * np.array([math.factorial(k) / h**k for k in range(9)])
+        assert np.all(np.abs(found - expected) <= within[:, None] * size)
         for at in np.linspace(start, max(min(stop, smooth - 1e-9), start), 57).tolist():
             inside = np.abs(derivatives(phase, motion, watched, at))
             assert np.all(inside <= bounds + 1e-9 * (size + inside.max()))
