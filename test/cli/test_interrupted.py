@@ -185,10 +185,10 @@ def descendants(process: int) -> set[int]:
 
 
 def computes(process: int) -> bool:
-    """Whether a process has used five seconds of a processor: more than to be started."""
+    """Whether a process has used three seconds of a processor: more than to be started."""
     with contextlib.suppress(OSError):
         fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-        return int(fields[11]) + int(fields[12]) > 5 * os.sysconf("SC_CLK_TCK")
+        return int(fields[11]) + int(fields[12]) > 3 * os.sysconf("SC_CLK_TCK")
     return False
 
 

@@ -302,13 +302,13 @@ def test_events_without_effect_add_no_hypotheses() -> None:
 
 
 @pytest.mark.slow
-def test_hundreds_of_spurious_events_at_one_stamp_give_no_nan() -> None:
+def test_a_hundred_spurious_events_at_one_stamp_give_no_nan() -> None:
     """The next true events are applied."""
     model, start, whole = truth("two_mass", 20.0)
     watcher = observer(
         model, "minimum-variance", start, uncertainty=FAULTY, epoch=EPOCH, history=1e3
     )
-    for k in range(300):
+    for k in range(100):
         watcher.receive(event(1.0, "stop", sequence=k + 1))
     for k, each in enumerate(whole.events[1:]):
         watcher.receive(ImpactEvent(each.stamp, each.switches, 1001 + k, 0, EPOCH))
