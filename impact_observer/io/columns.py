@@ -40,7 +40,7 @@ class ObserverStates(JointStates):
         last_sequence: sequence number of the last event applied, shape (N,); 0 before the first.
         last_event: stamp of the last event applied, shape (N,), ns; 0 before the first.
         covariance: order (q, u), shape (N, 2n, 2n), NaN where an estimate has none; shape
-            (N, 0, 0) unless it was asked for.
+            (N, 0, 0) unless it was asked for and some estimate has one.
     """
 
     law: str
@@ -116,7 +116,8 @@ class Columns:
     def _block(self, parts: Sequence[StateRows]) -> JointStates:
         """The rows of all parts in the order of the messages, read-only."""
         order = np.argsort(np.concatenate([part.at for part in parts]))
-        if not self._covariance:
+        # Without a covariance the rows are one NaN, broadcast: copies of it would be large.
+        if not (self._covariance and any(each.covariance.strides[-1] for each in parts)):
             parts = [each._replace(covariance=each.covariance[:, :0, :0]) for each in parts]
         columns = StateRows(*(np.concatenate(each)[order] for each in zip(*parts, strict=True)))
         for each in columns:

@@ -219,7 +219,7 @@ class _Curve:
                 rows = rows & arrived(block.stamps, block.last_event, self._received)
         values = values_of(self._quantities, np.hstack([block.q[rows], block.u[rows]]))
         deviations = np.full(values.shape, np.nan)
-        if isinstance(block, ObserverStates):
+        if isinstance(block, ObserverStates) and block.covariance.size:
             deviations = deviations_of(self._quantities, block.covariance[rows])
         stamps = np.broadcast_to(block.stamps[rows, None], values.shape)
         self.count += len(values)
