@@ -1,7 +1,7 @@
 """The observer: events in, estimates out. The node and the offline command run this object."""
 
 from collections import Counter, deque
-from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.dynamics import Scales
 from impact_observer.errors import DynamicsError, ImpactObserverError, UsageError
-from impact_observer.estimation.saltation import STATE_ROUNDING
 from impact_observer.estimation.uncertainty import covariance_root, spread
 from impact_observer.events import (
     REVISED,
@@ -25,21 +24,19 @@ from impact_observer.model import System
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.laws.law import Law
+from impact_observer.observer.run_history import RunHistory, misplaced
 from impact_observer.observer.sender_runs import SenderRun, SenderRuns
-from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.synchronization import SynchronizationTest
-from impact_observer.observer.timeline import Entry, Insertion, Timeline, initial_entry
-from impact_observer.observer.verdicts import IssuedVerdicts, with_reasons
+from impact_observer.observer.timeline import Entry, Insertion, initial_entry
+from impact_observer.observer.verdicts import with_reasons
 from impact_observer.options import Options
-from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between, text
+from impact_observer.stamps import from_seconds, text
 from impact_observer.states import (
-    NO_COVARIANCE,
     Estimate,
     Estimates,
     Matrix,
     Stamps,
     Vector,
-    frozen,
 )
 
 MOST_NUMBERS = 100_000
@@ -48,10 +45,6 @@ MOST_NUMBERS = 100_000
 
 MOST_WAITING = 1000
 """Events that are kept until their epoch is known."""
-
-
-MOST_EVENTS = 5000
-"""Events of the history that are kept, whatever its length."""
 
 
 class _Waiting(NamedTuple):
@@ -66,17 +59,6 @@ class _Waiting(NamedTuple):
     event: ImpactEvent
     verdicts: tuple[Verdict, ...]
     notices: tuple[str, ...]
-
-
-class _RunState(NamedTuple):
-    """What an observer knows of a run of the sender; see its attributes."""
-
-    update: EventUpdate
-    timeline: Timeline | None
-    is_state_given: bool
-    numbers: SequenceNumbers
-    issued: IssuedVerdicts
-    earliest: int
 
 
 class Observer:
@@ -150,20 +132,16 @@ class Observer:
         if reason:
             self._notices = [*self._notices, f"{reason}: the observer is reset"]
         self._runs = SenderRuns(self.given_epoch)
-        self._aside: tuple[SenderRun, _RunState] | None = None
+        self._aside: tuple[SenderRun, RunHistory] | None = None
         self._without_epoch: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
         self._begin_run(self.given_epoch)
 
     def _begin_run(self, epoch: int) -> None:
         """Start with a run of the sender whose ``epoch`` (ns) is known, or 0."""
-        self._update = EventUpdate(self.law, self._test, epoch)
-        self._timeline: Timeline | None = None
-        self._is_state_given = False
-        self._numbers = SequenceNumbers()
-        self._issued = IssuedVerdicts(self._names)
-        self._earliest = 0
+        update = EventUpdate(self.law, self._test, epoch)
+        self._run = RunHistory(update, self._first_entry, self._history)
         if self.given_epoch and epoch == self.given_epoch:
-            self._timeline = Timeline(self._first_entry(epoch), self._update.apply)
+            self._run.begin(epoch)
 
     def receive(self, event: ImpactEvent) -> tuple[Verdict, ...]:
         """Apply ``event`` at its own stamp, whenever it arrives.
@@ -194,7 +172,7 @@ class Observer:
         if weighed.previous is not None:
             self._change_run(weighed.previous)
         elif self._runs.in_use is not None and not self.epoch:
-            self._update.epoch = self._runs.in_use.epoch
+            self._run.update.epoch = self._runs.in_use.epoch
         if weighed.replaces:
             self._begin_run(self.epoch)
         released = weighed.released
@@ -226,26 +204,28 @@ class Observer:
     ) -> tuple[Verdict, ...]:
         """``_take`` an event of the run in use."""
         try:
-            self._require_epoch()
+            self._run.require_epoch()
         except UsageError:
             self._without_epoch.append(event)
             raise
         verdicts, switches = self._resolve_contacts(event)
-        if self._is_repeated(event, switches):
+        if self._run.is_repeated(event, switches):
             reason = "this sequence number was seen"
             return self._refuse(event, Ruling.DUPLICATE, reason, Remark.DUPLICATE)
         notices = self._notices
-        self._register(event)
+        if found := self._run.register(event):
+            self.remarks[found[0]] += 1
+            self._notices = [*notices, found[1]]
         try:
-            if why := self._too_old(event.stamp):
+            if why := self._run.too_old(event.stamp):
                 return self._refuse(event, *why)
-            timeline = self._timeline_from_start(event.stamp)
+            timeline = self._run.timeline_from_start(event.stamp)
             key = EventKey(event.stamp, event.sequence, switches)
             if not switches:
-                self._numbers.keep_highest(MOST_NUMBERS)  # its stamp must not shorten the past
+                self._run.numbers.keep_highest(MOST_NUMBERS)  # its stamp must not shorten the past
                 return self._with_notices(verdicts)
             if timeline.newest.stamp >= key.stamp:
-                if why := _misplaced(key, timeline, waiting or ()):
+                if why := misplaced(key, timeline, waiting or ()):
                     return self._refuse(event, *why)
                 if waiting is not None:
                     waiting[key] = _Waiting(event, verdicts, tuple(self._notices))
@@ -253,10 +233,10 @@ class Observer:
                     return verdicts
             insertion = timeline.insert(key)
         except ImpactObserverError:
-            self._numbers.discard(event.sequence)
+            self._run.numbers.discard(event.sequence)
             self._notices = notices
             raise
-        ((own,), others) = self._inserted(timeline, [(verdicts, insertion)])
+        ((own,), others) = self._inserted([(verdicts, insertion)])
         return (*own, *others)
 
     def receiving(
@@ -274,19 +254,19 @@ class Observer:
         for event in events:
             (late if self._is_late(event) else others).append(event)
         waiting: dict[EventKey, _Waiting] = {}
-        for event in sorted(late, key=lambda each: (each.stamp, each.sequence)):
+        for event in sorted(late, key=_order):
             verdicts = self._receive_or_reject(event, waiting)
             yield (event, verdicts) if verdicts else None
         if waiting:
             yield from self._receive_waiting(waiting)
         if len({(each.epoch, each.episode) for each in others}) == 1:
-            others.sort(key=lambda each: (each.stamp, each.sequence))
+            others.sort(key=_order)
         for event in others:
             yield event, self._receive_or_reject(event)
 
     def _is_late(self, event: ImpactEvent) -> bool:
         """Whether an event is of the run in use, and events after it have been applied."""
-        run, timeline = self._runs.in_use, self._timeline
+        run, timeline = self._runs.in_use, self._run.timeline
         return (
             timeline is not None
             and run is not None
@@ -307,11 +287,11 @@ class Observer:
         self, waiting: "Mapping[EventKey, _Waiting]"
     ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
         """Apply late events together."""
-        timeline = self._timeline
+        timeline = self._run.timeline
         assert timeline is not None, "they are late"
         made = yield from timeline.inserting(waiting)
         for key, error in made.failed.items():
-            self._numbers.discard(key.sequence)
+            self._run.numbers.discard(key.sequence)
             yield (
                 waiting[key].event,
                 (_verdict(waiting[key].event, Ruling.REJECTED, str(error)),),
@@ -320,27 +300,20 @@ class Observer:
         if found:
             received = [(each.verdicts, insertion) for each, insertion in found]
             notices = [each.notices for each, _ in found]
-            owns, others = self._inserted(timeline, received, notices)
+            owns, others = self._inserted(received, notices)
             for (each, _), own in zip(found, owns, strict=True):
                 yield each.event, (*own, *others)
                 others = ()
 
     def _inserted(
         self,
-        timeline: Timeline,
         received: Sequence[tuple[tuple[Verdict, ...], Insertion]],
         notices: Sequence[Sequence[str]] = ((),),
     ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
         """Note inserted events; their verdicts, with ``notices``, and those on others."""
-        first = received[0][1].entry.key.stamp
-        if timeline.forget_before(timeline.newest.stamp - self._history, MOST_EVENTS):
-            self._issued.forget_before(timeline.start.stamp)
-            self._numbers.forget_before(timeline.start.stamp)
         for _, insertion in received:
             self.remarks[Remark.MISFIT] += insertion.entry.belief.fit.is_misfit
-        # Verdicts on what has been forgotten are final, also where the event itself is late.
-        start = max(first - self._history, timeline.start.stamp)
-        owns, others = self._issued.complete(received, start)
+        owns, others = self._run.verdicts(received)
         if others:
             self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
         complete = []
@@ -357,44 +330,7 @@ class Observer:
             UsageError: ``stamp`` lies before the past that is kept, or no event has come, or the
                 forcing depends on time and its epoch is unknown.
         """
-        timeline = self._timeline
-        if timeline is None or stamp < timeline.start.stamp:
-            past = "no event has come"
-            if timeline is not None:
-                past = f"the history starts at {text(timeline.start.stamp)} s"
-            raise UsageError(f"estimate at {text(stamp)} s: {past}")
-        self._require_epoch()
-        entry = timeline.at(stamp)
-        belief, prediction = entry.belief, self._update.prediction(entry)
-        n, s = self.system.n, seconds_between(entry.since, stamp)
-        x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
-        closed = prediction.closed(s)
-        is_event = bool(entry.key.switches)
-        return Estimate(
-            stamp=stamp,
-            law=self.law.name,
-            q=x[:n],
-            u=x[n:],
-            covariance=NO_COVARIANCE if root is None else self._covariance(root, x, s),
-            closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
-            convergence=entry.synchronization.convergence,
-            synchronized=self.law.uses_events
-            and belief.fit.is_established
-            and self._test.is_synchronized(entry.synchronization, root),
-            bound=-1.0 if belief.bound is None else belief.bound,
-            inconsistent=belief.inconsistent,
-            misfit=belief.misfit,
-            clock_offset=belief.clock_offset,
-            parameters=belief.parameters,
-            last_sequence=entry.key.sequence if is_event else 0,
-            last_event=entry.key.stamp if is_event else 0,
-        )
-
-    def _covariance(self, root: Matrix, x: Vector, s: float) -> Matrix:
-        """Of the estimate ``x``, ``s`` seconds after an event, with its own rounding."""
-        covariance = root @ root.T
-        covariance.flat[:: len(root) + 1] += (STATE_ROUNDING * self._scales.sizes(x, s)) ** 2
-        return frozen(covariance)
+        return self._run.estimate(stamp)
 
     def estimates(self, stamps: Stamps, *, only_states: bool = False) -> Iterator[Estimates]:
         """``estimate`` at each of ``stamps`` (ns, ascending, shape (samples,)), many at a time.
@@ -405,18 +341,7 @@ class Observer:
         Raises:
             UsageError: as ``estimate``.
         """
-        while stamps.size:
-            first = self.estimate(int(stamps[0]))
-            assert self._timeline is not None, "there is an estimate"
-            x, count = np.concatenate([first.q, first.u])[None], 1
-            entry, end = self._timeline.interval(first.stamp)
-            if (prediction := self._update.prediction(entry)).is_plain or only_states:
-                count = stamps.size if end is None else int(np.searchsorted(stamps, end))
-            if count > 1:
-                s = np.array([seconds_between(entry.since, at) for at in stamps[1:count].tolist()])
-                x = np.concatenate([x, np.where(s[:, None] > 0, prediction.states(s), x)])
-            yield Estimates(first, stamps[:count], x)
-            stamps = stamps[count:]
+        return self._run.estimates(stamps, only_states=only_states)
 
     def replicas(self, stamps: Stamps) -> NDArray[np.float64]:
         """States (q, u) of all replicas, shape (2n, samples, N).
@@ -424,10 +349,7 @@ class Observer:
         Args:
             stamps: at which, ns, ascending, shape (samples,); no event lies between them.
         """
-        assert self._timeline is not None, "there is an estimate"
-        entry = self._timeline.at(int(stamps[0]))
-        s = (stamps - entry.since) / NS_PER_S
-        return self._update.prediction(entry).replicas(s)
+        return self._run.replicas(stamps)
 
     def set_state(
         self,
@@ -448,25 +370,24 @@ class Observer:
         """
         x = np.concatenate(self.system.checked_state(position, velocity))
         root = self._root if covariance is None else covariance_root(covariance, self.system.n)
-        if self._timeline is None:
+        if (timeline := self._run.timeline) is None:
             self._initial, self._root = x, root
         else:
-            stamp = max(stamp, self._timeline.start.stamp)
-            now = self._timeline.at(stamp)
+            stamp = max(stamp, timeline.start.stamp)
+            now = timeline.at(stamp)
             replicas = spread(x, root, self.ensemble)
             first = self._entry_of(replicas, root, stamp, now.closed, now.latest)
-            self._timeline.restart(first, after=True)
-            self._is_state_given = True
+            self._run.restart(first)
 
     @property
     def start(self) -> int | None:
         """The earliest stamp of an estimate, ns; None before an epoch or event is received."""
-        return None if self._timeline is None else self._timeline.start.stamp
+        return None if self._run.timeline is None else self._run.timeline.start.stamp
 
     @property
     def epoch(self) -> int:
         """Stamp of ``t = 0`` of the forcing, ns; 0 while unknown."""
-        return self._update.epoch
+        return self._run.update.epoch
 
     @property
     def agreed(self) -> float:
@@ -480,13 +401,12 @@ class Observer:
     @property
     def last_event(self) -> int:
         """Stamp of the latest event applied, ns; 0 before the first."""
-        newest = self._timeline.newest if self._timeline else None
-        return newest.stamp if newest and newest.switches else 0
+        return self._run.last_event
 
     @property
     def missing(self) -> int:
         """How many sequence numbers are missing since the first received."""
-        return self._numbers.missing
+        return self._run.numbers.missing
 
     @property
     def restarts(self) -> int:
@@ -517,11 +437,11 @@ class Observer:
         run = self._runs.in_use
         assert run is not None, "it has changed"
         if not previous.epoch and run.episode == previous.episode:
-            self._update.epoch = run.epoch  # the same run: the sender knows its epoch now
+            self._run.update.epoch = run.epoch  # the same run: the sender knows its epoch now
             return
-        aside = previous, self._run_state()
+        aside = previous, self._run
         if self._aside is not None and self._aside[0] == run:
-            self._resume(self._aside[1])
+            self._run = self._aside[1]
             what = "goes on"
         else:
             self._begin_run(run.epoch or self.given_epoch)
@@ -531,29 +451,6 @@ class Observer:
         name = f"epoch {text(run.epoch)} s" if is_epoch else f"episode {run.episode}"
         self._notices = [*self._notices, f"{name} {what}: the observer is reset"]
         self.remarks[Remark.EPOCH if is_epoch else Remark.EPISODE] += 1
-
-    def _run_state(self) -> "_RunState":
-        """What is known of the run in use."""
-        return _RunState(
-            self._update,
-            self._timeline,
-            self._is_state_given,
-            self._numbers,
-            self._issued,
-            self._earliest,
-        )
-
-    def _resume(self, state: "_RunState") -> None:
-        """Go on with a run where it was set aside."""
-        self._update, self._timeline, self._is_state_given = state[:3]
-        self._numbers, self._issued, self._earliest = state[3:]
-
-    def _require_epoch(self) -> None:
-        if not self.epoch and self.system.forcing.depends_on_time:
-            raise UsageError(
-                f"epoch: the forcing of {self.system.name} depends on time and the events do not"
-                " say when it began; give the epoch"
-            )
 
     def _resolve_contacts(
         self, event: ImpactEvent
@@ -574,51 +471,6 @@ class Observer:
                 verdict = verdict._replace(ruling=Ruling.UNKNOWN_CONTACT, reason=reason)
             verdicts.append(verdict)
         return tuple(verdicts), tuple(sorted(switches) if len(switches) > 1 else switches)
-
-    def _register(self, event: ImpactEvent) -> None:
-        """Remember the number of an event, and note what is wrong with it or missing beside it."""
-        numbers, sequence = self._numbers, event.sequence
-        remark, notice = Remark.GAP, numbers.gap(sequence)
-        if not notice and numbers.leaps(sequence):
-            remark, notice = Remark.LEAP, f"its number leaps from {numbers.highest}"
-        elif sequence in numbers and (stamp := numbers.stamp_of(sequence)) != event.stamp:
-            remark, notice = Remark.REUSED, f"its number is that of the event at {text(stamp)} s"
-        if notice:
-            self.remarks[remark] += 1
-            self._notices = [*self._notices, notice]
-        numbers.add(sequence, event.stamp)
-
-    def _is_repeated(self, event: ImpactEvent, switches: Collection[object]) -> bool:
-        """Whether an event that is not in the timeline was received before, by its number."""
-        if self._numbers.stamp_of(event.sequence) != event.stamp:
-            return False
-        timeline = self._timeline
-        return not switches or timeline is None or event.stamp <= timeline.start.stamp
-
-    def _too_old(self, stamp: int) -> tuple[Ruling, str, Remark] | None:
-        """Why an event at ``stamp`` (ns), the earliest, cannot be applied any more."""
-        if self._timeline is None or stamp >= self._earliest:
-            return None
-        start = self.last_event - self._history
-        if stamp >= start:
-            return None
-        return Ruling.TOO_LATE, _before(max(start, self._timeline.start.stamp)), Remark.TOO_LATE
-
-    def _timeline_from_start(self, stamp: int) -> Timeline:
-        """The timeline, from the start that all events so far and one at ``stamp`` determine."""
-        if stamp < self._earliest or not self._earliest:
-            self._earliest = stamp
-        is_first_received = self._numbers.first <= 1
-        start = self.epoch if self.epoch and is_first_received else self._earliest
-        if self._timeline is None:
-            self._timeline = Timeline(self._first_entry(start), self._update.apply)
-        elif (
-            self._timeline.start.stamp != start
-            and self._timeline.is_complete
-            and not self._is_state_given
-        ):
-            self._timeline.restart(self._first_entry(start))
-        return self._timeline
 
     def refuse(self, event: ImpactEvent, reason: str, remark: Remark) -> tuple[Verdict, ...]:
         """Reject an event of a recording, which is known to have no effect."""
@@ -641,7 +493,7 @@ class Observer:
     def _note_disorder(self, insertion: Insertion) -> None:
         """Count what was not in order about an event that was inserted."""
         entry, later = insertion.entry, len(insertion.later)
-        if later or 0 < entry.key.sequence < self._numbers.highest:
+        if later or 0 < entry.key.sequence < self._run.numbers.highest:
             self.remarks[Remark.LATE] += 1
             late = f"late: {later} event{'s' * (later != 1)} run again"
             self._notices = [*self._notices, late]
@@ -651,19 +503,9 @@ class Observer:
             self.remarks[Remark.DISORDER] += not all(superseded)
 
 
+def _order(event: ImpactEvent) -> tuple[int, int]:
+    return event.stamp, event.sequence
+
+
 def _verdict(event: ImpactEvent, ruling: Ruling, reason: str) -> Verdict:
     return Verdict(event.stamp, ruling, event.sequence, reason=reason)
-
-
-def _before(start: int) -> str:
-    return f"before {text(start)} s, the start of the history"
-
-
-def _misplaced(
-    key: EventKey, timeline: Timeline, waiting: Container[EventKey]
-) -> tuple[Ruling, str, Remark] | None:
-    if not timeline.accepts(key):
-        return Ruling.TOO_LATE, _before(timeline.start.stamp), Remark.TOO_LATE
-    if key in timeline or key in waiting:
-        return Ruling.DUPLICATE, "the same event was seen", Remark.DUPLICATE
-    return None

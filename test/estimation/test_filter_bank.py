@@ -51,8 +51,8 @@ def truth(name: str, seconds: float) -> tuple[System, Array, Run]:
 
 def beliefs(watcher: Observer) -> list[Belief]:
     """After every event."""
-    assert watcher._timeline is not None
-    return [entry.belief for entry in watcher._timeline.entries]
+    assert watcher._run.timeline is not None
+    return [entry.belief for entry in watcher._run.timeline.entries]
 
 
 def mixture(belief: Belief) -> Array:
@@ -242,8 +242,8 @@ def checked(watcher: Observer, stamp: int) -> None:
     for now in (watcher.estimate(stamp), watcher.estimate(stamp + 3 * NS_PER_S)):
         assert np.all(np.isfinite(np.concatenate([now.q, now.u, now.covariance.ravel()])))
         assert np.all(np.isfinite([each[1:] for each in now.parameters]))
-    assert watcher._timeline is not None
-    for entry in watcher._timeline.entries:
+    assert watcher._run.timeline is not None
+    for entry in watcher._run.timeline.entries:
         hypotheses = entry.belief.hypotheses
         if watcher.law.uncertainty.trusts_events:
             assert not hypotheses  # nothing is weighed

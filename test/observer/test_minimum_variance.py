@@ -100,10 +100,10 @@ def errors(name: str, watcher: Observer, *stamps: int) -> Array:
 
 def root(watcher: Observer, stamp: int) -> Array:
     """A root of the covariance at ``stamp``: P itself would be rounding."""
-    timeline = watcher._timeline
+    timeline = watcher._run.timeline
     assert timeline is not None
     entry = timeline.at(stamp)
-    found = watcher._update.prediction(entry).root(seconds_between(entry.key.stamp, stamp))
+    found = watcher._run.update.prediction(entry).root(seconds_between(entry.key.stamp, stamp))
     assert found is not None
     return found
 

@@ -330,9 +330,9 @@ def test_memory_is_bounded() -> None:
     watcher.receive(first)
     for k in range(2, 3000):
         watcher.receive(event(0.1 * k, "c1", sequence=k))
-    assert watcher._timeline is not None
-    assert len(watcher._timeline.entries) <= 12
-    assert len(watcher._numbers) <= 100
+    assert watcher._run.timeline is not None
+    assert len(watcher._run.timeline.entries) <= 12
+    assert len(watcher._run.numbers) <= 100
     assert watcher.missing == 0
     assert watcher.receive(first)[0].ruling is Ruling.TOO_LATE
     assert watcher.missing == 0

@@ -53,7 +53,7 @@ def bits(watcher: Observer, stamps: Sequence[int] = STAMPS.tolist()) -> list[obj
 
 def internal_state(watcher: Observer) -> list[object]:
     """Everything that later estimates and verdicts depend on."""
-    timeline = watcher._timeline
+    timeline = watcher._run.timeline
     assert timeline is not None
     entries = timeline.entries
     events = [(e.key, e.since, e.closed, dict(e.latest), e.overruled) for e in entries]
@@ -437,9 +437,9 @@ def test_memory_is_bounded_whatever_the_order_of_arrival(law: str) -> None:
         for again in range(1 + (k % 3 == 0)):
             verdict = shuffled.receive(events[i])[0]
             assert verdict.ruling is (Ruling.DUPLICATE if again else Ruling.APPLIED)
-        timeline = shuffled._timeline
+        timeline = shuffled._run.timeline
         assert timeline is not None
-        most = max(most, len(timeline.entries) + len(shuffled._numbers))
+        most = max(most, len(timeline.entries) + len(shuffled._run.numbers))
     assert most < 130
     end = max(each.stamp for each in events)
     stamps = list(range(end - NS_PER_S // 2, end + NS_PER_S, NS_PER_S // 10))
@@ -474,7 +474,7 @@ def test_numbers_of_events_with_unknown_contacts_are_kept_for_the_history_only(
             switching(("bolt", Kind.IMPACT), seconds=0.01 * k, sequence=k)
         )
         assert verdict.ruling is Ruling.UNKNOWN_CONTACT
-        assert len(watcher._numbers) <= 200
+        assert len(watcher._run.numbers) <= 200
     assert watcher.missing == 0
 
 
@@ -519,7 +519,7 @@ def test_a_flood_of_late_events_runs_the_others_again_once() -> None:
     """The estimates are the earlier ones until all are applied."""
     events = [event(0.01 * k, f"c{1 + k % 2}", sequence=k) for k in range(1, 401)]
     watcher, calls = watcher_of("geometric", events[::2], ensemble=1), 0
-    timeline = watcher._timeline
+    timeline = watcher._run.timeline
     assert timeline is not None
     update = timeline._update
 

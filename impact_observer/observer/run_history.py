@@ -1,0 +1,221 @@
+"""What an observer keeps of one run of the sender: its events, and the estimates between them."""
+
+from collections.abc import Callable, Collection, Container, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.dynamics import Scales
+from impact_observer.errors import UsageError
+from impact_observer.estimation.saltation import STATE_ROUNDING
+from impact_observer.events import ImpactEvent, Remark, Ruling, Verdict
+from impact_observer.observer.event_order import EventKey
+from impact_observer.observer.event_update import EventUpdate
+from impact_observer.observer.sequence_numbers import SequenceNumbers
+from impact_observer.observer.timeline import Entry, Insertion, Timeline
+from impact_observer.observer.verdicts import IssuedVerdicts
+from impact_observer.stamps import NS_PER_S, seconds_between, text
+from impact_observer.states import (
+    NO_COVARIANCE,
+    Estimate,
+    Estimates,
+    Matrix,
+    Stamps,
+    Vector,
+    frozen,
+)
+
+MOST_EVENTS = 5000
+"""Events of the history that are kept, whatever its length."""
+
+Refusal = tuple[Ruling, str, Remark]
+"""Why an event is refused: its ruling, its reason, and how it is counted."""
+
+
+class RunHistory:
+    """The events of one run of the sender, and the estimates that they determine.
+
+    Attributes:
+        update: makes the beliefs after events.
+        timeline: of the events; None before the first of them, unless the epoch was given.
+        numbers: of the events.
+    """
+
+    def __init__(
+        self, update: EventUpdate, first_entry: Callable[[int], Entry], history: int
+    ) -> None:
+        """Start with no event.
+
+        Args:
+            update: with the epoch of the run, where it is known.
+            first_entry: the initial state at a stamp (ns), before any event.
+            history: how late an event may be and still be applied, ns.
+        """
+        self.update = update
+        self.timeline: Timeline | None = None
+        self.numbers = SequenceNumbers()
+        self._first_entry, self._history = first_entry, history
+        self._system = update.law.system
+        self._scales = Scales.of(self._system)
+        self._names = self._system.contact_names
+        self._issued = IssuedVerdicts(self._names)
+        self._is_state_given = False
+        self._earliest = 0
+
+    def begin(self, stamp: int) -> None:
+        """Have the initial state hold at ``stamp`` (ns)."""
+        self.timeline = Timeline(self._first_entry(stamp), self.update.apply)
+
+    def restart(self, first: Entry) -> None:
+        """Go on from another state, which holds after all events of its stamp."""
+        assert self.timeline is not None, "it has begun"
+        self.timeline.restart(first, after=True)
+        self._is_state_given = True
+
+    @property
+    def last_event(self) -> int:
+        """Stamp of the latest event applied, ns; 0 before the first."""
+        newest = self.timeline.newest if self.timeline else None
+        return newest.stamp if newest and newest.switches else 0
+
+    def require_epoch(self) -> None:
+        """Raise UsageError where the forcing depends on time and its epoch is unknown."""
+        if not self.update.epoch and self._system.forcing.depends_on_time:
+            raise UsageError(
+                f"epoch: the forcing of {self._system.name} depends on time and the events do not"
+                " say when it began; give the epoch"
+            )
+
+    def register(self, event: ImpactEvent) -> tuple[Remark, str] | None:
+        """Remember the number of an event; what is wrong with it, or missing beside it, if any."""
+        numbers, sequence = self.numbers, event.sequence
+        remark, notice = Remark.GAP, numbers.gap(sequence)
+        if not notice and numbers.leaps(sequence):
+            remark, notice = Remark.LEAP, f"its number leaps from {numbers.highest}"
+        elif sequence in numbers and (stamp := numbers.stamp_of(sequence)) != event.stamp:
+            remark, notice = Remark.REUSED, f"its number is that of the event at {text(stamp)} s"
+        numbers.add(sequence, event.stamp)
+        return (remark, notice) if notice else None
+
+    def is_repeated(self, event: ImpactEvent, switches: Collection[object]) -> bool:
+        """Whether an event that is not in the timeline was received before, by its number."""
+        if self.numbers.stamp_of(event.sequence) != event.stamp:
+            return False
+        timeline = self.timeline
+        return not switches or timeline is None or event.stamp <= timeline.start.stamp
+
+    def too_old(self, stamp: int) -> Refusal | None:
+        """Why an event at ``stamp`` (ns), the earliest, cannot be applied any more."""
+        if self.timeline is None or stamp >= self._earliest:
+            return None
+        start = self.last_event - self._history
+        if stamp >= start:
+            return None
+        return Ruling.TOO_LATE, _before(max(start, self.timeline.start.stamp)), Remark.TOO_LATE
+
+    def timeline_from_start(self, stamp: int) -> Timeline:
+        """The timeline, from the start that all events so far and one at ``stamp`` determine."""
+        if stamp < self._earliest or not self._earliest:
+            self._earliest = stamp
+        epoch = self.update.epoch
+        is_first_received = self.numbers.first <= 1
+        start = epoch if epoch and is_first_received else self._earliest
+        timeline = self.timeline
+        if timeline is None:
+            timeline = self.timeline = Timeline(self._first_entry(start), self.update.apply)
+        elif timeline.start.stamp != start and timeline.is_complete and not self._is_state_given:
+            timeline.restart(self._first_entry(start))
+        return timeline
+
+    def verdicts(
+        self, received: Sequence[tuple[tuple[Verdict, ...], Insertion]]
+    ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
+        """The verdicts on inserted events, and on others; what is too old is forgotten.
+
+        The events are ``received`` in order of their stamps, each with its verdicts.
+        """
+        timeline = self.timeline
+        assert timeline is not None, "events were inserted"
+        first = received[0][1].entry.key.stamp
+        if timeline.forget_before(timeline.newest.stamp - self._history, MOST_EVENTS):
+            self._issued.forget_before(timeline.start.stamp)
+            self.numbers.forget_before(timeline.start.stamp)
+        # Verdicts on what has been forgotten are final, also where the event itself is late.
+        return self._issued.complete(received, max(first - self._history, timeline.start.stamp))
+
+    def estimate(self, stamp: int) -> Estimate:
+        """See ``Observer.estimate``."""
+        timeline = self.timeline
+        if timeline is None or stamp < timeline.start.stamp:
+            past = "no event has come"
+            if timeline is not None:
+                past = f"the history starts at {text(timeline.start.stamp)} s"
+            raise UsageError(f"estimate at {text(stamp)} s: {past}")
+        self.require_epoch()
+        law, test = self.update.law, self.update.test
+        entry = timeline.at(stamp)
+        belief, prediction = entry.belief, self.update.prediction(entry)
+        n, s = self._system.n, seconds_between(entry.since, stamp)
+        x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
+        closed = prediction.closed(s)
+        is_event = bool(entry.key.switches)
+        return Estimate(
+            stamp=stamp,
+            law=law.name,
+            q=x[:n],
+            u=x[n:],
+            covariance=NO_COVARIANCE if root is None else self._covariance(root, x, s),
+            closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
+            convergence=entry.synchronization.convergence,
+            synchronized=law.uses_events
+            and belief.fit.is_established
+            and test.is_synchronized(entry.synchronization, root),
+            bound=-1.0 if belief.bound is None else belief.bound,
+            inconsistent=belief.inconsistent,
+            misfit=belief.misfit,
+            clock_offset=belief.clock_offset,
+            parameters=belief.parameters,
+            last_sequence=entry.key.sequence if is_event else 0,
+            last_event=entry.key.stamp if is_event else 0,
+        )
+
+    def _covariance(self, root: Matrix, x: Vector, s: float) -> Matrix:
+        """Of the estimate ``x``, ``s`` seconds after an event, with its own rounding."""
+        covariance = root @ root.T
+        covariance.flat[:: len(root) + 1] += (STATE_ROUNDING * self._scales.sizes(x, s)) ** 2
+        return frozen(covariance)
+
+    def estimates(self, stamps: Stamps, *, only_states: bool) -> Iterator[Estimates]:
+        """See ``Observer.estimates``."""
+        while stamps.size:
+            first = self.estimate(int(stamps[0]))
+            assert self.timeline is not None, "there is an estimate"
+            x, count = np.concatenate([first.q, first.u])[None], 1
+            entry, end = self.timeline.interval(first.stamp)
+            if (prediction := self.update.prediction(entry)).is_plain or only_states:
+                count = stamps.size if end is None else int(np.searchsorted(stamps, end))
+            if count > 1:
+                s = np.array([seconds_between(entry.since, at) for at in stamps[1:count].tolist()])
+                x = np.concatenate([x, np.where(s[:, None] > 0, prediction.states(s), x)])
+            yield Estimates(first, stamps[:count], x)
+            stamps = stamps[count:]
+
+    def replicas(self, stamps: Stamps) -> NDArray[np.float64]:
+        """See ``Observer.replicas``."""
+        assert self.timeline is not None, "there is an estimate"
+        entry = self.timeline.at(int(stamps[0]))
+        s = (stamps - entry.since) / NS_PER_S
+        return self.update.prediction(entry).replicas(s)
+
+
+def misplaced(key: EventKey, timeline: Timeline, waiting: Container[EventKey]) -> Refusal | None:
+    """Why an event, not the latest, has no place among those applied and those ``waiting``."""
+    if not timeline.accepts(key):
+        return Ruling.TOO_LATE, _before(timeline.start.stamp), Remark.TOO_LATE
+    if key in timeline or key in waiting:
+        return Ruling.DUPLICATE, "the same event was seen", Remark.DUPLICATE
+    return None
+
+
+def _before(start: int) -> str:
+    return f"before {text(start)} s, the start of the history"
