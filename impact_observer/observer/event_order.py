@@ -23,6 +23,9 @@ NEAR_STAMPS = NS_PER_S
 LatestSequences: TypeAlias = Mapping[int, tuple[int, int]]
 """By index of a contact, the sequence number of the event that has set it, and its stamp (ns)."""
 
+Superseding: TypeAlias = Sequence[tuple[int, int]]
+"""Indices of contacts of whose IMPACT a CLOSE supersedes, each with the number of that event."""
+
 
 class EventKey(NamedTuple):
     """An event in its order: by stamp, then by sequence, then by contact for unnumbered ones.
@@ -81,7 +84,7 @@ class Interpretation(NamedTuple):
 
 
 def interpret(
-    event: EventKey, closed: Contacts, latest: LatestSequences, neighbours: Sequence[EventKey] = ()
+    event: EventKey, closed: Contacts, latest: LatestSequences, superseding: Superseding = ()
 ) -> Interpretation:
     """Interpret ``event`` after those before it; one without a number is ordered by its stamp.
 
@@ -89,12 +92,11 @@ def interpret(
         event: the event.
         closed: contacts with ``chi = 1`` before it.
         latest: sequence numbers before it.
-        neighbours: see ``neighbours_of``: events that follow it at the same stamp, in order; where
-            it has no number, all other events of that stamp.
+        superseding: see ``superseding``.
     """
     applied, overruled = [], []
     for contact, kind in event.switches:
-        found = _overruled(event, (contact, kind), closed, latest, neighbours)
+        found = _overruled(event, (contact, kind), closed, latest, superseding)
         if found is not None:
             overruled.append(found)
         effect = kind if found is None else found.applied
@@ -109,14 +111,14 @@ def _overruled(
     switch: tuple[int, Kind],
     closed: Contacts,
     latest: LatestSequences,
-    neighbours: Sequence[EventKey],
+    superseding: Superseding,
 ) -> OverruledSwitch | None:
     """How another event changes a switch of ``event``; None if none does."""
     contact, kind = switch
     if kind is Kind.IMPACT:
-        for each in neighbours:
-            if (contact, Kind.CLOSE) in each.switches:
-                return OverruledSwitch(contact, kind, None, each.sequence)
+        for closing, number in superseding:
+            if closing == contact:
+                return OverruledSwitch(contact, kind, None, number)
     newest = _newest_near(event, latest.get(contact))
     if not newest:
         return None
@@ -149,14 +151,24 @@ def _after(
     return after
 
 
-def neighbours_of(i: int, events: Sequence[EventKey]) -> Sequence[EventKey]:
-    """Those of ``events``, in order, that ``interpret`` needs beside the ``i``-th."""
-    stamp, first, end = events[i].stamp, i, i + 1
-    while end < len(events) and events[end].stamp == stamp:
-        end += 1
-    while not events[i].sequence and first > 0 and events[first - 1].stamp == stamp:
+def superseding(i: int, events: Sequence[EventKey]) -> Superseding:
+    """By which of ``events``, in order, CLOSE supersedes an IMPACT of the ``i``-th: the first.
+
+    It follows at the same stamp; where the ``i``-th has no number, it is any of that stamp.
+    """
+    event = events[i]
+    hits = {contact for contact, kind in event.switches if kind is Kind.IMPACT}
+    first = i + 1
+    while not event.sequence and first > 0 and events[first - 1].stamp == event.stamp:
         first -= 1
-    return [*events[first:i], *events[i + 1 : end]]
+    found = list[tuple[int, int]]()
+    while hits and first < len(events) and events[first].stamp == event.stamp:
+        for contact, kind in events[first].switches:
+            if kind is Kind.CLOSE and contact in hits and first != i:
+                found.append((contact, events[first].sequence))
+                hits.remove(contact)
+        first += 1
+    return tuple(found)
 
 
 def deduplicated(events: Iterable[EventKey]) -> list[EventKey]:
@@ -172,7 +184,7 @@ def interpretations(events: Sequence[EventKey]) -> Iterator[tuple[Contacts, Inte
     closed: Contacts = ()
     latest: LatestSequences = {}
     for i, event in enumerate(events):
-        meaning = interpret(event, closed, latest, neighbours_of(i, events))
+        meaning = interpret(event, closed, latest, superseding(i, events))
         yield closed, meaning
         closed, latest = ContactChange.of(0.0, closed, meaning.switches).closed, meaning.latest
 

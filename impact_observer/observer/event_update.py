@@ -1,13 +1,12 @@
 """One event applied: interpret it, predict the belief to its stamp, correct that by the law."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from math import isfinite
 
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.observer.belief import Prediction
-from impact_observer.observer.event_order import EventKey, interpret
+from impact_observer.observer.event_order import EventKey, Superseding, interpret
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.synchronization import SynchronizationTest
 from impact_observer.observer.timeline import Entry
@@ -29,7 +28,7 @@ class EventUpdate:
         self.test = test
         self.epoch = epoch
 
-    def apply(self, previous: Entry, event: EventKey, neighbours: Sequence[EventKey]) -> Entry:
+    def apply(self, previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
         """The entry of ``event``, from the one before it.
 
         Raises:
@@ -37,7 +36,7 @@ class EventUpdate:
             DynamicsError: the loads of closed contacts cannot be found, or the estimate is not
                 finite.
         """
-        meaning = interpret(event, previous.closed, previous.latest, neighbours)
+        meaning = interpret(event, previous.closed, previous.latest, superseding)
         if not meaning.switches:
             return replace(previous, key=event, latest=meaning.latest, overruled=meaning.overruled)
         stamp, s = event.stamp, seconds_between(previous.since, event.stamp)

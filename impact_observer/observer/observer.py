@@ -53,12 +53,14 @@ class _Waiting(NamedTuple):
     Attributes:
         event: the event.
         verdicts: on its switches.
+        is_overtaken: whether an event with a higher number was received before it.
         notices: what was noticed about its number.
     """
 
     event: ImpactEvent
     verdicts: tuple[Verdict, ...]
-    notices: tuple[str, ...]
+    is_overtaken: bool
+    notices: Sequence[str] = ()
 
 
 class Observer:
@@ -216,6 +218,7 @@ class Observer:
         if found := self._run.register(event):
             self.remarks[found[0]] += 1
             self._notices = [*notices, found[1]]
+        is_overtaken = 0 < event.sequence < self._run.numbers.highest
         try:
             if why := self._run.too_old(event.stamp):
                 return self._refuse(event, *why)
@@ -228,15 +231,15 @@ class Observer:
                 if why := misplaced(key, timeline, waiting or ()):
                     return self._refuse(event, *why)
                 if waiting is not None:
-                    waiting[key] = _Waiting(event, verdicts, tuple(self._notices))
-                    self._notices, verdicts = [], ()
-                    return verdicts
+                    waiting[key] = _Waiting(event, verdicts, is_overtaken, self._notices)
+                    self._notices = []
+                    return ()
             insertion = timeline.insert(key)
         except ImpactObserverError:
             self._run.numbers.discard(event.sequence)
             self._notices = notices
             raise
-        ((own,), others) = self._inserted([(verdicts, insertion)])
+        ((own,), others) = self._inserted([(_Waiting(event, verdicts, is_overtaken), insertion)])
         return (*own, *others)
 
     def receiving(
@@ -271,7 +274,7 @@ class Observer:
             timeline is not None
             and run is not None
             and event.episode == run.episode
-            and event.epoch == run.epoch
+            and event.epoch in {0, run.epoch}
             and event.stamp <= timeline.newest.stamp
         )
 
@@ -298,28 +301,24 @@ class Observer:
             )
         found = [(waiting[each.entry.key], each) for each in made.insertions]
         if found:
-            received = [(each.verdicts, insertion) for each, insertion in found]
-            notices = [each.notices for each, _ in found]
-            owns, others = self._inserted(received, notices)
+            owns, others = self._inserted(found)
             for (each, _), own in zip(found, owns, strict=True):
                 yield each.event, (*own, *others)
                 others = ()
 
     def _inserted(
-        self,
-        received: Sequence[tuple[tuple[Verdict, ...], Insertion]],
-        notices: Sequence[Sequence[str]] = ((),),
+        self, received: Sequence[tuple[_Waiting, Insertion]]
     ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
-        """Note inserted events; their verdicts, with ``notices``, and those on others."""
+        """Note events that were ``received`` and inserted; their verdicts, and those on others."""
         for _, insertion in received:
             self.remarks[Remark.MISFIT] += insertion.entry.belief.fit.is_misfit
-        owns, others = self._run.verdicts(received)
+        owns, others = self._run.verdicts([(each.verdicts, made) for each, made in received])
         if others:
             self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
         complete = []
-        for own, (_, insertion), some in zip(owns, received, notices, strict=True):
-            self._notices = [*self._notices, *some]
-            self._note_disorder(insertion)
+        for own, (event, insertion) in zip(owns, received, strict=True):
+            self._notices = [*self._notices, *event.notices]
+            self._note_disorder(insertion, is_overtaken=event.is_overtaken)
             complete.append(self._with_notices(own))
         return complete, others
 
@@ -490,12 +489,12 @@ class Observer:
         first, *others = verdicts
         return (with_reasons(first, notices), *others)
 
-    def _note_disorder(self, insertion: Insertion) -> None:
+    def _note_disorder(self, insertion: Insertion, *, is_overtaken: bool) -> None:
         """Count what was not in order about an event that was inserted."""
-        entry, later = insertion.entry, len(insertion.later)
-        if later or 0 < entry.key.sequence < self._run.numbers.highest:
+        entry, again = insertion.entry, insertion.again
+        if again or is_overtaken:
             self.remarks[Remark.LATE] += 1
-            late = f"late: {later} event{'s' * (later != 1)} run again"
+            late = f"late: {again} event{'s' * (again != 1)} run again"
             self._notices = [*self._notices, late]
         if overruled := [*entry.overruled, *(each for _, each in insertion.overrules)]:
             superseded = [each.is_superseded for each in overruled]

@@ -5,18 +5,19 @@ A late event is put in its place, and the events after it are applied again (``d
 
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias, TypeVar
 
 from impact_observer.errors import ImpactObserverError
-from impact_observer.events import Contacts
+from impact_observer.events import Contacts, Kind
 from impact_observer.observer.belief import Belief, Prediction
 from impact_observer.observer.event_order import (
     EventKey,
     LatestSequences,
     OverruledSwitch,
-    neighbours_of,
+    Superseding,
+    superseding,
 )
 from impact_observer.observer.synchronization import Synchronization
 
@@ -55,8 +56,8 @@ class Entry:
         return self.key.stamp, self.key.sequence
 
 
-Update: TypeAlias = Callable[[Entry, EventKey, Sequence[EventKey]], Entry]
-"""The entry of an event, from the entry before it, the event and its neighbours."""
+Update: TypeAlias = Callable[[Entry, EventKey, Superseding], Entry]
+"""The entry of an event, from the entry before it, the event and what supersedes it."""
 
 
 class Insertion(NamedTuple):
@@ -65,12 +66,21 @@ class Insertion(NamedTuple):
     Attributes:
         entry: of the event.
         overrules: switches of other events whose effect it changes, with their events.
-        later: the entries of the events after it, which were applied again.
+        again: how many events after it were applied again.
+        entries: of the first event that was inserted with it, or an earlier one, and of all after.
+        place: of its own entry among them.
     """
 
     entry: Entry
     overrules: tuple[tuple[EventKey, OverruledSwitch], ...] = ()
-    later: Sequence[Entry] = ()
+    again: int = 0
+    entries: Sequence[Entry] = ()
+    place: int = 0
+
+    @property
+    def later(self) -> Sequence[Entry]:
+        """The entries of the events after it."""
+        return self.entries[self.place + 1 :]
 
 
 class Insertions(NamedTuple):
@@ -157,44 +167,53 @@ class Timeline:
 
         Yields after each event that is applied. Until the end nothing changes, and the timeline
         must not be changed otherwise. An event that cannot be applied is left out; where one
-        that is there already cannot be, the new one before it is.
+        that is there already cannot be, the new one before it is, or the one that supersedes
+        another of its stamp.
         """
         new, failed = {*keys}, dict[EventKey, ImpactObserverError]()
-        first, entries = self._place(min(new)), list[Entry]()
-        while first > 1 and self.entries[first - 1].key.stamp == min(new).stamp:
-            first -= 1  # it may supersede those of its stamp, or be superseded
-        events = sorted([*(entry.key for entry in self.entries[first:]), *new])
+        same, changed = self._changed_by(new)
+        events = sorted([*(entry.key for entry in self.entries[same:]), *new])
+        entries = self.entries[same:changed]
         while len(entries) < len(events):
             i = len(entries)
-            previous = entries[-1] if entries else self.entries[first - 1]
+            previous = entries[-1] if entries else self.entries[same - 1]
             try:
-                entries.append(self._update(previous, events[i], neighbours_of(i, events)))
+                entries.append(self._update(previous, events[i], superseding(i, events)))
             except ImpactObserverError as error:
-                culprit = max(k for k in range(i + 1) if events[k] in new)
+                nearest = (*range(i, -1, -1), *range(i + 1, len(events)))
+                culprit = next(k for k in nearest if events[k] in new)
                 failed[events[culprit]] = error
                 new.discard(events[culprit])
-                del events[culprit], entries[culprit:]
+                del entries[_superseded_by(events[culprit], entries[:culprit]) :]
+                del events[culprit]
             yield
         if not new:
             return Insertions((), failed)
-        self.entries[first:] = entries
-        overrules = defaultdict[tuple[int, int], list[tuple[EventKey, OverruledSwitch]]](list)
-        for entry in entries:
-            for each in entry.overruled:
-                overrules[each.by, 0 if each.by else entry.key.stamp].append((entry.key, each))
-        insertions = []
-        for i, entry in enumerate(entries):
-            if entry.key in new:
-                number = entry.key.sequence
-                found = overrules.get((number, 0 if number else entry.key.stamp), ())
-                others = tuple(each for each in found if each[0] != entry.key)
-                insertions.append(Insertion(entry, others, entries[i + 1 :]))
-        return Insertions(tuple(insertions), failed)
+        self.entries[same:] = entries
+        return Insertions(_insertions(new, entries), failed)
+
+    def _changed_by(self, new: Iterable[EventKey]) -> tuple[int, int]:
+        """The places of the first entry at the earliest of the stamps, and of the first to change.
+
+        An event changes those after it, and those of its stamp that it supersedes.
+        """
+        earliest = min(new)
+        first = changed = self._place(earliest)
+        closing: dict[int, int] = {}
+        for key in new:
+            for contact, kind in key.switches if key.stamp == earliest.stamp else ():
+                if kind is Kind.CLOSE:
+                    closing[contact] = min(closing.get(contact, key.sequence), key.sequence)
+        while first > 1 and self.entries[first - 1].key.stamp == earliest.stamp:
+            first -= 1
+            if closing and _is_superseded(self.entries[first], closing):
+                changed = first
+        return first, changed
 
     def _applied(self, previous: Entry, events: Sequence[EventKey]) -> list[Entry]:
         entries = []
         for i, event in enumerate(events):
-            previous = self._update(previous, event, neighbours_of(i, events))
+            previous = self._update(previous, event, superseding(i, events))
             entries.append(previous)
         return entries
 
@@ -253,3 +272,42 @@ class Timeline:
 
 def _stamp(entry: Entry) -> int:
     return entry.key.stamp
+
+
+def _is_superseded(entry: Entry, closing: Mapping[int, int]) -> bool:
+    """Whether events of its stamp that close contacts change what supersedes an event.
+
+    ``closing`` has their lowest number by contact.
+    """
+    by = {each.contact: each.by for each in entry.overruled if each.is_superseded}
+    hits = (contact for contact, kind in entry.key.switches if kind is Kind.IMPACT)
+    return any(c in closing and (c not in by or closing[c] < by[c]) for c in hits)
+
+
+def _superseded_by(event: EventKey, before: Sequence[Entry]) -> int:
+    """Place of the first of the entries ``before`` an event that it supersedes, or their end."""
+    changed = first = len(before)
+    while first > 0 and before[first - 1].key.stamp == event.stamp:
+        first -= 1
+        if any(o.is_superseded and o.by == event.sequence for o in before[first].overruled):
+            changed = first
+    return changed
+
+
+def _insertions(new: Container[EventKey], entries: Sequence[Entry]) -> tuple[Insertion, ...]:
+    """Of the events ``new`` among the ``entries``."""
+    overrules = defaultdict[tuple[int, int], list[tuple[EventKey, OverruledSwitch]]](list)
+    for entry in entries:
+        for each in entry.overruled:
+            overrules[each.by, 0 if each.by else entry.key.stamp].append((entry.key, each))
+    insertions, again = list[Insertion](), 0
+    for place in reversed(range(len(entries))):
+        entry = entries[place]
+        if entry.key not in new:
+            again += 1
+            continue
+        number = entry.key.sequence
+        found = overrules.get((number, 0 if number else entry.key.stamp), ())
+        others = tuple(each for each in found if each[0] != entry.key)
+        insertions.append(Insertion(entry, others, again, entries, place))
+    return tuple(reversed(insertions))

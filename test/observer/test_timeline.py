@@ -1,6 +1,6 @@
 """The timeline: events in order, kept as long as they are needed."""
 
-from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ import pytest
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Kind
 from impact_observer.observer import Belief
-from impact_observer.observer.event_order import EventKey
+from impact_observer.observer.event_order import EventKey, OverruledSwitch, Superseding
 from impact_observer.observer.synchronization import Synchronization
 from impact_observer.observer.timeline import Entry, Timeline, initial_entry
 
@@ -20,9 +20,9 @@ def first(stamp: int, x: float) -> Entry:
     return initial_entry(stamp, Belief(Ensemble.of(np.array([[x]]))), NONE)
 
 
-def update(previous: Entry, event: EventKey, neighbours: Sequence[EventKey]) -> Entry:
+def update(previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
     """A state whose digits are the stamps of all earlier events."""
-    del neighbours
+    del superseding
     belief = Belief(Ensemble.of(previous.belief.replicas * 10 + event.stamp))
     return Entry(event, event.stamp, belief, NONE)
 
@@ -106,10 +106,10 @@ def test_restart_applies_the_later_events_again() -> None:
 def test_update_that_fails_leaves_the_timeline_unchanged() -> None:
     """The event is not in it, nor is any state changed."""
 
-    def failing(previous: Entry, event: EventKey, neighbours: Sequence[EventKey]) -> Entry:
+    def failing(previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
         if event.stamp == 3 and previous.key.stamp == 2:
             raise ArithmeticError
-        return update(previous, event, neighbours)
+        return update(previous, event, superseding)
 
     timeline = Timeline(first(0, 0.0), failing)
     timeline.insert(key(1))
@@ -119,3 +119,24 @@ def test_update_that_fails_leaves_the_timeline_unchanged() -> None:
         timeline.insert(key(2))
     assert states(timeline) == kept
     assert key(2) not in timeline
+
+
+def test_events_of_one_stamp_are_applied_once_each() -> None:
+    """Only what a CLOSE supersedes, and what follows it, is applied again."""
+    applied: list[EventKey] = []
+
+    def counted(previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
+        applied.append(event)
+        overruled = tuple(OverruledSwitch(c, Kind.IMPACT, None, by) for c, by in superseding)
+        return replace(update(previous, event, superseding), overruled=overruled)
+
+    timeline = Timeline(first(0, 0.0), counted)
+    hits = [key(5, k) for k in range(1, 100)]
+    for each in hits:
+        timeline.insert(each)
+    assert applied == hits
+    timeline.insert(key(5, 100, 1))
+    closing = EventKey(5, 101, ((1, Kind.CLOSE),))
+    timeline.insert(closing)
+    timeline.insert(closing._replace(sequence=102))
+    assert [each.sequence for each in applied[99:]] == [100, 100, 101, 102]

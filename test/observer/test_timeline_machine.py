@@ -18,7 +18,7 @@ from impact_observer.errors import DynamicsError
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.events import Kind
 from impact_observer.observer import Belief
-from impact_observer.observer.event_order import EventKey
+from impact_observer.observer.event_order import EventKey, OverruledSwitch, Superseding
 from impact_observer.observer.synchronization import Synchronization
 from impact_observer.observer.timeline import Entry, Timeline, initial_entry, outcome
 
@@ -26,18 +26,30 @@ KEYS = st.builds(
     EventKey,
     st.integers(0, 12),
     st.integers(0, 4),
-    st.sampled_from([((0, Kind.IMPACT),), ((1, Kind.IMPACT),), ((0, Kind.CLOSE),)]),
+    st.sampled_from(
+        [
+            *(((0, Kind.IMPACT),), ((1, Kind.IMPACT),), ((0, Kind.CLOSE),), ((1, Kind.CLOSE),)),
+            *(((0, Kind.IMPACT), (1, Kind.IMPACT)), ((0, Kind.CLOSE), (1, Kind.OPEN))),
+        ]
+    ),
 )
 NONE = Synchronization(-1.0, 0.0)
 
 
-def update(previous: Entry, event: EventKey, neighbours: Sequence[EventKey]) -> Entry:
-    """A number in which each event and each neighbour leaves its trace; 7 after 5 fails."""
+def update(previous: Entry, event: EventKey, superseding: Superseding) -> Entry:
+    """A number in which each event, and what supersedes it, leave their trace.
+
+    7 after 5 fails, and 9 after some of the numbers.
+    """
+    before = int(previous.belief.x[0])
     if event.stamp == 7 and previous.key.stamp == 5:
         raise DynamicsError("no solution")
-    trace = hash((event, tuple(neighbours))) % 97
-    value = (31 * int(previous.belief.x[0]) + trace) % 1_000_003
-    return Entry(event, event.stamp, Belief(Ensemble.of(np.array([[float(value)]]))), NONE)
+    if event.stamp == 9 and before % 5 == 0:
+        raise DynamicsError("no solution after this one")
+    trace = hash((event, tuple(sorted(superseding)))) % 97
+    belief = Belief(Ensemble.of(np.array([[float((31 * before + trace) % 1_000_003)]])))
+    overruled = tuple(OverruledSwitch(c, Kind.IMPACT, None, by) for c, by in superseding)
+    return Entry(event, event.stamp, belief, NONE, overruled=overruled)
 
 
 def beginning() -> Entry:
@@ -70,8 +82,13 @@ class TimelineMachine(RuleBasedStateMachine):
         ordered, entry, found = sorted(keys), self.first, [value(self.first)]
         for i, key in enumerate(ordered):
             same = [k for k in range(len(ordered)) if ordered[k].stamp == key.stamp and k != i]
-            chosen = [k for k in same if k > i or not key.sequence]
-            entry = update(entry, key, [ordered[k] for k in chosen])
+            chosen = [ordered[k] for k in same if k > i or not key.sequence]
+            closing = [
+                (contact, [e.sequence for e in chosen if (contact, Kind.CLOSE) in e.switches])
+                for contact, kind in key.switches
+                if kind is Kind.IMPACT
+            ]
+            entry = update(entry, key, [(contact, by[0]) for contact, by in closing if by])
             found.append(value(entry))
         return found
 
