@@ -19,6 +19,9 @@ from impact_observer.dynamics.flow.modes import Modes
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import Contact, Forcing, Model, System, read_model
+from impact_observer.model.force_samples import Samples
+from impact_observer.model.grounds import Grounds, motion_of
+from impact_observer.model.system import moving_system
 from impact_observer.observer import Observer, law_named
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, grid
@@ -219,6 +222,23 @@ def systems(
         ],
         force=draw(forcings(n)) if forced else None,
     )
+
+
+@st.composite
+def moving_systems(draw: st.DrawFn, /, **others: object) -> System:
+    """As ``systems``, the stops on grounds that move by harmonics and by samples."""
+    base, k = draw(systems(**others)), 2  # type: ignore[arg-type]
+    motion = motion_of(
+        k, [(j, draw(numbers(0.0, 0.5)), draw(numbers(0.5, 4.0)), 1.0) for j in range(k)]
+    )
+    if draw(st.booleans()):
+        jets = np.array([[draw(vectors(k, -1.0, 1.0)) for _ in range(3)] for _ in range(4)])
+        motion = motion.added(Forcing.of_samples(Samples.of_jets(np.arange(3.0), jets)))
+    shift, stiffness, damping = (
+        np.array([draw(vectors(k)) for _ in range(base.n)]) for _ in range(3)
+    )
+    factors = -(base.W.T @ shift)
+    return moving_system(base, Grounds(("a", "b"), motion, (0, 1), stiffness, damping, factors))
 
 
 @st.composite

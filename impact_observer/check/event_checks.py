@@ -247,7 +247,7 @@ class EventCheck:
                 " time is simulated",
             )
         epochs, without = sorted(self._epochs.keys() - {0}), self._epochs[0]
-        if without and system is not None and system.forcing.depends_on_time:
+        if without and system is not None and system.depends_on_time:
             some = f"{without} of {self.valid} events do not say" if epochs else "no event says"
             yield warning(
                 f"{some} the epoch, and the forcing of {system.name} depends on time",

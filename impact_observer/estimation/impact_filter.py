@@ -364,7 +364,7 @@ class ImpactFilter:
     ) -> Joint:
         """``joint`` at its own estimate of the event's instant.
 
-        It stays within the samples of a sampled forcing, and does not go back so far that a
+        It goes back neither before the samples of a sampled forcing, nor so far that a
         fading motion grows to rounding. It may go back beyond an earlier event: where errors of
         the clock reverse the order of two impacts, the phase between them lacks the first jump.
         """
@@ -373,7 +373,6 @@ class ImpactFilter:
         back = on = _BACK / fading if fading else math.inf
         if sampled is not None:
             back = min(back, change.t - float(sampled.time[0]))
-            on = min(on, sampled.end - change.t)
         early = change.t - joint.t + joint.e
         s = change.t - max(-on, min(early, back)) - joint.t
         return self._propagated(member or self.member(joint), change.before, joint, s)

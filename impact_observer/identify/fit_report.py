@@ -17,6 +17,7 @@ from impact_observer.identify.residuals import REJECTED
 from impact_observer.model import parse_model
 from impact_observer.model.model_file import ModelText, edited, load_yaml
 from impact_observer.stamps import seconds_between
+from impact_observer.states import Vector
 
 _CORRELATED = 0.9
 """Correlation of two parameters above which it is printed."""
@@ -24,6 +25,14 @@ _MANY = 0.25
 """Share of outliers among the impacts above which a declared clock error is named."""
 _SHOWN = 6
 """Most rejected or inserted impacts that are printed."""
+
+
+def _initial_state(found: Identification) -> Vector:
+    """Of the motion that fits, (q, u), shape (2n,), also where stops move."""
+    episode = found.recording.episode
+    at = np.array([episode.start - episode.epoch])
+    states = found.family.system_at(found.values).from_frame(at, found.start[None])
+    return np.asarray(states[0])
 
 
 def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
@@ -53,7 +62,7 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
         "correlation": found.correlation.tolist(),
         "unknown": list(found.undetermined),
         "singular_values": found.singular.tolist(),
-        "initial_state": found.start.tolist(),
+        "initial_state": _initial_state(found).tolist(),
         "initial_state_error": np.sqrt(np.diag(found.covariance))[: found.start.size].tolist(),
         "initial_state_seconds": recording.start,
         "clock_error": float(found.clock),

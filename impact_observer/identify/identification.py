@@ -61,7 +61,7 @@ class Identification:
         covariance: of initial state and parameters, shape (2n + p, 2n + p), widened.
         widened: factor by which standard errors are wider than white errors of the clock give
             them, because the model does not explain the shifts so.
-        start: initial state (q, u), shape (2n,), at ``recording.start``.
+        start: initial state (q, u) in the system's frame, shape (2n,), at ``recording.start``.
         clock: standard deviation of a stamp on which the errors rest, s.
         declared: whether it was declared; else it is estimated from the shifts.
         rms: of the shifts, over their degrees of freedom, s.

@@ -26,9 +26,28 @@ def changes(
     """
     by_name = dict(zip(family.names, values.tolist(), strict=True))
     by_name.pop("clock-offset", None)  # it belongs to the sensor
+    found = dict(_of_grounds(document, by_name))
     if "bodies" in document:
-        return dict(_of_elements(document, by_name))
-    return dict(_of_matrices(family, values, by_name))
+        return {**found, **dict(_of_elements(document, by_name))}
+    return {**found, **dict(_of_matrices(family, values, by_name))}
+
+
+def _of_grounds(document: Mapping[str, Any], by_name: Mapping[str, float]) -> Iterator[Change]:
+    for i, ground in enumerate(document.get("grounds", [])):
+        for k, each in enumerate(ground["motion"].get("harmonics", [])):
+            place: Place = ("grounds", i, "motion", "harmonics", k)
+            yield from _of_harmonic(place, each, "ground", f"{ground['name']}.{k + 1}", by_name)
+
+
+def _of_harmonic(
+    place: Place, harmonic: Mapping[str, Any], kind: str, label: str, by_name: Mapping[str, float]
+) -> Iterator[Change]:
+    """Amplitude and phase of a harmonic by its own names."""
+    if (ratio := by_name.get(f"{kind}-amplitude.{label}")) is not None:
+        yield (*place, "amplitude"), harmonic["amplitude"] * ratio
+    if (ahead := by_name.get(f"{kind}-phase.{label}")) is not None:
+        phase = harmonic.get("phase", 0.0) + ahead
+        yield (*place, "phase"), float(np.remainder(phase + np.pi, 2 * np.pi) - np.pi)
 
 
 def _of_matrices(
@@ -42,10 +61,11 @@ def _of_matrices(
         for name in ("gap", "restitution"):
             if f"{name}.{contact.name}" in by_name:
                 yield ("contacts", i, name), by_name[f"{name}.{contact.name}"]
-    for k in range(system.forcing.frequency.size):
+    own = system.forcing if system.frame is None else system.frame.forcing
+    for k in range(own.frequency.size):
         if {f"forcing-amplitude.{k + 1}", f"forcing-phase.{k + 1}"} & by_name.keys():
             for name in ("cosine", "sine"):
-                part = getattr(system.forcing, name)[k]
+                part = getattr(own, name)[k]
                 yield ("forcing", "harmonics", k, name), part.tolist()
 
 
@@ -64,11 +84,7 @@ def _of_elements(document: Mapping[str, Any], by_name: Mapping[str, float]) -> I
         (i, each) for i, each in enumerate(document.get("forces", [])) if "constant" not in each
     ]
     for k, (i, force) in enumerate(harmonics):
-        if (ratio := by_name.get(f"forcing-amplitude.{k + 1}")) is not None:
-            yield ("forces", i, "amplitude"), force["amplitude"] * ratio
-        if (ahead := by_name.get(f"forcing-phase.{k + 1}")) is not None:
-            phase = force.get("phase", 0.0) + ahead
-            yield ("forces", i, "phase"), float(np.remainder(phase + np.pi, 2 * np.pi) - np.pi)
+        yield from _of_harmonic(("forces", i), force, "forcing", str(k + 1), by_name)
 
 
 def _of_element(

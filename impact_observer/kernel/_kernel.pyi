@@ -74,8 +74,7 @@ class SampledForces:
     def __init__(
         self,
         time: Vector,
-        force: Matrix,
-        slope: Matrix,
+        jets: Matrix,
         rounding: float,
         check: Callable[[Vector], None],
     ) -> None: ...

@@ -47,7 +47,7 @@ struct Started {
     void check(const double* s, std::size_t count) const {
         const double start = py::cast<double>(t);
         for (std::size_t k = 0; samples && k < count; ++k)
-            if (start + s[k] < samples->time.front() || start + s[k] > samples->time.back())
+            if (start + s[k] < samples->time.front())
                 samples->check(to_python(std::vector<double>{start + s[k]}));
     }
 };
@@ -150,22 +150,24 @@ std::shared_ptr<ModalFlow> make_modal(const py::tuple& coordinates, const py::tu
     return flow;
 }
 
-std::shared_ptr<SampledForces> make_samples(const Array& time, const Array& force,
-                                            const Array& slope, double rounding,
+std::shared_ptr<SampledForces> make_samples(const Array& time, const Array& jets, double rounding,
                                             const py::object& check) {
     const View at = checked(time, "time", ANY);
-    const py::ssize_t k = py::ssize_t(at.rows);
-    const View values = checked(force, "force", k, ANY);
-    const py::ssize_t columns = py::ssize_t(values.columns);
+    const std::size_t k = at.rows;
+    const View values = checked(jets, "jets", py::ssize_t(JETS * k), ANY);
     if (k < 2) throw py::value_error("time: expected two samples at least");
-    for (std::size_t i = 1; i < at.rows; ++i)
+    for (std::size_t i = 1; i < k; ++i)
         if (!(at[i] > at[i - 1])) throw py::value_error("time: does not ascend");
-    return std::make_shared<SampledForces>(
-        SampledForces{{{at.data, at.data + at.rows},
-                       Matrix(values),
-                       Matrix(checked(slope, "slope", k, columns)),
-                       finite(rounding, "rounding")},
-                      check});
+    auto found = std::make_shared<SampledForces>();
+    found->time.assign(at.data, at.data + k);
+    for (std::size_t order = 0; order < JETS; ++order) {
+        found->jets[order] = Matrix(k, values.columns);
+        std::copy(values.row(order * k), values.row(order * k) + k * values.columns,
+                  found->jets[order].data.begin());
+    }
+    found->rounding = finite(rounding, "rounding");
+    found->check = check;
+    return found;
 }
 
 std::shared_ptr<SeriesFlow> make_series(const py::tuple& coordinates, const Array& J,
@@ -181,7 +183,7 @@ std::shared_ptr<SeriesFlow> make_series(const py::tuple& coordinates, const Arra
     if (!(finite(rate, "rate") >= 0)) throw py::value_error("rate: negative");
     const Harmonics harmonics = harmonics_of(waves);
     const py::ssize_t columns = 1 + 2 * py::ssize_t(harmonics.size());
-    const py::ssize_t forces = samples ? py::ssize_t(samples->force.columns) : 0;
+    const py::ssize_t forces = samples ? py::ssize_t(samples->jets[0].columns) : 0;
     return std::make_shared<SeriesFlow>(std::move(checked_coordinates), harmonics, Matrix(blocks),
                                         Matrix(checked(load, "load", size, columns)),
                                         Matrix(checked(push, "push", size, forces)), samples,
@@ -411,8 +413,8 @@ void bind_dynamics(py::module_& module) {
         .def("guards", &modal_guards, py::arg("position"), py::arg("seen"), py::arg("reach"),
              py::arg("waves"));
     py::class_<SampledForces, std::shared_ptr<SampledForces>>(module, "SampledForces")
-        .def(py::init(&make_samples), py::arg("time"), py::arg("force"), py::arg("slope"),
-             py::arg("rounding"), py::arg("check"));
+        .def(py::init(&make_samples), py::arg("time"), py::arg("jets"), py::arg("rounding"),
+             py::arg("check"));
     py::class_<SeriesFlow, Flow, std::shared_ptr<SeriesFlow>>(module, "SeriesFlow")
         .def(py::init(&make_series), py::arg("coordinates"), py::arg("J"), py::arg("waves"),
              py::arg("load"), py::arg("push"), py::arg("samples"), py::arg("rate"))

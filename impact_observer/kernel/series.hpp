@@ -12,10 +12,12 @@ constexpr std::size_t TERMS = 20;     // of the longest strides: (rate s)^k / k!
 constexpr double NEGLIGIBLE = 1e-18;  // the first term left out, relative to the whole
 constexpr std::size_t KEPT = 64;      // of so many strides one is kept, to go back to
 
-// Forces at instants: in between they are held, or linear.
+constexpr std::size_t JETS = 4;  // a cubic and its derivatives
+
+// Forces at instants, a cubic from each to the next; after the last one they are held.
 struct Samples {
     std::vector<double> time;  // s since the epoch, ascending
-    Matrix force, slope;       // from each instant on, a row each
+    Matrix jets[JETS];         // the forces and their derivatives from each instant on, a row each
     double rounding;           // difference of instants that counts as none, s
 
     // The sample that holds from t on.
@@ -61,22 +63,16 @@ class Walk {
     Walk(std::shared_ptr<const SeriesFlow> of, const Time& t, const double* x)
         : y(TERMS, of->coordinates.size),
           waves(TERMS, of->load.columns),
-          force(2, of->push.columns),
+          force(JETS, of->push.columns),
           flow(std::move(of)),
           t(t.seconds),
           angles(flow->harmonics.at(t)) {
-        if (flow->samples) {
-            first = flow->samples->index(this->t);
-            intervals = std::max(flow->samples->time.size() - 1, first + 1) - first;
-        }
+        if (flow->samples) first = flow->samples->index(this->t);
         flow->coordinates.split(x, flow->coordinates.rest(x), y.row(0));
         enter();
     }
 
     const SeriesFlow& of() const { return *flow; }
-
-    // Where the forces end, s.
-    double last() const { return flow->samples ? flow->samples->time.back() - t : INFINITY; }
 
     // To the stride that holds at s.
     void go(double s) {
@@ -118,7 +114,7 @@ class Walk {
     std::shared_ptr<const SeriesFlow> flow;
     double t;
     std::vector<double> angles;
-    std::size_t first = 0, intervals = 1, interval = 0, passed = 0;
+    std::size_t first = 0, interval = 0, passed = 0;
     double stride = 0, strides = INFINITY;  // in the interval between two samples
     std::vector<Kept> kept;
 
@@ -139,7 +135,6 @@ class Walk {
             end = rate > 0 ? from + (stride + 1) / rate : INFINITY;
         }
         length = end < INFINITY ? end - begin : 0.0;
-        if (flow->samples && interval + 1 == intervals && !(stride + 1 < strides)) end = INFINITY;
         if (passed % KEPT == 0 && (kept.empty() || kept.back().s < begin))
             kept.push_back({begin, interval, passed, stride, {y.row(0), y.row(0) + y.columns}});
         double left_out = 1.0;
@@ -152,7 +147,7 @@ class Walk {
             for (std::size_t i = 0; i < y.columns; ++i) {
                 if (k == 0 || waves.columns > 1)
                     next[i] += dot(flow->load.row(i), waves.row(k), waves.columns);
-                if (k < 2) next[i] += dot(flow->push.row(i), force.row(k), force.columns);
+                if (k < JETS) next[i] += dot(flow->push.row(i), force.row(k), force.columns);
             }
         }
         ++count;
@@ -170,10 +165,13 @@ class Walk {
         if (!flow->samples) return;
         const std::size_t now = first + interval;
         if (interval == 0) s += t - flow->samples->time[first];
-        for (std::size_t j = 0; j < force.columns; ++j) {
-            force(1, j) = flow->samples->slope(now, j);
-            force(0, j) = flow->samples->force(now, j) + force(1, j) * s;
-        }
+        for (std::size_t k = 0; k < JETS; ++k)
+            for (std::size_t j = 0; j < force.columns; ++j) {
+                force(k, j) = flow->samples->jets[JETS - 1](now, j);
+                for (std::size_t i = JETS - 1; i-- > k;)
+                    force(k, j) =
+                        flow->samples->jets[i](now, j) + s / double(i - k + 1) * force(k, j);
+            }
     }
 };
 
@@ -239,7 +237,6 @@ class SeriesFunctions : public Functions {
 
     std::size_t size() const override { return guards->w; }
     double smooth_until() const override { return walk.end; }
-    double end() const override { return walk.last(); }
     double rate() const override { return guards->series->rate; }
     double derivative(std::size_t order, std::size_t i) const override { return here(i, order); }
     double constant(std::size_t i) const override { return guards->waves(i, 0) + added[i]; }
@@ -291,7 +288,8 @@ class SeriesFunctions : public Functions {
                 there(i, k) =
                     dot(row, walk.y.row(k), walk.y.columns) +
                     dot(guards->waves.row(i), walk.waves.row(k), walk.waves.columns) +
-                    (k < 2 ? dot(guards->force.row(i), walk.force.row(k), walk.force.columns) : 0);
+                    (k < JETS ? dot(guards->force.row(i), walk.force.row(k), walk.force.columns)
+                              : 0);
             there(i, 0) += added[i];
             scales[i] = std::abs(constant(i));
             for (std::size_t j = 0; j < walk.y.columns; ++j)
@@ -299,10 +297,14 @@ class SeriesFunctions : public Functions {
                                          std::abs(walk.y(2, j)) * h * h / 2);
             for (std::size_t j = 1; j < walk.waves.columns; ++j)
                 scales[i] += std::abs(guards->waves(i, j));
-            for (std::size_t j = 0; j < walk.force.columns; ++j)
-                scales[i] +=
-                    std::abs(guards->force(i, j)) *
-                    (std::abs(walk.force(0, j)) + std::abs(walk.force(1, j)) * walk.length);
+            for (std::size_t j = 0; j < walk.force.columns; ++j) {
+                double size = 0.0, factor = 1.0;
+                for (std::size_t k = 0; k < JETS; ++k) {
+                    size += factor * std::abs(walk.force(k, j));
+                    factor *= walk.length / double(k + 1);
+                }
+                scales[i] += std::abs(guards->force(i, j)) * size;
+            }
         }
     }
 };

@@ -4,7 +4,7 @@ It assembles to the same matrices as the matrix form.
 """
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +13,12 @@ from impact_observer.errors import ModelError
 from impact_observer.model import sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.system import Contact, System
+from impact_observer.model.ground_keys import GroundMotions, read_grounds
+from impact_observer.model.system import Contact, System, moving_system
 from impact_observer.states import Matrix, Vector
 
 GROUND = "ground"
-KEYS = ("bodies", "springs", "forces", "forcing", "stops")
+KEYS = ("bodies", "grounds", "springs", "forces", "forcing", "stops")
 KINDS = ("mass", "stiffness", "damping")
 
 
@@ -40,19 +41,20 @@ class Element:
 
 
 class _Line:
-    """The bodies on the line, by name; ``ground`` is at rest and has no coordinate."""
+    """The bodies on the line, by name; grounds have no coordinate, and ``ground`` is at rest."""
 
-    def __init__(self, names: list[str]) -> None:
+    def __init__(self, names: list[str], motions: GroundMotions) -> None:
         self.names = names
+        self.motions = motions
         self.n = len(names)
 
     def unit(self, key: str, body: Value) -> Vector:
-        """The unit vector of ``body``, zero for the ground."""
+        """The unit vector of ``body``, zero for a ground."""
         e = np.zeros(self.n)
-        if body == GROUND:
+        if body == GROUND or body in self.motions.names:
             return e
         if not isinstance(body, str) or body not in self.names:
-            expected = ", ".join((*self.names, GROUND))
+            expected = ", ".join((*self.names, GROUND, *self.motions.names))
             raise ModelError(key, f"{body!r} is not a body; expected one of {expected}")
         e[self.names.index(body)] = 1.0
         return e
@@ -64,12 +66,27 @@ class _Line:
             raise ModelError(section.key("body"), "is the ground, which does not move")
         return e
 
+    def ground(self, section: Section) -> Vector:
+        """The unit vector of a section's ``ground``, shape (grounds,); zero for that at rest."""
+        name = section.value("ground") if "ground" in section else GROUND
+        if name != GROUND and name not in self.motions.names:
+            expected = ", ".join((GROUND, *self.motions.names))
+            raise ModelError(
+                section.key("ground"), f"{name!r} is not a ground; expected one of {expected}"
+            )
+        return self.motions.unit(name)
+
     def relative(self, section: Section) -> Vector:
         """``q_b - q_a`` as a row, for a section's ``between: [a, b]``."""
         key, pair = section.key("between"), section.value("between")
         if not isinstance(pair, list) or len(pair) != 2 or pair[0] == pair[1]:
             raise ModelError(key, f"{pair!r} found; expected two different bodies [a, b]")
         return self.unit(f"{key}[1]", pair[1]) - self.unit(f"{key}[0]", pair[0])
+
+    def moving(self, pair: Value) -> Vector:
+        """The displacements of grounds in ``q_b - q_a`` of two ends, shape (grounds,)."""
+        assert isinstance(pair, list), "it was read"
+        return self.motions.unit(pair[1]) - self.motions.unit(pair[0])
 
 
 def assembled_system(
@@ -85,7 +102,8 @@ def assembled_system(
     bodies = [Section(k, v, ("name", "mass")) for k, v in document.items("bodies")]
     if not bodies:
         raise ModelError("bodies", "is missing or empty; a system needs at least one body")
-    line = _Line([body.text("name") for body in bodies])
+    names = [body.text("name") for body in bodies]
+    line = _Line(names, read_grounds(document, (*names, GROUND), folder))
     for i, (section, body) in enumerate(zip(bodies, line.names, strict=True)):
         if body == GROUND:
             raise ModelError(section.key("name"), f"{GROUND!r} is reserved; choose another name")
@@ -95,22 +113,27 @@ def assembled_system(
         Element("mass", body, section.positive("mass"), np.outer(axis, axis))
         for section, body, axis in zip(bodies, line.names, np.eye(line.n), strict=True)
     ]
-    elements += _springs(line, document.items("springs"))
+    springs = [Section(*item, ("between", *KINDS[1:])) for item in document.items("springs")]
+    elements += _springs(line, springs)
     matrices = {kind: np.zeros((line.n, line.n)) for kind in KINDS}
     for each in elements:
         matrices[each.kind] += each.value * each.matrix
     forcing = _forcing(line, document, folder)
-    stops = tuple(_stop(line, key, value) for key, value in document.items("stops"))
+    stops = [_stop(line, key, value) for key, value in document.items("stops")]
     M, C, K = matrices["mass"], matrices["damping"], matrices["stiffness"]
+    contacts = tuple(contact for contact, _ in stops)
     try:
-        system = System(name, tuple(line.names), M, C, K, forcing, stops)
+        system = System(name, tuple(line.names), M, C, K, forcing, contacts)
+        if grounds := line.motions.names:
+            factors = np.reshape([factor for _, factor in stops], (-1, len(grounds)))
+            pushed = [_pushed(line, springs, kind) for kind in KINDS[1:]]
+            system = moving_system(system, line.motions.grounds(pushed[0], pushed[1], factors))
     except ModelError as error:
         raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
     return system, tuple(each for each in elements if each.value)
 
 
-def _springs(line: _Line, items: list[tuple[str, Value]]) -> Iterator[Element]:
-    springs = [Section(key, value, ("between", *KINDS[1:])) for key, value in items]
+def _springs(line: _Line, springs: list[Section]) -> Iterator[Element]:
     directions = [line.relative(spring) for spring in springs]
     names = labels([spring.value("between") for spring in springs])
     for spring, direction, name in zip(springs, directions, names, strict=True):
@@ -118,6 +141,15 @@ def _springs(line: _Line, items: list[tuple[str, Value]]) -> Iterator[Element]:
         yield Element("stiffness", name, spring.positive("stiffness", or_zero=True), dyad)
         if "damping" in spring:
             yield Element("damping", name, spring.positive("damping", or_zero=True), dyad)
+
+
+def _pushed(line: _Line, springs: list[Section], kind: str) -> Matrix:
+    """Forces by unit displacements, or speeds, of the grounds, shape (n, grounds)."""
+    found = np.zeros((line.n, len(line.motions.names)))
+    for spring in springs:
+        moving = line.moving(spring.value("between"))
+        found -= spring.number(kind, 0.0) * np.outer(line.relative(spring), moving)
+    return found
 
 
 def labels(pairs: Iterable[Value]) -> list[str]:
@@ -134,13 +166,12 @@ def labels(pairs: Iterable[Value]) -> list[str]:
 
 
 def _forcing(line: _Line, document: Section, folder: Path | None) -> Forcing:
+    found = _sum(line, document.items("forces"))
     if "forcing" not in document:
-        return _sum(line, document.items("forces"))
-    if "forces" in document:
-        raise ModelError("forcing", "stands beside forces; write one of them")
+        return found
     section = Section("forcing", document.value("forcing"), sampled_files.KEYS)
     section.value("sampled")
-    return sampled_files.sampled_forcing(section, line.names, folder) or Forcing.none(line.n)
+    return replace(found, sampled=sampled_files.read_samples(section, line.names, folder))
 
 
 def _sum(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
@@ -170,13 +201,16 @@ def _sum(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
     )
 
 
-def _stop(line: _Line, key: str, value: Value) -> Contact:
-    stop = Section(key, value, ("name", "restitution", "body", "limit", "side", "between", "gap"))
+def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
+    """A stop, and the displacements of grounds in its gap, shape (grounds,)."""
+    keys = ("name", "restitution", "body", "limit", "side", "ground", "between", "gap")
+    stop = Section(key, value, keys)
     if "between" in stop:
-        for name in ("body", "limit", "side"):
+        for name in ("body", "limit", "side", "ground"):
             if name in stop:
                 raise ModelError(stop.key(name), "does not go with between; expected gap")
         direction, gap = line.relative(stop), stop.number("gap")
+        moving = line.moving(stop.value("between"))
     else:
         if "gap" in stop:
             raise ModelError(stop.key("gap"), "does not go with body; expected limit and side")
@@ -185,4 +219,5 @@ def _stop(line: _Line, key: str, value: Value) -> Contact:
             raise ModelError(stop.key("side"), f"{side!r} found; expected above or below")
         sign = -1.0 if side == "above" else 1.0
         direction, gap = sign * line.body(stop), -sign * stop.number("limit")
-    return Contact(stop.text("name"), direction, gap, stop.number("restitution"))
+        moving = -sign * line.ground(stop)
+    return Contact(stop.text("name"), direction, gap, stop.number("restitution")), moving

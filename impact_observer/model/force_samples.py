@@ -1,4 +1,4 @@
-"""A forcing given by samples: held, or linear in between."""
+"""A forcing given by samples: held or linear in between, or a cubic from each to the next."""
 
 from dataclasses import dataclass, field
 
@@ -10,27 +10,32 @@ from impact_observer.model.document import finite
 from impact_observer.states import Matrix, Vector, frozen
 
 HOLDS = ("previous", "linear")
+JETS = 4
+"""A cubic and its derivatives."""
 SHORTEST_STEP = 1e-9
 """Least time between two samples, s: one stamp."""
 _SAME = 1e-14
 """Largest difference of two instants by rounding, s."""
+_JUMP = 1e-9
+"""Jump of a force that counts as none, relative to the largest."""
 _SLACK = 1e-9
-"""How far beyond the last sample an instant may lie by rounding, s: one stamp."""
+"""How far before the first sample an instant may lie by rounding, s: one stamp."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Forces at instants; between them the previous one is held, or the force is linear.
+    """Forces at instants; after the last one its force is held.
 
     Attributes:
         time: s since the epoch, shape (k,), ascending, k >= 2; the first not after 0.
         force: shape (k, n), N or Nm.
-        hold: ``previous`` or ``linear``.
+        hold: ``previous`` or ``linear``; ``cubic`` where ``jets`` are given.
+        jets: the force and its first three derivatives from each sample on, shape (4, k, n);
+            zero derivatives at the last. Given for ``cubic`` only, otherwise derived.
         steps: between the samples, shape (k - 1,), s; exactly equal where they differ by rounding
             only. Derived.
-        slope: of the force from each sample on, shape (k, n), N/s; at the last one as before it.
-            Derived.
         rounding: difference below which an instant counts as that of a sample, s. Derived.
+        jumps: whether the force jumps at some sample. Derived.
 
     Raises:
         ModelError: naming the key of the model file and what is wrong with it.
@@ -39,13 +44,14 @@ class Samples:
     time: Vector
     force: Matrix
     hold: str
+    jets: NDArray[np.float64] | None = None
     steps: Vector = field(init=False)
-    slope: Matrix = field(init=False)
     rounding: float = field(init=False)
+    jumps: bool = field(init=False)
 
     def __post_init__(self) -> None:
-        """Copy, freeze and check everything; derive steps and slopes."""
-        if self.hold not in HOLDS:
+        """Copy, freeze and check everything; derive the others."""
+        if self.hold not in HOLDS and self.jets is None:
             raise ModelError("forcing.hold", f"{self.hold!r} found; expected {' or '.join(HOLDS)}")
         time = _checked_time(self.time)
         n = np.shape(self.force)[-1] if np.ndim(self.force) == 2 else 1
@@ -57,19 +63,29 @@ class Samples:
         rounding = float(4 * np.spacing(np.max(np.abs(time))))
         if np.max(np.abs(steps - mean)) <= rounding:
             steps = np.full(steps.size, mean)
-        slope = np.zeros(force.shape)
-        if self.hold == "linear":
-            slope[:-1] = np.diff(force, axis=0) / steps[:, None]
-            slope[-1] = slope[-2]
+        jets = np.zeros((JETS, *force.shape))
+        if self.jets is not None:
+            jets[:, :-1] = self.jets[:, :-1]
+        elif self.hold == "linear":
+            jets[1, :-1] = np.diff(force, axis=0) / steps[:, None]
+        jets[0] = force
+        ends = _shifted(jets[:, :-1], steps)[0]
+        jump = np.abs(ends - force[1:]).max(initial=0.0)
         derived = {
             "time": time,
             "force": force,
+            "jets": frozen(jets),
             "steps": frozen(steps),
-            "slope": frozen(slope),
             "rounding": min(max(4 * rounding, _SAME), float(np.min(steps)) / 4),
+            "jumps": bool(jump > _JUMP * np.abs(force).max(initial=0.0)),
         }
         for key, value in derived.items():
             object.__setattr__(self, key, value)
+
+    @classmethod
+    def of_jets(cls, time: Vector, jets: NDArray[np.float64]) -> "Samples":
+        """Cubics from each of the instants on, by their derivatives, shape (4, k, n)."""
+        return cls(time, jets[0], "cubic", jets)
 
     @property
     def end(self) -> float:
@@ -82,33 +98,35 @@ class Samples:
         An instant within rounding of a sample's counts as the sample's.
 
         Raises:
-            DynamicsError: an instant before the first or beyond the last sample.
+            DynamicsError: an instant before the first sample.
         """
         self.check(t)
-        found = np.searchsorted(self.time, t + self.rounding, side="right") - 1
+        return self._index(t, self.rounding)
+
+    def _index(self, t: Vector, slack: float) -> NDArray[np.intp]:
+        found = np.searchsorted(self.time, t + slack, side="right") - 1
         return np.asarray(np.maximum(found, 0))
 
-    def values(self, t: Vector) -> Matrix:
-        """Forces at ``t`` (s since the epoch), from the right where they jump, (samples, n).
+    def derivatives(self, t: Vector, *, slack: float | None = None) -> NDArray[np.float64]:
+        """Forces at ``t`` (s since the epoch) and their derivatives, shape (4, samples, n).
+
+        From the right where they jump; ``slack`` is used instead of ``rounding``.
 
         Raises:
-            DynamicsError: an instant before the first or beyond the last sample.
+            DynamicsError: an instant before the first sample.
         """
-        j = self.index(t)
-        return np.asarray(self.force[j] + self.slope[j] * (t - self.time[j])[:, None])
+        self.check(t)
+        j = self._index(t, self.rounding if slack is None else slack)
+        assert self.jets is not None, "derived"
+        return _shifted(self.jets[:, j], np.asarray(t - self.time[j]))
 
     def check(self, t: Vector) -> None:
         """Check that there are samples at ``t``, s since the epoch.
 
         Raises:
-            DynamicsError: an instant before the first or beyond the last sample.
+            DynamicsError: an instant before the first sample.
         """
-        first, last = (np.min(t), np.max(t)) if t.size else (self.end, self.end)
-        if last > self.end + _SLACK:
-            raise DynamicsError(
-                f"forcing.sampled: the samples end at t = {self.end:.9g} s, but the force at"
-                f" t = {last:.9g} s is needed; give longer samples or stop before"
-            )
+        first = np.min(t, initial=np.inf)
         if first < self.time[0] - _SLACK:
             raise DynamicsError(
                 f"forcing.sampled: the samples begin at t = {self.time[0]:.9g} s, but the force at"
@@ -124,7 +142,34 @@ class Samples:
 
     def mapped(self, T: Matrix) -> "Samples":
         """The samples of ``T f``, for ``T`` of shape (r, n)."""
-        return Samples(self.time, self.force @ T.T, self.hold)
+        if self.hold in HOLDS:
+            return Samples(self.time, self.force @ T.T, self.hold)
+        assert self.jets is not None, "derived"
+        return Samples.of_jets(self.time, self.jets @ T.T)
+
+    def derivative(self) -> "Samples":
+        """The rate of change of the samples."""
+        assert self.jets is not None, "derived"
+        return Samples.of_jets(self.time, np.concatenate([self.jets[1:], 0 * self.jets[:1]]))
+
+    def plus(self, other: "Samples") -> "Samples":
+        """The sum with samples at other instants, from the later of both starts on."""
+        start = max(self.time[0], other.time[0])
+        time = np.union1d(self.time, other.time)
+        time = np.append(start, time[time > start])
+        time = time[np.append(True, np.diff(time) >= SHORTEST_STEP)]
+        each = [part.derivatives(time, slack=SHORTEST_STEP) for part in (self, other)]
+        return Samples.of_jets(time, each[0] + each[1])
+
+
+def _shifted(jets: NDArray[np.float64], s: Vector) -> NDArray[np.float64]:
+    """Cubics by their derivatives, shape (4, samples, n), each ``s`` seconds later."""
+    found, s = np.array(jets), s[:, None]
+    for k in range(JETS - 1):
+        for order in range(JETS - 2, k - 1, -1):
+            after = found[k] if order < JETS - 2 else jets[-1]
+            found[k] = jets[order] + s / (order - k + 1) * after
+    return np.asarray(found)
 
 
 def _checked_time(values: ArrayLike) -> Vector:

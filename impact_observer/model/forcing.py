@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from impact_observer.errors import ModelError
 from impact_observer.model.document import finite
-from impact_observer.model.force_samples import Samples
+from impact_observer.model.force_samples import JETS, Samples
 from impact_observer.states import Matrix, Vector, frozen
 
 
@@ -16,14 +16,14 @@ from impact_observer.states import Matrix, Vector, frozen
 class Forcing:
     """``f(t) = constant + sum_k cosine_k cos(omega_k t) + sine_k sin(omega_k t) + sampled(t)``.
 
-    A model has samples or the other parts, not both; a mapped forcing may have all.
+    The displacements of moving grounds are such functions, too, in m.
 
     Attributes:
         constant: shape (n,), N or Nm.
         frequency: angular frequencies ``omega``, shape (h,), rad/s, each positive.
         cosine: shape (h, n), N or Nm.
         sine: shape (h, n), N or Nm.
-        sampled: forces at instants, which end; None for a forcing without end.
+        sampled: forces at instants; None where there are none.
     """
 
     constant: Vector
@@ -49,14 +49,14 @@ class Forcing:
 
     @property
     def end(self) -> float:
-        """Where the forcing ends, s since the epoch; infinity where it never does."""
+        """From when on the last sample is held, s since the epoch; infinity without samples."""
         return np.inf if self.sampled is None else self.sampled.end
 
     def __call__(self, t: float) -> Vector:
         """``f(t)``, shape (n,), at ``t`` seconds since the epoch.
 
         Raises:
-            DynamicsError: there is no sample at ``t``.
+            DynamicsError: ``t`` lies before the first sample.
         """
         return np.asarray(self.derivatives(np.array([t]), 0)[0, 0])
 
@@ -66,7 +66,7 @@ class Forcing:
         At ``t``, s since the epoch, shape (samples,): shape (order + 1, samples, n).
 
         Raises:
-            DynamicsError: there is no sample at some ``t``.
+            DynamicsError: some ``t`` lies before the first sample.
         """
         found = np.zeros((order + 1, t.size, self.constant.size))
         found[0] = self.constant
@@ -75,8 +75,7 @@ class Forcing:
             for k, amplitude in enumerate(self._amplitudes(order)):
                 found[k] += (wave @ amplitude).real
         if self.sampled is not None:
-            found[0] += self.sampled.values(t)
-            found[1:2] += self.sampled.slope[self.sampled.index(t)]
+            found[:JETS] += self.sampled.derivatives(t)[: order + 1]
         return found
 
     def jet_rows(self, order: int) -> Matrix:
@@ -104,7 +103,7 @@ class Forcing:
         Returns:
             A function of ``k`` and ``t``, s since the epoch, shape (samples,): an upper bound of
             ``sqrt(f^(k)' X f^(k))`` from each ``t`` to the next knot, shape (samples,). It raises
-            DynamicsError where there is no sample.
+            DynamicsError before the first sample.
         """
         constant = _norms(self.constant, X)
         amplitudes = _norms(self.cosine, X) + _norms(self.sine, X)
@@ -135,6 +134,40 @@ class Forcing:
         """The forcing ``f(t) + constant``, shape (n,)."""
         return replace(self, constant=self.constant + constant)
 
+    def added(self, other: "Forcing") -> "Forcing":
+        """The sum of two; the harmonics of ``other`` come after these."""
+        sampled = self.sampled or other.sampled
+        if self.sampled is not None and other.sampled is not None:
+            sampled = self.sampled.plus(other.sampled)
+        return Forcing(
+            self.constant + other.constant,
+            np.concatenate([self.frequency, other.frequency]),
+            np.vstack([self.cosine, other.cosine]),
+            np.vstack([self.sine, other.sine]),
+            sampled,
+        )
+
+    def responded(self, P: Matrix, Q: Matrix, R: Matrix) -> "Forcing":
+        """The forcing ``P f + Q df/dt + R d2f/dt2``, for matrices of shape (r, n).
+
+        It has as many harmonics.
+        """
+        omega, c, s, sampled = self.frequency[:, None], self.cosine, self.sine, self.sampled
+        if sampled is not None:
+            rate = sampled.derivative()
+            jets = [sampled.jets, rate.jets, rate.derivative().jets]
+            terms = [
+                part @ T.T for part, T in zip(jets, (P, Q, R), strict=True) if part is not None
+            ]
+            sampled = Samples.of_jets(sampled.time, np.sum(terms, axis=0))
+        return Forcing(
+            P @ self.constant,
+            self.frequency,
+            c @ P.T + omega * (s @ Q.T) - omega**2 * (c @ R.T),
+            s @ P.T - omega * (c @ Q.T) - omega**2 * (s @ R.T),
+            sampled,
+        )
+
     def checked(self, n: int) -> "Forcing":
         """The same forcing of ``n`` coordinates, copied, frozen and checked.
 
@@ -142,10 +175,6 @@ class Forcing:
             ModelError: naming the key of the model file and what is wrong with it.
         """
         h = np.size(self.frequency)
-        if self.sampled is not None and (h or np.any(self.constant)):
-            raise ModelError(
-                "forcing.sampled", "stands beside constant or harmonics; add those to the samples"
-            )
         if self.sampled is not None and self.sampled.force.shape[1] != n:
             found = self.sampled.force.shape[1]
             raise ModelError("forcing.sampled.force", f"has {found} columns; expected {n}")
@@ -170,14 +199,21 @@ def _norms(forces: NDArray[np.float64], X: Matrix) -> NDArray[np.float64]:
 
 
 def _bound_of_samples(samples: Samples, X: Matrix) -> Callable[[int, Vector], Vector]:
-    """As ``Forcing.bound``; a line is nowhere larger than at both of its ends."""
-    sizes, slopes = _norms(samples.force, X), _norms(samples.slope, X)
-    if samples.hold == "linear":
-        sizes[:-1] = np.maximum(sizes[:-1], sizes[1:])
-    nothing = np.zeros(sizes.shape)
+    """As ``Forcing.bound``: a cubic is nowhere larger than the sum of its terms at the end."""
+    assert samples.jets is not None, "derived"
+    sizes, steps = [_norms(jet, X) for jet in samples.jets], np.append(samples.steps, 0.0)
+    for k in range(JETS - 1):
+        factor = np.ones(steps.size)
+        for order in range(k + 1, JETS):
+            factor = factor * steps / (order - k)
+            sizes[k] = sizes[k] + factor * _norms(samples.jets[order], X)
+    if samples.hold == "linear":  # nowhere larger than at both of its ends
+        ends = _norms(samples.force, X)
+        sizes[0] = np.maximum(ends, np.append(ends[1:], 0.0))
+    nothing = np.zeros(steps.size)
 
     def bounded(k: int, t: Vector) -> Vector:
-        per_sample = (sizes, slopes)[k] if k < 2 else nothing
+        per_sample = sizes[k] if k < JETS else nothing
         return np.asarray(per_sample[samples.index(t)])
 
     return bounded

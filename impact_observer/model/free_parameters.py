@@ -24,12 +24,16 @@ UNITS = {
     "mass": "kg",
     "forcing-amplitude": "",
     "forcing-phase": "rad",
+    "ground-amplitude": "",
+    "ground-phase": "rad",
     OFFSET: "s",
     CONTACT_TIME: "s",
 }
 """Kinds of free parameters and their SI units; empty for a ratio."""
 _OTHER_UNITS = {"clock_error": "s", "clock_offset": "s", "model error": "m/s^1.5"}
 """Of what an observer learns besides; none for a ratio."""
+_ONLY_IDENTIFIED = {OFFSET, "ground-amplitude", "ground-phase"}
+"""Kinds that no observer learns: its frame moves as the model says."""
 _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
 """Largest value of a scale, and the inverse of its least."""
@@ -55,7 +59,7 @@ def parametric_family(
     available = {
         each.name: each
         for each in _all(system, elements)
-        if each.name.partition(".")[0] != (OFFSET if observed else CONTACT_TIME)
+        if each.name.partition(".")[0] not in (_ONLY_IDENTIFIED if observed else {CONTACT_TIME})
     }
     names: list[str] = []
     for name in wanted:
@@ -69,6 +73,13 @@ def parametric_family(
     for name in names:
         if names.count(name) > 1:
             raise UsageError(f"parameter {name!r}: found twice; name it once")
+    if system.frame is not None:
+        for name in names:
+            if name.partition("-")[0].partition(".")[0] in _SCALES:
+                raise UsageError(
+                    f"parameter {name!r}: changes what moving grounds do to the bodies, too;"
+                    " expected others"
+                )
     for one, other in combinations(sorted({name.partition(".")[0] for name in names}), 2):
         if other == f"{one}-scale":
             raise UsageError(f"parameter {other!r}: stands beside {one}; free one of them")
@@ -105,9 +116,21 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
         effect = {_SCALES[each.kind]: each.matrix}
         name = f"{each.kind}.{each.label}"
         yield parameter(name, each.value, (least, np.inf), each.value, **effect)
-    for k, one in enumerate(np.eye(system.forcing.frequency.size), 1):
-        yield parameter(f"forcing-amplitude.{k}", 1.0, ratio, 1.0, amplitude=one)
-        yield parameter(f"forcing-phase.{k}", 0.0, free, np.pi, phase=one)
+    for label, one in zip(_harmonics(system), np.eye(system.forcing.frequency.size), strict=True):
+        kind, _, number = label.partition(".")
+        yield parameter(f"{kind}-amplitude.{number}", 1.0, ratio, 1.0, amplitude=one)
+        yield parameter(f"{kind}-phase.{number}", 0.0, free, np.pi, phase=one)
     # Stamps that are late by an offset are those of a forcing that lags by it.
     lag = -system.forcing.frequency
     yield parameter(OFFSET, 0.0, (-_LONGEST, _LONGEST), _LONGEST, phase=lag)
+
+
+def _harmonics(system: System) -> Iterator[str]:
+    """Names of the harmonics: ``forcing.1`` and so on, then ``ground.table.1`` and so on."""
+    frame = system.frame
+    own = system.forcing.frequency.size if frame is None else frame.forcing.frequency.size
+    yield from (f"forcing.{k + 1}" for k in range(own))
+    if frame is not None:
+        owner, names = frame.grounds.owner, frame.grounds.names
+        for k, ground in enumerate(owner):
+            yield f"ground.{names[ground]}.{owner[: k + 1].count(ground)}"

@@ -17,11 +17,14 @@ from impact_observer.model import elements, sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.system import LARGEST_STATE, Contact, System
+from impact_observer.model.ground_keys import GroundMotions, read_grounds
+from impact_observer.model.system import LARGEST_STATE, Contact, System, moving_system
 from impact_observer.resources import MOST_BYTES, read_file_or_sample
 from impact_observer.states import Matrix, Vector, frozen
 
-_MATRIX_KEYS = ("coordinates", "mass", "damping", "stiffness", "forcing", "contacts")
+_MATRIX_KEYS = (
+    *("coordinates", "mass", "damping", "stiffness", "grounds", "forcing", "contacts"),
+)
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """What ruamel raises: its own errors, and others for values such as ``2020-13-45``."""
 _COMMON_KEYS = ("name", "initial_state", "provenance")
@@ -69,8 +72,10 @@ class Model:
         """
         form = self.element_form or _matrix_form(self.system)
         document: dict[str, Value] = {"name": self.system.name, **form}
-        if "forcing" in form:  # in elements too it may name a file
-            document["forcing"] = _forcing_of(self.system)
+        if self.element_form and "forcing" in form:  # it may name a file
+            document["forcing"] = _sampled_of(self.system)
+        if self.system.frame is not None:
+            document["grounds"] = list(self.system.frame.grounds.written)
         if self.position is not None and self.velocity is not None:
             document["initial_state"] = {
                 "position": self.position.tolist(),
@@ -101,6 +106,7 @@ _Representer.add_representer(str, _Representer.represent_str)
 
 
 def _matrix_form(s: System) -> dict[str, Value]:
+    moving = [] if s.frame is None else s.frame.grounds.factors.tolist()
     return {
         "coordinates": list(s.coordinates),
         "mass": s.M.tolist(),
@@ -113,23 +119,53 @@ def _matrix_form(s: System) -> dict[str, Value]:
                 "direction": c.direction.tolist(),
                 "gap": c.gap,
                 "restitution": c.restitution,
+                **({"motion": _motion_of(s, moving[i])} if moving else {}),
             }
-            for c in s.contacts
+            for i, c in enumerate(s.contacts)
         ],
     }
 
 
+def _motion_of(s: System, factors: Sequence[float]) -> Value:
+    names = s.frame.grounds.names if s.frame is not None else ()
+    return [
+        {"ground": name, "factor": factor}
+        for name, factor in zip(names, factors, strict=True)
+        if factor
+    ]
+
+
+def _own_forcing(s: System) -> Forcing:
+    """``f(t)`` without what grounds do."""
+    return s.forcing if s.frame is None else s.frame.forcing
+
+
+def _sampled_of(system: System) -> dict[str, Value]:
+    samples = _own_forcing(system).sampled
+    if samples is None:
+        return {}
+    table = sampled_files.table_of(samples, system.coordinates)
+    return {"sampled": table, "hold": samples.hold}
+
+
 def _forcing_of(system: System) -> Value:
-    forcing, samples = system.forcing, system.forcing.sampled
-    if samples is not None:
-        table = sampled_files.table_of(samples, system.coordinates)
-        return {"sampled": table, "hold": samples.hold}
+    forcing = _own_forcing(system)
     names = ("frequency", "cosine", "sine")
     harmonics = zip(*(getattr(forcing, name).tolist() for name in names), strict=True)
-    return {
+    document: dict[str, Value] = {
         "constant": forcing.constant.tolist(),
         "harmonics": [dict(zip(names, each, strict=True)) for each in harmonics],
+        **_sampled_of(system),
     }
+    if system.frame is not None:
+        grounds = system.frame.grounds
+        document["grounds"] = [
+            {"name": name, "stiffness": one.tolist(), "damping": other.tolist()}
+            for name, one, other in zip(
+                grounds.names, grounds.stiffness.T, grounds.damping.T, strict=True
+            )
+        ]
+    return document
 
 
 class ModelText(NamedTuple):
@@ -233,6 +269,7 @@ def _model(document: Value, folder: Path | None) -> Model:
     if form is elements.KEYS:
         system, parts = elements.assembled_system(name, section, folder)
         written = {key: document[key] for key in form if key in document}
+        written.pop("grounds", None)
     else:
         system = _system_of_matrices(name, section, folder)
     position, velocity = _initial_state(section, system)
@@ -253,26 +290,36 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     names = tuple(str(value) for _, value in coordinates)
     n = len(names)
     section.value("contacts")
-    return System(
+    motions = read_grounds(section, (), folder)
+    keys = ("name", "direction", "gap", "restitution", "motion")
+    contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
+    forcing, pushed = _forcing(section, names, motions, folder)
+    system = System(
         name=name,
         coordinates=names,
         M=section.matrix("mass", n, folder),
         C=section.matrix("damping", n, folder),
         K=section.matrix("stiffness", n, folder),
-        forcing=_forcing(section, names, folder),
-        contacts=tuple(_contact(key, value, n) for key, value in section.items("contacts")),
+        forcing=forcing,
+        contacts=tuple(_contact(contact, n) for contact in contacts),
+    )
+    factors = [_factors(contact, motions) for contact in contacts]
+    if not motions.names:
+        return system
+    return moving_system(
+        system, motions.grounds(*pushed, np.reshape(factors, (-1, len(motions.names))))
     )
 
 
-def _forcing(section: Section, coordinates: Sequence[str], folder: Path | None) -> Forcing:
-    n = len(coordinates)
+def _forcing(
+    section: Section, coordinates: Sequence[str], motions: GroundMotions, folder: Path | None
+) -> tuple[Forcing, tuple[Matrix, Matrix]]:
+    """``f(t)``, and the forces by displacements and by speeds of grounds, shape (n, k) each."""
+    n, pushed = len(coordinates), np.zeros((2, len(motions.names), len(coordinates)))
     if "forcing" not in section:
-        return Forcing.none(n)
-    keys = ("constant", "harmonics", *sampled_files.KEYS)
+        return Forcing.none(n), (pushed[0].T, pushed[1].T)
+    keys = ("constant", "harmonics", *sampled_files.KEYS, "grounds")
     forcing = Section("forcing", section.value("forcing"), keys)
-    sampled = sampled_files.sampled_forcing(forcing, coordinates, folder)
-    if sampled is not None:
-        return sampled
     harmonics = [
         Section(key, value, ("frequency", "cosine", "sine"))
         for key, value in forcing.items("harmonics")
@@ -282,22 +329,46 @@ def _forcing(section: Section, coordinates: Sequence[str], folder: Path | None) 
         rows = [harmonic.vector(name, n, optional=True) for harmonic in harmonics]
         return np.reshape(rows, (len(harmonics), n))
 
-    return Forcing(
+    for key, value in forcing.items("grounds"):
+        ground = Section(key, value, ("name", "stiffness", "damping"))
+        which = _known(ground, "name", motions)
+        for each, kind in zip(pushed, ("stiffness", "damping"), strict=True):
+            each[which] += ground.vector(kind, n, optional=True)
+    found = Forcing(
         constant=forcing.vector("constant", n, optional=True),
         frequency=np.array([harmonic.number("frequency") for harmonic in harmonics]),
         cosine=part("cosine"),
         sine=part("sine"),
+        sampled=sampled_files.read_samples(forcing, coordinates, folder),
     )
+    return found, (pushed[0].T, pushed[1].T)
 
 
-def _contact(key: str, value: Value, n: int) -> Contact:
-    contact = Section(key, value, ("name", "direction", "gap", "restitution"))
+def _known(section: Section, key: str, motions: GroundMotions) -> int:
+    """The index of the ground that a section names."""
+    name = section.text(key)
+    if name not in motions.names:
+        expected = ", ".join(motions.names) or "none, as the model has no grounds"
+        raise ModelError(section.key(key), f"{name!r} is not a ground; expected {expected}")
+    return motions.names.index(name)
+
+
+def _contact(contact: Section, n: int) -> Contact:
     return Contact(
         contact.text("name"),
         contact.vector("direction", n),
         contact.number("gap"),
         contact.number("restitution"),
     )
+
+
+def _factors(contact: Section, motions: GroundMotions) -> Vector:
+    """The displacements of grounds in the gap of a contact, shape (k,)."""
+    found = np.zeros(len(motions.names))
+    for key, value in contact.items("motion"):
+        part = Section(key, value, ("ground", "factor"))
+        found[_known(part, "ground", motions)] += part.number("factor")
+    return found
 
 
 def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vector | None]:
@@ -312,8 +383,10 @@ def _initial_state(section: Section, system: System) -> tuple[Vector | None, Vec
             raise ModelError(
                 f"initial_state.{name}[{i}]", f"is too large; expected at most {LARGEST_STATE:g}"
             )
-    for contact in system.penetrated(position):
-        name, gap = system.contact_names[contact], system.gap(position)[contact]
+    at_epoch = system.to_frame(np.zeros(1, dtype=np.int64), np.append(position, velocity)[None])
+    start = at_epoch[0, : system.n]
+    for contact in system.penetrated(start):
+        name, gap = system.contact_names[contact], system.gap(start)[contact]
         problem = f"is inside the stop {name!r} (gap {gap:g}); expected gap >= 0"
         raise ModelError("initial_state.position", problem)
     return position, velocity

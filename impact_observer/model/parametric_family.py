@@ -4,6 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from impact_observer.model.forcing import Forcing
+from impact_observer.model.grounds import MovingFrame
 from impact_observer.model.system import System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -150,17 +152,37 @@ class ParametricFamily:
         Raises:
             ModelError: that is not a valid system.
         """
-        found, forcing, contacts = self.at(values), self.system.forcing, self.system.contacts
-        cos = (found.amplitude * np.cos(found.phase))[:, None]
-        sin = (found.amplitude * np.sin(found.phase))[:, None]
-        cosine = forcing.cosine * cos + forcing.sine * sin
-        sine = forcing.sine * cos - forcing.cosine * sin
+        found, contacts = self.at(values), self.system.contacts
         stops = zip(contacts, found.gap.tolist(), found.eps.tolist(), strict=True)
         return replace(
             self.system,
             M=found.M,
             C=found.C,
             K=found.K,
-            forcing=replace(forcing, cosine=cosine, sine=sine),
+            forcing=_turned(self.system.forcing, found.amplitude, found.phase),
             contacts=tuple(replace(each, gap=gap, restitution=eps) for each, gap, eps in stops),
+            frame=self._frame_at(found),
         )
+
+    def _frame_at(self, found: Coefficients) -> MovingFrame | None:
+        """The frame whose own harmonics, the first, and those of grounds have changed."""
+        frame = self.system.frame
+        if frame is None:
+            return None
+        own = frame.forcing.frequency.size
+        motion = _turned(frame.grounds.motion, found.amplitude[own:], found.phase[own:])
+        return replace(
+            frame,
+            grounds=replace(frame.grounds, motion=motion),
+            forcing=_turned(frame.forcing, found.amplitude[:own], found.phase[:own]),
+        )
+
+
+def _turned(forcing: Forcing, amplitude: Vector, phase: Vector) -> Forcing:
+    """Harmonics of other amplitudes, relative to their own, that lead them by ``phase``, rad."""
+    cos, sin = (amplitude * np.cos(phase))[:, None], (amplitude * np.sin(phase))[:, None]
+    return replace(
+        forcing,
+        cosine=forcing.cosine * cos + forcing.sine * sin,
+        sine=forcing.sine * cos - forcing.cosine * sin,
+    )

@@ -18,7 +18,6 @@ from impact_observer.model.document import (
     numbers,
 )
 from impact_observer.model.force_samples import HOLDS, Samples
-from impact_observer.model.forcing import Forcing
 from impact_observer.resources import read_text
 from impact_observer.states import Matrix
 
@@ -26,12 +25,13 @@ KEYS = ("sampled", "hold")
 _TIME = "time"
 
 
-def sampled_forcing(
+def read_samples(
     section: Section, coordinates: Sequence[str], folder: Path | None
-) -> Forcing | None:
-    """The forcing of a ``section`` {sampled, hold}; None where it is not sampled.
+) -> Samples | None:
+    """The samples of a ``section`` with ``sampled`` and ``hold``; None where there are none.
 
-    Forces are in the order of ``coordinates``; CSV files lie in ``folder``.
+    Forces are in the order of ``coordinates``, zero where a table has no column of them; CSV files
+    lie in ``folder``.
 
     Raises:
         ModelError: naming the key, or the file with its line and column.
@@ -40,31 +40,42 @@ def sampled_forcing(
         if "hold" in section:
             raise ModelError(section.key("hold"), "stands without sampled")
         return None
-    for name in ("constant", "harmonics"):
-        if name in section:
-            raise ModelError(
-                section.key(name), "stands beside sampled; add it to the samples instead"
-            )
     hold = section.text("hold")
     if hold not in HOLDS:
         raise ModelError(section.key("hold"), f"{hold!r} found; expected {' or '.join(HOLDS)}")
     key, value = section.key("sampled"), section.value("sampled")
     if isinstance(value, str):
-        source = "its table" if "\n" in value else value
-        lines = io.StringIO(value) if "\n" in value else _lines(key, value, folder)
+        table = read_table(section, "sampled", coordinates, folder)
         try:
-            table = _read_csv(lines, coordinates)
-            return Forcing.of_samples(Samples(table[:, 0], table[:, 1:], hold))
+            return Samples(table[:, 0], table[:, 1:], hold)
         except ModelError as error:
+            source = "its table" if "\n" in value else value
             raise ModelError(key, f"{source}: {error.problem}") from None
-        except (ValueError, csv.Error) as error:
-            raise ModelError(key, f"{source}: {error}") from None
     inline = Section(key, value, ("time", "force"))
     time = _column(inline.key("time"), inline.value("time"))
     rows = [numbers(at, row, len(coordinates)) for at, row in inline.items("force")]
     if len(rows) != len(time):
         raise ModelError(inline.key("force"), f"{len(rows)} rows found for {len(time)} times")
-    return Forcing.of_samples(Samples(time, np.reshape(rows, (-1, len(coordinates))), hold))
+    return Samples(time, np.reshape(rows, (-1, len(coordinates))), hold)
+
+
+def read_table(section: Section, name: str, columns: Sequence[str], folder: Path | None) -> Matrix:
+    """Instants, and the ``columns``, of a CSV file or of its text, shape (k, 1 + columns).
+
+    A column that is not there is zero; one of them must be.
+
+    Raises:
+        ModelError: naming the key and the file, with the line and column of a mistake.
+    """
+    key, value = section.key(name), section.value(name)
+    if not isinstance(value, str):
+        raise ModelError(key, f"{value!r} found; expected the name of a CSV file")
+    source = "its table" if "\n" in value else value
+    lines = io.StringIO(value) if "\n" in value else _lines(key, value, folder)
+    try:
+        return _read_csv(lines, columns)
+    except (ValueError, csv.Error) as error:
+        raise ModelError(key, f"{source}: {error}") from None
 
 
 def _column(key: str, value: Value) -> Matrix:
@@ -87,23 +98,26 @@ def _read_csv(text: Iterable[str], coordinates: Sequence[str]) -> Matrix:
     header = [name.strip() for name in next(reader, [])]
     order = _order(header, coordinates)
     rows = [_numbers(reader.line_num, row, header) for row in reader if row]
-    return np.reshape(rows, (-1, len(header)))[:, order]
+    table = np.zeros((len(rows), 1 + len(coordinates)))
+    table[:, order] = np.reshape(rows, (-1, len(header)))
+    return table
 
 
 def _order(header: list[str], coordinates: Sequence[str]) -> list[int]:
-    """The columns of time and coordinates in ``header``, which must name each once, no other."""
+    """What the columns of ``header`` are: time, and each coordinate at most once."""
     if _TIME in coordinates:
         raise ValueError(f"a coordinate is named {_TIME!r} as the column of instants; rename it")
     wanted = [_TIME, *coordinates]
-    for name in wanted:
-        if name not in header:
-            raise ValueError(f"column {name!r} is missing; expected {', '.join(wanted)}")
+    if _TIME not in header:
+        raise ValueError(f"column {_TIME!r} is missing; expected {', '.join(wanted)}")
     for i, name in enumerate(header):
         if name not in wanted:
             raise ValueError(f"column {name!r} is not known; expected {', '.join(wanted)}")
         if name in header[:i]:
             raise ValueError(f"column {name!r} stands there twice")
-    return [header.index(name) for name in wanted]
+    if len(header) < 2:
+        raise ValueError(f"only the column {_TIME!r} found; expected some of {', '.join(wanted)}")
+    return [wanted.index(name) for name in header]
 
 
 def _numbers(line: int, row: list[str], header: list[str]) -> list[float]:
@@ -129,8 +143,13 @@ def table_of(samples: Samples, coordinates: Sequence[str]) -> Value:
     plain = all(name.isprintable() and name == name.strip() for name in coordinates)
     if _TIME in coordinates or not plain:
         return {"time": samples.time.tolist(), "force": samples.force.tolist()}
+    return csv_text(np.column_stack([samples.time, samples.force]), coordinates)
+
+
+def csv_text(table: Matrix, columns: Sequence[str]) -> str:
+    """The CSV of instants and ``columns``, shape (k, 1 + columns)."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([_TIME, *coordinates])
-    writer.writerows(np.column_stack([samples.time, samples.force]).tolist())
+    writer.writerow([_TIME, *columns])
+    writer.writerows(table.tolist())
     return text.getvalue()

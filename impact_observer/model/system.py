@@ -3,18 +3,21 @@
 Equation (1) of Baumann and Leine (ENOC 2014), for ``n`` coordinates and ``m`` contacts::
 
     M du = (-C u - K q + f(t)) dt + W dP,    g = W^T q + q_r,    gamma = W^T u
+
+Where stops move, these are coordinates in a frame in which they do not (``grounds.py``).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import LARGEST, finite
 from impact_observer.model.forcing import Forcing
+from impact_observer.model.grounds import Grounds, MovingFrame
 from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST_STATE = 1e9
@@ -56,8 +59,9 @@ class System:
         M: mass matrix, shape (n, n), symmetric positive definite, kg or kg m2.
         C: damping matrix, shape (n, n), symmetric part positive semidefinite, Ns/m.
         K: stiffness matrix, shape (n, n), symmetric positive semidefinite, N/m.
-        forcing: ``f(t)``.
+        forcing: ``f(t)``, in the frame in which no stop moves.
         contacts: the stops.
+        frame: that frame, and the grounds that move; None where nothing moves by itself.
         W: directions of the contacts, shape (n, m). Derived.
         q_r: gaps in the rest position, shape (m,), m or rad. Derived.
         eps: restitution coefficients, shape (m,). Derived.
@@ -73,6 +77,7 @@ class System:
     K: Matrix
     forcing: Forcing
     contacts: tuple[Contact, ...]
+    frame: MovingFrame | None = None
     W: Matrix = field(init=False)
     q_r: Vector = field(init=False)
     eps: Vector = field(init=False)
@@ -104,11 +109,19 @@ class System:
         }
         for key, value in derived.items():
             object.__setattr__(self, key, value)
+        if self.frame is not None:
+            self.frame.check(self.forcing, self.M, self.C, self.K)
 
     @property
     def n(self) -> int:
         """Number of coordinates."""
         return len(self.coordinates)
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether the epoch matters, of the forcing or of the motion of grounds."""
+        moves = self.frame is not None and self.frame.grounds.motion.depends_on_time
+        return moves or self.forcing.depends_on_time
 
     @property
     def m(self) -> int:
@@ -119,6 +132,20 @@ class System:
     def contact_names(self) -> tuple[str, ...]:
         """Names of the contacts, in the order of W's columns."""
         return tuple(c.name for c in self.contacts)
+
+    def from_frame(self, ns: NDArray[np.int64], x: Matrix) -> Matrix:
+        """States (q, u) from such in the frame at instants, ns since the epoch, (samples, 2n)."""
+        return x if self.frame is None else x + self.frame.states(ns)
+
+    def to_frame(self, ns: NDArray[np.int64], x: Matrix) -> Matrix:
+        """The inverse of ``from_frame``."""
+        return x if self.frame is None else x - self.frame.states(ns)
+
+    def gap_motion(self, ns: NDArray[np.int64]) -> Matrix:
+        """What moving grounds add to gaps at instants, ns since the epoch, m, (samples, m)."""
+        if self.frame is None:
+            return np.zeros((ns.size, self.m))
+        return np.asarray(self.frame.displacements(ns)[0] @ self.frame.grounds.factors.T)
 
     def gap(self, q: Vector) -> Vector:
         """Contact distances ``g = W^T q + q_r``, shape (m,), paper's equation (2)."""
@@ -137,15 +164,19 @@ class System:
         return tuple(np.flatnonzero(self.gap(q) <= self._gap_rounding(q)).tolist())
 
     def _gap_rounding(self, q: Vector) -> Vector:
-        return np.asarray(_INSIDE * (np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q)))
+        moved = 0.0 if self.frame is None else self.frame.gap_reach
+        return np.asarray(_INSIDE * (np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q) + moved))
 
     def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
-        """As ``checked_state``, for a plant, which must not be inside a stop.
+        """As ``checked_state``, in the frame at the epoch, for a plant.
+
+        It must not be inside a stop.
 
         Raises:
             UsageError: a wrong number of values, one that is not finite, or a stop penetrated.
         """
-        q, u = self.checked_state(position, velocity)
+        x = np.concatenate(self.checked_state(position, velocity))
+        q, u = np.split(self.to_frame(np.zeros(1, dtype=np.int64), x[None])[0], 2)
         for i in self.penetrated(q):
             raise UsageError(
                 f"position: is inside the stop {self.contact_names[i]!r} (gap {self.gap(q)[i]:g});"
@@ -163,6 +194,16 @@ class System:
             _state_part("position", position, self.n),
             _state_part("velocity", velocity, self.n),
         )
+
+
+def moving_system(system: System, grounds: Grounds) -> System:
+    """The ``system``, in which nothing moves by itself yet, on ``grounds``.
+
+    Raises:
+        ModelError: stops of the same body move against each other.
+    """
+    frame = MovingFrame(grounds, system.forcing, grounds.shift(system.W))
+    return replace(system, forcing=frame.total(system.M, system.C, system.K), frame=frame)
 
 
 def _state_part(name: str, values: ArrayLike, n: int) -> Vector:

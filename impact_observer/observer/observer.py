@@ -428,6 +428,9 @@ class Observer:
         latest: LatestSequences | None = None,
     ) -> Entry:
         """Replicas, shape (N, 2n), at ``stamp`` (ns), before any other event."""
+        if self.system.frame is not None:
+            at = np.full(len(replicas), stamp - self.epoch)
+            replicas = self.system.to_frame(at, replicas)
         belief = self.law.begin(replicas, root, closed)
         return initial_entry(stamp, belief, self._test.initial(belief), closed, latest)
 

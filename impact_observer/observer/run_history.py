@@ -80,7 +80,7 @@ class RunHistory:
 
     def require_epoch(self) -> None:
         """Raise UsageError where the forcing depends on time and its epoch is unknown."""
-        if not self.update.epoch and self._system.forcing.depends_on_time:
+        if not self.update.epoch and self._system.depends_on_time:
             raise UsageError(
                 f"epoch: the forcing of {self._system.name} depends on time and the events do not"
                 " say when it began; give the epoch"
@@ -159,12 +159,14 @@ class RunHistory:
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
         closed = prediction.closed(s)
         is_event = bool(entry.key.switches)
+        covariance = NO_COVARIANCE if root is None else self._covariance(root, x, s)
+        x = self._from_frame(np.array([stamp]), x[None])[0]
         return Estimate(
             stamp=stamp,
             law=law.name,
             q=x[:n],
             u=x[n:],
-            covariance=NO_COVARIANCE if root is None else self._covariance(root, x, s),
+            covariance=covariance,
             closed=tuple([self._names[i] for i in (entry.closed if closed is None else closed)]),
             convergence=entry.synchronization.convergence,
             synchronized=law.uses_events
@@ -196,7 +198,8 @@ class RunHistory:
                 count = stamps.size if end is None else int(np.searchsorted(stamps, end))
             if count > 1:
                 s = np.array([seconds_between(entry.since, at) for at in stamps[1:count].tolist()])
-                x = np.concatenate([x, np.where(s[:, None] > 0, prediction.states(s), x)])
+                later = self._from_frame(stamps[1:count], prediction.states(s))
+                x = np.concatenate([x, np.where(s[:, None] > 0, later, x)])
             yield Estimates(first, stamps[:count], x)
             stamps = stamps[count:]
 
@@ -205,7 +208,13 @@ class RunHistory:
         assert self.timeline is not None, "there is an estimate"
         entry = self.timeline.at(int(stamps[0]))
         s = (stamps - entry.since) / NS_PER_S
-        return self.update.prediction(entry).replicas(s)
+        found = self.update.prediction(entry).replicas(s)
+        shift = self._from_frame(stamps, np.zeros((stamps.size, len(found))))
+        return np.asarray(found + shift.T[..., None])
+
+    def _from_frame(self, stamps: Stamps, x: Matrix) -> Matrix:
+        """States (q, u) at ``stamps`` (ns) from such in the frame, shape (samples, 2n)."""
+        return self._system.from_frame(stamps - self.update.epoch, x)
 
 
 def misplaced(key: EventKey, timeline: Timeline, waiting: Container[EventKey]) -> Refusal | None:

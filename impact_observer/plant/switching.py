@@ -18,8 +18,8 @@ class Switching:
             instant; none where contacts only open.
         closed: indices of those that stay closed from this instant on.
         held: indices of those that take the loads, independent of each other.
-        before: state (q, u-), shape (2n,).
-        after: state (q, u+), shape (2n,).
+        before: state (q, u-) in the system's frame, shape (2n,).
+        after: state (q, u+) in it, shape (2n,).
         switches: how ``chi`` switches; none where only the loads move from contact to contact.
     """
 

@@ -118,7 +118,7 @@ class TimeSteppingPlant:
             while self._behind.k < k:
                 self._behind = self._behind.next(self._scheme)
             states[at] = self._within(self._behind, inside[at])
-        return states
+        return self.system.from_frame(stamps - self.epoch, states)
 
     def _begin(self, place: _Place) -> None:
         self._start = self._behind = self._ahead = place

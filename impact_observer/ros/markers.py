@@ -59,7 +59,14 @@ class Painter:
         """Deletes all earlier markers."""
         return MarkerArray(markers=[self._marker("", 0, Marker.DELETEALL, time)])
 
-    def markers(self, row: MarkerRow, q: Vector, lit: Collection[int], time: Time) -> list[Marker]:
+    def markers(
+        self,
+        row: MarkerRow,
+        q: Vector,
+        lit: Collection[int],
+        time: Time,
+        moved: Vector | None = None,
+    ) -> list[Marker]:
         """All markers of a row.
 
         Args:
@@ -67,8 +74,9 @@ class Painter:
             q: coordinates, shape (n,), m.
             lit: indices of contacts that are closed or had an impact just before.
             time: when the state holds.
+            moved: what moving grounds add to the gaps, shape (m,), m; None for nothing.
         """
-        frame = self._scene.frame(q)
+        frame = self._scene.frame(q, moved)
         found = [*self._boxes(row, frame, lit), *self._lines(row, frame), *self._texts(row, frame)]
         for marker in found:
             marker.header.stamp = time

@@ -2,6 +2,7 @@
 
 from functools import partial
 
+import numpy as np
 from rclpy.node import Node
 
 from impact_observer.draw.observer_topics import ObserverTopics
@@ -109,7 +110,9 @@ class ViewerNode(Node):
             state = self._states.get(row.name)
             if state is not None:
                 time = self._make.time(state.stamp)
-                markers += self._painter.markers(row, state.q, self._lit(state), time)
+                at = np.array([state.stamp - self._episode[0]])
+                moved = self._system.gap_motion(at)[0] if self._episode[0] else None
+                markers += self._painter.markers(row, state.q, self._lit(state), time, moved)
         if markers:
             self._markers.publish(message_class(interfaces.MARKERS)(markers=markers))
 

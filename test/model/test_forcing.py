@@ -52,7 +52,9 @@ def test_samples_are_held_or_joined_by_lines() -> None:
     expected = np.stack([np.interp(t, TIME, column) for column in FORCE.T], axis=1)
     slopes = np.diff(FORCE, axis=0) / np.diff(TIME)[:, None]
     np.testing.assert_allclose(joined.derivatives(t, 2)[0], expected, rtol=1e-15)
-    np.testing.assert_allclose(joined.derivatives(t, 2)[1], slopes[[0, 0, 1, 1, 2, 2, 2]])
+    np.testing.assert_allclose(
+        joined.derivatives(t, 2)[1], [*slopes[[0, 0, 1, 1, 2, 2]], [0.0, 0.0]]
+    )
     assert not np.any(joined.derivatives(t, 2)[2])
     assert joined(0.25).tolist() == [1.0, -1.0]
 
@@ -118,16 +120,42 @@ def test_mapped_forcing_is_the_map_of_the_forcing(data: st.DataObject) -> None:
     assert mapped.bound(np.eye(r))(0, t).shape == t.shape
 
 
-def test_instant_without_a_sample_is_one_line() -> None:
-    """It names the instant and where the samples end or begin; a stamp's rounding is allowed."""
-    f = sampled("previous")
-    assert f(2.0 + 5e-10).tolist() == [4.0, 4.0]
-    with pytest.raises(DynamicsError, match=r"the samples end at t = 2 s, .* at t = 2.01 s"):
-        f(2.01)
-    with pytest.raises(DynamicsError, match=r"the samples begin at t = -1 s, .* at t = -1.5 s"):
-        f.derivatives(np.array([0.0, -1.5]), 1)
-    with pytest.raises(DynamicsError, match="the samples end"):
-        f.bound(np.eye(2))(0, np.array([3.0]))
+def test_last_sample_is_held_and_nothing_is_before_the_first() -> None:
+    """An error in one line names the instant and where the samples begin."""
+    for hold in ("previous", "linear"):
+        f = sampled(hold)
+        assert f(2.0 + 5e-10).tolist() == f(70.0).tolist() == [4.0, 4.0]
+        assert not np.any(f.derivatives(np.array([2.0, 9.0]), 3)[1:])
+        with pytest.raises(DynamicsError, match=r"the samples begin at t = -1 s, .* = -1.5 s"):
+            f.derivatives(np.array([0.0, -1.5]), 1)
+
+
+@examples(30)
+@given(st.data())
+def test_sum_of_two_forcings_is_the_sum_at_every_instant(data: st.DataObject) -> None:
+    """With samples at any instants, held or linear; derivatives too, from the right."""
+    n = data.draw(st.integers(1, 3))
+    one, other = data.draw(any_forcing(n)), data.draw(any_forcing(n))
+    t = np.sort(np.concatenate([np.linspace(-1.0, 9.0, 31), one.knots(-1, 9), [one.end]]))
+    found = one.added(other).derivatives(t, 3)
+    expected = one.derivatives(t, 3) + other.derivatives(t, 3)
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@examples(30)
+@given(st.data())
+def test_response_is_made_of_a_forcing_and_its_derivatives(data: st.DataObject) -> None:
+    """``P f + Q df/dt + R d2f/dt2``, for cubics as well."""
+    n, r = data.draw(st.integers(1, 3)), data.draw(st.integers(1, 3))
+    f = data.draw(any_forcing(n))
+    P, Q, R = (data.draw(matrices(r, n)) for _ in range(3))
+    t = np.linspace(-1.0, f.end + 1.0, 23)
+    jets = f.derivatives(t, 2)
+    expected = jets[0] @ P.T + jets[1] @ Q.T + jets[2] @ R.T
+    size = 1.0 + np.max(np.abs(jets))
+    np.testing.assert_allclose(
+        f.responded(P, Q, R).derivatives(t, 0)[0], expected, atol=1e-12 * size
+    )
 
 
 def test_spacing_that_is_even_but_for_rounding_is_even() -> None:
@@ -144,7 +172,7 @@ def test_samples_are_copied_and_read_only() -> None:
     samples = Samples(time, force, "linear")
     time[0] = force[0, 0] = 9.0
     assert (samples.time[0], samples.force[0, 0]) == (-1.0, 1.0)
-    for array in (samples.time, samples.force, samples.steps, samples.slope):
+    for array in (samples.time, samples.force, samples.steps):
         assert not array.flags.writeable
 
 
@@ -170,11 +198,9 @@ def test_invalid_samples_are_named_by_their_key(
         Samples(np.array(time), np.array(force), hold)
 
 
-def test_model_has_samples_or_other_forces() -> None:
-    """A system refuses what a model file refuses."""
+def test_samples_have_a_column_for_each_coordinate() -> None:
+    """A system refuses others, and takes them beside constants and harmonics."""
     samples = Samples(TIME, FORCE, "linear")
-    assert Forcing.of_samples(samples).checked(2).sampled is samples
-    with pytest.raises(ModelError, match=r"forcing.sampled: stands beside constant or harmonics"):
-        Forcing.of_samples(samples).plus(np.ones(2)).checked(2)
+    assert Forcing.of_samples(samples).plus(np.ones(2)).checked(2).sampled is samples
     with pytest.raises(ModelError, match=r"forcing.sampled.force: has 2 columns; expected 3"):
         Forcing(np.zeros(3), np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), samples).checked(3)

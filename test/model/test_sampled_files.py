@@ -68,7 +68,7 @@ def test_samples_are_read_from_a_file_beside_the_model(
     [
         ("", "column 'time' is missing; expected time, x1, x2"),
         ("t,x1,x2\n0,1,2\n1,1,2\n", "column 'time' is missing; expected time, x1, x2"),
-        ("time,x1\n0,1\n1,1\n", "column 'x2' is missing; expected time, x1, x2"),
+        ("time\n0\n1\n", "only the column 'time' found; expected some of time, x1, x2"),
         ("time,x1,x2,x3\n0,1,2,3\n", "column 'x3' is not known; expected time, x1, x2"),
         ("time,x1,x2,x1\n0,1,2,3\n", "column 'x1' stands there twice"),
         (CSV.replace("4e-3", "four"), "line 3, column x2: 'four' found; expected a number"),
@@ -95,9 +95,6 @@ def test_mistake_in_the_file_is_one_line(csv: str | bytes, problem: str, tmp_pat
     assert problem in line
 
 
-SAMPLED = "{sampled: forces.csv, hold: linear}"
-
-
 @pytest.mark.parametrize(
     ("form", "forcing", "line"),
     [
@@ -108,18 +105,9 @@ SAMPLED = "{sampled: forces.csv, hold: linear}"
             "{sampled: forces.csv, hold: cubic}",
             "forcing.hold: 'cubic' found; expected previous or linear",
         ),
-        (
-            MATRICES,
-            "{sampled: forces.csv, hold: linear, constant: [1, 2]}",
-            "forcing.constant: stands beside sampled; add it to the samples instead",
-        ),
-        (
-            MATRICES,
-            "{sampled: forces.csv, hold: linear, harmonics: []}",
-            "forcing.harmonics: stands beside sampled; add it to the samples instead",
-        ),
         (MATRICES, "{hold: linear}", "forcing.hold: stands without sampled"),
         (MATRICES, "{sampled: 3, hold: linear}", "forcing.sampled: 3 found; expected keys: time"),
+        (MATRICES, "{constant: [1, 2], hold: linear}", "forcing.hold: stands without sampled"),
         (
             MATRICES,
             "{sampled: {time: [0, 1], force: [[1, 2]]}, hold: linear}",
@@ -147,7 +135,6 @@ SAMPLED = "{sampled: forces.csv, hold: linear}"
         ),
         (ELEMENTS, "{constant: [1, 2]}", "forcing.constant: is not known here; expected one of"),
         (ELEMENTS, "{hold: linear}", "forcing.sampled: is missing"),
-        (ELEMENTS, SAMPLED + "\nforces: []", "forcing: stands beside forces; write one of them"),
     ],
 )
 def test_mistake_in_the_model_is_one_line(
@@ -159,6 +146,26 @@ def test_mistake_in_the_model_is_one_line(
         read(tmp_path, CSV, "\n".join(lines))
     assert len(str(caught.value).splitlines()) == 1
     assert str(caught.value).startswith(f"{tmp_path / 'model.yaml'}: {line}")
+
+
+@pytest.mark.parametrize("form", ["matrices", "elements"])
+def test_samples_add_to_constants_and_harmonics(form: str, tmp_path: Path) -> None:
+    """They name only the coordinates that they drive, and survive the text of the model."""
+    table = "forcing: {sampled: forces.csv, hold: linear"
+    if form == "matrices":
+        row = "{frequency: 2, cosine: [0, 4], sine: [0, 0]}"
+        more = table + f", constant: [1, 0], harmonics: [{row}]"
+        model = MATRICES.replace(table, more)
+    else:
+        forces = "[{body: x1, constant: 1}, {body: x2, amplitude: 4, frequency: 2}]"
+        model = ELEMENTS.replace("hold: previous", "hold: linear") + f"forces: {forces}\n"
+    found = read(tmp_path, "time,x2\n0,0\n2,6\n", model)
+    expected = [1.0, 4 * np.cos(2.0) + 3.0]
+    np.testing.assert_allclose(found(1.0), expected, rtol=1e-15)
+    text = read_model(tmp_path / "model.yaml").text()
+    again = parse_model(text, "again")
+    assert again.text() == text
+    assert again.system.forcing(1.0).tolist() == found(1.0).tolist()
 
 
 def test_text_without_a_folder_names_no_file() -> None:

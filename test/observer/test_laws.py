@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from systems import EPOCH, examples, sample, switchings, systems, vectors
+from systems import EPOCH, examples, moving_systems, sample, switchings, systems, vectors
 
 from impact_observer.dynamics import Motion, lyapunov
 from impact_observer.errors import ImpactLawError, UsageError
@@ -61,7 +61,7 @@ def test_distance_of_two_replicas_never_rises_under_any_switching(
     law: type[ReplicaLaw], data: st.DataObject
 ) -> None:
     """Without a plant: random instants and contacts, pulses and intervals, K singular or not."""
-    model = data.draw(systems(contacts=(1, 3)))
+    model = data.draw(st.one_of(*(each(contacts=(1, 3)) for each in (systems, moving_systems))))
     assume(passes_eigenvalue_test(model))
     replica, t = law(model), data.draw(st.integers(0, 3)) / 2
     states = [replica.admissible(data.draw(vectors(2 * model.n))) for _ in range(2)]
@@ -87,10 +87,12 @@ def test_distance_of_two_replicas_never_rises_under_any_switching(
 
 
 def switchings_of(model: System, x: Array, seconds: float, most: int = 12) -> list[Switching]:
-    """The first switchings of a plant that starts from ``x``, at most about ``most``."""
+    """The first switchings of a plant that starts from ``x`` in its frame, about ``most``."""
     found: list[Switching] = []
     try:
-        plant = Plant(model, *np.split(x, 2), epoch=EPOCH)
+        at_epoch = np.zeros(1, dtype=np.int64)
+        start = model.from_frame(at_epoch, x[None])[0]
+        plant = Plant(model, *np.split(start, 2), epoch=EPOCH)
         while len(found) < most:
             switching = plant.next_switching(EPOCH + round(seconds * NS_PER_S))
             if switching is None:
@@ -110,7 +112,8 @@ def test_distance_of_a_replica_to_its_plant_never_rises(
     law: type[ReplicaLaw], data: st.DataObject
 ) -> None:
     """Under the true switching, at the true instants: V falls in every phase and every jump."""
-    model = data.draw(systems(contacts=(1, 3), gaps=(0.0, 1.0)))
+    kinds = [each(contacts=(1, 3), gaps=(0.0, 1.0)) for each in (systems, moving_systems)]
+    model = data.draw(st.one_of(*kinds))
     assume(passes_eigenvalue_test(model))
     x = np.concatenate([data.draw(vectors(model.n, -0.5, 0.5)), data.draw(vectors(model.n))])
     assume(np.all(model.gap(x[: model.n]) >= 0))

@@ -21,26 +21,33 @@ class Quantity:
         label: with its unit, for an axis.
         row: coefficients, shape (2n,).
         offset: m.
+        contact: index of the contact whose gap it is; None of others.
     """
 
     name: str
     label: str
     row: Vector
     offset: float = 0.0
+    contact: int | None = None
 
 
-def values_of(quantities: Sequence[Quantity], x: Matrix) -> Matrix:
+def values_of(quantities: Sequence[Quantity], x: Matrix, motion: Matrix | None = None) -> Matrix:
     """Each quantity of each state.
 
     Args:
         quantities: k of them.
         x: states (q, u), shape (N, 2n).
+        motion: what moving grounds add to the gaps, shape (N, m), m; None for nothing.
 
     Returns:
         Shape (N, k).
     """
     rows = np.array([each.row for each in quantities])
-    return np.asarray(x @ rows.T + [each.offset for each in quantities])
+    found = np.asarray(x @ rows.T + [each.offset for each in quantities])
+    for k, each in enumerate(quantities):
+        if each.contact is not None and motion is not None:
+            found[:, k] += motion[:, each.contact]
+    return found
 
 
 def deviations_of(quantities: Sequence[Quantity], covariance: Matrix) -> Matrix:
@@ -68,11 +75,10 @@ def quantities_of(names: Sequence[str], system: System | None) -> dict[str, Quan
         found.append(Quantity(f"q_{name}", f"{name} [m or rad]", unit[i]))
         found.append(Quantity(f"u_{name}", f"d{name}/dt [m/s or rad/s]", unit[n + i]))
     if system is not None:
-        for name, column, offset in zip(
-            system.contact_names, system.W.T, system.q_r.tolist(), strict=True
-        ):
-            row = np.concatenate([column, np.zeros(n)])
-            found.append(Quantity(f"g_{name}", f"gap of {name} [m]", row, offset))
+        for i, contact in enumerate(system.contacts):
+            row = np.concatenate([contact.direction, np.zeros(n)])
+            name, label = f"g_{contact.name}", f"gap of {contact.name} [m]"
+            found.append(Quantity(name, label, row, contact.gap, i))
     return {each.name: each for each in found}
 
 

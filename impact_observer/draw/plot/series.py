@@ -122,7 +122,11 @@ def read_recording(
     low = epoch + from_seconds(start)
     high = MAX_STAMP if duration is None else low + from_seconds(duration)
     curves = {
-        topic: _Curve(shown, outcomes_in(reader, topic, events).reported if prefix else None)
+        topic: _Curve(
+            shown,
+            outcomes_in(reader, topic, events).reported if prefix else None,
+            lambda stamps: _gap_motion(system, stamps - epoch),
+        )
         for topic, prefix in topics.items()
     }
     done, total = 0, sum(reader.topics[topic].count for topic in topics)
@@ -152,6 +156,11 @@ def read_recording(
     stamps = impact_marks(reader, {prefix: labels[prefix] for prefix in laws}, events)
     recording = replace(recording, marks=_within(recording, stamps, epoch))
     return _largest(recording) if select is None else recording
+
+
+def _gap_motion(system: System | None, ns: Stamps) -> Matrix | None:
+    """What moving grounds add to gaps, ns since the epoch; None where nothing moves."""
+    return None if system is None or system.frame is None else system.gap_motion(ns)
 
 
 def _topics(reader: BagReader, observers: Sequence[str] | None) -> dict[str, str]:
@@ -203,9 +212,18 @@ class _Curve:
     greatest value.
     """
 
-    def __init__(self, quantities: Sequence[Quantity], received: Stamps | None) -> None:
-        """Collect ``quantities``; ``received`` are the stamps of events that an estimate used."""
+    def __init__(
+        self,
+        quantities: Sequence[Quantity],
+        received: Stamps | None,
+        motion: Callable[[Stamps], Matrix | None],
+    ) -> None:
+        """Collect ``quantities``; ``received`` are the stamps of events that an estimate used.
+
+        ``motion`` is what moving grounds add to the gaps at stamps; see ``values_of``.
+        """
         self.count = 0
+        self._motion = motion
         self.law = ""
         self._quantities = quantities
         self._received = received
@@ -217,7 +235,8 @@ class _Curve:
             self.law = block.law or self.law
             if self._received is not None and block.last_event.any():
                 rows = rows & arrived(block.stamps, block.last_event, self._received)
-        values = values_of(self._quantities, np.hstack([block.q[rows], block.u[rows]]))
+        x, motion = np.hstack([block.q[rows], block.u[rows]]), self._motion(block.stamps[rows])
+        values = values_of(self._quantities, x, motion)
         deviations = np.full(values.shape, np.nan)
         if isinstance(block, ObserverStates) and block.covariance.size:
             deviations = deviations_of(self._quantities, block.covariance[rows])

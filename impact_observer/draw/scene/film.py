@@ -171,6 +171,11 @@ class Film:
         """The plant's track, if there is one, and those of the estimates."""
         return self.estimates if self.truth is None else (self.truth, *self.estimates)
 
+    def moved(self, stamp: int) -> Vector:
+        """What moving grounds add to the gaps at ``stamp`` (ns), m, shape (m,)."""
+        system = self.scene.system
+        return np.asarray(system.gap_motion(np.array([stamp - self.epoch]))[0])
+
     def stamps(self, fps: float, speed: float) -> Stamps:
         """Stamps of the pictures, ns, the first at the start.
 

@@ -62,6 +62,14 @@ class SceneRow:
         self._scene = scene
         placed = self._placed = placement.prepare(axes)
         _draw_still(axes, placement, placed, track.label)
+        grounds_of = scene.system.frame
+        moving = [] if grounds_of is None else np.any(grounds_of.grounds.factors, axis=1).tolist()
+        at_rest = scene.frame(np.zeros(scene.system.n))
+        self._walls = {
+            contact: _hatch(axes, placed, box)
+            for contact, box in plates(scene, at_rest)
+            if any(moving) and moving[contact] and contact in {w.contact for w in scene.walls}
+        }
         width, size = 2 * scene.half, _name_size(placement)
         line: Style = {"edgecolor": style.line, "linewidth": style.width}
         self._bodies = [
@@ -113,6 +121,7 @@ class SceneRow:
             *self._pads,
             *self._bodies,
             *self._names,
+            *self._walls.values(),
         ]
         self.artists: list[Artist] = [*self._moving, *self._lit, self._bursts, self._absent]
 
@@ -133,7 +142,11 @@ class SceneRow:
         if truth is not None:
             for ghost, x in zip(self._ghosts, scene.frame(truth).bodies, strict=False):
                 ghost.set_x(x - scene.half)
-        frame = scene.frame(np.zeros(scene.system.n) if q is None else q)
+        moved = self._film.moved(stamp)
+        frame = scene.frame(np.zeros(scene.system.n) if q is None else q, moved)
+        for contact, box in plates(scene, frame):
+            if (wall := self._walls.get(contact)) is not None:
+                wall.set_x(box.left)
         for body, name, x in zip(self._bodies, self._names, frame.bodies, strict=True):
             body.set_x(x - scene.half)
             name.set_x(x)
@@ -246,12 +259,13 @@ def _draw_still(axes: Axes, placement: Placement, placed: Transform, label: str)
     axes.text(x, y, label, transform=axes.transAxes, va="top", weight="bold", size=LARGE)
 
 
-def _hatch(axes: Axes, placed: Transform, box: Box) -> None:
-    """Draw a hatched box that does not move."""
+def _hatch(axes: Axes, placed: Transform, box: Box) -> Rectangle:
+    """Draw a hatched box."""
     style: Style = {"facecolor": "white", "edgecolor": "0.35", "hatch": "/////", "linewidth": 0.9}
     corner = (box.left, box.bottom)
     patch = Rectangle(corner, box.width, box.height, zorder=2, transform=placed, **style)
     axes.add_patch(patch)
+    return patch
 
 
 def _round_length(length: float) -> float:

@@ -86,6 +86,7 @@ class Frame:
         bumpers: where each rod begins and ends, shape (bumpers, 2).
         pins: shape (bars,).
         gaps: ``g`` of all contacts of the system, shape (m,).
+        walls: left ends of the walls' faces, shape (walls,).
     """
 
     bodies: Vector
@@ -93,6 +94,7 @@ class Frame:
     bumpers: Matrix
     pins: Vector
     gaps: Vector
+    walls: Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,16 +201,24 @@ class Scene:
         left, right = self.homes[bumper.slot : bumper.slot + 2]
         return float(right - left) - 2 * self.half - bumper.travel
 
-    def frame(self, q: Vector) -> Frame:
-        """Positions at ``q``, shape (n,), m."""
+    def frame(self, q: Vector, moved: Vector | None = None) -> Frame:
+        """Positions at ``q``, shape (n,), m.
+
+        ``moved`` is what moving grounds add to the gaps, shape (m,), m; None for nothing.
+        """
         bodies = self.homes + np.asarray(q, dtype=np.float64)[list(self.order)]
-        gaps = self.system.gap(q)
+        moved = np.zeros(self.system.m) if moved is None else moved
+        gaps = self.system.gap(q) + moved
+        walls = [self.face(each) + each.side * self._yields(each, moved) for each in self.walls]
         pins = [
             each.plate + min(max(float(gaps[each.contact]), -each.span), each.span)
             for each in self.bars
         ]
         ends = [self._ends(each, bodies) for each in self.couplings]
-        faces = [(bodies[each.slot] + self.half, self.rod(each)) for each in self.bumpers]
+        faces = [
+            (bodies[each.slot] + self.half, self.rod(each) - self._yields(each, moved))
+            for each in self.bumpers
+        ]
         rods = [(face, face + length) for face, length in faces]
         return Frame(
             bodies=frozen(bodies),
@@ -216,7 +226,13 @@ class Scene:
             bumpers=frozen(np.reshape(rods, (-1, 2))),
             pins=frozen(pins),
             gaps=frozen(gaps),
+            walls=frozen(walls),
         )
+
+    def _yields(self, stop: Wall | Bumper, moved: Vector) -> float:
+        """How far a stop goes away from its body where its gap is larger by ``moved``, m."""
+        size = float(np.max(np.abs(self.system.W[:, stop.contact])))
+        return float(moved[stop.contact]) / size
 
     def _ends(self, coupling: Coupling, bodies: Vector) -> tuple[float, float]:
         """The ends of a coupling: at faces, or above the bodies' middles."""

@@ -53,8 +53,8 @@ def bar_height(lane: int) -> float:
 def plates(scene: Scene, frame: Frame) -> Iterator[tuple[int, Box]]:
     """Index and stop of each contact: a wall, a bumper's pad, the plate of a bar."""
     thickness = scene.thickness
-    for each in scene.walls:
-        left = scene.face(each) - (thickness if each.side < 0 else 0.0)
+    for each, face in zip(scene.walls, frame.walls.tolist(), strict=True):
+        left = face - (thickness if each.side < 0 else 0.0)
         yield each.contact, Box(left, 0.0, thickness, STOP_HEIGHT)
     yield from pads(scene, frame)
     for bar in scene.bars:

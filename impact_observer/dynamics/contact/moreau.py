@@ -81,7 +81,6 @@ class MoreauScheme:
         self._reach, self._distance = abs(system.W).T, abs(system.q_r)
         # The end of a step is most often the start of the next.
         self._force = lru_cache(maxsize=2)(system.forcing)
-        self._last = system.forcing.end
         lower = linalg.cholesky((iteration + iteration.T) / 2, lower=True)
         turning = h / 4 * (system.C - system.C.T)
         seen = linalg.solve_triangular(lower, np.hstack([turning, system.W]), lower=True)
@@ -96,12 +95,10 @@ class MoreauScheme:
 
         Raises:
             ImpactLawError: the law has no solution on the active contacts.
-            DynamicsError: the forcing ends before the step begins.
+            DynamicsError: the step begins before the first sample of the forcing.
         """
         system, h = self.system, self.h
-        start = k * h
-        # A step that begins before a recorded force ends is done whole, with its last value.
-        force = self._force(start) + self._force(min((k + 1) * h, max(start, self._last)))
+        force = self._force(k * h) + self._force((k + 1) * h)
         free = u - self._stiffness @ q - self._damping @ u + self._inverse @ force
         gamma = u @ system.W
         predicted = q @ system.W + system.q_r + h / 2 * gamma

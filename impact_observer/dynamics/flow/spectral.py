@@ -18,7 +18,6 @@ What is the same for all motions is prepared here; the kernel computes motions (
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.flow.angles import Angles
 from impact_observer.dynamics.flow.flow import (
     Complex,
     Equations,
@@ -28,6 +27,7 @@ from impact_observer.dynamics.flow.flow import (
 )
 from impact_observer.dynamics.flow.modes import Modes
 from impact_observer.kernel import Guards, ModalFlow, PhaseMotion
+from impact_observer.model.angles import Angles
 from impact_observer.states import Matrix, Vector
 
 _RESONANCE = 1e-2

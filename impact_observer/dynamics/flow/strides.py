@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from impact_observer.dynamics.contact.projection import KEPT
-from impact_observer.dynamics.flow.angles import Angles
 from impact_observer.dynamics.flow.flow import Equations, Flow, Functions, PhaseFrame
 from impact_observer.dynamics.flow.modes import Modes, split
 from impact_observer.dynamics.flow.spectral import SpectralFlow
 from impact_observer.kernel import Guards, PhaseMotion, SampledForces
 from impact_observer.kernel import SeriesFlow as Strides
+from impact_observer.model.angles import Angles
 from impact_observer.model.force_samples import Samples
 from impact_observer.states import Matrix, Vector
 
@@ -95,6 +95,7 @@ class SeriesFlow(Flow):
 @lru_cache(KEPT)
 def _forces(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
     """The forces that are not always zero, and their coordinates."""
-    active = np.flatnonzero(np.any(samples.force != 0, axis=0))
-    force, slope = samples.force[:, active], samples.slope[:, active]
-    return SampledForces(samples.time, force, slope, samples.rounding, samples.check), active
+    assert samples.jets is not None, "derived"
+    active = np.flatnonzero(np.any(samples.jets != 0, axis=(0, 1)))
+    jets = np.concatenate(samples.jets)[:, active]
+    return SampledForces(samples.time, jets, samples.rounding, samples.check), active

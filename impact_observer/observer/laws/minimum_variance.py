@@ -86,7 +86,7 @@ class MinimumVariance(Law):
         declared = self.uncertainty.clock_error
         errors = CLOCK_ERRORS if declared is None else (declared,)
         self.clocks = tuple(math.hypot(error, _STAMP) for error in errors)
-        if self.uncertainty.clock_offset_error and not system.forcing.depends_on_time:
+        if self.uncertainty.clock_offset_error and not system.depends_on_time:
             raise UsageError(
                 f"clock_offset_error: the offset cannot be estimated with {system.name}, as no"
                 " force depends on time: a later clock and a later motion look the same; leave it"

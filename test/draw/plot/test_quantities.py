@@ -29,6 +29,9 @@ def test_values_are_coordinates_velocities_and_gaps() -> None:
     np.testing.assert_array_equal(values_of(states, x), x)
     gaps = [SYSTEM.gap(each[: SYSTEM.n]) for each in x]
     np.testing.assert_allclose(values_of(selected(every, ("gaps",)), x), gaps, rtol=1e-14)
+    motion = np.arange(np.size(gaps)).reshape(np.shape(gaps)) / 7
+    moved = values_of(selected(every, ("gaps",)), x, motion)
+    np.testing.assert_allclose(moved, np.array(gaps) + motion, rtol=1e-14)
 
 
 def test_deviation_of_a_gap_between_bodies_contains_their_correlation() -> None:

@@ -41,17 +41,21 @@ def chains_with_stops(draw: st.DrawFn) -> tuple[System, Array]:
 
 
 @examples(40)
-@given(chains_with_stops())
-def test_a_body_is_as_far_from_its_stop_as_the_gap_says(case: tuple[System, Array]) -> None:
-    """Over the direction's factor, so they meet exactly where the gap is zero."""
+@given(chains_with_stops(), st.data())
+def test_a_body_is_as_far_from_its_stop_as_the_gap_says(
+    case: tuple[System, Array], data: st.DataObject
+) -> None:
+    """Over the direction's factor, so they meet exactly where the gap is zero; stops may move."""
     model, states = case
     scene = Scene.of(model, states)
     for q in states:
-        frame, gaps = scene.frame(q), model.gap(q)
-        for wall in scene.walls:
+        moved = data.draw(vectors(model.m))
+        frame, gaps = scene.frame(q, moved), model.gap(q) + moved
+        np.testing.assert_allclose(frame.gaps, gaps)
+        for wall, at in zip(scene.walls, frame.walls.tolist(), strict=True):
             face = frame.bodies[wall.slot] + wall.side * scene.half
             factor = abs(model.W[scene.order[wall.slot], wall.contact])
-            distance = wall.side * (scene.face(wall) - face) * factor
+            distance = wall.side * (at - face) * factor
             assert distance == pytest.approx(gaps[wall.contact], abs=1e-12 * len(q) + 1e-12)
         for bumper, (start, end) in zip(scene.bumpers, frame.bumpers, strict=True):
             room = frame.bodies[bumper.slot + 1] - scene.half - end

@@ -154,7 +154,7 @@ def test_sampled_flow_agrees_with_a_runge_kutta_method() -> None:
 
 
 def test_samples_add_to_harmonics_and_a_constant() -> None:
-    """A mapped forcing may have all parts, and the flow is linear in them."""
+    """The flow is linear in them."""
     base = sample("three_mass").system
     samples = Samples(EVEN, noise(3, EVEN), "linear")
     both = forcing(3, [1, 2, 3]).plus(np.ones(3))
@@ -212,21 +212,35 @@ def test_requested_instants_do_not_change_a_bit(base: System) -> None:
 
 
 @pytest.mark.parametrize("hold", HOLDS)
-def test_motion_beyond_the_samples_is_one_line(hold: str) -> None:
-    """For both ways to hold; an instant beyond the last sample by rounding counts as it."""
-    flow = flow_of(forced(system(1, 0, 1), [0.0, 1.0, 2.0], [[1], [2], [3]], hold))
-    motion = flow.start(0.5, np.zeros(2))
-    assert np.all(np.isfinite(motion.states(np.array([1.5, 1.5 + 1e-10]))))
-    with pytest.raises(DynamicsError) as caught:
-        motion.states(np.array([0.1, 2.0]))
-    line = "forcing.sampled: the samples end at t = 2 s, but the force at t = 2.5 s is needed"
-    assert str(caught.value).startswith(line)
-    assert len(str(caught.value).splitlines()) == 1
-    for t, word in ((2.1, "end"), (-0.1, "begin")):
-        with pytest.raises(DynamicsError, match=f"the samples {word} at t = "):
-            flow.start(t, np.zeros(2))
-    last = flow.start(2.0, np.array([3.0, 4.0]))
-    assert last.state(0.0).tolist() == [3.0, 4.0]
+def test_motion_goes_on_beyond_the_samples(hold: str) -> None:
+    """Under the last force, as under a constant; before the first sample is an error."""
+    base = chain(2)
+    model = forced(base, [0.0, 1.0, 2.0], np.array([[1, 2], [2, -1], [3, 4]]), hold)
+    x = np.array([1.0, 0.5, -1, 2])
+    motion, s = flow_of(model).start(0.5, x), np.array([1.5, 1.5 + 1e-10, 3.0, 40.0])
+    constant = system(base.M, base.C, base.K, force=forcing(2, [3.0, 4.0]))
+    after = flow_of(constant).start(2.0, motion.state(1.5)).states(s - 1.5)
+    np.testing.assert_allclose(motion.states(s), after, atol=1e-12)
+    beyond = flow_of(model).start(2.5, x).states(s)
+    np.testing.assert_allclose(beyond, flow_of(constant).start(2.5, x).states(s), atol=1e-12)
+    with pytest.raises(DynamicsError, match="the samples begin at t = "):
+        flow_of(model).start(-0.1, x)
+
+
+def test_cubics_are_integrated_exactly() -> None:
+    """A free body under ``a + b t + c t^2 + d t^3`` moves with a polynomial of order five."""
+    time = np.array([0.0, 2.0, 3.0])
+    a, b, c, d = 1.0, -2.0, 3.0, 0.5
+    jets = np.zeros((4, 3, 1))
+    for k, t in enumerate(time):
+        whole = np.polynomial.Polynomial([a, b, c, d])
+        jets[:, k, 0] = [whole.deriv(order)(t) if order else whole(t) for order in range(4)]
+    force = Forcing.of_samples(Samples.of_jets(time, jets))
+    free = system(1, 0, 0, force=force)
+    s = np.array([0.3, 1.7, 2.4, 3.0])
+    exact = a * s**2 / 2 + b * s**3 / 6 + c * s**4 / 12 + d * s**5 / 20
+    found = flow_of(free).start(0.0, np.zeros(2)).states(s)
+    np.testing.assert_allclose(found[:, 0], exact, rtol=1e-14)
 
 
 def test_no_samples_of_no_load_change_nothing() -> None:

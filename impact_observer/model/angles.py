@@ -7,6 +7,7 @@ a nanosecond are an integer of many digits, and whole turns are left out before 
 from fractions import Fraction
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.stamps import NS_PER_S, Elapsed
 from impact_observer.states import Vector
@@ -45,3 +46,8 @@ class Angles:
     def after(self, t: float, s: Vector) -> Vector:
         """The angles ``s`` seconds after ``t``, shape (h, samples)."""
         return np.asarray(np.array(self.at(t))[:, None] + np.multiply.outer(self.frequency, s))
+
+    def each(self, ns: NDArray[np.int64]) -> NDArray[np.float64]:
+        """The angles at instants, ns since the epoch, less whole turns, shape (samples, h)."""
+        found = [[at * parts % _UNIT * _PART for _, parts in self._each] for at in ns.tolist()]
+        return np.reshape(np.array(found, dtype=np.float64), (ns.size, self.frequency.size))

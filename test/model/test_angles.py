@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from systems import examples
 
-from impact_observer.dynamics.flow.angles import Angles
+from impact_observer.model.angles import Angles
 from impact_observer.stamps import NS_PER_S, Elapsed
 
 

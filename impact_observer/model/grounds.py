@@ -1,0 +1,147 @@
+"""Grounds that move by themselves, and the frame of coordinates in which no stop moves.
+
+The gap of a contact on moving grounds is ``g = W^T q + q_r + F s(t)``, ``s`` their displacements.
+With a shift ``E`` of ``W^T E = -F`` the coordinates ``p = q - E s`` have ``g = W^T p + q_r`` and
+``gamma = W^T du/dt``: no stop moves, and the motion of the grounds is a part of the forcing ::
+
+    M ddp/dt2 + C dp/dt + K p = f + (B - K E) s + (D - C E) ds/dt - M E d2s/dt2
+
+``B`` and ``D`` are stiffness and damping of the springs between grounds and bodies. All of
+the package computes in this frame; only what comes in and goes out are coordinates ``q``.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.errors import ModelError
+from impact_observer.model.angles import Angles
+from impact_observer.model.forcing import Forcing
+from impact_observer.states import Matrix, Vector, frozen
+
+_UNSOLVED = 1e-9
+"""Motion of a stop that no shift removes and that is not rounding, relative to the largest."""
+_DIGITS = 12
+"""Of a shift that stops of single bodies determine."""
+_SAME = 1e-9
+"""Difference of a forcing that is rounding, relative to the largest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Grounds:
+    """What moves by itself.
+
+    Attributes:
+        names: of the grounds.
+        motion: their displacements ``s(t)``, k columns, m; no constant.
+        owner: to which of them each harmonic of ``motion`` belongs, as indices.
+        stiffness: forces on the coordinates by unit displacements, shape (n, k), N/m.
+        damping: the same by unit speeds, shape (n, k), Ns/m.
+        factors: of the displacements in the gap of each contact, shape (m, k).
+        written: what a model file says of them, with tables in it.
+    """
+
+    names: tuple[str, ...]
+    motion: Forcing
+    owner: tuple[int, ...]
+    stiffness: Matrix
+    damping: Matrix
+    factors: Matrix
+    written: tuple[Mapping[str, object], ...] = ()
+
+    def shift(self, W: Matrix) -> Matrix:
+        """``E``, shape (n, k), for contacts in the directions ``W``, shape (n, m).
+
+        Raises:
+            ModelError: stops of the same body move against each other.
+        """
+        E = -np.linalg.pinv(W.T) @ self.factors if W.size else np.zeros_like(self.stiffness)
+        rounded = np.round(E, _DIGITS)
+        if np.array_equal(W.T @ rounded, -self.factors):
+            E = rounded
+        left = np.abs(W.T @ E + self.factors)
+        if np.any(left > _UNSOLVED * np.max(np.abs(self.factors), initial=0.0)):
+            i, k = (int(each) for each in np.unravel_index(np.argmax(left), left.shape))
+            raise ModelError(
+                f"contacts[{i}]",
+                f"moves with {self.names[k]!r} against other stops of the same bodies; expected"
+                " stops of a body on the same ground",
+            )
+        return frozen(E)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovingFrame:
+    """The frame in which no stop of a system moves.
+
+    Attributes:
+        grounds: what moves.
+        forcing: ``f(t)`` of the model, without what the grounds do.
+        shift: ``E``: coordinates are those in the frame plus ``E s(t)``, shape (n, k).
+        angles: of the harmonics of the grounds. Derived.
+        gap_reach: how far grounds move the gap of each contact at most, shape (m,), m. Derived.
+    """
+
+    grounds: Grounds
+    forcing: Forcing
+    shift: Matrix
+    angles: Angles = field(init=False)
+    gap_reach: Vector = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Count the turns of the harmonics."""
+        motion = self.grounds.motion
+        reach = np.sum(np.abs(motion.cosine) + np.abs(motion.sine), axis=0)
+        if motion.sampled is not None:
+            reach = reach + np.max(np.abs(motion.sampled.force), axis=0)
+        object.__setattr__(self, "angles", Angles(motion.frequency))
+        object.__setattr__(self, "gap_reach", frozen(np.abs(self.grounds.factors) @ reach))
+
+    def total(self, M: Matrix, C: Matrix, K: Matrix) -> Forcing:
+        """The forcing in the frame; the grounds' harmonics come last."""
+        grounds, E = self.grounds, self.shift
+        stiffness, damping = grounds.stiffness - K @ E, grounds.damping - C @ E
+        return self.forcing.added(grounds.motion.responded(stiffness, damping, -M @ E))
+
+    def displacements(self, ns: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
+        """``s`` and ``ds/dt`` at instants, ns since the epoch, shape (samples, k) each."""
+        motion, angles = self.grounds.motion, self.angles.each(ns)
+        cos, sin, omega = np.cos(angles), np.sin(angles), motion.frequency
+        s = cos @ motion.cosine + sin @ motion.sine
+        speed = (omega * cos) @ motion.sine - (omega * sin) @ motion.cosine
+        if motion.sampled is not None:
+            jets = motion.sampled.derivatives(np.asarray(ns * 1e-9))
+            s, speed = s + jets[0], speed + jets[1]
+        return s, speed
+
+    def states(self, ns: NDArray[np.int64]) -> Matrix:
+        """What states (q, u) are ahead of those in the frame at instants, shape (samples, 2n)."""
+        return np.hstack([each @ self.shift.T for each in self.displacements(ns)])
+
+    def check(self, forcing: Forcing, M: Matrix, C: Matrix, K: Matrix) -> None:
+        """Check that ``forcing`` is ``total``.
+
+        Raises:
+            ModelError: it is not.
+        """
+        total = self.total(M, C, K)
+        for name in ("constant", "frequency", "cosine", "sine"):
+            one, other = getattr(forcing, name), getattr(total, name)
+            most = _SAME * np.max(np.abs(other), initial=0.0)
+            if one.shape != other.shape or np.any(np.abs(one - other) > most):
+                raise ModelError(
+                    "grounds", "are of another system; make the system by moving_system"
+                )
+
+
+def motion_of(k: int, harmonics: Sequence[tuple[int, float, float, float]]) -> Forcing:
+    """Displacements of ``k`` grounds: ``harmonics`` are ground, amplitude, frequency, phase."""
+    zero, rows = np.zeros((len(harmonics), k)), range(len(harmonics))
+    cosine, sine = zero.copy(), zero.copy()
+    for row, (ground, amplitude, _, phase) in zip(rows, harmonics, strict=True):
+        cosine[row, ground] = amplitude * np.cos(phase)
+        sine[row, ground] = -amplitude * np.sin(phase)
+    frequency: Vector = np.array([each[2] for each in harmonics])
+    return Forcing(np.zeros(k), frequency, cosine, sine)
