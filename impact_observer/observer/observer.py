@@ -3,7 +3,7 @@
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,6 +61,10 @@ class _Waiting(NamedTuple):
     verdicts: tuple[Verdict, ...]
     is_overtaken: bool
     notices: Sequence[str] = ()
+
+
+_Late: TypeAlias = dict[RunHistory, dict[EventKey, _Waiting]]
+"""Late events that are not applied yet, by the run of the sender to which they belong."""
 
 
 class Observer:
@@ -161,9 +165,7 @@ class Observer:
         """
         return self._take(event)
 
-    def _take(
-        self, event: ImpactEvent, waiting: "dict[EventKey, _Waiting] | None" = None
-    ) -> tuple[Verdict, ...]:
+    def _take(self, event: ImpactEvent, waiting: _Late | None = None) -> tuple[Verdict, ...]:
         """``receive`` an event; one that is late is put among those ``waiting``, if given."""
         if event.epoch - event.stamp > NEAR_STAMPS:
             reason = f"stamped before its own epoch, {text(event.epoch)} s"
@@ -201,9 +203,7 @@ class Observer:
         ]
         return (*self._receive(event), *revised)
 
-    def _receive(
-        self, event: ImpactEvent, waiting: "dict[EventKey, _Waiting] | None" = None
-    ) -> tuple[Verdict, ...]:
+    def _receive(self, event: ImpactEvent, waiting: _Late | None = None) -> tuple[Verdict, ...]:
         """``_take`` an event of the run in use."""
         try:
             self._run.require_epoch()
@@ -228,10 +228,11 @@ class Observer:
                 self._run.numbers.keep_highest(MOST_NUMBERS)  # its stamp must not shorten the past
                 return self._with_notices(verdicts)
             if timeline.newest.stamp >= key.stamp:
-                if why := misplaced(key, timeline, waiting or ()):
+                late = {} if waiting is None else waiting.setdefault(self._run, {})
+                if why := misplaced(key, timeline, late):
                     return self._refuse(event, *why)
                 if waiting is not None:
-                    waiting[key] = _Waiting(event, verdicts, is_overtaken, self._notices)
+                    late[key] = _Waiting(event, verdicts, is_overtaken, self._notices)
                     self._notices = []
                     return ()
             insertion = timeline.insert(key)
@@ -239,7 +240,9 @@ class Observer:
             self._run.numbers.discard(event.sequence)
             self._notices = notices
             raise
-        ((own,), others) = self._inserted([(_Waiting(event, verdicts, is_overtaken), insertion)])
+        ((own,), others) = self._inserted(
+            self._run, [(_Waiting(event, verdicts, is_overtaken), insertion)]
+        )
         return (*own, *others)
 
     def receiving(
@@ -256,16 +259,15 @@ class Observer:
         late, others = list[ImpactEvent](), list[ImpactEvent]()
         for event in events:
             (late if self._is_late(event) else others).append(event)
-        waiting: dict[EventKey, _Waiting] = {}
-        for event in sorted(late, key=_order):
-            verdicts = self._receive_or_reject(event, waiting)
-            yield (event, verdicts) if verdicts else None
-        if waiting:
-            yield from self._receive_waiting(waiting)
         if len({(each.epoch, each.episode) for each in others}) == 1:
             others.sort(key=_order)
-        for event in others:
-            yield event, self._receive_or_reject(event)
+        for some in (sorted(late, key=_order), others):
+            waiting: _Late = {}
+            for event in some:
+                verdicts = self._receive_or_reject(event, waiting)
+                yield (event, verdicts) if verdicts else None
+            for run, of_run in waiting.items():
+                yield from self._receive_waiting(run, of_run)
 
     def _is_late(self, event: ImpactEvent) -> bool:
         """Whether an event is of the run in use, and events after it have been applied."""
@@ -279,7 +281,7 @@ class Observer:
         )
 
     def _receive_or_reject(
-        self, event: ImpactEvent, waiting: "dict[EventKey, _Waiting] | None" = None
+        self, event: ImpactEvent, waiting: _Late | None = None
     ) -> tuple[Verdict, ...]:
         try:
             return self.receive(event) if waiting is None else self._take(event, waiting)
@@ -287,32 +289,35 @@ class Observer:
             return (_verdict(event, Ruling.REJECTED, str(error)),)
 
     def _receive_waiting(
-        self, waiting: "Mapping[EventKey, _Waiting]"
+        self, run: RunHistory, waiting: Mapping[EventKey, _Waiting]
     ) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
-        """Apply late events together."""
-        timeline = self._run.timeline
+        """Apply late events of a run together."""
+        timeline = run.timeline
         assert timeline is not None, "they are late"
-        made = yield from timeline.inserting(waiting)
+        refused = {key: why for key in waiting if (why := misplaced(key, timeline, ()))}
+        for key, why in refused.items():  # the past was shortened since
+            yield waiting[key].event, self._refuse(waiting[key].event, *why)
+        made = yield from timeline.inserting([key for key in waiting if key not in refused])
         for key, error in made.failed.items():
-            self._run.numbers.discard(key.sequence)
+            run.numbers.discard(key.sequence)
             yield (
                 waiting[key].event,
                 (_verdict(waiting[key].event, Ruling.REJECTED, str(error)),),
             )
         found = [(waiting[each.entry.key], each) for each in made.insertions]
         if found:
-            owns, others = self._inserted(found)
+            owns, others = self._inserted(run, found)
             for (each, _), own in zip(found, owns, strict=True):
                 yield each.event, (*own, *others)
                 others = ()
 
     def _inserted(
-        self, received: Sequence[tuple[_Waiting, Insertion]]
+        self, run: RunHistory, received: Sequence[tuple[_Waiting, Insertion]]
     ) -> tuple[list[tuple[Verdict, ...]], tuple[Verdict, ...]]:
         """Note events that were ``received`` and inserted; their verdicts, and those on others."""
         for _, insertion in received:
             self.remarks[Remark.MISFIT] += insertion.entry.belief.fit.is_misfit
-        owns, others = self._run.verdicts([(each.verdicts, made) for each, made in received])
+        owns, others = run.verdicts([(each.verdicts, made) for each, made in received])
         if others:
             self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
         complete = []

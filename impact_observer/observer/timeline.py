@@ -171,6 +171,8 @@ class Timeline:
         another of its stamp.
         """
         new, failed = {*keys}, dict[EventKey, ImpactObserverError]()
+        if not new:
+            return Insertions((), failed)
         same, changed = self._changed_by(new)
         events = sorted([*(entry.key for entry in self.entries[same:]), *new])
         entries = self.entries[same:changed]

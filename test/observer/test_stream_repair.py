@@ -515,25 +515,54 @@ def test_events_received_together_have_the_effect_of_each(data: st.DataObject) -
     assert internal_state(together) == internal_state(alone)
 
 
-def test_a_flood_of_late_events_runs_the_others_again_once() -> None:
-    """The estimates are the earlier ones until all are applied."""
-    events = [event(0.01 * k, f"c{1 + k % 2}", sequence=k) for k in range(1, 401)]
-    watcher, calls = watcher_of("geometric", events[::2], ensemble=1), 0
-    timeline = watcher._run.timeline
+def counting(watcher: Observer) -> list[object]:
+    """The events that a watcher applies from now on, also those that it applies again."""
+    timeline, applied = watcher._run.timeline, list[object]()
     assert timeline is not None
     update = timeline._update
 
     def counted(*given: object) -> object:
-        nonlocal calls
-        calls += 1
+        applied.append(given[1])
         return update(*given)  # type: ignore[arg-type]
 
     timeline._update = counted  # type: ignore[assignment]
+    return applied
+
+
+def test_events_that_overtake_each_other_within_a_batch_run_again_once() -> None:
+    """Beside messages of other runs, which are taken in order of arrival."""
+    events = [event(0.01 * k, f"c{1 + k % 2}", sequence=k) for k in range(1, 201)]
+    foreign = [event(0.01 * k, "c1", sequence=k, episode=7 + k) for k in (30, 60, 90)]
+    watcher = watcher_of("geometric", events[:1], ensemble=1)
+    applied = counting(watcher)
+    batch = [foreign[0], *events[:0:-1], *foreign[1:]]
+    found = [item for item in watcher.receiving(batch) if item is not None]
+    assert len(found) == len(batch)
+    assert len(applied) == 1 + 199
+    assert bits(watcher) == bits(watcher_of("geometric", events, ensemble=1))
+
+
+def test_events_too_old_by_the_end_of_their_batch_are_refused() -> None:
+    """They came in time, but behind one with which the past is shortened."""
+    events = [event(at, "c1", sequence=k) for k, at in enumerate((0.1, 9.0, 5.0, 70.0), 1)]
+    foreign = event(0.2, "c1", sequence=1, episode=9)
+    watcher = watcher_of("geometric", events[:1], ensemble=1, history=10.0)
+    batch = watcher.receiving([foreign, *events[1:]])
+    rulings = {item[0].stamp: item[1][0].ruling for item in batch if item is not None}
+    assert rulings[events[2].stamp] is Ruling.TOO_LATE
+    assert rulings[events[3].stamp] is Ruling.APPLIED
+
+
+def test_a_flood_of_late_events_runs_the_others_again_once() -> None:
+    """The estimates are the earlier ones until all are applied."""
+    events = [event(0.01 * k, f"c{1 + k % 2}", sequence=k) for k in range(1, 401)]
+    watcher = watcher_of("geometric", events[::2], ensemble=1)
+    applied = counting(watcher)
     stamp = EPOCH + 3 * NS_PER_S
     before, seen = bits(watcher, [stamp]), 0
     for item in watcher.receiving(events[1::2][::-1]):
         if not seen and item is None:
             assert bits(watcher, [stamp]) == before
         seen += item is not None
-    assert (seen, calls) == (200, 399)
+    assert (seen, len(applied)) == (200, 399)
     assert bits(watcher) == bits(watcher_of("geometric", events, ensemble=1))
