@@ -120,9 +120,17 @@ def check_model(system: System) -> ModelCheck:
         feasible=closing.feasible,
         has_clearance=closing.has_clearance,
         redundant=redundant(ClosingSets(system)),
-        nonexpansive=raising.is_empty,
+        nonexpansive=_nonexpansive(system, raising.is_empty),
         growths=tuple(growth(closing, contacts) for contacts in raising.sets),
     )
+
+
+def _nonexpansive(system: System, constant: bool | None) -> bool | None:
+    """Whether no impact raises V; ``constant``: if no restitution depended on the speed."""
+    curves = [each.curve for each in system.contacts if each.curve]
+    if not all(each.is_nonexpansive for each in curves):
+        return False
+    return None if curves and system.m > 1 and constant else constant
 
 
 class _Spectrum:

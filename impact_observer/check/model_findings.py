@@ -31,7 +31,8 @@ def findings(checked: ModelCheck) -> list[ModelFinding]:
 
 def _impact_law(checked: ModelCheck) -> Iterator[ModelFinding]:
     system = checked.system
-    if checked.nonexpansive is None:
+    yield from _by_speed(system)
+    if checked.nonexpansive is None and not system.curved:
         yield ModelFinding(
             "warning",
             "Whether an impact can raise V is not decided: too many sets of contacts to look at."
@@ -51,6 +52,29 @@ def _impact_law(checked: ModelCheck) -> Iterator[ModelFinding]:
     if (more := len(checked.growths) - _SHOWN) > 0:
         yield ModelFinding(
             "warning", f"{times(more, 'other set')} of contacts found can do so too."
+        )
+
+
+def _by_speed(system: System) -> Iterator[ModelFinding]:
+    """Restitutions that depend on the speed of approach."""
+    for i in sorted(system.curved):
+        curve, name = system.contacts[i].curve, system.contact_names[i]
+        if curve is not None and not curve.is_nonexpansive:
+            yield ModelFinding(
+                "warning",
+                f"Restitution of {name}: eps(v) v has a slope outside [-1, 1], so an impact of"
+                f" {name} alone can raise V, and no bound is certified. Give a table that changes"
+                " less steeply with the speed.",
+            )
+        elif curve is not None:
+            yield ModelFinding(
+                "ok", f"No impact of {name} alone raises V: eps(v) v never rises faster than v."
+            )
+    if system.curved and system.m > 1:
+        yield ModelFinding(
+            "warning",
+            "Restitution depends on the speed: where such a contact closes together with others,"
+            " it is not proved that V does not rise, and no bound is certified from then on.",
         )
 
 

@@ -44,7 +44,12 @@ def for_json(checked: ModelCheck) -> dict[str, object]:
             for value, shape in checked.unseen
         ],
         "contacts": [
-            {"name": c.name, "gap": c.gap, "restitution": c.restitution, "effective_mass": mass}
+            {
+                "name": c.name,
+                "gap": c.gap,
+                "restitution": c.curve.document if c.curve else c.restitution,
+                "effective_mass": mass,
+            }
             for c, mass in zip(system.contacts, checked.effective_mass.tolist(), strict=True)
         ],
         "redundant": [names(contacts) for contacts in checked.redundant.sets],
@@ -107,7 +112,12 @@ def _tables(checked: ModelCheck) -> Iterator[Table]:
     yield _table(("with damping", "rad/s", "Hz", "damping ratio", "s to 1/e"), modes)
     if contacts := checked.system.contacts:
         rows = [
-            (c.name, f"{c.gap:g}", f"{c.restitution:g}", f"{mass:.4g}")
+            (
+                c.name,
+                f"{c.gap:g}",
+                c.curve.text if c.curve else f"{c.restitution:g}",
+                f"{mass:.4g}",
+            )
             for c, mass in zip(contacts, checked.effective_mass, strict=True)
         ]
         yield _table(("contact", "gap", "restitution", "effective mass"), rows)

@@ -20,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--free",
         metavar="LIST",
         default="",
-        help="what to identify, with commas: restitution, gap, stiffness-scale, damping-scale,"
+        help="what to identify, with commas: restitution, restitution-exponent, gap,"
+        " stiffness-scale, damping-scale,"
         " mass-scale, forcing-amplitude, forcing-phase, clock-offset, and of elements stiffness,"
         " damping, mass; or one of a kind, such as gap.stop or stiffness.ground-x1",
     )

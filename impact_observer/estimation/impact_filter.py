@@ -172,9 +172,12 @@ class ImpactFilter:
         return [found[i] for i in range(len(asked))]
 
     def is_alone(self, change: ContactChange) -> bool:
-        """Whether an event is an impact of one contact while none is closed: for the kernel."""
+        """Whether an event is an impact of one contact while none is closed: for the kernel.
+
+        A restitution that depends on the speed is not.
+        """
         alone = len(change.hit) == 1 and not (change.before or change.closed)
-        return alone and self._is_smooth
+        return alone and self._is_smooth and change.hit[0] not in self.system.curved
 
     def _grouped(self, asked: Sequence[Asked]) -> Iterable[tuple[int | None, list[int]]]:
         """Contacts that impact alone, and None for all else, and where they are asked for."""
@@ -396,9 +399,12 @@ class ImpactFilter:
             n = self.system.n
             gamma = member.gaps(change.hit).c[:, :n].dot(joint.x[n:])
             pressed = change.pressed(member.newton, gamma)
-        jet = member.jump(pressed, change.before, change.closed)
+        jet = member.jump_about(joint.x, pressed, change.before, change.closed)
         x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, noise = product(joint.own, D, E)
+        if not self.system.curved.isdisjoint(pressed):
+            bends = member.bends(joint.x, joint.root[1 : 1 + size], pressed)
+            noise = np.hstack([noise, bends])
         x = x + mean
         if e := joint.e:
             x += e * (H[:, 0] + E * (e / 2))

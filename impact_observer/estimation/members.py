@@ -3,6 +3,7 @@
 Members that differ only by gaps and restitutions share the motion between impacts.
 """
 
+import math
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
@@ -157,6 +158,40 @@ class Member:
         W = self.system.W.T
         return Gaps(self.moving.free, self.moving.sizes, W, self.system.q_r)
 
+    def mirror_about(self, x: Vector, pressed: Contacts) -> Mirror:
+        """The jump of states near ``x``, (q-, u-), in which ``pressed`` take part."""
+        if self.system.curved.isdisjoint(pressed):
+            return self.mirror(pressed)
+        return _mirror_about(self.newton, self._numbers, x, pressed)
+
+    def jump_about(self, x: Vector, pressed: Contacts, before: Contacts, closed: Contacts) -> Jet:
+        """The jump of states near ``x``, between phases; see ``jump``."""
+        if self.system.curved.isdisjoint(pressed):
+            return self.jump(pressed, before, closed)
+        mirror = self.mirror_about(x, pressed)
+        return mirror.between(self.moving.rates(before), self.moving.rates(closed))
+
+    def bends(self, x: Vector, root: Matrix, pressed: Contacts) -> Matrix:
+        """What the curvature of restitutions by speed adds to the error of a jump, (2n, k).
+
+        Its root mean square where speeds have the deviations of ``root``, shape (2n, any), about
+        those of ``x``.
+        """
+        n, curved = self.system.n, [i for i in pressed if i in self.system.curved]
+        found = np.zeros((2 * n, len(curved)))
+        stops = self.newton.stops(pressed) if curved else found
+        for k, i in enumerate(curved):
+            row = self.system.W[:, i]
+            speed, seen = abs(float(row.dot(x[n:]))), row.dot(root[n:])
+            curve = self._numbers.curve(self.system, i)
+            assert curve is not None, "it depends on the speed"
+            aside = speed + np.array([0.0, 1.0, -1.0]) * math.sqrt(seen.dot(seen))
+            rebounds = curve.at(np.abs(aside)) * aside
+            line = rebounds[0] + curve.slope(speed) * (aside[1:] - aside[0])
+            bend = math.sqrt(3.0) * float(np.max(np.abs(rebounds[1:] - line)))
+            found[n:, k] = bend * stops[:, pressed.index(i)]
+        return found
+
     def _guard_of(self, before: Contacts, contacts: Contacts, hit: bool) -> tuple[Measured, Jet]:
         """The guards of an event, and their expansions in the phase before it.
 
@@ -172,6 +207,28 @@ class Member:
     def _jump_of(self, pressed: Contacts, before: Contacts, closed: Contacts) -> Jet:
         """The jump at an impact between phases in which ``before`` and ``closed`` are closed."""
         return self.mirror(pressed).between(self.moving.rates(before), self.moving.rates(closed))
+
+
+def _mirror_about(
+    newton: ImpactLaw, numbers: Coefficients, x: Vector, pressed: Contacts
+) -> Mirror:
+    """The jump of states near ``x`` where restitutions depend on the speed of approach.
+
+    The speeds jump by ``eps gamma`` and its derivative, the gap that is left by ``eps``: a jump a
+    little early or late then leaves the positions as they are.
+    """
+    system, P = newton.system, list(pressed)
+    eps, slopes = numbers.eps.copy(), numbers.eps.copy()
+    gamma = system.W[:, P].T @ x[system.n :]
+    for i, speed in zip(P, np.abs(gamma).tolist(), strict=True):
+        if curve := numbers.curve(system, i):
+            eps[i], slopes[i] = float(curve.at(np.array(speed))), curve.slope(speed)
+    mirror = Mirror.of(system, newton.jump(pressed, eps), pressed, numbers)
+    J, offset = mirror.J.copy(), mirror.offset.copy()
+    n = system.n
+    J[n:, n:] += newton.jump(pressed, slopes) - newton.jump(pressed, eps)
+    offset[n:] -= newton.stops(pressed) @ ((eps - slopes)[P] * gamma)
+    return Mirror(J, offset)
 
 
 class Members:
@@ -195,7 +252,8 @@ class Members:
         )
         self._gap = np.array([each.effect.gap for each in family.parameters])
         self._gap = self._gap.reshape(family.size, family.system.m)
-        self._still = [bool(np.any(each.effect.eps)) for each in family.parameters]
+        effects = [each.effect for each in family.parameters]
+        self._still = [bool(np.any(each.eps) or np.any(each.exponent)) for each in effects]
         self._weighs = [bool(np.any(each.effect.M)) for each in family.parameters]
         keeps = np.where([each.moves for each in family.parameters], _MARGIN * family.sizes, 0.0)
         low, high = family.bounds
@@ -221,7 +279,8 @@ class Members:
 
     def estimates_restitution(self, contacts: Contacts) -> NDArray[np.bool_]:
         """Whether each of ``contacts`` has a restitution that is estimated, shape (k,)."""
-        changes = [each.effect.eps != 0 for each in self.family.parameters]
+        effects = [each.effect for each in self.family.parameters]
+        changes = [(each.eps != 0) | (each.exponent != 0) for each in effects]
         estimated = np.any(changes, axis=0) if changes else np.zeros(self.family.system.m, bool)
         return np.asarray(estimated[list(contacts)], dtype=np.bool_)
 
@@ -243,14 +302,22 @@ class Members:
 
     def impact(self, values: Vector, x: Vector, pressed: Contacts) -> Map:
         """The mirror of an impact in which ``pressed`` take part; see ``dynamics.Mirror``."""
-        mirror = self._mirror(tuple(values.tolist()), pressed)
+        key = tuple(values.tolist())
+        if self.family.system.curved.isdisjoint(pressed):
+            mirror = self._mirror(key, pressed)
+        else:
+            moving, numbers = self._heavy(key)
+            mirror = _mirror_about(moving.newton, numbers, x, pressed)
         return Map(mirror.J @ x + mirror.offset, mirror.J)
 
-    def _mirror_at(self, values: tuple[float, ...], pressed: Contacts) -> Mirror:
-        # The model's motion, but with the masses of this member.
+    def _heavy(self, values: tuple[float, ...]) -> tuple[MovingSystem, Coefficients]:
+        """The model's motion with the masses of a member, and its coefficients."""
         theta = np.array(values)
         heavy = self.motion(np.where(self._weighs, theta, self.family.nominal))
-        numbers = self.family.at(theta)
+        return heavy, self.family.at(theta)
+
+    def _mirror_at(self, values: tuple[float, ...], pressed: Contacts) -> Mirror:
+        heavy, numbers = self._heavy(values)
         J = heavy.newton.jump(pressed, numbers.eps)
         return Mirror.of(heavy.system, J, pressed, numbers)
 

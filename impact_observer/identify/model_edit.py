@@ -58,9 +58,12 @@ def _of_matrices(
         if f"{name}-scale" in by_name:
             yield (name,), getattr(system, part).tolist()
     for i, contact in enumerate(system.contacts):
-        for name in ("gap", "restitution"):
-            if f"{name}.{contact.name}" in by_name:
-                yield ("contacts", i, name), by_name[f"{name}.{contact.name}"]
+        if f"gap.{contact.name}" in by_name:
+            yield ("contacts", i, "gap"), by_name[f"gap.{contact.name}"]
+        by_speed = contact.curve is not None
+        yield from _of_restitution(
+            ("contacts", i), contact.name, by_speed=by_speed, by_name=by_name
+        )
     own = system.forcing if system.frame is None else system.frame.forcing
     for k in range(own.frequency.size):
         if {f"forcing-amplitude.{k + 1}", f"forcing-phase.{k + 1}"} & by_name.keys():
@@ -102,12 +105,22 @@ def _of_element(
 
 
 def _of_stop(i: int, stop: Mapping[str, Any], by_name: Mapping[str, float]) -> Iterator[Change]:
-    name = str(stop["name"])
-    if (restitution := by_name.get(f"restitution.{name}")) is not None:
-        yield ("stops", i, "restitution"), restitution
+    name, by_speed = str(stop["name"]), isinstance(stop["restitution"], Mapping)
+    yield from _of_restitution(("stops", i), name, by_speed=by_speed, by_name=by_name)
     if (gap := by_name.get(f"gap.{name}")) is None:
         return
     if "between" in stop:
         yield ("stops", i, "gap"), gap
     else:
         yield ("stops", i, "limit"), gap if stop["side"] == "above" else -gap
+
+
+def _of_restitution(
+    place: Place, name: str, *, by_speed: bool, by_name: Mapping[str, float]
+) -> Iterator[Change]:
+    """The restitution of a contact: a number, or a power law of the speed."""
+    own: Place = (*place, "restitution")
+    if (value := by_name.get(f"restitution.{name}")) is not None:
+        yield (*own, "value") if by_speed else own, value
+    if (exponent := by_name.get(f"restitution-exponent.{name}")) is not None:
+        yield (*own, "exponent"), exponent

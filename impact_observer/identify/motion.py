@@ -9,7 +9,8 @@ Computing integrals involving the matrix exponential, 1978)::
 
 that with respect to an instant is ``F z``. Contacts that stay closed are held: ``M^-1`` becomes
 ``R = S (S^T M S)^-1 S^T``, where ``S`` spans the free directions, with ``dR = -R dM R``. At an
-impact ``u+ = J u-``, ``J = I - X (1 + E) W^T``, ``X = M^-1 W G^-1`` with ``dX = -R dM X``.
+impact ``u+ = J u-``, ``J = I - X (1 + E) W^T``, ``X = M^-1 W G^-1`` with ``dX = -R dM X``. Where
+``E`` depends on the speed of approach, its derivative counts.
 """
 
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ from scipy import linalg
 
 from impact_observer.events import Contacts
 from impact_observer.model.parametric_family import Coefficients, ParametricFamily
+from impact_observer.model.restitution import PowerLaw
 from impact_observer.states import Matrix, Vector
 
 
@@ -198,6 +200,18 @@ class _EquationsOfMotion:
                     L[which, j] = found * scale[: 2 * n, None] / scale
         return list(zip(E, L, strict=True))
 
+    def _rebounds(self, pressed: Contacts, speeds: Vector) -> tuple[Vector, ...]:
+        """``eps``, ``d(eps v)/dv``, and ``eps`` by value and by exponent, a number a contact."""
+        found = []
+        for i, speed in zip(pressed, np.abs(speeds).tolist(), strict=True):
+            curve, eps = self.numbers.curve(self._system, i), float(self.numbers.eps[i])
+            if curve is None:
+                found.append((eps, eps, 1.0, 0.0))
+                continue
+            by = curve.sensitivity(speed) if isinstance(curve, PowerLaw) else (0.0, 0.0)
+            found.append((float(curve.at(np.array(speed))), curve.slope(speed), *by))
+        return tuple(np.array(found).T)
+
     def jumped(self, z: Vector, Z: Matrix, moment: FlightEnd) -> tuple[Vector, Matrix]:
         """``z`` and its derivatives just after a moment."""
         n, d = self._system.n, 2 * self._system.n
@@ -206,12 +220,15 @@ class _EquationsOfMotion:
             P = list(moment.pressed)
             W, R = self._system.W[:, P], self.constrained_inverse(moment.pressed)
             X = self._inverse @ W @ linalg.pinvh(W.T @ self._inverse @ W)
-            speeds, rebound = W.T @ u, 1.0 + self.numbers.eps[P]
-            U -= X @ (rebound[:, None] * (W.T @ U))
+            speeds = W.T @ u
+            eps, slopes, by_value, by_exponent = self._rebounds(moment.pressed, speeds)
+            U -= X @ ((1.0 + slopes)[:, None] * (W.T @ U))
+            lost = (1.0 + eps) * speeds
             for j, change in enumerate(self._changes):
-                U[:, d + j] += R @ (change.M @ (X @ (rebound * speeds)))
-                U[:, d + j] -= X @ (change.eps[P] * speeds)
-            u -= X @ (rebound * speeds)
+                U[:, d + j] += R @ (change.M @ (X @ lost))
+                rebound = by_value * change.eps[P] + by_exponent * change.exponent[P]
+                U[:, d + j] -= X @ (rebound * speeds)
+            u -= X @ lost
         if moment.held:
             R, M = self.constrained_inverse(moment.held), self.numbers.M
             still = R @ (M @ u)

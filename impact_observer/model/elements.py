@@ -14,6 +14,7 @@ from impact_observer.model import sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.ground_keys import GroundMotions, read_grounds
+from impact_observer.model.restitution import read_restitution
 from impact_observer.model.system import Contact, System, moving_system
 from impact_observer.states import Matrix, Vector
 
@@ -220,4 +221,4 @@ def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
         sign = -1.0 if side == "above" else 1.0
         direction, gap = sign * line.body(stop), -sign * stop.number("limit")
         moving = -sign * line.ground(stop)
-    return Contact(stop.text("name"), direction, gap, stop.number("restitution")), moving
+    return Contact(stop.text("name"), direction, gap, *read_restitution(stop)), moving

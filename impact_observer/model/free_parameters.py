@@ -8,6 +8,7 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.model.elements import Element
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
+from impact_observer.model.restitution import LEAST_EXPONENT, PowerLaw, RestitutionTable
 from impact_observer.model.system import System
 from impact_observer.states import Matrix
 
@@ -15,6 +16,7 @@ OFFSET = "clock-offset"
 CONTACT_TIME = "contact-time"
 UNITS = {
     "restitution": "",
+    "restitution-exponent": "",
     "gap": "m",
     "stiffness-scale": "",
     "damping-scale": "",
@@ -104,7 +106,13 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
 
     for contact, one in zip(system.contacts, np.eye(system.m), strict=True):
         name, gap = contact.name, contact.gap
-        yield parameter(f"restitution.{name}", contact.restitution, (0.0, 1.0), 1.0, eps=one)
+        curve = contact.curve
+        if not isinstance(curve, RestitutionTable):
+            yield parameter(f"restitution.{name}", contact.restitution, (0.0, 1.0), 1.0, eps=one)
+        if isinstance(curve, PowerLaw):
+            bounds = (LEAST_EXPONENT, 0.0)
+            kind = "restitution-exponent"
+            yield parameter(f"{kind}.{name}", curve.exponent, bounds, 1.0, exponent=one)
         yield parameter(f"gap.{name}", gap, free, abs(gap) or 1.0, gap=one)
         most = (0.0, _LONGEST)
         yield parameter(f"{CONTACT_TIME}.{name}", 0.0, most, _LONGEST, contact_time=one)

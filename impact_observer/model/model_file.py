@@ -18,6 +18,7 @@ from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.ground_keys import GroundMotions, read_grounds
+from impact_observer.model.restitution import read_restitution
 from impact_observer.model.system import LARGEST_STATE, Contact, System, moving_system
 from impact_observer.resources import MOST_BYTES, read_file_or_sample
 from impact_observer.states import Matrix, Vector, frozen
@@ -118,7 +119,7 @@ def _matrix_form(s: System) -> dict[str, Value]:
                 "name": c.name,
                 "direction": c.direction.tolist(),
                 "gap": c.gap,
-                "restitution": c.restitution,
+                "restitution": c.curve.document if c.curve else c.restitution,
                 **({"motion": _motion_of(s, moving[i])} if moving else {}),
             }
             for i, c in enumerate(s.contacts)
@@ -358,7 +359,7 @@ def _contact(contact: Section, n: int) -> Contact:
         contact.text("name"),
         contact.vector("direction", n),
         contact.number("gap"),
-        contact.number("restitution"),
+        *read_restitution(contact),
     )
 
 

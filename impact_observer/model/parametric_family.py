@@ -6,6 +6,7 @@ import numpy as np
 
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import MovingFrame
+from impact_observer.model.restitution import Curve, PowerLaw
 from impact_observer.model.system import System
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -19,7 +20,8 @@ class Coefficients:
         C: damping matrix, shape (n, n), Ns/m.
         K: stiffness matrix, shape (n, n), N/m.
         gap: gaps in the rest position, shape (m,), m.
-        eps: restitution, shape (m,).
+        eps: restitution, shape (m,); of a power law its ``value``.
+        exponent: of power laws of the speed, shape (m,); 0 for other contacts.
         amplitude: of the harmonics, relative to the model's, shape (h,).
         phase: by which the harmonics lead the model's, shape (h,), rad.
         contact_time: how long an impact lasts, shape (m,), s; no ``System`` has it.
@@ -30,6 +32,7 @@ class Coefficients:
     K: Matrix
     gap: Vector
     eps: Vector
+    exponent: Vector
     amplitude: Vector
     phase: Vector
     contact_time: Vector
@@ -39,13 +42,24 @@ class Coefficients:
         """Those of ``system``."""
         h, rigid = system.forcing.frequency.size, np.zeros(system.m)
         harmonics = np.ones(h), np.zeros(h)
-        return cls(system.M, system.C, system.K, system.q_r, system.eps, *harmonics, rigid)
+        curves = [each.curve for each in system.contacts]
+        exponent = np.array([c.exponent if isinstance(c, PowerLaw) else 0.0 for c in curves])
+        rebound = system.eps, exponent
+        return cls(system.M, system.C, system.K, system.q_r, *rebound, *harmonics, rigid)
 
     @classmethod
     def change(cls, system: System, **parts: Matrix) -> "Coefficients":
         """A change of ``parts``, by name, and of nothing else."""
         zero = {name: np.zeros_like(getattr(cls.of(system), name)) for name in cls.__slots__}
         return cls(**{**zero, **parts})
+
+    def curve(self, system: System, contact: int) -> Curve | None:
+        """How the restitution of a contact of ``system`` depends on the speed, if it does."""
+        curve = system.contacts[contact].curve
+        if not isinstance(curve, PowerLaw):
+            return curve
+        value, exponent = float(self.eps[contact]), float(self.exponent[contact])
+        return replace(curve, value=value, exponent=exponent)
 
     def plus(self, factor: float, other: "Coefficients") -> "Coefficients":
         """``self + factor other``."""
@@ -154,13 +168,17 @@ class ParametricFamily:
         """
         found, contacts = self.at(values), self.system.contacts
         stops = zip(contacts, found.gap.tolist(), found.eps.tolist(), strict=True)
+        curves = [found.curve(self.system, i) for i in range(self.system.m)]
         return replace(
             self.system,
             M=found.M,
             C=found.C,
             K=found.K,
             forcing=_turned(self.system.forcing, found.amplitude, found.phase),
-            contacts=tuple(replace(each, gap=gap, restitution=eps) for each, gap, eps in stops),
+            contacts=tuple(
+                replace(each, gap=gap, restitution=eps, curve=curve)
+                for (each, gap, eps), curve in zip(stops, curves, strict=True)
+            ),
             frame=self._frame_at(found),
         )
 

@@ -18,6 +18,7 @@ from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import LARGEST, finite
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.grounds import Grounds, MovingFrame
+from impact_observer.model.restitution import Curve
 from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST_STATE = 1e9
@@ -40,13 +41,15 @@ class Contact:
         name: its name in events.
         direction: a column of W, shape (n,).
         gap: ``q_r``, gap in the rest position, m or rad.
-        restitution: Newton's coefficient ``eps``, in [0, 1].
+        restitution: Newton's coefficient ``eps``, in [0, 1]; the nominal one of a ``curve``.
+        curve: how it depends on the speed of approach; None where it does not.
     """
 
     name: str
     direction: Vector
     gap: float
     restitution: float
+    curve: Curve | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +67,9 @@ class System:
         frame: that frame, and the grounds that move; None where nothing moves by itself.
         W: directions of the contacts, shape (n, m). Derived.
         q_r: gaps in the rest position, shape (m,), m or rad. Derived.
-        eps: restitution coefficients, shape (m,). Derived.
+        eps: restitution coefficients, shape (m,); nominal ones of contacts whose restitution
+            depends on the speed. Derived.
+        curved: indices of these contacts. Derived.
 
     Raises:
         ModelError: naming the key of the model file and what is wrong with it.
@@ -81,6 +86,7 @@ class System:
     W: Matrix = field(init=False)
     q_r: Vector = field(init=False)
     eps: Vector = field(init=False)
+    curved: frozenset[int] = field(init=False)
 
     def __post_init__(self) -> None:
         """Copy, freeze and check everything."""
@@ -106,6 +112,7 @@ class System:
             "W": frozen(np.reshape([c.direction for c in contacts], (-1, n)).T),
             "q_r": frozen([c.gap for c in contacts]),
             "eps": frozen([c.restitution for c in contacts]),
+            "curved": frozenset(i for i, c in enumerate(contacts) if c.curve),
         }
         for key, value in derived.items():
             object.__setattr__(self, key, value)
@@ -154,6 +161,20 @@ class System:
     def contact_speed(self, u: Vector) -> Vector:
         """Contact speeds ``gamma = W^T u``, shape (m,), paper's equation (3)."""
         return np.asarray(self.W.T @ u)
+
+    def rebound(self, gamma: Vector) -> Vector:
+        """``eps gamma`` of all contacts at speeds ``gamma``, shape (m,), m/s."""
+        if not self.curved:
+            return np.asarray(self.eps * gamma)
+        eps = self.eps.copy()
+        for i in self.curved:
+            eps[i] = self.restitution(i, abs(gamma[i]))
+        return np.asarray(eps * gamma)
+
+    def restitution(self, contact: int, speed: Vector) -> Vector:
+        """``eps`` of a contact at speeds of approach, m/s, of any shape."""
+        curve = self.contacts[contact].curve
+        return np.full(np.shape(speed), self.eps[contact]) if curve is None else curve.at(speed)
 
     def penetrated(self, q: Vector) -> tuple[int, ...]:
         """Indices of the contacts with ``g < 0`` at ``q``, shape (n,)."""
@@ -268,6 +289,9 @@ def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
     if not np.any(direction):
         raise ModelError(f"{key}.direction", "is zero; a contact must involve some coordinate")
     gap = float(finite(f"{key}.gap", contact.gap, (), "a number, m"))
+    if contact.curve is not None:
+        curve = contact.curve.checked(f"{key}.restitution")
+        return Contact(contact.name, direction, gap, curve.nominal, curve)
     eps = float(finite(f"{key}.restitution", contact.restitution, (), "a number in [0, 1]"))
     if not 0.0 <= eps <= 1.0:
         raise ModelError(f"{key}.restitution", f"is {eps:g}; expected a number in [0, 1]")

@@ -183,6 +183,10 @@ class _Errors:
         self._system = system
         self._phases = Phases(system)
         self._newton = ImpactLaw(system)
+        # Without a motion there are no speeds: at the nominal ones.
+        curves = [c.curve for c in system.contacts]
+        slopes = [c.nominal_slope if c else eps for c, eps in zip(curves, system.eps, strict=True)]
+        self._slopes = np.array(slopes)
         self._timescale = self._phases.scales.timescale
         self._t = 0.0
         self.map: Matrix = np.diag(scale)[:, scale > 0]
@@ -207,7 +211,7 @@ class _Errors:
         if change.hit:
             rows = [self._system.W[:, list(change.hit)].T @ dq]
             pressed = change.pressed(self._newton, -np.ones(len(change.hit)))
-            du = self._newton.jump(pressed) @ du
+            du = self._newton.jump(pressed, self._slopes) @ du
         else:
             rows = [self._accelerations(phase, self.informative(change), dq, du)]
         if change.closed:

@@ -206,7 +206,7 @@ class Plant:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None
         after = np.concatenate([self._phases.projection.position_after(x[:n], contacts), velocity])
         resting = self._zeno.resting(self._time(instant), after, contacts, x[n:])
-        if len(contacts) == 1:
+        if len(contacts) == 1 and contacts[0] not in self.system.curved:
             self.impacts.learn(contacts[0], self._law)
         return self._switched(instant, x, after, contacts, resting)
 

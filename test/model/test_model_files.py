@@ -450,7 +450,7 @@ def assert_equal_models(one: Model, two: Model) -> None:
             np.testing.assert_array_equal(mine, theirs)
 
 
-@pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball"])
+@pytest.mark.parametrize("name", ["two_mass", "three_mass", "bouncing_ball", "yielding_stop"])
 def test_sample_model_survives_its_text(name: str) -> None:
     """Write then read is identity, whichever form it was written in."""
     model = sample(name)

@@ -2,7 +2,8 @@
 
 ``0 <= gamma+ + eps gamma-  _|_  Lambda >= 0`` with ``u+ = u- + M^-1 W Lambda``: a linear
 complementarity problem ``0 <= G Lambda + b _|_ Lambda >= 0`` in ``G = W^T M^-1 W = B^T B``,
-``B = L^-1 W``, ``M = L L^T``.
+``B = L^-1 W``, ``M = L L^T``. Where a restitution depends on the speed of approach it is that at
+the contact's own ``|gamma-|``.
 """
 
 from collections.abc import Sequence
@@ -29,25 +30,32 @@ _REPEATS = 64
 
 
 class ImpactLaw:
-    """Newton's impact law of one system."""
+    """Newton's impact law of one system.
+
+    Attributes:
+        system: the system.
+    """
 
     def __init__(self, system: System, restitution: Vector | None = None) -> None:
         """Prepare the law; ``restitution``, shape (m,), is used instead of the system's."""
         factor = linalg.cholesky(system.M, lower=True)
-        self._system = system
+        self.system = system
         self._eps = system.eps if restitution is None else restitution
+        self._curved = system.curved if restitution is None else frozenset[int]()
         self._B = linalg.solve_triangular(factor, system.W, lower=True)
         self._Minv_W = linalg.solve_triangular(factor.T, self._B, lower=False)
         # Nearly every event has a single contact: u+ = u- - kick gamma.
         self._rows: list[Vector] = list(np.ascontiguousarray(system.W.T))
-        kicks = self._Minv_W * ((1.0 + self._eps) / np.sum(self._B**2, axis=0))
+        stops = self._Minv_W / np.sum(self._B**2, axis=0)
+        self._stopped: list[Vector] = list(np.ascontiguousarray(stops.T))
+        kicks = stops * (1.0 + self._eps)
         self._kicks: list[Vector] = list(np.ascontiguousarray(kicks.T))
         self.is_nonexpansive = lru_cache(KEPT)(self._is_nonexpansive)
 
     @cached_property
     def plastic(self) -> "ImpactLaw":
         """The same law without restitution."""
-        return ImpactLaw(self._system, np.zeros(self._system.m))
+        return ImpactLaw(self.system, np.zeros(self.system.m))
 
     def velocity_after(self, u: Vector, active: Sequence[int]) -> Vector:
         """Velocities ``u+`` after an impact on the ``active`` contacts, shape (n,), m/s.
@@ -60,6 +68,9 @@ class ImpactLaw:
         if len(active) == 1:
             i = active[0]
             gamma = self._rows[i].dot(u)
+            if i in self._curved and gamma < 0:
+                lost = (1.0 + float(self.system.restitution(i, -gamma))) * gamma
+                return np.asarray(u - self._stopped[i] * lost)
             return u - self._kicks[i] * gamma if gamma < 0 else u
         return np.asarray(u + self._Minv_W[:, list(active)] @ self.impulses(u, active))
 
@@ -80,8 +91,8 @@ class ImpactLaw:
         after = self.velocity_after(u, active)
         if not closed:
             return after
-        contacts, speed = list(closed), np.sqrt(u @ self._system.M @ u)
-        W, length = self._system.W[:, contacts], np.linalg.norm(self._B[:, contacts], axis=0)
+        contacts, speed = list(closed), np.sqrt(u @ self.system.M @ u)
+        W, length = self.system.W[:, contacts], np.linalg.norm(self._B[:, contacts], axis=0)
         for _ in range(_REPEATS):
             if np.all(W.T @ after >= -_ROUNDING * speed * length):
                 return after
@@ -97,6 +108,9 @@ class ImpactLaw:
         if len(active) == 1 and not closed:
             i = active[0]
             gamma = np.minimum(U @ self._rows[i], 0.0)
+            if i in self._curved:
+                gamma *= 1.0 + self.system.restitution(i, -gamma)
+                return np.asarray(U - gamma[:, None] * self._stopped[i])
             return np.asarray(U - gamma[:, None] * self._kicks[i])
         return np.array([self.velocity_held(u, active, closed) for u in U]).reshape(U.shape)
 
@@ -119,24 +133,39 @@ class ImpactLaw:
         return tuple(i for i, impulse in zip(active, impulses, strict=True) if impulse > 0)
 
     def kick(self, contact: int) -> Vector:
-        """Velocity that an impact of one contact takes away per speed of approach, shape (n,)."""
+        """Velocity that an impact of one contact takes away per speed of approach, shape (n,).
+
+        At the nominal restitution, where that depends on the speed.
+        """
         return self._kicks[contact]
 
     def jump(self, pressed: Sequence[int], restitution: Vector | None = None) -> Matrix:
         """``J`` of ``u+ = J u-``, shape (n, n), where exactly the contacts ``pressed`` take part.
 
         Of contacts that depend on each other the least impulses are taken. ``restitution``, shape
-        (m,), of any size, is used instead of the law's.
+        (m,), of any size, is used instead of the law's; of that only the nominal values count.
         """
         P = list(pressed)
-        B, W = self._B[:, P], self._system.W[:, P]
+        B, W = self._B[:, P], self.system.W[:, P]
         rebound = 1.0 + (self._eps if restitution is None else restitution)[P]
         share = linalg.lstsq(B.T @ B, np.diag(rebound) @ W.T)[0] if P else W.T
         return np.asarray(np.eye(len(W)) - self._Minv_W[:, P] @ share)
 
+    def stops(self, pressed: Sequence[int]) -> Matrix:
+        """``X`` of ``u+ = u- - X gamma-``, which stops the contacts ``pressed``, shape (n, k)."""
+        P = list(pressed)
+        G = self._B[:, P].T @ self._B[:, P]
+        return np.asarray(self._Minv_W[:, P] @ linalg.pinvh(G))
+
     def _is_nonexpansive(self, active: Contacts) -> bool:
-        """Whether ``G - E G E >= 0`` on ``active``: then neither they nor some of them raise V."""
+        """Whether ``G - E G E >= 0`` on ``active``: then neither they nor some of them raise V.
+
+        Of restitutions that depend on the speed it is known for single contacts only.
+        """
         A = list(active)
+        if self._curved and not self._curved.isdisjoint(A):
+            curve = self.system.contacts[A[0]].curve
+            return len(A) == 1 and curve is not None and curve.is_nonexpansive
         B, eps = self._B[:, A] / np.linalg.norm(self._B[:, A], axis=0), self._eps[A]
         if np.all(eps == eps[:1]):
             return True
@@ -150,19 +179,21 @@ class ImpactLaw:
             ImpactLawError: the law has no solution on these contacts.
         """
         active = list(active)
-        gamma = self._system.W[:, active].T @ u
+        gamma = self.system.W[:, active].T @ u
         # The rounding errors of dependent contacts need not be consistent.
         noise = (
-            _NOISE * np.sqrt(u @ self._system.M @ u) * np.linalg.norm(self._B[:, active], axis=0)
+            _NOISE * np.sqrt(u @ self.system.M @ u) * np.linalg.norm(self._B[:, active], axis=0)
         )
         gamma[np.abs(gamma) <= noise] = 0.0
         return self._impulses(active, gamma)
 
     def _impulses(self, active: list[int], gamma: Vector) -> Vector:
-        impulses = complementary(self._B[:, active], (1.0 + self._eps[active]) * gamma)
+        eps = self._eps[active]
+        for k, i in enumerate(active):
+            if i in self._curved:
+                eps[k] = self.system.restitution(i, abs(gamma[k]))
+        impulses = complementary(self._B[:, active], (1.0 + eps) * gamma)
         if impulses is None:
-            names = [self._system.contact_names[i] for i in active]
-            raise ImpactLawError.of(
-                names, "Newton's impact law has no solution", gamma, self._eps[active]
-            )
+            names = [self.system.contact_names[i] for i in active]
+            raise ImpactLawError.of(names, "Newton's impact law has no solution", gamma, eps)
         return impulses

@@ -109,12 +109,13 @@ class MoreauScheme:
         if not active.size:
             return TimeStep(q + h / 2 * (u + free), free, free, impulses, ())
         rounding = _ROUNDING * motion
-        lacking = -(system.W.T @ free + system.eps * gamma)
+        rebound = system.rebound(gamma)
+        lacking = -(system.W.T @ free + rebound)
         lacking[np.abs(lacking) <= rounding] = 0.0  # a body beside its stop is not pressed
         if np.any(lacking[active] > 0):
             impulses[active] = self._impulses(k, gamma, active, lacking[active])
             after = free + self._response @ impulses
-        spare = system.W.T @ after + system.eps * gamma
+        spare = system.W.T @ after + rebound
         closed = (gamma < -rounding) | (spare <= 2 * rounding)
         which = tuple(active[closed[active]].tolist())
         return TimeStep(q + h / 2 * (u + after), after, free, impulses, which)

@@ -76,7 +76,7 @@ class Geometric(ReplicaLaw):
 
     def impact(self, x: Vector, active: Contacts, closed: Contacts) -> Vector:
         """``q+`` by projection, ``u+`` by Newton's law."""
-        if len(active) == 1 and not closed:
+        if len(active) == 1 and not closed and active[0] not in self.system.curved:
             return self._jump(active[0]).after(x)
         n = self.system.n
         position = self._projection.position_after(x[:n], active)
@@ -97,7 +97,7 @@ class Geometric(ReplicaLaw):
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts
     ) -> Ensemble:
         """At a single contact one map for those that approach; the others keep their speeds."""
-        if len(active) > 1 or closed:
+        if len(active) > 1 or closed or active[0] in self.system.curved:
             return super().impact_ensemble(before, x, active, closed)
         jump = self._jump(active[0])
         gamma = float(jump.gamma.dot(before.x))
@@ -121,7 +121,7 @@ class Geometric(ReplicaLaw):
 
         The plant is on the stop, and the jump is the orthogonal projection onto it.
         """
-        if len(active) == 1:
+        if len(active) == 1 and active[0] not in self.system.curved:
             return self._projection.strain(before[: self.system.n], active)
         return self.energy_of_jump(before, after, active)
 

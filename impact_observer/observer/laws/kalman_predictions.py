@@ -180,7 +180,8 @@ class MissedSwitchPrediction(Prediction):
         differences, size = spread.full_root(at).copy(), state.x.size
         if kind is not Kind.OPEN:
             pressed = tuple(sorted({*state.closed, dip.contact}))
-            differences[:size] = filter_.member(state).mirror(pressed).J @ differences[:size]
+            mirror = filter_.member(state).mirror_about(before.x, pressed)
+            differences[:size] = mirror.J @ differences[:size]
         parts = [state.root, differences]
         level = mean_level(self._hypotheses, ErrorKind.RESTITUTION)
         if level and kind is Kind.IMPACT and not state.closed:

@@ -25,6 +25,7 @@ from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.free_parameters import UNITS
+from impact_observer.model.restitution import RestitutionTable
 from impact_observer.observer.belief import Account, Belief, Fallback, Prediction
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.kalman_predictions import (
@@ -57,7 +58,9 @@ def doubted(system: System) -> UnknownParameters:
     """The parameters that an account estimates."""
     deviations = OF_MOTION | OF_IMPACTS
     deviations["contact-time"] *= Phases(system).scales.timescale
-    parts = {"stiffness-scale": system.K, "damping-scale": system.C, "restitution": system.eps}
+    curves = [c.curve for c in system.contacts]
+    eps = system.eps * [not isinstance(c, RestitutionTable) for c in curves]
+    parts = {"stiffness-scale": system.K, "damping-scale": system.C, "restitution": eps}
     wanted = [f"{k}={v}" for k, v in deviations.items() if k not in parts or np.any(parts[k])]
     return UnknownParameters.named(system, wanted)
 

@@ -1,0 +1,244 @@
+"""Impacts whose restitution depends on the speed: laws, plant, filter, identification."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from systems import (
+    EPOCH,
+    chain,
+    delassus,
+    estimates,
+    examples,
+    observer,
+    run,
+    sample,
+    switchings,
+    system,
+    systems,
+    vectors,
+)
+
+from impact_observer.check.model_check import check_model
+from impact_observer.check.model_findings import findings
+from impact_observer.dynamics import ImpactLaw, lyapunov
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.events import Kind
+from impact_observer.identify.identification import identify
+from impact_observer.identify.model_edit import changes
+from impact_observer.model import System, parse_model
+from impact_observer.model.free_parameters import parametric_family
+from impact_observer.model.model_file import edited, load_yaml
+from impact_observer.model.restitution import Curve, PowerLaw, RestitutionTable
+from impact_observer.observer import ReplicaLaw
+from impact_observer.observer.belief import Belief
+from impact_observer.observer.laws.geometric import Geometric
+from impact_observer.observer.laws.kinematic import Kinematic
+from impact_observer.observer.laws.unilateral import Unilateral
+from impact_observer.plant import Plant
+from impact_observer.plant.time_stepping import TimeSteppingPlant
+from impact_observer.stamps import NS_PER_S
+
+Array = NDArray[np.float64]
+POWER = PowerLaw(0.7, 1.0, -0.25, 0.9)
+STEEP = RestitutionTable(np.array([1.0, 1.2]), np.array([0.9, 0.3]))
+
+
+def with_curve(model: System, *curves: Curve | None) -> System:
+    """The same system whose first contacts have restitutions by speed."""
+    given_ = [*curves, *[None] * (model.m - len(curves))]
+    contacts = zip(model.contacts, given_, strict=True)
+    return replace(model, contacts=tuple(replace(c, curve=curve) for c, curve in contacts))
+
+
+@st.composite
+def curves(draw: st.DrawFn) -> Curve:
+    """Power laws of any kind."""
+    value, speed = draw(st.integers(0, 8)) / 8, draw(st.integers(1, 16)) / 8
+    return PowerLaw(value, speed, -draw(st.integers(0, 7)) / 8, draw(st.integers(0, 7)) / 8)
+
+
+def test_single_contact_rebounds_by_its_own_speed() -> None:
+    """``gamma+ = -eps(|gamma-|) gamma-`` in closed form, one by one and many at once."""
+    model = with_curve(
+        system([[2, 0.5], [0.5, 1]], np.eye(2), np.eye(2), contacts=[([1, -3], 0.0, 0.6)]), POWER
+    )
+    law, U = ImpactLaw(model), np.array([[-1.0, 0.5], [-0.1, 0.0], [-4.0, 1.0], [1.0, 0.0]])
+    after = np.array([law.velocity_after(u, (0,)) for u in U])
+    before = U @ model.W[:, 0]
+    eps = np.minimum(0.9, 0.7 * np.abs(before) ** -0.25)
+    expected = np.where(before < 0, -eps * before, before)
+    np.testing.assert_allclose(after @ model.W[:, 0], expected, rtol=1e-13)
+    np.testing.assert_allclose(law.velocities_held(U, (0,), ()), after, rtol=1e-15, atol=1e-15)
+
+
+@pytest.mark.slow
+@examples(25)
+@given(st.data())
+def test_several_contacts_have_complementary_impulses_by_their_own_speeds(
+    data: st.DataObject,
+) -> None:
+    """``0 <= gamma+ + eps(|gamma-|) gamma-  _|_  Lambda >= 0``, put back into the law."""
+    model = data.draw(systems(contacts=(2, 2), max_n=4))
+    assume(np.linalg.matrix_rank(model.W) == 2)
+    model = with_curve(model, data.draw(curves()), data.draw(curves()))
+    law, u = ImpactLaw(model), data.draw(vectors(model.n))
+    impulses = law.impulses(u, (0, 1))
+    gamma = model.contact_speed(u)
+    xi = delassus(model) @ impulses + gamma + model.rebound(gamma)
+    size = 1e-9 * (1 + float(np.max(np.abs(gamma))))
+    assert np.all(impulses >= 0)
+    assert np.all(xi >= -size)
+    assert float(np.max(np.abs(impulses * xi))) <= size * (1 + float(np.max(impulses)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [Kinematic, Geometric, Unilateral], ids=lambda law: law.name)
+@examples(30)
+@given(st.data())
+def test_distance_of_two_replicas_never_rises(law: type[ReplicaLaw], data: st.DataObject) -> None:
+    """With one contact, under any switching; each replica rebounds by its own speed."""
+    model = with_curve(data.draw(systems(contacts=(1, 1))), data.draw(curves()))
+    replica, t = law(model), 0.0
+    closed: tuple[int, ...] = ()
+    states = [replica.admissible(data.draw(vectors(2 * model.n))) for _ in range(2)]
+
+    def distance() -> float:
+        q, u = np.split(states[0] - states[1], 2)
+        return float(lyapunov.distance(model, q, u))
+
+    last = distance()
+    size = 1e-9 * (1 + last)
+    for wait, hit, stay in data.draw(switchings(model.m)):
+        states = [replica.motion(t, x, closed).state(wait) for x in states]
+        t += wait
+        before = distance()
+        assert before <= last + size
+        stays = tuple(i for i in sorted({*closed, *hit}) if i in stay)
+        change, closed = ContactChange(t, closed, hit, stays), stays
+        states = list(replica.correct(change, Belief(Ensemble.of(np.array(states)))).replicas)
+        last = distance()
+        assert last <= before + size
+
+
+def test_rebound_heights_of_a_ball_follow_the_law_until_it_rests() -> None:
+    """``v -> eps(v) v`` from flight to flight in closed form; the limit brings it to rest."""
+    ball = sample("bouncing_ball")
+    model = with_curve(ball.system, PowerLaw(0.5, 1.0, -0.25, 0.9))
+    made = run(model, *ball.initial_state(), seconds=12.0, rate=10.0)
+    (height,), _ = ball.initial_state()
+    speed = np.sqrt(2 * 9.81 * height)
+    expected = [speed / 9.81]
+    for _ in range(12):
+        speed *= min(0.9, 0.5 * speed**-0.25)
+        expected.append(expected[-1] + 2 * speed / 9.81)
+    stamps = np.array([(e.stamp - EPOCH) / NS_PER_S for e in made.events])
+    np.testing.assert_allclose(stamps[:13], expected, atol=2e-9)
+    assert made.events[-1].switches[0].kind is Kind.CLOSE
+    np.testing.assert_allclose(made.states[-1], 0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_time_stepping_rebounds_by_the_same_law() -> None:
+    """Its first impacts are those of the event-driven plant, up to a few steps."""
+    model = sample("yielding_stop")
+    q, u = model.initial_state()
+    last, plants = EPOCH + 6 * NS_PER_S, []
+    plants.append(Plant(model.system, q, u, epoch=EPOCH))
+    plants.append(TimeSteppingPlant(model.system, q, u, epoch=EPOCH, step=1e-4))  # type: ignore[arg-type]
+    times = []
+    for plant in plants:
+        found = []
+        while (switching := plant.next_switching(last)) is not None:
+            found.append(switching.instant.stamp)
+            plant.cross(switching)
+        times.append(found)
+    assert len(times[0]) == len(times[1]) >= 4
+    np.testing.assert_allclose(times[0], times[1], rtol=0, atol=3e-3 * NS_PER_S)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_saltation_has_the_derivative_of_the_rebound(seed: int) -> None:
+    """The map of an impact at the own root, by finite differences of exact motions."""
+    rng = np.random.default_rng(seed)
+    model = with_curve(chain(2, damping=0.3, contacts=[([0, -1], 0.3, 0.7)]), POWER)
+    filter_, law, n, h = ImpactFilter(model), ImpactLaw(model), 2, 1e-6
+    member = filter_.members.given
+    phase = filter_.phases.phase()
+    x = np.array([rng.normal(), 0.3, rng.normal(), rng.uniform(0.5, 3.0)])
+    w = model.W[:, 0]
+
+    def own_root(y: Array) -> Array:
+        s, at = 0.0, y
+        for _ in range(6):
+            at = phase.moved(0.0, y, s)[0]
+            s -= float((w @ at[:n] + model.q_r[0]) / (w @ at[n:]))
+        at = np.concatenate([at[:n], law.velocity_after(at[n:], (0,))])
+        return phase.moved(s, at, -s)[0]
+
+    jet = member.jump_about(x, (0,), (), ())
+    found = jet.expanded(x, member.moving.forces(0.0))
+    np.testing.assert_allclose(found.value, own_root(x), atol=1e-13)
+    grad = np.concatenate([w, np.zeros(n)])
+    Xi = found.H[:, 1:] + np.outer(found.H[:, 0], grad) / float(w @ x[n:])
+    for dx in np.eye(2 * n):
+        difference = (own_root(x + h * dx) - own_root(x - h * dx)) / (2 * h)
+        np.testing.assert_allclose(Xi @ dx, difference, atol=1e-7)
+
+
+def test_minimum_variance_finds_the_state_to_rounding() -> None:
+    """V falls to 1e-14 of V0 with exact events."""
+    model = sample("yielding_stop")
+    made = run(model.system, *model.initial_state(), seconds=30.0, rate=10.0)
+    start = np.concatenate(model.initial_state()) + np.array([0.5, -0.3, 0.4, -0.6])
+    watcher = observer(model.system, "minimum-variance", start)
+    for each in made.events:
+        watcher.receive(each)
+    error = estimates(watcher, made.stamps[-1:])[0] - made.states[-1]
+    V = [lyapunov.distance(model.system, *np.split(d, 2)) for d in (error, start - made.states[0])]
+    assert V[0] <= 1e-14 * V[1]
+
+
+@pytest.mark.slow
+def test_value_and_exponent_are_identified_and_written_back() -> None:
+    """From 60 s of exact times, to 1e-4; the model file gets them in their places."""
+    model = sample("yielding_stop")
+    made = run(model.system, *model.initial_state(), seconds=60.0, rate=1.0)
+    wrong = with_curve(model.system, PowerLaw(0.65, 1.0, -0.15, 0.9))
+    family = parametric_family(wrong, ["restitution", "restitution-exponent"])
+    found = identify(family, list(made.events))
+    assert found.converged
+    np.testing.assert_allclose(found.values, [0.7, -0.25], rtol=1e-4)
+    for text in (model.text(), replace(model, element_form={}).text()):
+        document = load_yaml(text)
+        written = edited(text, changes(document, family, np.array([0.6, -0.1])))  # type: ignore[arg-type]
+        curve = parse_model(written, "fitted").system.contacts[0].curve
+        assert curve == PowerLaw(0.6, 1.0, -0.1, 0.9)
+
+
+def test_a_table_that_is_too_steep_has_no_certified_bound_and_a_warning() -> None:
+    """Its impact can raise V, so nothing is removed for certain."""
+    model = with_curve(sample("two_mass").system, STEEP)
+    assert not ImpactLaw(model).is_nonexpansive((0,))
+    x = np.array([0.3, 0.4, 1.0, 1.0])
+    assert Geometric(model).energy_removed(x, x, (0,)) is None
+    assert Geometric(with_curve(model, POWER)).energy_removed(x, x, (0,)) is not None
+    checked = check_model(model)
+    assert checked.nonexpansive is False
+    warnings = [each.text for each in findings(checked) if each.kind == "warning"]
+    assert any("slope outside [-1, 1]" in text for text in warnings)
+
+
+def test_of_several_contacts_check_model_says_that_v_is_not_proved() -> None:
+    """And no bound is certified where they hit together."""
+    model = with_curve(sample("three_mass").system, POWER)
+    checked = check_model(model)
+    assert checked.nonexpansive is None
+    warnings = [each.text for each in findings(checked) if each.kind == "warning"]
+    assert any("it is not proved that V does not rise" in text for text in warnings)
+    assert not ImpactLaw(model).is_nonexpansive((0, 1))

@@ -1,0 +1,126 @@
+"""Restitution that depends on the speed of approach: its numbers, its file, its slope."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from systems import examples
+
+from impact_observer.errors import ModelError
+from impact_observer.model import parse_model
+from impact_observer.model.restitution import PowerLaw, RestitutionTable
+
+TEXT = """
+name: ball
+bodies: [{name: z, mass: 1}]
+stops: [{name: floor, body: z, limit: 0, side: below, restitution: CURVE}]
+"""
+POWER = "{value: 0.7, speed: 2, exponent: -0.25}"
+TABLE = "{speeds: [0.1, 1, 3], values: [0.9, 0.7, 0.5]}"
+
+
+def test_power_law_has_its_value_at_its_speed_and_its_limit_below() -> None:
+    """The closed form, and 0.95 for slow impacts where no limit is given."""
+    contact = parse_model(TEXT.replace("CURVE", POWER), "ball").system.contacts[0]
+    assert isinstance(contact.curve, PowerLaw)
+    found = contact.curve.at(np.array([0.0, 1e-300, 2.0, 32.0]))
+    np.testing.assert_allclose(found, [0.95, 0.95, 0.7, 0.35], rtol=1e-15)
+    assert contact.restitution == 0.7
+
+
+def test_table_is_linear_between_its_speeds_and_constant_outside() -> None:
+    """By hand."""
+    curve = parse_model(TEXT.replace("CURVE", TABLE), "ball").system.contacts[0].curve
+    assert curve is not None
+    found = curve.at(np.array([0.0, 0.1, 0.55, 2.0, 9.0]))
+    np.testing.assert_allclose(found, [0.9, 0.9, 0.8, 0.6, 0.5], rtol=1e-14)
+
+
+@pytest.mark.parametrize("curve", [POWER, TABLE])
+def test_curve_survives_the_text_of_its_model(curve: str) -> None:
+    """In elements and in matrices."""
+    model = parse_model(TEXT.replace("CURVE", curve), "ball")
+    assert parse_model(model.text(), "again").text() == model.text()
+    matrices = type(model)(model.system)
+    again = parse_model(matrices.text(), "again").system.contacts[0].curve
+    assert again is not None
+    speeds = np.linspace(0, 5, 40)
+    own = model.system.contacts[0].curve
+    assert own is not None
+    np.testing.assert_array_equal(again.at(speeds), own.at(speeds))
+
+
+@pytest.mark.parametrize(
+    ("curve", "line"),
+    [
+        ("{value: 1.2, speed: 1, exponent: 0}", "value: is 1.2; expected a number in [0, 1]"),
+        ("{value: 0.5, speed: 0, exponent: 0}", "speed: is 0; expected a positive number, m/s"),
+        ("{value: 0.5, speed: 1, exponent: 0.1}", "exponent: is 0.1; expected a number in [-0.9"),
+        ("{value: 0.5, speed: 1, exponent: -1}", "exponent: is -1; expected a number in [-0.999"),
+        ("{value: 0.5, speed: 1, exponent: 0, limit: 1}", "limit: is 1; expected a number in [0"),
+        ("{value: 0.5, speed: 1}", "exponent: is missing"),
+        ("{value: 0.5, velocity: 1}", "velocity: is not known here; expected one of value"),
+        ("{speeds: [1], values: [0.5]}", "speeds: are [1.0]; expected at least two numbers"),
+        ("{speeds: [2, 1], values: [0.5, 0.5]}", "speeds: are [2.0, 1.0]; expected at least"),
+        ("{speeds: [1, 2], values: [0.5]}", "values: 1 values found; expected a list of 2"),
+        ("{speeds: [1, 2], values: [0.5, 2]}", "values[1]: is 2; expected a number in [0, 1]"),
+        ("{values: [0.5, 0.4]}", "speeds: is missing"),
+        ("[0.5]", "[0.5] found; expected a number"),
+    ],
+)
+def test_mistake_in_a_curve_is_one_line(curve: str, line: str) -> None:
+    """The line names the file, the key and what is expected."""
+    with pytest.raises(ModelError) as caught:
+        parse_model(TEXT.replace("CURVE", curve), "my.yaml")
+    text = str(caught.value)
+    assert text.startswith("my.yaml: stops[0].restitution")
+    assert line in text
+    assert "\n" not in text
+
+
+@examples(100)
+@given(st.floats(0, 1), st.floats(0.01, 10), st.floats(-0.999, 0), st.floats(0, 0.99), st.data())
+def test_impact_by_a_power_law_does_not_raise_the_difference_of_two_speeds(
+    value: float, speed: float, exponent: float, limit: float, data: st.DataObject
+) -> None:
+    """``|eps(v) v - eps(w) w| <= |v - w|``: what is proved of one contact."""
+    law = PowerLaw(value, speed, exponent, limit)
+    v, w = np.array(data.draw(st.tuples(st.floats(0, 20), st.floats(0, 20))))
+    after = abs(float(law.at(v) * v - law.at(w) * w))
+    assert after <= abs(v - w) * (1 + 1e-12) + 1e-14
+
+
+def test_slope_of_a_table_is_checked() -> None:
+    """It is steepest at the ends of its segments."""
+    gentle = RestitutionTable(np.array([0.1, 1.0, 3.0]), np.array([0.9, 0.7, 0.5]))
+    steep = RestitutionTable(np.array([1.0, 1.2]), np.array([0.9, 0.3]))
+    assert gentle.is_nonexpansive
+    assert not steep.is_nonexpansive
+    v = np.linspace(0, 4, 4001)
+    slopes = np.diff(steep.at(v) * v) / np.diff(v)
+    assert np.min(slopes) < -1
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [
+        PowerLaw(0.7, 1.0, -0.25, 0.9),
+        RestitutionTable(np.array([0.1, 1.0, 3.0]), np.array([0.9, 0.7, 0.5])),
+    ],
+)
+@pytest.mark.parametrize("speed", [0.05, 0.3, 1.7, 8.0])
+def test_slope_is_that_of_finite_differences(
+    curve: PowerLaw | RestitutionTable, speed: float
+) -> None:
+    """Of ``eps(v) v``, and of the power law by its value and exponent."""
+    h = 1e-6
+    v = speed + np.array([-h, h])
+    found = float(np.diff(curve.at(v) * v)[0]) / (2 * h)
+    assert curve.slope(speed) == pytest.approx(found, abs=1e-8)
+    if isinstance(curve, PowerLaw):
+        at = np.array(speed)
+        by = [
+            float(PowerLaw(0.7 + a, 1.0, -0.25 + b, 0.9).at(at) - curve.at(at)) / h
+            for a, b in ((h, 0.0), (0.0, h))
+        ]
+        assert curve.sensitivity(speed) == pytest.approx(by, abs=1e-5)
