@@ -10,6 +10,7 @@ from impact_observer.check.model_check import ModelCheck
 from impact_observer.check.model_findings import findings
 from impact_observer.draw.text_tables import console, facts_table, plain_table
 from impact_observer.model import Forcing
+from impact_observer.model.grounds import MovingFrame
 
 _ENDS = 4
 """Rows shown at either end of a long table."""
@@ -72,8 +73,10 @@ def print_check(checked: ModelCheck) -> None:
     output, system = console(100), checked.system
     output.print(
         f"{system.name}: {times(system.n, 'coordinate')}, {times(system.m, 'contact')},"
-        f" {_forcing(system.forcing)}"
+        f" {_forcing(system.forcing if system.frame is None else system.frame.forcing)}"
     )
+    if system.frame is not None:
+        output.print(f"moving grounds: {', '.join(_grounds(system.frame))}")
     for table in (*_tables(checked), facts_table(findings(checked))):
         output.print()
         output.print(table)
@@ -86,6 +89,14 @@ def _forcing(forcing: Forcing) -> str:
         *([f"sampled force to {forcing.end:g} s"] if forcing.sampled is not None else []),
     ]
     return f"forcing: {', '.join(parts) or 'none'}"
+
+
+def _grounds(frame: MovingFrame) -> Iterator[str]:
+    """What moves, how, and which contacts with it."""
+    grounds = frame.grounds
+    for k, name in enumerate(grounds.names):
+        harmonics = grounds.owner.count(k)
+        yield f"{name} ({times(harmonics, 'harmonic') if harmonics else 'a table'})"
 
 
 def _tables(checked: ModelCheck) -> Iterator[Table]:

@@ -51,6 +51,7 @@ def run(args: argparse.Namespace) -> int:
     from impact_observer.io.reader import BagReader
     from impact_observer.io.recordings import model_of
     from impact_observer.observer import make_observer
+    from impact_observer.stamps import seconds_between
 
     chosen = observer_options(args, args.law)
     with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
@@ -77,6 +78,10 @@ def run(args: argparse.Namespace) -> int:
         progress.line(f"{args.output}: {chosen.law}, {count} estimates, {decided}")
         for line in parameter_lines(observer):
             progress.line(line)
+        if observer.last_event and observer.epoch:
+            seconds = seconds_between(observer.epoch, observer.last_event)
+            if warning := read.system.held_force(seconds):
+                progress.line(f"warning: {warning}")
         if unexplained := observer.remarks[Remark.MISFIT]:
             latest = observer.estimate(observer.last_event).misfit
             progress.line(f"warning: at {unexplained} events {latest or MISFIT}")

@@ -82,6 +82,8 @@ def run(args: argparse.Namespace) -> int:
             sensor=sensor,
             flush=args.flush,
         )
+        if warning := model.system.held_force(duration):
+            progress.line(f"warning: {warning}")
         of_sensor = f", {events} events of a sensor with {', '.join(sensor.faults)}"
         progress.line(
             f"{args.output}: {model.system.name}, {duration:g} s, {len(done.impacts)} impacts,"

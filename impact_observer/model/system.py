@@ -130,6 +130,16 @@ class System:
         moves = self.frame is not None and self.frame.grounds.motion.depends_on_time
         return moves or self.forcing.depends_on_time
 
+    def held_force(self, t: float) -> str:
+        """A warning where the last sample of the forces is held at ``t``, s since the epoch."""
+        own = self.forcing if self.frame is None else self.frame.forcing
+        if t <= own.end:
+            return ""
+        return (
+            f"forcing.sampled: the samples end at t = {own.end:.9g} s; from then on their last"
+            " force is held"
+        )
+
     @property
     def m(self) -> int:
         """Number of contacts."""

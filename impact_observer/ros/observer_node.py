@@ -122,6 +122,7 @@ class ObserverNode(Node):
         self._last_sample: int | None = None
         self._last_stamp = 0
         self._last: Estimate | None = None
+        self._is_held = False
         self._misfit_news = MisfitNews()
 
     def _change(self, values: Mapping[str, Value]) -> None:
@@ -257,7 +258,15 @@ class ObserverNode(Node):
         if news := self._misfit_news.of(estimate):
             log = self.get_logger()
             (log.warning if estimate.misfit else log.info)(news)
+        self._warn_of_held_forces(stamp)
         self._last = estimate
+
+    def _warn_of_held_forces(self, stamp: int) -> None:
+        epoch = self._observer.epoch
+        held = self._observer.system.held_force((stamp - epoch) / NS_PER_S) if epoch else ""
+        if held and not self._is_held:
+            self.get_logger().warning(held)
+        self._is_held = bool(held)
 
     def _on_clock_back(self, _: TimeJump) -> None:
         """Restart the observer after a backward jump of the clock, as of a looped bag."""

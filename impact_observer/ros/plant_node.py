@@ -80,6 +80,7 @@ class PlantNode(Node):
         self._model_topic.publish(self._make.model(model_text))
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._episode = 0
+        self._is_held = False
         self._plant: Master | None = None
         # The timer is set to the next thing that is due, in wall time.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -187,6 +188,10 @@ class PlantNode(Node):
         """
         assert self._plant is not None
         last = min(now, self._end)
+        held = self._model.system.held_force((last - self._epoch) / NS_PER_S)
+        if held and not self._is_held:
+            self.get_logger().warning(held)
+        self._is_held = bool(held)
         while (switching := self._plant.next_switching(last)) is not None:
             self._publish_present(switching.instant.stamp - 1)
             self._sensing.detect(switching)

@@ -56,6 +56,26 @@ def test_a_simulated_bag_carries_its_model_and_seed(run_bag: Path) -> None:
 
 
 @pytest.mark.slow
+def test_end_of_a_recorded_force_is_one_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The last force is held; simulate and observe say from when on, once."""
+    (tmp_path / "force.csv").write_text("time,x1\n0,0\n2,5\n")
+    model, bag = tmp_path / "pushed.yaml", tmp_path / "plant"
+    text = read_model("two_mass").text()
+    sampled = f"forcing:\n  sampled: {tmp_path / 'force.csv'}\n  hold: linear\n"
+    model.write_text(text.replace("forcing:\n", sampled, 1))
+    warning = "warning: forcing.sampled: the samples end at t = 2 s; from then on their last force"
+    for duration, count in (("2", 0), ("8", 1)):
+        out = f"{bag}{duration}"
+        assert main(["simulate", str(model), "--duration", duration, "-o", out]) == 0
+        assert capsys.readouterr().out.count(warning) == count
+    law = ("--law", "minimum-variance", "--clock-error", "0")
+    observed(Path(f"{bag}8"), "estimate", *law)
+    assert capsys.readouterr().out.count(warning) == 1
+
+
+@pytest.mark.slow
 def test_observe_writes_the_parameters_that_it_estimates(
     run_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -424,3 +424,29 @@ def test_a_parameter_at_its_bound_ends_there() -> None:
         assert (restitution == 1.0) == ("restitution.c1" in found.bounded)
         at_bound += restitution == 1.0
     assert 0 < at_bound < 6
+
+
+@pytest.mark.slow
+def test_amplitude_and_phase_of_a_ground_are_found() -> None:
+    """From exact times alone, beside a restitution, from a model that is wrong in all three."""
+    text = """\
+name: rig
+bodies:  [{name: x1, mass: 1}, {name: x2, mass: 2}]
+grounds: [{name: base, motion: {harmonics: [{amplitude: 0.1, frequency: 3, phase: 0.4}]}}]
+springs:
+  - {between: [base, x1], stiffness: 10, damping: 0.3}
+  - {between: [x1, x2], stiffness: 20, damping: 0.2}
+forces:  [{body: x2, amplitude: 4, frequency: 2.5}]
+stops:
+  - {name: foot, between: [base, x1], gap: 0.2, restitution: 0.7}
+  - {name: head, body: x2, limit: 0.3, side: above, restitution: 0.7}
+"""
+    plant = run(parse_model(text, "rig").system, [0.1, 0.0], [0.0, 0.5], seconds=40.0, rate=1.0)
+    other = text.replace("amplitude: 0.1,", "amplitude: 0.11,").replace(
+        "phase: 0.4", "phase: 0.45"
+    )
+    free = ("ground-amplitude", "ground-phase", "restitution.foot")
+    family = parametric_family(parse_model(other, "rig").system, free)
+    found = identify(family, list(plant.events), clock=1e-9)
+    np.testing.assert_allclose(found.values, [0.1 / 0.11, -0.05, 0.7], rtol=1e-7)
+    assert np.all(np.abs(found.values - [0.1 / 0.11, -0.05, 0.7]) < 5 * found.errors)
