@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from impact_observer.check.findings import listed, times
-from impact_observer.check.model_check import ModelCheck
+from impact_observer.check.model_check import ModelCheck, largest_kept
 from impact_observer.model import System
 from impact_observer.states import Vector
 
@@ -26,7 +26,13 @@ class ModelFinding(NamedTuple):
 
 def findings(checked: ModelCheck) -> list[ModelFinding]:
     """All findings, those on the impact law first."""
-    return [*_impact_law(checked), *_closing(checked), *_modes(checked), *_unseen(checked)]
+    return [
+        *_impact_law(checked),
+        *_friction(checked.system),
+        *_closing(checked),
+        *_modes(checked),
+        *_unseen(checked),
+    ]
 
 
 def _impact_law(checked: ModelCheck) -> Iterator[ModelFinding]:
@@ -76,6 +82,20 @@ def _by_speed(system: System) -> Iterator[ModelFinding]:
             "Restitution depends on the speed: where such a contact closes together with others,"
             " it is not proved that V does not rise, and no bound is certified from then on.",
         )
+
+
+def _friction(system: System) -> Iterator[ModelFinding]:
+    """What friction of guides leaves of an error."""
+    if not system.guides:
+        return
+    names = listed([repr(each.name) for each in system.guides], _SHOWN)
+    kept = largest_kept(system)
+    most = "" if kept is None else f", here up to {kept:.3g} J where nothing else holds them"
+    yield ModelFinding(
+        "note",
+        f"Friction in {names} never raises V, but does not attract: two replicas that stick at"
+        f" different places keep 1/2 dq' K dq{most}. Only impacts, or slip, reduce it.",
+    )
 
 
 def _closing(checked: ModelCheck) -> Iterator[ModelFinding]:

@@ -5,11 +5,9 @@ finds the instant at which a phase ends.
 """
 
 from impact_observer.dynamics.contact.clutch import Clutches
+from impact_observer.dynamics.contact.friction import Grip, ended
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
-from impact_observer.dynamics.contact.persistent_contact import (
-    PersistentContacts,
-    persistent_contacts,
-)
+from impact_observer.dynamics.contact.persistent_contact import persistent_contacts
 from impact_observer.dynamics.contact.projection import KEPT, PositionProjection
 from impact_observer.dynamics.flow.flow import Flow, Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
@@ -24,15 +22,16 @@ __all__ = [
     "Clutches",
     "Crossing",
     "Flow",
+    "Grip",
     "ImpactLaw",
     "Motion",
-    "PersistentContacts",
     "Phase",
     "Phases",
     "PositionProjection",
     "Scales",
     "Search",
     "Watched",
+    "ended",
     "flow_of",
     "persistent_contacts",
     "sizes",

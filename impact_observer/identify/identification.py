@@ -156,6 +156,11 @@ def identify(
         IdentificationError: fewer impacts than unknowns, or parameters that move no impact.
         ImpactLawError: the impact law has no solution at an event.
     """
+    if family.system.guides:
+        raise UsageError(
+            f"{family.system.name}: guide {family.system.guides[0].name!r} rubs, which identify"
+            " cannot take; expected a model without friction"
+        )
     if family.system.forcing.sampled is not None:
         raise UsageError(
             f"{family.system.name}: its forcing is sampled, which identify cannot take; expected"

@@ -14,12 +14,13 @@ from impact_observer.model import sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.ground_keys import GroundMotions, read_grounds
+from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.restitution import read_restitution
-from impact_observer.model.system import Contact, System, moving_system
+from impact_observer.model.system import Contact, Guide, System, moving_system
 from impact_observer.states import Matrix, Vector
 
 GROUND = "ground"
-KEYS = ("bodies", "grounds", "springs", "forces", "forcing", "stops")
+KEYS = ("bodies", "grounds", "springs", "forces", "forcing", "stops", "friction")
 KINDS = ("mass", "stiffness", "damping")
 
 
@@ -122,11 +123,14 @@ def assembled_system(
     forcing = _forcing(line, document, folder)
     stops = [_stop(line, key, value) for key, value in document.items("stops")]
     M, C, K = matrices["mass"], matrices["damping"], matrices["stiffness"]
+    rubbing = [_guide(line, key, value) for key, value in document.items("friction")]
     contacts = tuple(contact for contact, _ in stops)
+    guides = tuple(guide for guide, _ in rubbing)
     try:
-        system = System(name, tuple(line.names), M, C, K, forcing, contacts)
+        system = System(name, tuple(line.names), M, C, K, forcing, contacts, guides=guides)
         if grounds := line.motions.names:
-            factors = np.reshape([factor for _, factor in stops], (-1, len(grounds)))
+            moving = [factor for _, factor in (*stops, *rubbing)]
+            factors = np.reshape(moving, (-1, len(grounds)))
             pushed = [_pushed(line, springs, kind) for kind in KINDS[1:]]
             system = moving_system(system, line.motions.grounds(pushed[0], pushed[1], factors))
     except ModelError as error:
@@ -204,6 +208,7 @@ def _sum(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
 
 def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
     """A stop, and the displacements of grounds in its gap, shape (grounds,)."""
+    refuse_coulomb(key, value)
     keys = ("name", "restitution", "body", "limit", "side", "ground", "between", "gap")
     stop = Section(key, value, keys)
     if "between" in stop:
@@ -222,3 +227,10 @@ def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
         direction, gap = sign * line.body(stop), -sign * stop.number("limit")
         moving = -sign * line.ground(stop)
     return Contact(stop.text("name"), direction, gap, *read_restitution(stop)), moving
+
+
+def _guide(line: _Line, key: str, value: Value) -> tuple[Guide, Vector]:
+    """A guide that rubs, and the speeds of grounds in its slip, shape (grounds,)."""
+    guide = guide_section(key, value, ("name", "between", "force"))
+    direction, pair = line.relative(guide), guide.value("between")
+    return Guide(guide.text("name"), direction, guide.positive("force")), line.moving(pair)

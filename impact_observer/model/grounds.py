@@ -39,7 +39,8 @@ class Grounds:
         owner: to which of them each harmonic of ``motion`` belongs, as indices.
         stiffness: forces on the coordinates by unit displacements, shape (n, k), N/m.
         damping: the same by unit speeds, shape (n, k), Ns/m.
-        factors: of the displacements in the gap of each contact, shape (m, k).
+        factors: of the displacements in the gap of each contact, then of the speeds in the slip
+            of each guide, shape (m + guides, k).
         written: what a model file says of them, with tables in it.
     """
 
@@ -52,7 +53,7 @@ class Grounds:
     written: tuple[Mapping[str, object], ...] = ()
 
     def shift(self, W: Matrix) -> Matrix:
-        """``E``, shape (n, k), for contacts in the directions ``W``, shape (n, m).
+        """``E``, shape (n, k), for contacts and guides in the directions ``W``, (n, m + guides).
 
         Raises:
             ModelError: stops of the same body move against each other.
@@ -81,7 +82,8 @@ class MovingFrame:
         forcing: ``f(t)`` of the model, without what the grounds do.
         shift: ``E``: coordinates are those in the frame plus ``E s(t)``, shape (n, k).
         angles: of the harmonics of the grounds. Derived.
-        gap_reach: how far grounds move the gap of each contact at most, shape (m,), m. Derived.
+        gap_reach: how far grounds move each contact and guide at most, shape (m + guides,), m.
+            Derived.
     """
 
     grounds: Grounds

@@ -18,13 +18,15 @@ from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.ground_keys import GroundMotions, read_grounds
+from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.restitution import read_restitution
-from impact_observer.model.system import LARGEST_STATE, Contact, System, moving_system
+from impact_observer.model.system import LARGEST_STATE, Contact, Guide, System, moving_system
 from impact_observer.resources import MOST_BYTES, read_file_or_sample
 from impact_observer.states import Matrix, Vector, frozen
 
 _MATRIX_KEYS = (
     *("coordinates", "mass", "damping", "stiffness", "grounds", "forcing", "contacts"),
+    "friction",
 )
 _NOT_YAML = (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """What ruamel raises: its own errors, and others for values such as ``2020-13-45``."""
@@ -124,7 +126,20 @@ def _matrix_form(s: System) -> dict[str, Value]:
             }
             for i, c in enumerate(s.contacts)
         ],
+        **({"friction": _friction_of(s, moving[s.m :])} if s.guides else {}),
     }
+
+
+def _friction_of(s: System, moving: Sequence[Sequence[float]]) -> Value:
+    return [
+        {
+            "name": each.name,
+            "direction": each.direction.tolist(),
+            "force": each.force,
+            **({"motion": _motion_of(s, moving[i])} if moving else {}),
+        }
+        for i, each in enumerate(s.guides)
+    ]
 
 
 def _motion_of(s: System, factors: Sequence[float]) -> Value:
@@ -293,7 +308,11 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     section.value("contacts")
     motions = read_grounds(section, (), folder)
     keys = ("name", "direction", "gap", "restitution", "motion")
+    for item in section.items("contacts"):
+        refuse_coulomb(*item)
     contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
+    allowed = ("name", "direction", "force", "motion")
+    guides = [guide_section(*item, allowed) for item in section.items("friction")]
     forcing, pushed = _forcing(section, names, motions, folder)
     system = System(
         name=name,
@@ -303,8 +322,12 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
         K=section.matrix("stiffness", n, folder),
         forcing=forcing,
         contacts=tuple(_contact(contact, n) for contact in contacts),
+        guides=tuple(
+            Guide(each.text("name"), each.vector("direction", n), each.positive("force"))
+            for each in guides
+        ),
     )
-    factors = [_factors(contact, motions) for contact in contacts]
+    factors = [_factors(each, motions) for each in (*contacts, *guides)]
     if not motions.names:
         return system
     return moving_system(

@@ -53,6 +53,21 @@ class Contact:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Guide:
+    """Dry friction of prescribed load: a force up to ``force`` against ``gamma = direction . u``.
+
+    Attributes:
+        name: its name in parameters.
+        direction: a column of W_T, shape (n,).
+        force: largest friction force, positive, N.
+    """
+
+    name: str
+    direction: Vector
+    force: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class System:
     """A linear system with stops: what the plant and its replicas have in common.
 
@@ -65,11 +80,14 @@ class System:
         forcing: ``f(t)``, in the frame in which no stop moves.
         contacts: the stops.
         frame: that frame, and the grounds that move; None where nothing moves by itself.
+        guides: where it rubs.
         W: directions of the contacts, shape (n, m). Derived.
         q_r: gaps in the rest position, shape (m,), m or rad. Derived.
         eps: restitution coefficients, shape (m,); nominal ones of contacts whose restitution
             depends on the speed. Derived.
         curved: indices of these contacts. Derived.
+        W_T: directions of the guides, shape (n, k). Derived.
+        directions: of contacts, then guides, shape (n, m + k). Derived.
 
     Raises:
         ModelError: naming the key of the model file and what is wrong with it.
@@ -83,10 +101,13 @@ class System:
     forcing: Forcing
     contacts: tuple[Contact, ...]
     frame: MovingFrame | None = None
+    guides: tuple[Guide, ...] = ()
     W: Matrix = field(init=False)
     q_r: Vector = field(init=False)
     eps: Vector = field(init=False)
     curved: frozenset[int] = field(init=False)
+    W_T: Matrix = field(init=False)
+    directions: Matrix = field(init=False)
 
     def __post_init__(self) -> None:
         """Copy, freeze and check everything."""
@@ -103,13 +124,20 @@ class System:
         _check_definite("damping", (C + C.T) / 2, strictly=False)
         contacts = tuple(_checked_contact(i, c, n) for i, c in enumerate(self.contacts))
         _check_names("contacts", [c.name for c in contacts])
+        guides = tuple(_checked_guide(i, each, n) for i, each in enumerate(self.guides))
+        _check_names("friction", [each.name for each in guides])
+        W = np.reshape([c.direction for c in contacts], (-1, n)).T
+        W_T = np.reshape([each.direction for each in guides], (-1, n)).T
         derived = {
             "M": frozen((M + M.T) / 2),
             "C": C,
             "K": frozen((K + K.T) / 2),
             "forcing": self.forcing.checked(n),
             "contacts": contacts,
-            "W": frozen(np.reshape([c.direction for c in contacts], (-1, n)).T),
+            "guides": guides,
+            "W": frozen(W),
+            "W_T": frozen(W_T),
+            "directions": frozen(np.hstack([W, W_T])),
             "q_r": frozen([c.gap for c in contacts]),
             "eps": frozen([c.restitution for c in contacts]),
             "curved": frozenset(i for i, c in enumerate(contacts) if c.curve),
@@ -162,7 +190,7 @@ class System:
         """What moving grounds add to gaps at instants, ns since the epoch, m, (samples, m)."""
         if self.frame is None:
             return np.zeros((ns.size, self.m))
-        return np.asarray(self.frame.displacements(ns)[0] @ self.frame.grounds.factors.T)
+        return np.asarray(self.frame.displacements(ns)[0] @ self.frame.grounds.factors[: self.m].T)
 
     def gap(self, q: Vector) -> Vector:
         """Contact distances ``g = W^T q + q_r``, shape (m,), paper's equation (2)."""
@@ -194,8 +222,13 @@ class System:
         """Indices of the contacts with ``g <= 0`` at ``q``, shape (n,)."""
         return tuple(np.flatnonzero(self.gap(q) <= self._gap_rounding(q)).tolist())
 
+    @property
+    def friction(self) -> Vector:
+        """Largest forces of the guides, shape (k,), N."""
+        return np.array([each.force for each in self.guides])
+
     def _gap_rounding(self, q: Vector) -> Vector:
-        moved = 0.0 if self.frame is None else self.frame.gap_reach
+        moved = 0.0 if self.frame is None else self.frame.gap_reach[: self.m]
         return np.asarray(_INSIDE * (np.abs(self.q_r) + np.abs(self.W).T @ np.abs(q) + moved))
 
     def checked_start(self, position: ArrayLike, velocity: ArrayLike) -> tuple[Vector, Vector]:
@@ -233,7 +266,13 @@ def moving_system(system: System, grounds: Grounds) -> System:
     Raises:
         ModelError: stops of the same body move against each other.
     """
-    frame = MovingFrame(grounds, system.forcing, grounds.shift(system.W))
+    try:
+        shift = grounds.shift(system.directions)
+    except ModelError as error:
+        i = int(error.key.removeprefix("contacts[").removesuffix("]"))
+        key = error.key if i < system.m else f"friction[{i - system.m}]"
+        raise ModelError(key, error.problem) from None
+    frame = MovingFrame(grounds, system.forcing, shift)
     return replace(system, forcing=frame.total(system.M, system.C, system.K), frame=frame)
 
 
@@ -306,3 +345,14 @@ def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
     if not 0.0 <= eps <= 1.0:
         raise ModelError(f"{key}.restitution", f"is {eps:g}; expected a number in [0, 1]")
     return Contact(contact.name, direction, gap, eps)
+
+
+def _checked_guide(i: int, guide: Guide, n: int) -> Guide:
+    key = f"friction[{i}]"
+    direction = finite(f"{key}.direction", guide.direction, (n,), f"{n} numbers")
+    if not np.any(direction):
+        raise ModelError(f"{key}.direction", "is zero; a guide must involve some coordinate")
+    force = float(finite(f"{key}.force", guide.force, (), "a positive number, N"))
+    if not force > 0.0:
+        raise ModelError(f"{key}.force", f"is {force:g}; expected a positive number, N")
+    return Guide(guide.name, direction, force)

@@ -7,11 +7,13 @@ import numpy as np
 from impact_observer.dynamics import (
     KEPT,
     Crossing,
+    Grip,
     ImpactLaw,
     Phase,
     Phases,
     Search,
     Watched,
+    ended,
     persistent_contacts,
 )
 from impact_observer.errors import DynamicsError, ImpactLawError
@@ -64,14 +66,15 @@ class Plant:
         self.impacts = PlainImpacts(self._phases, gaps, self._zeno.shortest, LOW)
         self._last, self._energetic = None, 0.0
         start, x = Instant(epoch), np.concatenate([q, u])
-        self._begin(start, x, closed=(), held=())
+        grip = persistent_contacts(self._phases, (), self._time(start), x, ())
+        self._begin(start, x, grip)
         if initially_closed := system.closed_at(q):
             switching = self._impact(start, x, initially_closed)
             closing = np.any(system.contact_speed(u)[list(initially_closed)] < 0)
             if closing or switching.closed:
                 self._next = switching
             else:  # they separate; only rounding in the gaps is removed
-                self._begin(start, switching.after, closed=(), held=())
+                self._begin(start, switching.after, grip)
 
     def next_switching(self, limit: int) -> Switching | None:
         """What the contacts do next, if its stamp is not after ``limit`` (ns).
@@ -113,7 +116,8 @@ class Plant:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
         assert switching is self._next, "only the next switching can be crossed"
         if not self._is_plain:
-            self._begin(switching.instant, switching.after, switching.closed, switching.held)
+            grip = Grip(switching.closed, switching.held, switching.loads)
+            self._begin(switching.instant, switching.after, grip)
             return
         # The kernel has gone on by itself.
         self._start, self._state, self._next = switching.instant, switching.after, None
@@ -130,16 +134,14 @@ class Plant:
         states[s <= 0] = self._state
         return self.system.from_frame(stamps - self.epoch, states)
 
-    def _begin(
-        self, instant: Instant, x: Vector, closed: tuple[int, ...], held: tuple[int, ...]
-    ) -> None:
+    def _begin(self, instant: Instant, x: Vector, grip: Grip) -> None:
         self._start = instant
-        self.closed = closed
-        self._open = tuple(i for i in range(self.system.m) if i not in closed)
-        self._phase = self._phases.phase(held)
+        self.closed = grip.closed
+        self._open = tuple(i for i in range(self.system.m) if i not in grip.closed)
+        self._phase = self._phases.phase(grip.held, (), grip.loads)
         self._state = x
         self._moving = None
-        self._flies = not closed
+        self._flies = not (grip.closed or self.system.guides)
         if self._flies:
             self.impacts.start(self._time(instant), x)
         else:
@@ -160,8 +162,10 @@ class Plant:
 
     def _search_of(self, phase: Phase, open_contacts: tuple[int, ...]) -> Search:
         """The search for the end of a phase: gaps of the ``open_contacts`` first, then loads."""
-        gaps = Watched.gaps(self.system, list(open_contacts))
-        return Search(phase, gaps.and_also(Watched.loads(phase)), self._phases.scales.window)
+        watched = Watched.gaps(self.system, list(open_contacts)).and_also(Watched.loads(phase))
+        if phase.rubbing is not None:
+            watched = watched.and_also(Watched.guides(self.system, phase))
+        return Search(phase, watched, self._phases.scales.window)
 
     def _ended(self, crossing: Crossing) -> Switching:
         instant = self._start.after(crossing.s)
@@ -170,12 +174,21 @@ class Plant:
         self._check_progress(crossing.s, instant)
         if hit:
             return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
+        phase, first = self._phase, len(self._open)
         switching = self._switched(instant, x, x, (), self.closed)
-        if switching.held == self._phase.held:
+        rubbed = phase.rubbing.loads if phase.rubbing is not None else ()
+        if (switching.held, switching.loads) == (phase.held, rubbed):
             # The load falls too slowly to see its sign, but it may not be negative.
-            unloaded = {self._phase.held[i - len(self._open)] for i in crossing.which}
+            which, loads = [i - first for i in crossing.which], len(phase.pressed)
+            unloaded = {phase.pressed[i] for i in which if i < loads}
             loaded = tuple(i for i in self.closed if i not in unloaded)
-            switching = self._switched(instant, x, x, (), loaded)
+            if phase.rubbing is None:
+                return self._switched(instant, x, x, (), loaded)
+            ends = [i - loads for i in which if i >= loads]
+            grip = ended(
+                self._phases, Grip(self.closed, phase.held, rubbed), phase, unloaded, ends
+            )
+            switching = self._gripped(instant, x, x, (), grip)
         return switching
 
     def _check_progress(self, s: float, instant: Instant) -> None:
@@ -224,13 +237,24 @@ class Plant:
         """The switching in which ``resting`` contacts, with ``gamma = 0``, stay closed or open."""
         if resting:
             after = self._phases.stopped(after, resting)
-        persistent = persistent_contacts(self._phases, (), self._time(instant), after, resting)
+        grip = persistent_contacts(self._phases, (), self._time(instant), after, resting)
+        return self._gripped(instant, before, after, contacts, grip)
+
+    def _gripped(
+        self,
+        instant: Instant,
+        before: Vector,
+        after: Vector,
+        contacts: tuple[int, ...],
+        grip: Grip,
+    ) -> Switching:
         return Switching(
             instant=instant,
             contacts=contacts,
-            closed=persistent.closed,
-            held=persistent.held,
+            closed=grip.closed,
+            held=grip.held,
             before=before,
             after=after,
-            switches=switches(self.system, self.closed, contacts, persistent.closed),
+            switches=switches(self.system, self.closed, contacts, grip.closed),
+            loads=grip.loads,
         )

@@ -20,7 +20,8 @@ class Switching:
         held: indices of those that take the loads, independent of each other.
         before: state (q, u-) in the system's frame, shape (2n,).
         after: state (q, u+) in it, shape (2n,).
-        switches: how ``chi`` switches; none where only the loads move from contact to contact.
+        switches: how ``chi`` switches; none where only loads move, or guides stick or slip.
+        loads: of guides that are not held, N.
     """
 
     instant: Instant
@@ -30,6 +31,7 @@ class Switching:
     before: Vector
     after: Vector
     switches: tuple[Switch, ...]
+    loads: tuple[float, ...] = ()
 
 
 def switches(

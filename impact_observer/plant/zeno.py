@@ -9,8 +9,10 @@ import numpy as np
 
 from impact_observer.dynamics import DEPTH, Phases
 from impact_observer.dynamics.contact.complementarity import nonnegative
+from impact_observer.dynamics.contact.friction import bounded
+from impact_observer.dynamics.flow.phase import without
 from impact_observer.stamps import Instant
-from impact_observer.states import Vector
+from impact_observer.states import Matrix, Vector
 
 SHORT = 1e-8
 """Flight that counts as none, relative to the model's time scale."""
@@ -56,7 +58,9 @@ class ZenoCutoff:
         moved = self._mode_sizes @ self._phases.scales.reach(q, u)
         lowest = LOW * (np.abs(system.q_r) + moved + _TINY)
         law = self._phases.unloaded()
-        free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q))
+        slow = self._phases.slow_guides(x) if system.guides else ()
+        rubbed = self._rubbed(u, slow) if system.guides else 0.0
+        free = self._phases.white(system.forcing(t) - law.damped(u) - law.sprung(q) + rubbed)
 
         def flights(found: list[int], fall: Vector) -> Vector:
             flight = self._flights(gamma[found], fall, lowest[found])
@@ -69,7 +73,7 @@ class ZenoCutoff:
             i for i in found if flights([i], self._length[[i]] * np.linalg.norm(free))[0] <= 1
         ]
         while found:
-            flight = flights(found, self._fall(free, found))
+            flight = flights(found, self._fall(free, found, slow))
             if flight.max() <= 1.0:
                 break
             # Remove one at a time: without its load the others may rest or separate.
@@ -81,6 +85,13 @@ class ZenoCutoff:
         return tuple(
             i for i in contacts if i in found or len(self._phases.independent((*found, i))) == rank
         )
+
+    def _rubbed(self, u: Vector, slow: tuple[int, ...]) -> Vector:
+        """The forces of guides that slip, shape (n,), N."""
+        system = self._phases.system
+        loads = -system.friction * np.sign(system.W_T.T @ u)
+        loads[list(slow)] = 0.0
+        return np.asarray(system.W_T @ loads)
 
     def _flights(self, speed: Vector, fall: Vector, lowest: Vector) -> Vector:
         """Next flights, relative to the longest that counts as none, shape (k,).
@@ -94,15 +105,39 @@ class ZenoCutoff:
         flight = np.minimum(time / self.shortest, height / lowest)
         return np.where(returns, flight, np.inf)
 
-    def _fall(self, free: Vector, contacts: list[int]) -> Vector:
+    def _fall(self, free: Vector, contacts: list[int], slow: tuple[int, ...]) -> Vector:
         """Acceleration with which each contact would come back if the others were held, m/s2.
 
         Zero where a contact is not pressed on its stop. ``free`` is the acceleration without
-        loads, as ``Phases.white`` gives it, shape (n,).
+        loads, as ``Phases.white`` gives it, shape (n,). Guides that are ``slow`` stick where they
+        can.
         """
+        if slow:
+            free, directions = self._stuck(free, contacts, slow)
+            return self._fall_along(free, contacts, directions)
+        return self._fall_along(free, contacts, self._phases.B[:, contacts])
+
+    def _stuck(
+        self, free: Vector, contacts: list[int], slow: tuple[int, ...]
+    ) -> tuple[Vector, Matrix]:
+        """Acceleration and directions of contacts where some ``slow`` guides stick or slip."""
+        system, count = self._phases.system, len(contacts)
+        index = [*contacts, *(system.m + j for j in slow)]
+        length = self._phases.lengths[index]
+        most = system.friction[list(slow)] * length[count:]
+        low = np.concatenate([np.zeros(count), -most])
+        high = np.concatenate([np.full(count, np.inf), most])
+        D = self._phases.B[:, index] / length
+        pushed = bounded(D, -free, low, high)
+        rubs = np.abs(pushed[count:]) < most
+        free = free + D[:, count:][:, ~rubs] @ pushed[count:][~rubs]
+        basis = np.linalg.qr(D[:, count:][:, rubs])[0]
+        return without(basis, free), without(basis, self._phases.B[:, contacts])
+
+    def _fall_along(self, free: Vector, contacts: list[int], along: Matrix) -> Vector:
         size = float(np.linalg.norm(free)) or 1.0
         length = self._length[contacts]
-        directions = self._phases.B[:, contacts] / length
+        directions = along / length
         fall = np.zeros(len(contacts))
         loads = nonnegative(directions, -free / size)
         if loads is None:  # directions are almost equal

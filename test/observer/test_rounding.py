@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from systems import EPOCH, PRESSED, observer, run, sample, started, without_faults
 
+from impact_observer.dynamics import Grip
 from impact_observer.model import System
 from impact_observer.plant import simulate
 from impact_observer.stamps import NS_PER_S, Instant, grid
@@ -22,7 +23,7 @@ def normalised_errors(model: System, x: Array, seconds: float, late: int) -> Arr
     start = EPOCH + late * NS_PER_S
     q, u = np.split(x, 2)
     plant = started(model, q, u)
-    plant._begin(Instant(start), x, (), ())
+    plant._begin(Instant(start), x, Grip((), ()))
     stamps = grid(start + NS_PER_S, start + round(seconds * NS_PER_S), 7.3)
     whole = simulate(plant, stamps)
     declared = without_faults(model_error=0.0)

@@ -13,10 +13,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics.contact.persistent_contact import (
-    PersistentContacts,
-    persistent_contacts,
-)
+from impact_observer.dynamics.contact.friction import Grip, ended
+from impact_observer.dynamics.contact.persistent_contact import persistent_contacts
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.flow.flow import Motion
 from impact_observer.dynamics.flow.phase import Phase, Phases
@@ -51,14 +49,17 @@ class Clutches:
         The state (q, u), shape (2n,), has ``gamma >= 0`` on them; with ``fix`` their gaps stay
         closed too, as in the geometric law.
         """
-        if not closed:
+        if not (closed or self.system.guides):
             return self.phases.phase().start(t, x)
-        return _ClutchMotion(self, t, x, closed, fixed=closed if fix else ())
+        return ClutchMotion(self, t, x, closed, fixed=closed if fix else ())
 
     def _search(self, phase: Phase, slipping: tuple[int, ...]) -> Search:
         """The search for the end of ``phase``: loads first, then speeds of ``slipping``."""
         speeds = Watched.speeds(self.system, list(slipping))
-        return Search(phase, Watched.loads(phase).and_also(speeds), self.window)
+        watched = Watched.loads(phase).and_also(speeds)
+        if phase.rubbing is not None:
+            watched = watched.and_also(Watched.guides(self.system, phase))
+        return Search(phase, watched, self.window)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,9 +81,9 @@ class Part:
     stopped: tuple[int, ...] = ()
 
     @property
-    def kind(self) -> tuple[tuple[int, ...], ...]:
+    def kind(self) -> tuple[object, ...]:
         """What its contacts do; parts of the same kind obey the same equations."""
-        return self.phase.held, self.slipping, self.stopped
+        return self.phase.held, self.phase.rubbing, self.slipping, self.stopped
 
 
 class Piecewise(Motion):
@@ -147,7 +148,9 @@ class Piecewise(Motion):
         return self._clutches.instant * 2.0 ** min(self._short_phases - _MOST, _PATIENCE)
 
 
-class _ClutchMotion(Piecewise):
+class ClutchMotion(Piecewise):
+    """The motion of a replica with clutches and guides."""
+
     def __init__(
         self,
         clutches: Clutches,
@@ -169,18 +172,22 @@ class _ClutchMotion(Piecewise):
     def _next(self, part: Part, crossing: Crossing) -> Part:
         start = part.start + crossing.s
         x = part.motion.state(crossing.s)
-        held = part.phase.held
-        released = {held[i] for i in crossing.which if i < len(held)}
-        caught = {part.slipping[i - len(held)] for i in crossing.which if i >= len(held)}
+        pressed, slips = part.phase.pressed, len(part.phase.pressed) + len(part.slipping)
+        released = {pressed[i] for i in crossing.which if i < len(pressed)}
+        caught = {
+            part.slipping[i - len(pressed)] for i in crossing.which if len(pressed) <= i < slips
+        }
         slow = [i for i in self._closed if i not in part.slipping or i in caught]
         found = self._part(start, x, tuple(slow))
         if found.kind != part.kind:
             return found
         # A load that falls too slowly to see its sign may not become negative either.
-        closed = tuple(i for i in slow if i not in released)
-        return self._begun(
-            start, x, PersistentContacts(closed, self._clutches.phases.independent(closed))
-        )
+        closed, phases = tuple(i for i in slow if i not in released), self._clutches.phases
+        if part.phase.rubbing is None:
+            return self._begun(start, x, Grip(closed, phases.independent(closed)))
+        grip = Grip(closed, part.phase.held, part.phase.rubbing.loads)
+        ends = [i - slips for i in crossing.which if i >= slips]
+        return self._begun(start, x, ended(phases, grip, part.phase, released, ends))
 
     def _part(self, start: float, x: Vector, slow: tuple[int, ...]) -> Part:
         """The phase from ``start`` on, ``slow`` contacts having ``gamma = 0``."""
@@ -189,7 +196,7 @@ class _ClutchMotion(Piecewise):
             start, x, persistent_contacts(phases, self._fixed, self.t + start, x, slow)
         )
 
-    def _begun(self, start: float, x: Vector, persistent: PersistentContacts) -> Part:
-        phase = self._clutches.phases.phase(persistent.held, self._fixed)
+    def _begun(self, start: float, x: Vector, persistent: Grip) -> Part:
+        phase = self._clutches.phases.phase(persistent.held, self._fixed, persistent.loads)
         slipping = tuple(i for i in self._closed if i not in persistent.closed)
         return Part(start, phase, phase.start(self.t + start, x), slipping)

@@ -7,12 +7,11 @@ derivatives decide, and so on: a contact whose load has just fallen to zero open
 fall further. A contact on which no derivative decides is closed without load.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from impact_observer.dynamics.contact.complementarity import nonnegative
-from impact_observer.dynamics.flow.phase import RANK, Phases
+from impact_observer.dynamics.contact.friction import Grip, grip
+from impact_observer.dynamics.flow.phase import RANK, Phases, without
 from impact_observer.errors import DynamicsError
 from impact_observer.states import Matrix, Vector
 
@@ -22,22 +21,10 @@ _ZERO = 1e-11
 """Acceleration that counts as none, relative to the largest term of its sum."""
 
 
-class PersistentContacts(NamedTuple):
-    """Contacts that stay closed.
-
-    Attributes:
-        closed: their indices.
-        held: indices of those that carry the loads, independent of each other.
-    """
-
-    closed: tuple[int, ...]
-    held: tuple[int, ...]
-
-
 def persistent_contacts(
     phases: Phases, fixed: tuple[int, ...], t: float, x: Vector, contacts: tuple[int, ...]
-) -> PersistentContacts:
-    """Decide which of ``contacts`` stay closed at ``t``, s since the epoch.
+) -> Grip:
+    """Decide which of ``contacts`` stay closed at ``t``, s since the epoch, and what guides do.
 
     The state ``x`` (p, u), shape (2n,), has ``gamma = 0`` on them. The gaps of ``fixed`` contacts
     stay closed whether they are held or not; see ``phase.py``.
@@ -45,8 +32,10 @@ def persistent_contacts(
     Raises:
         DynamicsError: the loads cannot be found.
     """
+    if phases.system.guides:
+        return grip(phases, fixed, t, x, contacts)
     if not contacts:
-        return PersistentContacts((), ())
+        return Grip((), ())
     unloaded, at = phases.unloaded(fixed), np.array([t])
     equations = unloaded.equations
     n = equations.n
@@ -59,8 +48,8 @@ def persistent_contacts(
             np.stack([f[k], -unloaded.damped(motion[-1]), -unloaded.sprung(motion[-2])], axis=1)
         )
         basis = np.linalg.qr(phases.B[:, pressing])[0]
-        directions = _without(basis, phases.B[:, undecided])
-        free = _without(basis, terms.sum(axis=1))
+        directions = without(basis, phases.B[:, undecided])
+        free = without(basis, terms.sum(axis=1))
         # Rounding is relative to the terms of the sum, those of the force included.
         size = max(float(np.linalg.norm(terms, axis=0).max()), float(unloaded.load(k, at)[0]))
         length = phases.length[undecided]
@@ -76,7 +65,7 @@ def persistent_contacts(
         if not undecided:
             break
     closed = tuple(sorted([*pressing, *undecided]))
-    return PersistentContacts(closed, phases.independent((*pressing, *undecided)))
+    return Grip(closed, phases.independent((*pressing, *undecided)))
 
 
 def _least(
@@ -96,9 +85,3 @@ def _least(
             )
         pushed[independent] = size * loads
     return pushed, free + directions @ pushed
-
-
-def _without(basis: Matrix, vectors: Matrix) -> Matrix:
-    """``vectors`` without their parts in ``basis``, subtracted twice against rounding."""
-    once = vectors - basis @ (basis.T @ vectors)
-    return np.asarray(once - basis @ (basis.T @ once))

@@ -54,6 +54,8 @@ class PositionProjection:
         ``modes``, if available, are ``omega^2``, shape (n,), ascending, and shapes, (n, n).
         """
         self._system = system
+        self._directions = system.directions
+        self._q_r = np.append(system.q_r, np.zeros(len(system.guides)))  # guides have no gap
         stiffness, shapes = modes or linalg.eigh(system.K, system.M)
         elastic = stiffness > _RIGID * max(float(stiffness[-1]), 0.0)
         self._rigid = shapes[:, ~elastic]
@@ -89,7 +91,7 @@ class PositionProjection:
         elastic, rigid, _, _ = self._split(active)
         Z = frozen(self._elastic @ elastic + self._rigid @ rigid)
         return _PositionJump(
-            frozen(system.W[:, A].T), system.q_r[A], Z, frozen(Z.T @ system.K @ Z)
+            frozen(self._directions[:, A].T), self._q_r[A], Z, frozen(Z.T @ system.K @ Z)
         )
 
     def _reactions_of(self, active: tuple[int, ...]) -> Matrix:
@@ -109,7 +111,7 @@ class PositionProjection:
         Amplitudes of elastic and of rigid modes, those of rigid motion alone, each shape
         (modes, |A|), and what rigid motion cannot close, shape (|A|, |A|).
         """
-        W = self._system.W[:, list(active)]
+        W = self._directions[:, list(active)]
         rigid, elastic = W.T @ self._rigid, W.T @ self._elastic
         # The shapes are M-orthonormal: no mode moves a gap by more than sqrt(w^T M^-1 w). Rigid
         # motion does not move the gap between two bodies; rounding there is not counted as rank.

@@ -13,10 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from impact_observer.dynamics.contact.clutch import Clutches, Part, Piecewise
-from impact_observer.dynamics.contact.persistent_contact import (
-    PersistentContacts,
-    persistent_contacts,
-)
+from impact_observer.dynamics.contact.friction import Grip, ended
+from impact_observer.dynamics.contact.persistent_contact import persistent_contacts
 from impact_observer.dynamics.contact.projection import KEPT
 from impact_observer.dynamics.contact.unilateral_projection import UnilateralProjection
 from impact_observer.dynamics.flow.flow import Motion
@@ -70,6 +68,8 @@ class SweepingProcess:
         phases, n = self.clutches.phases, len(x) // 2
         system, at = phases.system, np.array([t])
         f = system.forcing.derivatives(at, _ORDERS - 1)[:, 0]
+        if phase.rubbing is not None:
+            f[0] += system.W_T @ np.array(phase.rubbing.loads)
         q, u = x[:n], x[n:]
         size = float(np.sqrt(u @ system.M @ u))
         pressed: tuple[int, ...] = ()
@@ -124,6 +124,8 @@ class SweepingProcess:
             pushing = -R @ system.W[:, list(phase.fixed)].T
             watched = watched.and_also(Watched.of_velocity(pushing[-len(stopped) :]))
         watched = watched.and_also(Watched.gaps(system, list(opened), phase))
+        if phase.rubbing is not None:
+            watched = watched.and_also(Watched.guides(system, phase))
         return Search(phase, watched, clutches.window)
 
 
@@ -160,16 +162,17 @@ class _SweepingMotion(Piecewise):
         start = part.start + crossing.s
         x = part.motion.state(crossing.s)
         watched = [
-            *((0, i) for i in part.phase.held),
+            *((0, i) for i in part.phase.pressed),
             *((1, i) for i in part.slipping),
             *((2, i) for i in part.stopped),
             *((3, i) for i in self._open(part)),
+            *((4, i) for i in range(len(part.phase.rubbing.ends if part.phase.rubbing else ()))),
         ]
-        crossed: list[set[int]] = [set(), set(), set(), set()]
+        crossed: list[set[int]] = [set(), set(), set(), set(), set()]
         for which in crossing.which:
             kind, i = watched[which]
             crossed[kind].add(i)
-        released, caught, let_go, struck = crossed
+        released, caught, let_go, struck, ends = crossed
         slow = tuple(i for i in self._closed if i not in part.slipping or i in caught)
         at_stop = tuple(sorted({*self._at_stop(x), *part.stopped, *struck}))
         found = self._part(start, x, slow, at_stop)
@@ -177,7 +180,11 @@ class _SweepingMotion(Piecewise):
             return found
         # A load that falls too slowly to see its sign may not become negative either.
         closed = tuple(i for i in slow if i not in released)
-        persistent = PersistentContacts(closed, self._clutches.phases.independent(closed))
+        phases = self._clutches.phases
+        persistent = Grip(closed, phases.independent(closed))
+        if part.phase.rubbing is not None:
+            grip = Grip(closed, part.phase.held, part.phase.rubbing.loads)
+            persistent = ended(phases, grip, part.phase, released, ends)
         stopped = tuple(sorted({*part.stopped, *struck} - let_go))
         return self._begun(start, x, persistent, self._process.independent(self._closed, stopped))
 
@@ -189,15 +196,14 @@ class _SweepingMotion(Piecewise):
         persistent = persistent_contacts(phases, closed, t, x, slow)
         stopped: tuple[int, ...] = ()
         if at_stop:
-            phase = phases.phase(persistent.held, closed)
+            phase = phases.phase(persistent.held, closed, persistent.loads)
             stopped = self._process.stopped(t, x, phase, closed=closed, at_stop=at_stop)
         if stopped:
             persistent = persistent_contacts(phases, (*closed, *stopped), t, x, slow)
         return self._begun(start, x, persistent, stopped)
 
-    def _begun(
-        self, start: float, x: Vector, persistent: PersistentContacts, stopped: tuple[int, ...]
-    ) -> Part:
-        phase = self._clutches.phases.phase(persistent.held, (*self._closed, *stopped))
+    def _begun(self, start: float, x: Vector, persistent: Grip, stopped: tuple[int, ...]) -> Part:
+        fixed = (*self._closed, *stopped)
+        phase = self._clutches.phases.phase(persistent.held, fixed, persistent.loads)
         slipping = tuple(i for i in self._closed if i not in persistent.closed)
         return Part(start, phase, phase.start(self.t + start, x), slipping, stopped)

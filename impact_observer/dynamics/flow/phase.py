@@ -11,6 +11,9 @@ makes that a mechanical system again, ``M du/dt = -C u - Q^T K Q p + f + K Z q_r
 its stiffness is what the fixed contacts leave of ``K``. So every phase is an ordinary linear
 system in ``p`` whose velocities stay in the null space of ``W_H^T``; there it is reduced to the
 coordinates that are free, and has an exact flow. Where nothing is fixed, ``p = q``.
+
+Guides that stick are held like contacts; their indices follow those of the contacts. All others
+have a constant load: a force of the phase.
 """
 
 from collections.abc import Callable
@@ -76,12 +79,27 @@ class Unloaded(NamedTuple):
     scales: Scales
 
 
+class Rubbing(NamedTuple):
+    """What the guides do in a phase.
+
+    Attributes:
+        loads: those of guides that are not held, constant, and 0 for the others, N.
+        ends: guide and side of each way in which that ends: the load of a held one reaches its
+            upper or its lower bound, 1 or -1; the speed of one that slips vanishes, 0.
+    """
+
+    loads: tuple[float, ...]
+    ends: tuple[tuple[int, int], ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Phase:
     """One linear phase of a system, in the coordinates ``p``.
 
     Attributes:
-        held: contacts with ``gamma = 0``, independent of each other, as indices.
+        held: contacts and guides with ``gamma = 0``, independent of each other, as indices.
+        pressed: the contacts among them.
+        rubbing: what guides can do in the phase; None where there are none.
         fixed: contacts whose gaps stay closed though they may slip, as indices.
         equations: of ``p``, without the loads of the held contacts.
         inverse: what is left of ``M^-1`` when the held contacts take their loads, shape (n, n).
@@ -93,6 +111,8 @@ class Phase:
     """
 
     held: tuple[int, ...]
+    pressed: tuple[int, ...]
+    rubbing: "Rubbing | None"
     fixed: tuple[int, ...]
     equations: Equations
     inverse: Matrix
@@ -131,8 +151,9 @@ class Phases:
     Attributes:
         system: the system.
         projection: its position jumps.
-        B: ``L^-1 W``, ``M = L L^T``: ``B^T B = G``, shape (n, m).
-        length: of the columns of ``B``, shape (m,).
+        B: ``L^-1 W``, ``M = L L^T``: ``B^T B = G``, of contacts and guides, shape (n, m + k).
+        length: of the columns of contacts, shape (m,).
+        lengths: of all columns, shape (m + k,).
         inertia: ``M u`` as a function of ``u``.
         scales: of the system where nothing is held or fixed.
     """
@@ -142,21 +163,27 @@ class Phases:
         self.system = system
         self._factor = Factor(system.M)
         self.inertia = product_with(system.M)
-        self.B = frozen(self.white(system.W))
-        self.length = frozen(np.linalg.norm(self.B, axis=0))
+        self.B = frozen(self.white(system.directions))
+        self.lengths = frozen(np.linalg.norm(self.B, axis=0))
+        self.length = self.lengths[: system.m]
         self._inverse = self._left(np.eye(system.n))
         self._prepared = lru_cache(KEPT)(self._prepare)
         self._laws = lru_cache(KEPT)(self._unloaded)
         self.scales = self.unloaded().scales
         self.projection = PositionProjection(system, (self.scales.squares, self.scales.shapes))
 
-    def phase(self, held: tuple[int, ...] = (), fixed: tuple[int, ...] = ()) -> Phase:
+    def phase(
+        self,
+        held: tuple[int, ...] = (),
+        fixed: tuple[int, ...] = (),
+        loads: tuple[float, ...] = (),
+    ) -> Phase:
         """The phase in which ``held`` contacts, independent of each other, take loads.
 
         Where the held contacts determine the gaps of all ``fixed`` ones these do not slip, and it
-        is the same phase without them.
+        is the same phase without them. ``loads`` are those of guides, if there are any.
         """
-        return self._prepared(held, fixed)
+        return self._prepared(held, fixed, loads)
 
     def independent(self, contacts: tuple[int, ...]) -> tuple[int, ...]:
         """Those of ``contacts`` whose direction does not depend on others before them."""
@@ -203,6 +230,18 @@ class Phases:
         position = (projection or self.projection).position_after(x[:n], contacts)
         return np.concatenate([position, self.unwhite(velocity)])
 
+    def slow_guides(self, x: Vector) -> tuple[int, ...]:
+        """Guides whose speed counts as zero at the state ``x``, shape (2n,).
+
+        Relative to all motion, to its springs and to what friction makes of it in the time scale.
+        """
+        system, (q, u) = self.system, np.split(x, 2)
+        lengths = self.lengths[system.m :]
+        energy = float(u.dot(self.inertia(u)) + q.dot(system.K.dot(q)))
+        rubbed = float(np.max(system.friction * lengths)) * self.scales.timescale
+        slow = np.abs(system.W_T.T @ u) <= _ROUNDING * lengths * (np.sqrt(energy) + rubbed)
+        return tuple(np.flatnonzero(slow).tolist())
+
     def speed_tolerance(self, u: Vector) -> Vector:
         """Contact speeds that count as zero at velocities ``u``, shape (m,), m/s.
 
@@ -210,19 +249,25 @@ class Phases:
         """
         return np.asarray(_ROUNDING * self.length * np.sqrt(u.dot(self.inertia(u))))
 
-    def unloaded(self, fixed: tuple[int, ...] = ()) -> "Unloaded":
-        """The equations of motion while the gaps of ``fixed`` stay closed and nothing is held."""
-        return self._laws(fixed)
+    def unloaded(self, fixed: tuple[int, ...] = (), loads: tuple[float, ...] = ()) -> "Unloaded":
+        """The equations of motion while the gaps of ``fixed`` stay closed and nothing is held.
 
-    def _unloaded(self, fixed: tuple[int, ...]) -> "Unloaded":
+        Guides have the ``loads``.
+        """
+        return self._laws(fixed, loads)
+
+    def _unloaded(self, fixed: tuple[int, ...], loads: tuple[float, ...]) -> "Unloaded":
         system = self.system
         equations: Equations = system
         Q, rest = np.eye(system.n), np.zeros(system.n)
+        rubbed = system.W_T @ np.array(loads) if any(loads) else None
+        if rubbed is not None:
+            equations = Reduced(system.M, system.C, system.K, system.forcing.plus(rubbed))
         if fixed:
             Z, contacts = self.projection.jump(fixed), list(fixed)
             W, q_r = system.W[:, contacts], system.q_r[contacts]
             Q, rest = Q - Z @ W.T, -Z @ q_r
-            forcing = system.forcing.plus(system.K @ Z @ q_r)
+            forcing = equations.forcing.plus(system.K @ Z @ q_r)
             whole = float(np.linalg.norm(self.scales.squares))
             stiffness = self._cleaned(_symmetric(Q.T @ system.K @ Q), np.diag(system.M), whole)
             equations = Reduced(system.M, system.C, stiffness, forcing)
@@ -230,15 +275,19 @@ class Phases:
         pulls = product_with(equations.C), product_with(equations.K)
         return Unloaded(equations, *pulls, frozen(Q), frozen(rest), load, Scales.of(equations))
 
-    def _prepare(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Phase:
+    def _prepare(
+        self, held: tuple[int, ...], fixed: tuple[int, ...], loads: tuple[float, ...]
+    ) -> Phase:
         if fixed and len(self.independent((*held, *fixed))) == len(held):
-            return self.phase(held)
-        p = len(held)
-        free = self.unloaded(fixed)
+            return self.phase(held, (), loads)
+        p, m = len(held), self.system.m
+        free = self.unloaded(fixed, loads)
         orthogonal, triangular = np.linalg.qr(self.B[:, list(held)], mode="complete")
         pressing = self.unwhite(orthogonal[:, :p])
         return Phase(
             held=held,
+            pressed=tuple(i for i in held if i < m),
+            rubbing=self._rubbing(held, loads) if loads else None,
             fixed=fixed,
             equations=free.equations,
             inverse=self._left(orthogonal[:, p:]) if p else self._inverse,
@@ -246,7 +295,7 @@ class Phases:
                 # scipy before 1.14 refuses empty systems
                 linalg.solve_triangular(triangular[:p], pressing.T) if p else pressing.T
             ),
-            flow=self._framed(held, fixed)
+            flow=self._framed(held, fixed, loads)
             if held or fixed
             else flow_of(free.equations, free.scales.shapes),
             Q=free.Q,
@@ -254,9 +303,21 @@ class Phases:
             scales=free.scales,
         )
 
-    def _framed(self, held: tuple[int, ...], fixed: tuple[int, ...]) -> Flow:
+    def _rubbing(self, held: tuple[int, ...], loads: tuple[float, ...]) -> Rubbing:
+        """What guides with the ``loads`` can do."""
+        m, most, ends = self.system.m, self.system.friction, []
+        for j, load in enumerate(loads):
+            if m + j in held:
+                ends += [(j, 1), (j, -1)]
+            elif abs(load) == most[j]:
+                ends.append((j, 0))
+        return Rubbing(loads, tuple(ends))
+
+    def _framed(
+        self, held: tuple[int, ...], fixed: tuple[int, ...], loads: tuple[float, ...]
+    ) -> Flow:
         """Flow of the coordinates that the held contacts leave free."""
-        whole = self.unloaded(fixed)
+        whole = self.unloaded(fixed, loads)
         equations, n, none = whole.equations, self.system.n, np.zeros((0, 0))
         Q, rest = (whole.Q, whole.rest) if fixed else (none, np.zeros(0))
         if not held:
@@ -264,7 +325,7 @@ class Phases:
             return flow_of(
                 equations, whole.scales.shapes, PhaseFrame(free, np.eye(n), none, Q, rest)
             )
-        W = self.system.W[:, list(held)]
+        W = self.system.directions[:, list(held)]
         free = ReducedCoordinates.of(W, equations.M)
         # Deflections of held contacts that load no other contact.
         static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)] @ W.T
@@ -304,3 +365,9 @@ class Phases:
 
 def _symmetric(matrix: Matrix) -> Matrix:
     return np.asarray((matrix + matrix.T) / 2)
+
+
+def without(basis: Matrix, vectors: Matrix) -> Matrix:
+    """``vectors`` without their parts in ``basis``, subtracted twice against rounding."""
+    once = vectors - basis @ (basis.T @ vectors)
+    return np.asarray(once - basis @ (basis.T @ once))

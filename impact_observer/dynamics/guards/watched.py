@@ -53,8 +53,33 @@ class Watched:
     @classmethod
     def loads(cls, phase: Phase) -> "Watched":
         """The loads ``lambda`` of the held contacts: below zero they are released."""
-        H, equations = phase.loads, phase.equations
-        return cls(H @ equations.K, H @ equations.C, -H, np.zeros(len(H)))
+        which = [phase.held.index(i) for i in phase.pressed]
+        return cls._of_loads(phase, phase.loads[which], np.zeros(len(which)))
+
+    @classmethod
+    def guides(cls, system: System, phase: Phase) -> "Watched":
+        """What ends the guides' part in ``phase``, in the order of ``Rubbing.ends``.
+
+        The load of one that sticks is at most its force in size, one that slips does not turn.
+        """
+        n, m, most = system.n, system.m, system.friction
+        found = cls.of_velocity(np.zeros((0, n)))
+        if phase.rubbing is None:
+            return found
+        for j, side in phase.rubbing.ends:
+            if side:
+                row = -side * phase.loads[[phase.held.index(m + j)]]
+                one = cls._of_loads(phase, row, most[[j]])
+            else:
+                one = cls.of_velocity(-np.sign(phase.rubbing.loads[j]) * system.W_T[:, [j]].T)
+            found = found.and_also(one)
+        return found
+
+    @classmethod
+    def _of_loads(cls, phase: Phase, H: Matrix, constant: Vector) -> "Watched":
+        """``constant - H (f - C u - K p)``, in which ``f`` has the constant loads of guides."""
+        equations = phase.equations
+        return cls(H @ equations.K, H @ equations.C, -H, constant)
 
     def and_also(self, other: "Watched") -> "Watched":
         """The functions of both, these first."""

@@ -24,7 +24,7 @@ class OpenLoop(ReplicaLaw):
         del closed
         return super().motion(t, x, ())
 
-    def phase(self, closed: Contacts) -> Phase:
-        """The motion without contact, always."""
+    def phase(self, closed: Contacts) -> Phase | None:
+        """The motion without contact, always; None where guides may stick."""
         del closed
-        return self._free
+        return None if self.system.guides else self._free

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 from systems import Harmonic, examples, forcing, system
 
-from impact_observer.dynamics import PersistentContacts, Phases, persistent_contacts
+from impact_observer.dynamics import Grip, Phases, persistent_contacts
 from impact_observer.model import System
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ def decided(model: System, x: Array) -> set[tuple[int, ...]]:
     return found
 
 
-def decide(model: System, x: ArrayLike, t: float = 0.0) -> PersistentContacts:
+def decide(model: System, x: ArrayLike, t: float = 0.0) -> Grip:
     """What becomes of all contacts of a system."""
     return persistent_contacts(Phases(model), (), t, np.asarray(x, float), tuple(range(model.m)))
 
@@ -154,7 +154,7 @@ def pushed(*parts: tuple[float, float], constant: float = 0.0, frequency: float 
 )
 def test_first_derivative_that_is_not_zero_decides(model: System, closed: bool) -> None:
     """A load at its root stays if it rises, however slowly; one without end stays as well."""
-    assert decide(model, [0.0, 0.0]) == (((0,), (0,)) if closed else ((), ()))
+    assert decide(model, [0.0, 0.0])[:2] == (((0,), (0,)) if closed else ((), ()))
 
 
 @pytest.mark.parametrize("frequency", [0.37, 1.9838269257012868, 6.1])
@@ -219,12 +219,12 @@ def test_one_contact_leaves_and_others_stay() -> None:
         contacts=[(row, 0.0, 0.5) for row in np.eye(3)],
         force=forcing(3, [-1.0, 1.0, -2.0]),
     )
-    assert decide(model, np.zeros(6)) == ((0, 2), (0, 2))
+    assert decide(model, np.zeros(6))[:2] == ((0, 2), (0, 2))
 
 
 def test_no_contact_gives_no_persistent_contact() -> None:
     """Nor does it look at the motion."""
-    assert persistent_contacts(Phases(pushed()), (), 0.0, np.zeros(2), ()) == ((), ())
+    assert persistent_contacts(Phases(pushed()), (), 0.0, np.zeros(2), ())[:2] == ((), ())
 
 
 @pytest.mark.parametrize("mass", [1e-6, 1.0, 1e6])
