@@ -35,6 +35,7 @@ from impact_observer.io import BagReader, interfaces
 from impact_observer.io.messages import AnyMessage, read_event, read_verdict
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.subscribing import MessageInfo
 
 MODEL = """
 name: fast
@@ -52,6 +53,8 @@ initial_state: {position: [0.1, -0.2], velocity: [5, 0]}
 SENSORS = "sources: [{contact: stop, topic: switch, kind: switch}]\n"
 DUE = 1.0
 """What had reached a process so long before its end is not lost, s."""
+SENT = 0.5
+"""What a process published so long before its own end has left it, for all that receive it, s."""
 UP = 2.0
 """A process is killed at the earliest so long after its first sign of life, s."""
 PULSE, SPACING = 0.02, 0.3
@@ -70,14 +73,21 @@ class Life:
     Attributes:
         process: of the operating system.
         folder: for the log, and the bag of a recorder.
+        began: when it was started, by the clock of the machine, ns.
         up: when it gave its first sign of life.
         end: when it was killed.
     """
 
     process: "subprocess.Popen[bytes]"
     folder: Path
+    began: int
     up: float = float("inf")
     end: float = float("inf")
+
+    def note(self, now: float, info: MessageInfo) -> None:
+        """Note a message: what was published before the start is of the life before."""
+        if info["source_timestamp"] > self.began:
+            self.up = min(self.up, now)
 
     def had(self, at: float) -> bool:
         """Whether what came then had reached the process long enough before its end."""
@@ -140,21 +150,19 @@ class Rig:
         }
 
     def _event_taker(self, topic: str) -> object:
-        def take(message: AnyMessage) -> None:
+        def take(message: AnyMessage, info: MessageInfo) -> None:
             event = read_event(message)
             now = time.monotonic()
             key = (topic, event.epoch, event.episode, event.sequence, event.stamp)
             if self.events.setdefault(key, now) == now:
-                life = self.lives["plant" if topic == "/impacts" else "detector"][-1]
-                life.up = min(life.up, now)
+                self.lives["plant" if topic == "/impacts" else "detector"][-1].note(now, info)
 
         return take
 
-    def _on_verdict(self, message: AnyMessage) -> None:
+    def _on_verdict(self, message: AnyMessage, info: MessageInfo) -> None:
         verdict, _ = read_verdict(message)
         self.verdicts.add((verdict.stamp, verdict.sequence))
-        life = self.lives["observer"][-1]
-        life.up = min(life.up, time.monotonic())
+        self.lives["observer"][-1].note(time.monotonic(), info)
 
     def _pulse(self) -> None:
         self.pulses.append((time.monotonic(), time.time_ns()))
@@ -168,9 +176,10 @@ class Rig:
         folder.mkdir()
         command = [sys.executable, "-m", *self._commands(self._folder)[name]]
         command += [str(folder / "bag")] if name == "recorder" else []
+        began = time.time_ns()
         with (folder / "log").open("wb") as log:
             process = subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL)
-        self.lives[name].append(Life(process, folder))
+        self.lives[name].append(Life(process, folder, began))
 
     def spin(self, seconds: float) -> None:
         """Receive for a while, and see whether a recorder has begun."""
@@ -206,10 +215,12 @@ class Rig:
         life.process.wait()
 
     def close(self) -> None:
-        """End everything; the last lives are not judged by their end."""
+        """End everything; what came after the witness received its last message is not judged."""
+        now = time.monotonic()
         for name, lives in self.lives.items():
             if lives[-1].process.poll() is None:
                 self.end(name, signal.SIGTERM)
+            lives[-1].end = min(lives[-1].end, now)
         self._node.destroy_node()
 
     def recorded(self) -> Account:
@@ -230,12 +241,17 @@ class Rig:
                         }
         account = Account()
         for key, at in self.events.items():
-            if any(life.had(at) for life in self.lives["recorder"]):
+            if self._was_sent(key, at) and any(life.had(at) for life in self.lives["recorder"]):
                 account.due += 1
                 account.lost += [] if key in saved else [str(key)]
             else:
                 account.excused += key not in saved
         return account
+
+    def _was_sent(self, key: EventKey, at: float) -> bool:
+        """Whether the sender of an event lived until it had left for all that receive it."""
+        lives = self.lives["plant" if key[0] == "/impacts" else "detector"]
+        return all(not life.end - SENT < at < life.end + SENT for life in lives)
 
     def judged(self) -> Account:
         """The verdicts of the observer on the plant's events."""
@@ -245,7 +261,8 @@ class Rig:
         for key, at in plant:
             *_, sequence, stamp = key
             is_judged = (stamp, sequence) in self.verdicts
-            if key not in last.values() and any(life.had(at) for life in self.lives["observer"]):
+            reached = self._was_sent(key, at) and key not in last.values()
+            if reached and any(life.had(at) for life in self.lives["observer"]):
                 account.due += 1
                 account.lost += [] if is_judged else [str(key)]
             else:

@@ -4,28 +4,8 @@ Every error a user can cause derives from :class:`ImpactObserverError`; its ``ex
 what a command ends with. Anything else that escapes is a bug; ``process_end`` reports it.
 """
 
-import unicodedata
 from collections.abc import Iterable
 from typing import ClassVar
-
-
-def printable(text: str) -> str:
-    """``text`` with its control characters escaped, so that it cannot control a terminal.
-
-    Line ends and tabs are escaped too: what is shown stays one line.
-    """
-    if text.isprintable():
-        return text
-    return "".join(
-        each.encode("unicode_escape").decode("ascii")
-        if unicodedata.category(each) in _CONTROL
-        else each
-        for each in text
-    )
-
-
-_CONTROL = {"Cc", "Cf", "Cs", "Zl", "Zp"}
-"""Categories of characters that control, direct or break a text instead of being seen."""
 
 
 class ImpactObserverError(Exception):

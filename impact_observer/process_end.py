@@ -18,7 +18,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import final
 
-from impact_observer.errors import ImpactObserverError, printable
+from impact_observer.errors import ImpactObserverError
+from impact_observer.plain_text import printable, say
 
 TRACEBACK = "IMPACT_OBSERVER_TRACEBACK"
 """Environment variable: if it is set, errors show their traceback too."""
@@ -235,6 +236,6 @@ def _hooks(program: str) -> Iterator[None]:
 def _write(line: str) -> None:
     """Write a line to standard error; nothing where that is closed."""
     try:
-        print(printable(line), file=sys.stderr, flush=True)
+        say(printable(line), file=sys.stderr)
     except (OSError, ValueError, RuntimeError):  # the last within a handler of a signal
         return

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from impact_observer.errors import ImpactObserverError, ModelError, UsageError, printable
+from impact_observer.errors import ImpactObserverError, ModelError, UsageError
+from impact_observer.plain_text import printable
 from impact_observer.process_end import MAINTAINERS, TRACEBACK, Stop, one_line, run
 from impact_observer.resources import shared
 
@@ -117,7 +118,7 @@ def test_an_unforeseen_error_names_its_place_and_where_to_report_it(
     assert run("program", job, own=False) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(
-        "program: unforeseen AttributeError in impact_observer/errors.py, line "
+        "program: unforeseen AttributeError in impact_observer/plain_text.py, line "
     )
     assert line.endswith(f"; please report it to {MAINTAINERS}, with what {TRACEBACK}=1 shows")
     monkeypatch.setenv(TRACEBACK, "1")

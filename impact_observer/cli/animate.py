@@ -18,6 +18,7 @@ from impact_observer.cli.arguments import (
     positive,
 )
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
     from impact_observer.draw.scene.film import Film
@@ -125,9 +126,7 @@ def animate(
             for done, stamp in enumerate(film.stamps(fps, speed).tolist(), start=1):
                 add(pictures.picture(stamp))
                 progress.step(f"drawing {output}", done, count)
-    print(
-        f"film: {output}, {count} pictures of {seconds_between(film.start, film.end):.2f} s{rest}"
-    )
+    say(f"film: {output}, {count} pictures of {seconds_between(film.start, film.end):.2f} s{rest}")
     return 0
 
 

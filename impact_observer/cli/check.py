@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 from impact_observer.cli.arguments import add_model
+from impact_observer.plain_text import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +63,7 @@ def check(bag: Path, *, model: str | None = None, json: bool = False) -> int:
             bag, system, progress=lambda done, total: progress.step("check", done, total)
         )
     if json:
-        print(json_module.dumps(report.for_json(), indent=2))
+        say(json_module.dumps(report.for_json(), indent=2))
     else:
         report.print()
     return 0 if report.usable else 1
@@ -98,12 +99,12 @@ def salvage_bag(bag: Path, output: Path, *, json: bool = False) -> int:
         counts = {topic: info.count for topic, info in reader.topics.items()}
     if json:
         result = {"path": str(bag), "output": str(output), "topics": counts, "losses": losses}
-        print(json_module.dumps(result, indent=2))
+        say(json_module.dumps(result, indent=2))
         return 0
     for loss in losses:
-        print(f"lost: {loss}")
+        say(f"lost: {loss}")
     for topic, count in counts.items():
-        print(f"{topic}: {times(count, 'message')}, up to {text(source.last[topic])} s")
+        say(f"{topic}: {times(count, 'message')}, up to {text(source.last[topic])} s")
     total = times(sum(counts.values()), "message")
-    print(f"{output}: {total}; now impact-observer check {output}")
+    say(f"{output}: {total}; now impact-observer check {output}")
     return 0

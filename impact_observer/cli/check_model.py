@@ -4,6 +4,8 @@ import argparse
 import json as json_module
 from pathlib import Path
 
+from impact_observer.plain_text import say
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
@@ -35,7 +37,7 @@ def check(model: str | Path, *, json: bool = False) -> int:
 
     checked = check_model(read_model(model).system)
     if json:
-        print(json_module.dumps(for_json(checked), indent=2))
+        say(json_module.dumps(for_json(checked), indent=2))
     else:
         print_check(checked)
     return 0

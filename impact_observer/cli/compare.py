@@ -23,6 +23,7 @@ from impact_observer.cli.arguments import (
 )
 from impact_observer.compare.comparison import SETTLED
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
     from impact_observer.compare.bag_comparison import BagComparison
@@ -154,7 +155,7 @@ def compare(
     results = [(bag, _compare_one(bag, namespace, model, observers, how)) for bag in bags]
     labelled = labelled_by_law(results)
     if json:
-        print(json_module.dumps({k: metrics_of(v) for k, v in labelled.items()}, indent=2))
+        say(json_module.dumps({k: metrics_of(v) for k, v in labelled.items()}, indent=2))
     else:
         print_tables(labelled)
     if csv is not None:
@@ -165,7 +166,7 @@ def compare(
         write_report(report, labelled, results)
     for what, path in (("metrics", csv), ("picture", plot), ("report", report)):
         if path is not None and not json:
-            print(f"{what}: {path}")
+            say(f"{what}: {path}")
     return 0
 
 

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from impact_observer.cli.arguments import add_flush, positive
+from impact_observer.plain_text import say
 
 GOAL = 1e-2
 """Largest final V/V0 of the geometric law."""
@@ -130,11 +131,11 @@ def _check_result(bag: Path, picture: Path) -> int:
     labelled = labelled_by_law(results)
     print_tables(labelled)
     save(distance_picture(labelled, results), picture)
-    print(f"picture: {picture}\nbag:     {bag}")
+    say(f"picture: {picture}\nbag:     {bag}")
     ratio = labelled[LAWS[0]].ratio
     if ratio is None:
-        print(f"{LAWS[0]}: V/V0 is undefined: the observer started at the plant's own state")
+        say(f"{LAWS[0]}: V/V0 is undefined: the observer started at the plant's own state")
         return 1
     verdict = "as wanted" if ratio <= GOAL else "too much"
-    print(f"{LAWS[0]}: V/V0 ended at {ratio:.2e}, {verdict}: the goal is {GOAL:g}")
+    say(f"{LAWS[0]}: V/V0 ended at {ratio:.2e}, {verdict}: the goal is {GOAL:g}")
     return 0 if ratio <= GOAL else 1

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import positive
+from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
     from impact_observer.cli.progress import Progress
@@ -124,12 +125,12 @@ def figure(
         save(drawn, output, about=about.replace("\n", "; "))
     if json:
         found = {law: metrics_of(each) for law, each in comparisons.items()}
-        print(json_module.dumps(found, indent=2))
+        say(json_module.dumps(found, indent=2))
         return 0
     terminal = console()
     terminal.print(fitted(table_of_laws(DISTANCE, comparisons), terminal.width))
     print_blindness(comparisons)
-    print(f"picture: {output}")
+    say(f"picture: {output}")
     return 0
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from impact_observer.cli.arguments import add_model, add_namespace, number, positive
 from impact_observer.errors import BagError, UsageError
+from impact_observer.plain_text import say
 
 _MOST_HELD_BACK = 0.5
 
@@ -152,7 +153,7 @@ def identify(
     checked = check_fit(found)
     good = found.converged and not found.undetermined and (checked.fits or not check)
     if json:
-        print(json_module.dumps(fit_report.for_json(found, checked), indent=2, allow_nan=False))
+        say(json_module.dumps(fit_report.for_json(found, checked), indent=2, allow_nan=False))
     elif check:
         fit_report.print_check(found, checked)
     else:
@@ -160,11 +161,11 @@ def identify(
     lines = sys.stderr if json else sys.stdout
     if output is not None and good:
         output.write_text(fit_report.model_text(found, given, bag, output), encoding="utf-8")
-        print(f"model: {output}", file=lines)
+        say(f"model: {output}", file=lines)
     if plot is not None:
         name = found.family.system.name
         save(fit_picture(found, title=f"{name}: instants of the model minus stamps"), plot)
-        print(f"picture: {plot}", file=lines)
+        say(f"picture: {plot}", file=lines)
     return 0 if good else 1
 
 

@@ -5,6 +5,8 @@ import json as json_module
 from dataclasses import asdict
 from pathlib import Path
 
+from impact_observer.plain_text import say
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add this subcommand's arguments to ``parser``."""
@@ -35,7 +37,7 @@ def info(bag: Path, *, json: bool = False) -> int:
 
     summary = summarize(bag)
     if json:
-        print(json_module.dumps(asdict(summary), indent=2, default=str))
+        say(json_module.dumps(asdict(summary), indent=2, default=str))
     else:
         print_summary(summary)
     return 0

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from impact_observer.cli.arguments import add_model, add_observers
+from impact_observer.plain_text import say
 
 _BAGS = {".mcap", ".db3"}
 
@@ -71,5 +72,5 @@ def layout(
         output.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UsageError(f"{output}: cannot be written: {error.strerror}") from None
-    print(f"{output}: {len(curves)} curves on {len({each.topic for each in curves})} topics")
+    say(f"{output}: {len(curves)} curves on {len({each.topic for each in curves})} topics")
     return 0

@@ -11,6 +11,7 @@ from typing import NoReturn
 
 from impact_observer import __version__
 from impact_observer.matrix_threads import one_matrix_thread
+from impact_observer.plain_text import printable
 from impact_observer.process_end import run
 
 PROGRAM = "impact-observer"
@@ -45,7 +46,7 @@ class _Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(2, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

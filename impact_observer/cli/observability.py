@@ -6,6 +6,7 @@ from pathlib import Path
 
 from impact_observer.cli.arguments import add_model, add_namespace, positive
 from impact_observer.errors import BagError
+from impact_observer.plain_text import say
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -91,12 +92,12 @@ def observe(
     except BagError as error:
         raise BagError(f"{bag}: {error}") from None
     if json:
-        print(json_module.dumps(for_json(found), indent=2, allow_nan=False))
+        say(json_module.dumps(for_json(found), indent=2, allow_nan=False))
     else:
         print_observability(found)
     if plot is not None:
         title = f"{system.name}: what the impacts determine of the initial state"
         save(rank_picture(found, title=title), plot)
         if not json:
-            print(f"picture: {plot}")
+            say(f"picture: {plot}")
     return 0

@@ -18,6 +18,7 @@ from impact_observer.cli.arguments import (
     positive,
 )
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import say
 
 PICTURES, PAGES = (".png", ".svg", ".pdf"), (".html", ".htm")
 MOST_PANELS = 80
@@ -120,5 +121,5 @@ def plot(
         else:
             about = f"{recording.name}: {bag.name}".removeprefix(": ")
             save(recording_picture(recording, width=width), output, about=about)
-    print(f"picture: {output}, {recording.start:.3f} to {recording.end:.3f} s of {bag}")
+    say(f"picture: {output}, {recording.start:.3f} to {recording.end:.3f} s of {bag}")
     return 0

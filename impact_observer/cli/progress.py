@@ -6,7 +6,7 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING, TextIO, final
 
-from impact_observer.errors import printable
+from impact_observer.plain_text import printable, say
 
 if TYPE_CHECKING:
     from impact_observer.cli.bars import Bars
@@ -65,7 +65,7 @@ class Progress:
         """Write a permanent line; control characters of names are escaped."""
         text = printable(text)
         if self._bars is None:
-            print(text, file=self._stream, flush=True)
+            say(text, file=self._stream)
         else:
             self._bars.line(text)
 

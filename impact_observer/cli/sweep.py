@@ -27,6 +27,7 @@ from impact_observer.cli.arguments import (
 from impact_observer.errors import SweepError, UsageError
 from impact_observer.matrix_threads import one_matrix_thread
 from impact_observer.options import Option, Value
+from impact_observer.plain_text import say
 from impact_observer.sensor_faults import SENSOR_FAULTS
 
 if TYPE_CHECKING:
@@ -250,12 +251,12 @@ def sweep(
 
         save_picture(wanted, groups, plot, against=against)
     if json:
-        print(json_module.dumps(document(wanted, groups, impacts), indent=2, allow_nan=False))
+        say(json_module.dumps(document(wanted, groups, impacts), indent=2, allow_nan=False))
     else:
         print_groups(wanted, groups)
-        print(f"{output}: {wanted.size} cases, {impacts} impacts of the plant in each")
+        say(f"{output}: {wanted.size} cases, {impacts} impacts of the plant in each")
         if plot is not None:
-            print(f"picture: {plot}")
+            say(f"picture: {plot}")
     _raise_failed(outcomes.values(), wanted.size)
     return 0
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from impact_observer.cli.arguments import not_negative, seed
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import say
 
 _MOST = {"amplitude": 1e6, "row": 1000}
 """Largest amplitude, m, the same as the viewer's, and the last row."""
@@ -79,12 +80,12 @@ def urdf(
     scene = Scene.of(read.system, start, amplitude)
     text = urdf_text(scene, prefix=prefix, frame=frame, row=row)
     if output is None:
-        print(text, end="")
+        say(text.removesuffix("\n"))
     else:
         try:
             output.write_text(text, encoding="utf-8")
         except OSError as error:
             raise UsageError(f"{output}: cannot be written: {error.strerror}") from None
     for line in scene.omitted:
-        print(f"{read.system.name}: {line}", file=sys.stderr)
+        say(f"{read.system.name}: {line}", file=sys.stderr)
     return 0

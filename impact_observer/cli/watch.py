@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import add_model, add_observers, positive
+from impact_observer.plain_text import say
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -150,7 +151,7 @@ def _lines(listener: "TopicListener", rate: float, duration: float | None, *, js
     write = _formatter(json=json)
     watch_session.watch(
         listener,
-        lambda snapshot: print(write(snapshot), flush=True),
+        lambda snapshot: say(write(snapshot)),
         rate=rate,
         keep_on=lambda: True,
         duration=duration,
@@ -176,7 +177,7 @@ def _once(listener: "TopicListener", console: "Console", timeout: float, *, json
 
     watch_session.watch(listener, show, rate=_RATE, keep_on=keep_on, duration=timeout)
     if json:
-        print(_formatter(json=True)(seen[0]))
+        say(_formatter(json=True)(seen[0]))
     else:
         console.print(screen(seen[0], _style(console, endless=True)))
     return int(seen[0].is_empty)

@@ -11,6 +11,7 @@ from impact_observer.compare.metrics import DISTANCE, ERRORS, IMPACTS, METRICS, 
 from impact_observer.draw.text_tables import console, fitted, ruled_table
 from impact_observer.dynamics.lyapunov import is_seminorm
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import say
 
 
 def write_csv(labelled: Mapping[str, Comparison], path: Path) -> None:
@@ -52,7 +53,7 @@ def print_blindness(labelled: Mapping[str, Comparison]) -> None:
     systems = {each.system.name: each.system for each in labelled.values()}
     for name, system in systems.items():
         if is_seminorm(system):
-            print(f"{name} has a rigid-body mode: V does not see an error of its position")
+            say(f"{name} has a rigid-body mode: V does not see an error of its position")
 
 
 def table_of_laws(title: str, labelled: Mapping[str, Comparison]) -> Table:

@@ -1,7 +1,6 @@
 """A page of HTML on a comparison: metrics and pictures in one file that needs no network."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from html import escape
 from pathlib import Path
 
 from rich.table import Table
@@ -18,6 +17,7 @@ from impact_observer.compare.error_tables import errors_table, system_names, tab
 from impact_observer.compare.metrics import DISTANCE, IMPACTS
 from impact_observer.draw.pictures import svg
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import markup
 from impact_observer.stamps import seconds_between
 
 _STYLE = """
@@ -67,13 +67,13 @@ def write_report(
 def _page(
     labelled: Mapping[str, Comparison], results: Sequence[tuple[Path, BagComparison]]
 ) -> Iterator[str]:
-    title = escape(f"Estimates of {system_names(labelled)}")
+    title = markup(f"Estimates of {system_names(labelled)}")
     settled = next(iter(labelled.values())).settled
     bags = [bag for bag, _ in results]
     yield f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
     yield f"<style>{_STYLE}</style></head><body><h1>{title}</h1>"
-    yield _note(f"Made by impact_observer {escape(__version__)}.")
+    yield _note(f"Made by impact_observer {markup(__version__)}.")
     yield "<h2>Recordings</h2>"
     yield _html(_bags_table(results))
     yield _note("Times since the epoch of each recording.")
@@ -118,15 +118,15 @@ def _note(text: str) -> str:
 
 
 def _figure(picture: str, caption: str) -> str:
-    text = escape(caption)
+    text = markup(caption)
     described = picture.replace("<svg", f'<svg role="img" aria-label="{text}"', 1)
     return f"<figure>{described}<figcaption>{text}</figcaption></figure>"
 
 
 def _html(table: Table) -> str:
     """A table of the terminal as one of the page."""
-    head = "".join(f"<th>{escape(str(column.header))}</th>" for column in table.columns)
+    head = "".join(f"<th>{markup(str(column.header))}</th>" for column in table.columns)
     rows = zip(*(column.cells for column in table.columns), strict=True)
-    lines = ["".join(f"<td>{escape(str(cell))}</td>" for cell in row) for row in rows]
+    lines = ["".join(f"<td>{markup(str(cell))}</td>" for cell in row) for row in rows]
     body = "".join(f"<tr>{line}</tr>\n" for line in [head, *lines])
     return f'<div class="scroll"><table>{body}</table></div>'

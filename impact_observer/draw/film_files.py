@@ -5,7 +5,6 @@ and those for GIF and HTML keep all pictures in memory.
 """
 
 import base64
-import html
 import io
 import shutil
 import struct
@@ -23,6 +22,7 @@ from PIL import GifImagePlugin, Image
 
 from impact_observer.draw.output import check_output
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import markup
 
 Picture: TypeAlias = NDArray[np.uint8]
 """Red, green, blue and opacity, shape (height, width, 4)."""
@@ -185,7 +185,7 @@ def _html(path: Path, size: tuple[int, int], *, fps: float) -> Iterator[Callable
     """A page with all pictures in it, and controls."""
     page = _PAGE.replace("FPS", f"{fps:g}").replace("WIDTH", str(size[0]))
     head, tail = page.split("PICTURES")
-    head = head.replace("NAME", html.escape(path.stem))
+    head = head.replace("NAME", markup(path.stem))
     with _replacing(path) as made, made.open("w", encoding="utf-8") as file:
         file.write(head)
 

@@ -16,6 +16,7 @@ from impact_observer.draw.curves import Curve, CurveGroup, FieldStep, Transform
 from impact_observer.errors import UsageError
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import interface
+from impact_observer.plain_text import printable_lines
 
 _Config: TypeAlias = dict[str, Any]
 _Tree: TypeAlias = "str | _Config"
@@ -217,7 +218,8 @@ def plotjuggler(curves: Sequence[Curve]) -> str:
             ET.SubElement(snippet, "linked_source").text = series(each)
     ET.SubElement(root, "snippets")
     ET.indent(root, " ")
-    return f"<?xml version='1.0' encoding='UTF-8'?>\n{ET.tostring(root, encoding='unicode')}\n"
+    text = printable_lines(ET.tostring(root, encoding="unicode"))
+    return f"<?xml version='1.0' encoding='UTF-8'?>\n{text}\n"
 
 
 def series(curve: Curve) -> str:

@@ -11,7 +11,7 @@ from rich.console import Console, RenderableType
 from rich.table import Column, Table
 from rich.text import Text
 
-from impact_observer.errors import printable
+from impact_observer.plain_text import printable
 
 _FOLDED = 10
 """Least width of a column whose words may be folded."""

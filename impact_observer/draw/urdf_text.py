@@ -12,6 +12,7 @@ import numpy as np
 from impact_observer.draw.scene.scene import Scene
 from impact_observer.draw.scene.shapes import ROD_HEIGHT, ROWS, STOP_HEIGHT, Box, grounds, pads
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import printable_lines
 
 _BODY, _STOP = (0.40, 0.61, 0.78), (0.45, 0.45, 0.45)
 _ROD = 0.06
@@ -53,7 +54,7 @@ def urdf_text(scene: Scene, *, prefix: str = "", frame: str = "world", row: int 
         _add_link(robot, child, [box], _STOP, height=height)
         _add_origin(_add_joint(robot, f"{child}{_FIXED}", "fixed", (frame, child)), face, y)
     ET.indent(robot)
-    return ET.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
+    return printable_lines(ET.tostring(robot, encoding="unicode", xml_declaration=True)) + "\n"
 
 
 def _body(scene: Scene, slot: int) -> Iterator[Box]:

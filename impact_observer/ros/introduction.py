@@ -4,6 +4,8 @@ from collections.abc import Iterable
 
 from rclpy.node import Node
 
+from impact_observer.plain_text import printable
+
 _OF_ROS = {"/rosout", "/parameter_events", "/clock"}
 """Topics that every node has."""
 
@@ -14,7 +16,7 @@ def introduce(node: Node, what: str, waits_for: str) -> None:
     for verb, some in (("receives", node.subscriptions), ("publishes", node.publishers)):
         if topics := _names(each.topic_name for each in some):
             parts.append(f"{verb} {topics}")
-    node.get_logger().info("; ".join([*parts, f"waits for {waits_for}"]))
+    node.get_logger().info(printable("; ".join([*parts, f"waits for {waits_for}"])))
 
 
 def _names(topics: Iterable[str]) -> str:

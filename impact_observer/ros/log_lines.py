@@ -2,7 +2,7 @@
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from impact_observer.errors import printable
+from impact_observer.plain_text import printable
 
 _MOST = 20
 """Lines between two calls of ``restore``."""

@@ -13,6 +13,7 @@ from impact_observer.io.messages import (
     Messages,
     read_joint_state,
 )
+from impact_observer.plain_text import printable
 from impact_observer.states import Vector
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def read_state(
     try:
         return read_joint_state(message).ordered(names)
     except MessageError as error:
-        node.get_logger().error(f"{topic}: {error}", throttle_duration_sec=5.0)
+        node.get_logger().error(printable(f"{topic}: {error}"), throttle_duration_sec=5.0)
         return None
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from impact_observer.errors import UsageError
 from impact_observer.matrix_threads import one_matrix_thread
+from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop, end_with_parent, run
 from impact_observer.ros.session import require_ros, spin_once
 from impact_observer.ros.wiring import FOLLOW
@@ -139,7 +140,9 @@ def _warn_of_unknown_parameters(node: "Node", args: Sequence[str]) -> None:
     for name in dict.fromkeys(_given_parameters(node, args)):
         if not node.has_parameter(name) and not name.startswith("qos_overrides."):
             declared = ", ".join(sorted(node.get_parameters_by_prefix("")))
-            node.get_logger().warning(f"parameter {name} does not exist; expected {declared}")
+            node.get_logger().warning(
+                printable(f"parameter {name} does not exist; expected {declared}")
+            )
 
 
 def _given_parameters(node: "Node", args: Sequence[str]) -> Iterator[str]:

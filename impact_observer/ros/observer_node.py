@@ -30,6 +30,7 @@ from impact_observer.observer import (
     make_observer,
 )
 from impact_observer.options import Options, Value
+from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
 from impact_observer.ros.event_intake import SLICE, EventIntake
 from impact_observer.ros.introduction import introduce
@@ -257,7 +258,7 @@ class ObserverNode(Node):
             self._bounds.publish(self._make.bound(estimate))
         if news := self._misfit_news.of(estimate):
             log = self.get_logger()
-            (log.warning if estimate.misfit else log.info)(news)
+            (log.warning if estimate.misfit else log.info)(printable(news))
         self._warn_of_held_forces(stamp)
         self._last = estimate
 
@@ -265,7 +266,7 @@ class ObserverNode(Node):
         epoch = self._observer.epoch
         held = self._observer.system.held_force((stamp - epoch) / NS_PER_S) if epoch else ""
         if held and not self._is_held:
-            self.get_logger().warning(held)
+            self.get_logger().warning(printable(held))
         self._is_held = bool(held)
 
     def _on_clock_back(self, _: TimeJump) -> None:
@@ -311,7 +312,7 @@ class ObserverNode(Node):
             f"a publisher of impacts offers an incompatible quality of service"
             f" ({info.last_policy_kind}); set events_durability: volatile"
         )
-        self.get_logger().error(self._diagnostics.mismatch)
+        self.get_logger().error(printable(self._diagnostics.mismatch))
 
     def _publish_diagnostics(self) -> None:
         """Publish counts and faults to ``/diagnostics``."""

@@ -17,6 +17,7 @@ from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState
 from impact_observer.io.recordings import published_model
 from impact_observer.model import read_model
+from impact_observer.plain_text import printable
 from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
 from impact_observer.ros import parameters
 from impact_observer.ros.introduction import introduce
@@ -115,7 +116,7 @@ class PlantNode(Node):
         now = self._now()
         self._publish_until(now)
         if now >= self._end and self._sensing.next_stamp is None:
-            self.get_logger().info(f"{self._duration / NS_PER_S:g} s are over")
+            self.get_logger().info(printable(f"{self._duration / NS_PER_S:g} s are over"))
             for publisher in (self._impacts, self._states):
                 publisher.wait_for_all_acked(_ACKNOWLEDGE_TIMEOUT)
             self.done = True
@@ -168,7 +169,7 @@ class PlantNode(Node):
         self._next_sample = 0
         self._next_clock = epoch
         name = self._model.system.name
-        self.get_logger().info(f"{name}: episode {self._episode}, epoch {epoch} ns")
+        self.get_logger().info(printable(f"{name}: episode {self._episode}, epoch {epoch} ns"))
 
     def _now(self) -> int:
         """The present stamp, ns."""
@@ -190,7 +191,7 @@ class PlantNode(Node):
         last = min(now, self._end)
         held = self._model.system.held_force((last - self._epoch) / NS_PER_S)
         if held and not self._is_held:
-            self.get_logger().warning(held)
+            self.get_logger().warning(printable(held))
         self._is_held = bool(held)
         while (switching := self._plant.next_switching(last)) is not None:
             self._publish_present(switching.instant.stamp - 1)

@@ -17,6 +17,7 @@ from impact_observer.errors import UsageError
 from impact_observer.io.interfaces import EVENTS, SIMULATED_CLOCK, Quality, usual_quality
 from impact_observer.io.play_schedule import Control, Pace, Playing, ReadAhead, Ticks
 from impact_observer.io.reader import BagReader, RawMessage
+from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import overriding_profile, qos_profile
@@ -164,7 +165,7 @@ class Player:
         try:
             message_type = message_class(type_name)
         except UsageError as error:
-            self._node.get_logger().warning(f"{topic} is not played: {error}")
+            self._node.get_logger().warning(printable(f"{topic} is not played: {error}"))
             return None
         quality = self._quality(topic)
         if quality.depth and not quality.transient_local:
@@ -370,7 +371,10 @@ def play(
         player.wait_for_subscribers(delay, keep_on)
         if others := player.other_publishers():
             node.get_logger().warning(
-                f"another node publishes {', '.join(others)} too; its messages mix with the bag's"
+                printable(
+                    f"another node publishes {', '.join(others)} too; its messages mix with the"
+                    " bag's"
+                )
             )
         player.play(keep_on)
         player.finish(keep_on)

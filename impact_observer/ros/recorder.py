@@ -17,6 +17,7 @@ from impact_observer.io.interfaces import Quality
 from impact_observer.io.reader import RawMessage
 from impact_observer.io.typestores import installed_definition, typestore
 from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.plain_text import printable
 from impact_observer.process_end import Stop
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.session import ros_node, spin_once
@@ -108,7 +109,7 @@ class Recorder:
         """Unsubscribe from everything."""
         if self._waiting:
             self._node.get_logger().warning(
-                f"{len(self._waiting)} messages are not recorded: /clock never ran"
+                printable(f"{len(self._waiting)} messages are not recorded: /clock never ran")
             )
         self._node.destroy_timer(self._timer)
         for subscription in self._subscriptions.values():
@@ -154,7 +155,7 @@ class Recorder:
             self._writer.declare(topic, type_name=type_name, quality=offer, definition=definition)
         except ImpactObserverError as error:
             self._given_up.add(topic)
-            self._node.get_logger().warning(f"{topic} is not recorded: {error}")
+            self._node.get_logger().warning(printable(f"{topic} is not recorded: {error}"))
             return
         self.counts[topic] = 0
         self._requested[topic] = offer
@@ -174,8 +175,10 @@ class Recorder:
         ):
             self._requested[topic] = offer
             self._node.get_logger().warning(
-                f"{topic} has a new publisher that is less reliable or durable than the first; "
-                "its messages are not recorded"
+                printable(
+                    f"{topic} has a new publisher that is less reliable or durable than the first;"
+                    " its messages are not recorded"
+                )
             )
 
     def _write(self, topic: str, data: bytes) -> None:

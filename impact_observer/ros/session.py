@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import printable
 
 if TYPE_CHECKING:
     from rclpy.executors import SingleThreadedExecutor
@@ -91,5 +92,6 @@ def spin_once(
         if all(frame.f_globals.get("__name__") != "rclpy.time_source" for frame, _ in frames):
             raise
         node.get_logger().warning(
-            f"/clock: a time that is none is ignored ({error})", throttle_duration_sec=5.0
+            printable(f"/clock: a time that is none is ignored ({error})"),
+            throttle_duration_sec=5.0,
         )

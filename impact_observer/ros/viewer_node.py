@@ -12,6 +12,7 @@ from impact_observer.events import Kind
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, JointState, MessageError, read_event
 from impact_observer.model import read_model
+from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
 from impact_observer.ros.introduction import introduce
 from impact_observer.ros.markers import ESTIMATE, PLANT, MarkerRow, Painter
@@ -50,7 +51,7 @@ class ViewerNode(Node):
         self._cleared = False
         self.create_timer(1.0 / values.number("rate"), self._publish)
         for line in scene.omitted:
-            self.get_logger().warning(f"{model.system.name}: shown {line}")
+            self.get_logger().warning(printable(f"{model.system.name}: shown {line}"))
         introduce(self, f"model {model.system.name}", "states of plant or observers")
 
     def _subscribe(self) -> None:
@@ -83,7 +84,7 @@ class ViewerNode(Node):
         try:
             event = read_event(message)
         except MessageError as error:
-            self.get_logger().error(f"impacts: {error}", throttle_duration_sec=5.0)
+            self.get_logger().error(printable(f"impacts: {error}"), throttle_duration_sec=5.0)
             return
         if (event.epoch, event.episode) != self._episode:
             self._episode = (event.epoch, event.episode)

@@ -1,19 +1,23 @@
-"""Names with control characters: refused in models, escaped where they are shown."""
+"""Names with control characters: refused in models, escaped where they are shown.
 
+For commands with ROS see test_interrupted.
+"""
+
+import ast
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rosbags")
+from workloads import HOSTILE, OFFLINE, make_inputs
 
+import impact_observer
 from impact_observer.cli.main import main
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.io import BagWriter
 from impact_observer.io.messages import bag_messages
+from impact_observer.plain_text import printable_lines
 from impact_observer.resources import shared
-
-HOSTILE = "\x1b]0;owned\x07\x1b[2J"
-"""Would set the title of a terminal, and clear it."""
 
 
 def shown(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
@@ -56,3 +60,44 @@ def test_a_model_with_a_name_that_cannot_be_printed_is_refused(
     found = shown(["check-model", str(tmp_path / "model.yaml")], capsys)
     assert found.count("\n") == 1
     assert "'a\\x1bb' has characters that cannot be printed" in found
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What the commands read, in a folder with a hostile name."""
+    return make_inputs(tmp_path_factory.mktemp(f"inputs{HOSTILE}"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", OFFLINE)
+def test_no_command_shows_or_writes_control_characters(
+    command: str,
+    inputs: dict[str, str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of the names of files, on the terminal and in what is made of text."""
+    monkeypatch.chdir(tmp_path)
+    given = [each.format(**inputs) for each in OFFLINE[command]]
+    given = [HOSTILE + each if each.startswith("out") else each for each in given]
+    assert main([command, *given]) == 0
+    text = "".join(capsys.readouterr())
+    assert printable_lines(text) == text
+    for file in tmp_path.rglob("*"):
+        if file.suffix in {".html", ".svg", ".xml", ".urdf", ".yaml", ".json"}:
+            written = file.read_text("utf-8")
+            assert printable_lines(written) == written
+
+
+def test_nodes_log_nothing_but_what_can_be_printed() -> None:
+    """Each line that is logged is a constant, or goes through ``printable``."""
+    found = []
+    for file in (Path(impact_observer.__file__).parent / "ros").rglob("*.py"):
+        for call in ast.walk(ast.parse(file.read_text("utf-8"))):
+            if not (isinstance(call, ast.Call) and ".get_logger()." in ast.unparse(call.func)):
+                continue
+            (line,) = call.args
+            if not isinstance(line, ast.Constant) and ast.unparse(line)[:10] != "printable(":
+                found.append(f"{file.name}: {ast.unparse(call)}")
+    assert found == []

@@ -1,6 +1,5 @@
 """A page of HTML with a recording's curves, to zoom in; it needs no network."""
 
-import html
 import json
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from matplotlib.colors import to_hex
 from impact_observer.draw.plot.picture import BAND, MARKS, mark_rows_of, styles_of
 from impact_observer.draw.plot.series import PlotContent
 from impact_observer.errors import UsageError
+from impact_observer.plain_text import markup, printable
 from impact_observer.states import Vector
 
 _DASHES = {"-": [], "--": [7, 4], ":": [2, 3], "-.": [8, 3, 2, 3]}
@@ -24,7 +24,7 @@ def write_page(recording: PlotContent, path: Path) -> None:
     """
     # In a script "<" could end it: names are those of a file that may come from a stranger.
     data = json.dumps(_content(recording), separators=(",", ":")).replace("<", "\\u003c")
-    title = html.escape(recording.name or "recording")
+    title = markup(recording.name or "recording")
     try:
         path.write_text(_PAGE.replace("TITLE", title).replace("DATA", data), encoding="utf-8")
     except OSError as error:
@@ -36,7 +36,7 @@ def _content(recording: PlotContent) -> dict[str, Any]:
     drawn = styles_of(recording.series)
     series = [
         {
-            "label": each.label,
+            "label": printable(each.label),
             "colour": to_hex(style["color"]),
             "width": style["linewidth"],
             "dash": _DASHES.get(style.get("linestyle", "-"), [4, 2]),
@@ -47,7 +47,7 @@ def _content(recording: PlotContent) -> dict[str, Any]:
     ]
     panels = [
         {
-            "label": quantity.label,
+            "label": printable(quantity.label),
             "curves": [
                 {
                     "t": _numbers(each.seconds[:, column], 9),
@@ -63,7 +63,7 @@ def _content(recording: PlotContent) -> dict[str, Any]:
     ]
     marks = [
         {
-            "label": label,
+            "label": printable(label),
             "marks": [
                 {
                     "t": _numbers(seconds, 9),

@@ -1,0 +1,39 @@
+"""Text without control characters: names may come from a file or a node of a stranger."""
+
+import html
+import sys
+import unicodedata
+from typing import TextIO
+
+_CONTROL = {"Cc", "Cf", "Cs", "Zl", "Zp"}
+"""Categories of characters that control, direct or break a text instead of being seen."""
+
+
+def printable(text: str) -> str:
+    """``text`` with its control characters escaped, so that it cannot control a terminal.
+
+    Line ends and tabs are escaped too: what is shown stays one line.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        each.encode("unicode_escape").decode("ascii")
+        if unicodedata.category(each) in _CONTROL
+        else each
+        for each in text
+    )
+
+
+def printable_lines(text: str) -> str:
+    """``text`` with all control characters escaped but the ends of its lines."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
+def markup(text: str) -> str:
+    """``text`` for XML or HTML."""
+    return html.escape(printable(text))
+
+
+def say(text: str, *, file: TextIO | None = None) -> None:
+    """Print lines, on standard output unless another ``file`` is given."""
+    print(printable_lines(text), file=file or sys.stdout, flush=True)
