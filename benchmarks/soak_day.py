@@ -21,13 +21,14 @@ from rich.progress import Progress
 
 from benchmarks.memory import occupied
 from impact_observer.events import ImpactEvent
+from impact_observer.io.messages import MessageLimits
 from impact_observer.model import read_model
 from impact_observer.observer import Observer, Options, make_observer, replay
 from impact_observer.observer.sender_runs import in_order
 from impact_observer.plant import Plant, simulate
 from impact_observer.ros.event_intake import EventIntake
 from impact_observer.ros.message_classes import ros_messages
-from impact_observer.ros.serialized import EstimateSerializer, MessageLimits
+from impact_observer.ros.serialized import EstimateSerializer
 from impact_observer.stamps import NS_PER_S, grid
 
 EPOCH = NS_PER_S

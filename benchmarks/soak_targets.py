@@ -24,7 +24,7 @@ from impact_observer.errors import ImpactObserverError
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io import BagReader, BagWriter, JointState
 from impact_observer.io.csv_import import import_csv
-from impact_observer.io.messages import MessageError, bag_messages, read_event
+from impact_observer.io.messages import MessageError, MessageLimits, bag_messages, read_event
 from impact_observer.io.observed_bag import observe_bag
 from impact_observer.io.typestores import deserialize, new_typestore
 from impact_observer.model import parse_model, read_model
@@ -33,7 +33,6 @@ from impact_observer.options import OBSERVER_OPTIONS, Option
 from impact_observer.resources import shared
 from impact_observer.ros import parameters
 from impact_observer.ros.event_intake import EventIntake
-from impact_observer.ros.serialized import MessageLimits
 from impact_observer.sensor_faults import SENSOR_FAULTS
 from impact_observer.stamps import MAX_STAMP
 

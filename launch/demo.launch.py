@@ -9,18 +9,15 @@ The observers receive the plant's impacts only, and start from a wrong state. Wa
 import time
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.ros.wiring import (
-    DISCOVERY,
-    LOCAL,
     DemoSetup,
     NodeSetup,
     following,
+    local_discovery,
     monitors,
     observers,
     plant,
@@ -54,14 +51,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "epoch", default_value=str(time.time_ns()), description="stamp of t = 0 [ns]; now"
             ),
-            DeclareLaunchArgument(
-                "local",
-                default_value="false",
-                description="whether only nodes on this machine are discovered",
-            ),
-            SetEnvironmentVariable(
-                DISCOVERY, LOCAL, condition=IfCondition(LaunchConfiguration("local"))
-            ),
+            *local_discovery(),
             OpaqueFunction(function=_nodes),
         ]
     )

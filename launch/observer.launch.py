@@ -7,7 +7,7 @@ Several observers live side by side under names of their own, such as name:=obse
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
@@ -15,7 +15,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.options import Option
 from impact_observer.ros.parameters import MONITOR, OBSERVER
-from impact_observer.ros.wiring import DISCOVERY, LOCAL, following
+from impact_observer.ros.wiring import following, local_discovery
 
 SIM_TIME = Option("use_sim_time", False, "follow /clock, of a simulation or a bag")
 PARAMETERS = (*OBSERVER, SIM_TIME)
@@ -44,14 +44,7 @@ def generate_launch_description() -> LaunchDescription:
                 description="whether to compare with the truth on plant/joint_states",
             ),
             DeclareLaunchArgument("monitor_name", default_value="monitor", description="its name"),
-            DeclareLaunchArgument(
-                "local",
-                default_value="false",
-                description="whether only nodes on this machine are discovered",
-            ),
-            SetEnvironmentVariable(
-                DISCOVERY, LOCAL, condition=IfCondition(LaunchConfiguration("local"))
-            ),
+            *local_discovery(),
             OpaqueFunction(function=_nodes),
         ]
     )

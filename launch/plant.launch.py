@@ -6,15 +6,14 @@ An argument beats params_file; one that is left out stays as the file, else the 
 """
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
-from launch.conditions import IfCondition
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.options import Option
 from impact_observer.ros.parameters import PLANT
-from impact_observer.ros.wiring import DISCOVERY, LOCAL, following
+from impact_observer.ros.wiring import following, local_discovery
 
 PARAMETERS = (*PLANT, Option("use_sim_time", False, "follow a /clock that is not the plant's"))
 
@@ -32,14 +31,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "namespace", default_value="", description="of the node and its topics"
             ),
-            DeclareLaunchArgument(
-                "local",
-                default_value="false",
-                description="whether only nodes on this machine are discovered",
-            ),
-            SetEnvironmentVariable(
-                DISCOVERY, LOCAL, condition=IfCondition(LaunchConfiguration("local"))
-            ),
+            *local_discovery(),
             OpaqueFunction(function=_plant),
         ]
     )

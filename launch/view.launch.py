@@ -9,7 +9,7 @@ An argument beats params_file; one that is left out stays as the file, else the 
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
@@ -17,7 +17,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from impact_observer.options import Option
 from impact_observer.ros.parameters import VIEWER
-from impact_observer.ros.wiring import DISCOVERY, LOCAL, following
+from impact_observer.ros.wiring import following, local_discovery
 
 RVIZ = "rviz2"
 LAYOUT = Path(__file__).resolve().parents[1] / "layouts" / "view.rviz"
@@ -47,14 +47,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "rviz_config", default_value=str(LAYOUT), description="what RViz shows"
             ),
-            DeclareLaunchArgument(
-                "local",
-                default_value="false",
-                description="whether only nodes on this machine are discovered",
-            ),
-            SetEnvironmentVariable(
-                DISCOVERY, LOCAL, condition=IfCondition(LaunchConfiguration("local"))
-            ),
+            *local_discovery(),
             OpaqueFunction(function=_nodes),
         ]
     )

@@ -7,6 +7,8 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
+import types
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +22,7 @@ from impact_observer.cli.demo import LAWS
 from impact_observer.cli.main import main
 from impact_observer.io.interfaces import VIEWER_MARKERS
 from impact_observer.ros.parameters import TABLES
-from impact_observer.ros.wiring import DemoSetup, monitors, observers, plant
+from impact_observer.ros.wiring import DemoSetup, local_discovery, monitors, observers, plant
 
 ROOT = Path(__file__).parents[1]
 LAUNCH_FILES = sorted(ROOT.glob("launch/*.launch.py"))
@@ -144,12 +146,27 @@ def test_launch_file_compiles_and_names_only_executables_of_the_package(path: Pa
 
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
 def test_nodes_of_a_launch_file_end_with_it_and_may_be_local(path: Path) -> None:
-    """Every process gets the environment that lets it follow; ``local`` is off by default."""
+    """Every process gets the environment that lets it follow, and the range of discovery."""
     text = path.read_text(encoding="utf-8")
     assert text.count("additional_env=following(),") == len(re.findall(r"\bNode\(\n", text)) > 0
-    assert '"local",\n                default_value="false"' in text
-    assert "SetEnvironmentVariable(\n                DISCOVERY, LOCAL, condition=" in text
-    assert text.index("SetEnvironmentVariable(\n") < text.index("OpaqueFunction(function=")
+    assert text.index("*local_discovery(),") < text.index("OpaqueFunction(function=")
+
+
+def test_local_launches_are_discovered_on_this_machine_only(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Off by default; the environment is set before any node starts (launch is stood in for)."""
+    module: Any = types.ModuleType("launch")
+    for name in ("DeclareLaunchArgument", "SetEnvironmentVariable", "IfCondition"):
+        setattr(module, name, lambda *given, _name=name, **named: (_name, given, named))
+    module.LaunchConfiguration = str
+    for name in ("launch", "launch.actions", "launch.conditions", "launch.substitutions"):
+        monkeypatch.setitem(sys.modules, name, module)
+    declared, discovery = local_discovery()
+    assert declared[1] == ("local",)
+    assert declared[2]["default_value"] == "false"
+    assert discovery[1] == ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    assert discovery[2]["condition"][:2] == ("IfCondition", ("local",))
 
 
 def test_every_launch_file_is_tested() -> None:

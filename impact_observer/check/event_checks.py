@@ -10,6 +10,8 @@ from impact_observer.check.contact_checks import CONTACT_FAULTS, ContactCheck
 from impact_observer.check.findings import ERROR, NOTE, WARNING, Finding, Occurrences, times
 from impact_observer.events import ImpactEvent, Switch
 from impact_observer.model import System
+from impact_observer.observer.event_order import NEAR_STAMPS
+from impact_observer.observer.sender_runs import SenderRuns
 from impact_observer.stamps import NS_PER_S, text
 
 _RECENT = 50_000
@@ -26,8 +28,8 @@ _FAULTS = {
         "{messages} with a sequence number that another event had, the first is {first}",
         "+1 a message",
         (
-            "they are taken for duplicates and lost; was the bag made of two? Then let the second"
-            " have a higher episode"
+            "an observer applies them, and remarks on it; was the bag made of two? Then let the"
+            " second have a higher episode"
         ),
     ),
     "not numbered": (
@@ -65,6 +67,12 @@ _FAULTS = {
         "{events} stamped before their epoch, the first is {first}",
         "stamps after the epoch, {epoch} s",
         "such events are not applied; is the epoch of another clock?",
+    ),
+    "without effect": (
+        WARNING,
+        "{events} without effect, of another run of the sender, the first is {first}",
+        "",
+        "no others bear them out (docs/events.md); is it one sender, or are messages corrupt?",
     ),
     **CONTACT_FAULTS,
 }
@@ -122,6 +130,8 @@ class EventCheck:
         self._runs: dict[tuple[int, int], _SenderRun] = {}
         self._epochs: Counter[int] = Counter()
         self._contacts = ContactCheck(topic, self._found)
+        self._senders = SenderRuns()
+        self._without_effect: dict[ImpactEvent, str] = {}
 
     def add_invalid(self, reason: str) -> None:
         """Add a message without a valid event."""
@@ -142,10 +152,20 @@ class EventCheck:
             self._epochs[event.epoch] += 1
         if event.stamp < event.epoch:
             self._found["before epoch"].add(where)
+        if event.epoch - event.stamp <= NEAR_STAMPS:
+            self._weigh(event, where)
         if not event.switches:
             self._found["no contact"].add(where)
         if not self._is_repeated(event, where):
             self._add_new(event, where)
+
+    def _weigh(self, event: ImpactEvent, where: str) -> None:
+        """Note an event that has no effect, until others bear it out."""
+        weighed = self._senders.weigh(event)
+        for each in (*weighed.released, event):
+            self._without_effect.pop(each, None)
+        if weighed.reason and len(self._without_effect) < _MOST:
+            self._without_effect[event] = f"{where}: {weighed.reason}"
 
     def _is_repeated(self, event: ImpactEvent, where: str) -> bool:
         """Whether the sequence number was received before; if not, remember it."""
@@ -198,6 +218,8 @@ class EventCheck:
             remedy = "mend the sender and record again"
             yield Finding(ERROR, self.topic, f"{found} {invalid.first}", remedy=remedy)
         if self.valid:
+            places = [*self._without_effect.values()]
+            self._found["without effect"] = Occurrences(len(places), *places[:1])
             yield from self._fault_findings()
             yield from self._run_findings()
             yield from self._clock_findings(system)

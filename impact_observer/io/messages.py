@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,6 +27,10 @@ _MAX_UINT64 = 2**64 - 1
 AnyMessage: TypeAlias = Any
 """A message, or a message class, of ``rosbags`` or of ``rclpy``: they have no common base."""
 _Kinds = TypeVar("_Kinds", bound=IntEnum)
+
+
+_MOST_FIXED, _MOST_PADDING = 64, 16
+"""Bytes of an event without its texts, and of a switch without its name, at most."""
 
 
 class MessageError(ImpactObserverError, ValueError):
@@ -235,12 +239,54 @@ def read_stamp(field: str, time: AnyMessage, earliest: int = 1) -> int:
     return stamp
 
 
-def read_event(message: AnyMessage) -> ImpactEvent:
+class MessageLimits(NamedTuple):
+    """How large a message of impacts may be; an observer node has parameters of these names.
+
+    Attributes:
+        max_switches: contacts that switch in one event.
+        max_name: bytes of a contact's name.
+        max_frame: bytes of the name of its frame.
+    """
+
+    max_switches: int = 100
+    max_name: int = 256
+    max_frame: int = 4096
+
+    @property
+    def size(self) -> int:
+        """Bytes that no message within the limits exceeds."""
+        switches = self.max_switches * (self.max_name + _MOST_PADDING)
+        return _MOST_FIXED + self.max_frame + switches
+
+    def check(self, message: AnyMessage) -> None:
+        """Raise unless an event is within the limits.
+
+        Raises:
+            MessageError: it is not, by the name of the limit.
+        """
+        longest = max((len(each.contact.encode()) for each in message.switches), default=0)
+        frame = len(message.header.frame_id.encode())
+        for name, found, most, what in (
+            ("max_switches", len(message.switches), self.max_switches, "switches"),
+            ("max_name", longest, self.max_name, "bytes in the name of a contact"),
+            ("max_frame", frame, self.max_frame, "bytes in the name of its frame"),
+        ):
+            if found > most:
+                raise MessageError(f"{found} {what}; {name} allows {most}")
+
+
+_LIMITS = MessageLimits()
+"""Those of nodes by default, and of all that reads bags."""
+
+
+def read_event(message: AnyMessage, limits: MessageLimits = _LIMITS) -> ImpactEvent:
     """The event in a message.
 
     Raises:
-        MessageError: its stamp is not after 0, or the kind of a switch is unknown.
+        MessageError: its stamp is not after 0, the kind of a switch is unknown, or it exceeds a
+            limit.
     """
+    limits.check(message)
     return ImpactEvent(
         stamp=read_stamp("ImpactEvent.header.stamp", message.header.stamp),
         switches=tuple(

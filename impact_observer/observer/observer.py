@@ -443,8 +443,8 @@ class Observer:
         """Follow another run of the sender than the ``previous`` one, which is kept."""
         run = self._runs.in_use
         assert run is not None, "it has changed"
-        if not previous.epoch and run.episode == previous.episode:
-            self._run.update.epoch = run.epoch  # the same run: the sender knows its epoch now
+        if previous.goes_on_as(run):
+            self._run.update.epoch = run.epoch
             return
         aside = previous, self._run
         if self._aside is not None and self._aside[0] == run:

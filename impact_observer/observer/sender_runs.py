@@ -43,6 +43,10 @@ class SenderRun(NamedTuple):
             return self.epoch > other.epoch
         return self.episode >= other.episode
 
+    def goes_on_as(self, other: "SenderRun") -> bool:
+        """Whether ``other`` is the same run, of which the epoch is known by now."""
+        return not self.epoch and self.episode == other.episode
+
 
 class Weighed(NamedTuple):
     """What becomes of an event.

@@ -6,9 +6,9 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
-from impact_observer.io.messages import MessageError
+from impact_observer.io.messages import MessageError, MessageLimits
 from impact_observer.observer import Observer
-from impact_observer.ros.serialized import MessageLimits, read_impact
+from impact_observer.ros.serialized import read_impact
 from impact_observer.stamps import NS_PER_S
 
 MOST_WAITING = 2000

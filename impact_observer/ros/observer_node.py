@@ -23,6 +23,7 @@ from impact_observer.errors import ImpactObserverError, UsageError
 from impact_observer.events import ImpactEvent, Ruling, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
+from impact_observer.io.messages import MessageLimits
 from impact_observer.model import read_model
 from impact_observer.observer import (
     LARGEST_INNOVATION,
@@ -38,7 +39,7 @@ from impact_observer.ros.log_lines import LogLines
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
 from impact_observer.ros.qos import qos_profile
-from impact_observer.ros.serialized import EstimateSerializer, MessageLimits
+from impact_observer.ros.serialized import EstimateSerializer
 from impact_observer.ros.subscribing import waiting_messages
 from impact_observer.stamps import NS_PER_S, from_seconds, seconds_between
 from impact_observer.states import Estimate

@@ -10,14 +10,14 @@ from functools import lru_cache
 from math import isfinite, isqrt
 from struct import Struct
 from struct import error as StructError  # noqa: N812 (its own name is too general)
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.io.interfaces import IMPACT_EVENT
-from impact_observer.io.messages import JointState, MessageError, read_event
+from impact_observer.io.messages import JointState, MessageError, MessageLimits, read_event
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.stamps import MAX_STAMP, NS_PER_S
 from impact_observer.states import Estimate, Vector
@@ -32,8 +32,6 @@ _HEADER = Struct("<iII")
 _EVENT = Struct("<QIiII")
 """Sequence, episode, epoch, number of switches."""
 _LENGTH = Struct("<I")
-_MOST_FIXED, _MOST_PADDING = 64, 16
-"""Bytes of an event without its texts, and of a switch without its name, at most."""
 _KINDS = {int(kind): kind for kind in Kind}
 _SCALARS = Struct("<d?7xdQiI")
 """Of an estimate: convergence, synchronized, clock offset, last sequence, last event."""
@@ -42,42 +40,6 @@ _CONVERGENCE = 1.2345678901234567e-287
 
 _Shape: TypeAlias = tuple[str, tuple[str, ...], int, tuple[str, ...]]
 """Law, closed contacts, size of the covariance, names of the parameters."""
-
-
-class MessageLimits(NamedTuple):
-    """How large a message of impacts may be; the parameters of these names.
-
-    Attributes:
-        max_switches: contacts that switch in one event.
-        max_name: bytes of a contact's name.
-        max_frame: bytes of the name of its frame.
-    """
-
-    max_switches: int = 100
-    max_name: int = 256
-    max_frame: int = 4096
-
-    @property
-    def size(self) -> int:
-        """Bytes that no message within the limits exceeds."""
-        switches = self.max_switches * (self.max_name + _MOST_PADDING)
-        return _MOST_FIXED + self.max_frame + switches
-
-    def check(self, event: ImpactEvent, frame: int = 0) -> ImpactEvent:
-        """The event, if it is within the limits; ``frame`` is the length of its frame's name.
-
-        Raises:
-            MessageError: it is not, by the name of the limit.
-        """
-        longest = max((len(each.contact.encode()) for each in event.switches), default=0)
-        for name, found, most, what in (
-            ("max_switches", len(event.switches), self.max_switches, "switches"),
-            ("max_name", longest, self.max_name, "bytes in the name of a contact"),
-            ("max_frame", frame, self.max_frame, "bytes in the name of its frame"),
-        ):
-            if found > most:
-                raise MessageError(f"{found} {what}; {name} allows {most}; left out")
-        return event
 
 
 def read_impact(data: bytes, limits: MessageLimits | None = None) -> ImpactEvent:
@@ -106,7 +68,7 @@ def read_impact(data: bytes, limits: MessageLimits | None = None) -> ImpactEvent
         message = deserialize_message(data, message_class(IMPACT_EVENT))
     except RuntimeError:  # rclpy's own class has no public name
         raise MessageError(f"{len(data)} bytes that are no {IMPACT_EVENT}; left out") from None
-    return limits.check(read_event(message), len(message.header.frame_id.encode()))
+    return read_event(message, limits)
 
 
 def _read_usual_impact(data: bytes, limits: MessageLimits) -> ImpactEvent | None:

@@ -8,10 +8,11 @@ from rclpy.node import Node
 from impact_observer.draw.observer_topics import ObserverTopics
 from impact_observer.draw.scene.scene import Scene
 from impact_observer.errors import UsageError
-from impact_observer.events import Kind
+from impact_observer.events import ImpactEvent, Kind
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, JointState, MessageError, read_event
 from impact_observer.model import read_model
+from impact_observer.observer.sender_runs import SenderRuns
 from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
 from impact_observer.ros.introduction import introduce
@@ -41,7 +42,7 @@ class ViewerNode(Node):
         self._states: dict[str, JointState] = {}
         self._hits: dict[int, int] = {}
         self._closed: set[int] = set()
-        self._episode = (0, 0)
+        self._runs = SenderRuns()
         self._make = ros_messages()
         quality = qos_profile(interfaces.VIEWER_MARKERS.quality)
         self._markers = self.create_publisher(
@@ -80,16 +81,25 @@ class ViewerNode(Node):
         self._states[name] = state
 
     def _on_event(self, message: AnyMessage) -> None:
-        """Keep the time of impacts, and the closed contacts."""
+        """Take an event of the run of the sender that is in use, by the rule of the observer."""
         try:
             event = read_event(message)
         except MessageError as error:
             self.get_logger().error(printable(f"impacts: {error}"), throttle_duration_sec=5.0)
             return
-        if (event.epoch, event.episode) != self._episode:
-            self._episode = (event.epoch, event.episode)
+        weighed = self._runs.weigh(event)
+        if weighed.reason:
+            return
+        run, previous = self._runs.in_use, weighed.previous
+        is_other = run and previous and not previous.goes_on_as(run)
+        if is_other or weighed.replaces:
             self._hits.clear()
             self._closed.clear()
+        for each in (*weighed.released, event):
+            self._note(each)
+
+    def _note(self, event: ImpactEvent) -> None:
+        """Keep the time of impacts, and the closed contacts."""
         for switch in event.switches:
             if switch.contact not in self._system.contact_names:
                 continue
@@ -111,8 +121,9 @@ class ViewerNode(Node):
             state = self._states.get(row.name)
             if state is not None:
                 time = self._make.time(state.stamp)
-                at = np.array([state.stamp - self._episode[0]])
-                moved = self._system.gap_motion(at)[0] if self._episode[0] else None
+                epoch = self._runs.in_use.epoch if self._runs.in_use else 0
+                at = np.array([state.stamp - epoch])
+                moved = self._system.gap_motion(at)[0] if epoch else None
                 markers += self._painter.markers(row, state.q, self._lit(state), time, moved)
         if markers:
             self._markers.publish(message_class(interfaces.MARKERS)(markers=markers))

@@ -6,6 +6,7 @@ Imports no ROS, so that launch files and tests can read it.
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from impact_observer.options import Value
 
@@ -20,6 +21,24 @@ LOCAL = "LOCALHOST"
 def following() -> dict[str, str]:
     """The environment of a process that ends with this one."""
     return {FOLLOW: str(os.getpid())}
+
+
+def local_discovery() -> tuple[Any, Any]:
+    """For launch files: the argument ``local``, and what it does to all nodes that follow."""
+    # Not at the top: the demo command needs no launch.
+    from launch.actions import (
+        DeclareLaunchArgument,
+        SetEnvironmentVariable,
+    )
+    from launch.conditions import IfCondition
+    from launch.substitutions import LaunchConfiguration
+
+    meaning = "whether only nodes on this machine are discovered"
+    wanted = IfCondition(LaunchConfiguration("local"))
+    return (
+        DeclareLaunchArgument("local", default_value="false", description=meaning),
+        SetEnvironmentVariable(DISCOVERY, LOCAL, condition=wanted),
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,10 +63,23 @@ CASES: dict[str, tuple[list[ImpactEvent], bool, list[str]]] = {
         [
             (
                 "warning /impacts: 1 message with a sequence number that another event had, the"
-                " first is message 5 at 7.000000000 s; expected +1 a message; they are taken for"
-                " duplicates and lost; was the bag made of two? Then let the second have a"
+                " first is message 5 at 7.000000000 s; expected +1 a message; an observer applies"
+                " them, and remarks on it; was the bag made of two? Then let the second have a"
                 " higher episode"
             )
+        ],
+    ),
+    "a run without a second event": (
+        [*GOOD, ImpactEvent(7 * S, STOP, 1, 5, S)],
+        True,
+        [
+            (
+                "warning /impacts: 1 event without effect, of another run of the sender, the first"
+                " is message 5 at 7.000000000 s: episode 5 is new: it takes effect with 2 events"
+                " in agreement; no others bear them out (docs/events.md); is it one sender, or"
+                " are messages corrupt?"
+            ),
+            "note /impacts: 2 episodes: at each, an observer starts again",
         ],
     ),
     "a stamp twice": (

@@ -274,3 +274,16 @@ def test_received_constant_must_be_known() -> None:
     verdict.verdict = 9
     with pytest.raises(MessageError, match=r"EventVerdict\.verdict is 9; .*3 \(DUPLICATE\)"):
         m.read_verdict(verdict)
+
+
+@pytest.mark.parametrize(
+    ("limit", "switches"),
+    [("max_switches", (Switch("stop"),) * 101), ("max_name", (Switch("s" * 257),))],
+)
+def test_an_event_beyond_the_limits_of_nodes_is_refused_by_their_name(
+    limit: str, switches: tuple[Switch, ...]
+) -> None:
+    """By all that reads bags, too."""
+    message = m.bag_messages().event(ImpactEvent(1, switches))
+    with pytest.raises(m.MessageError, match=f"{limit} allows"):
+        m.read_event(message)

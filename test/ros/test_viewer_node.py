@@ -158,6 +158,20 @@ def test_viewer_begins_again_with_a_bag_that_is_played_again(rig: Rig) -> None:
         rig.received.clear()
 
 
+def test_viewer_follows_another_run_of_the_sender_with_two_events(rig: Rig) -> None:
+    """One message of another episode changes nothing, as in an observer."""
+    stamp = EPOCH + 9_000_000_000
+    rig.hit(EPOCH + 2_000_000_000, Kind.CLOSE, 1)
+    for sequence, lit in ((1, True), (2, False)):
+        at = EPOCH + (2 + sequence) * 1_000_000_000
+        switches = (Switch("stop", Kind.OPEN),)
+        event = Event(at, switches, sequence, 7, EPOCH)
+        rig.impacts.publish(ros_messages().event(event))
+        rig.spinner.settle(0.1)
+        rig.publish_state("plant", stamp + sequence, [0.0, 0.5])
+        assert is_lit(shapes(rig.shown("plant", stamp + sequence), "plant", "stops")[0]) is lit
+
+
 def test_viewer_takes_columns_by_name_and_refuses_others(rig: Rig) -> None:
     """A state of another model is not shown."""
     wrong = JointState(EPOCH + 1, ("x1", "y"), np.zeros(2), np.zeros(2))
