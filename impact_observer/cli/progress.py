@@ -13,14 +13,17 @@ if TYPE_CHECKING:
 
 _PERIOD = 0.1
 """Least time between two updates of the bar, s: a tight loop may call more often."""
+_SILENT = 4.0
+"""Processor time after which a line without a terminal says how far the work is, s; the next one
+comes after twice that, and so on."""
 
 
 @final
 class Progress:
     """Shows how far a command is; a context manager.
 
-    Work of less than half a second shows nothing. Without a terminal only permanent lines are
-    written.
+    Work of less than half a second shows nothing. Without a terminal permanent lines are written,
+    and on standard error, now and then, how far long work is.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
@@ -29,6 +32,7 @@ class Progress:
         self._lively = self._stream.isatty() and os.environ.get("TERM") != "dumb"
         self._bars: Bars | None = None
         self._next = 0.0
+        self._begun, self._silent = time.process_time(), _SILENT
 
     def __enter__(self) -> "Progress":
         return self
@@ -52,14 +56,26 @@ class Progress:
             total: how much there is to do.
             unit: of both, ``s`` for simulated or recorded time; empty for a count.
         """
-        if self._lively and (now := time.monotonic()) >= self._next:
-            self._next = now + _PERIOD
+        if (now := time.monotonic()) < self._next:
+            return
+        self._next = now + _PERIOD
+        if self._lively:
             self._shown().step(printable(what), done, total, unit)
+        else:
+            self._say_now_and_then(f"{what}: {done:.4g} of {total:.4g} {unit}".rstrip())
 
     def show(self, text: str) -> None:
         """Show ``text`` at the bottom, for work without a total."""
         if self._lively:
             self._shown().show(printable(text))
+        else:
+            self._say_now_and_then(text)
+
+    def _say_now_and_then(self, text: str) -> None:
+        """Say how far long work is, where there is no terminal."""
+        if time.process_time() - self._begun >= self._silent:
+            self._silent *= 2
+            say(printable(text), file=sys.stderr)
 
     def line(self, text: str) -> None:
         """Write a permanent line; control characters of names are escaped."""

@@ -5,7 +5,7 @@ Times are read as decimals, not as floats, so that stamps are exact to the nanos
 
 import csv
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
@@ -94,17 +94,20 @@ class CsvFile:
         self._separator = ","
         self._names: list[str] = []
 
-    def in_order(self) -> Iterator[CsvRecord]:
+    def in_order(self, read: Callable[[], object] = lambda: None) -> Iterator[CsvRecord]:
         """The rows by time: as they stand, or sorted if the form says so.
+
+        Args:
+            read: called whenever a row was read.
 
         Raises:
             UsageError: they are not in order, or as of :meth:`records`.
         """
         if self._form.sort:
-            yield from sorted(self.records(), key=lambda record: record.time)
+            yield from sorted(self._noted(read), key=lambda record: record.time)
             return
         before = None
-        for record in self.records():
+        for record in self._noted(read):
             if before is not None and record.time < before:
                 self.wrong(
                     record.line,
@@ -112,6 +115,11 @@ class CsvFile:
                     " say --sort",
                 )
             before = record.time
+            yield record
+
+    def _noted(self, read: Callable[[], object]) -> Iterator[CsvRecord]:
+        for record in self.records():
+            read()
             yield record
 
     def records(self) -> Iterator[CsvRecord]:

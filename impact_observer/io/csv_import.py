@@ -4,7 +4,7 @@ import heapq
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, groupby
+from itertools import chain, count, groupby
 from operator import itemgetter
 from pathlib import Path
 
@@ -76,7 +76,7 @@ def import_csv(
             1973, as times since 1970 do, and for 1 s elsewhere.
         epoch: stamp of ``t = 0`` of the forcing, ns; None for the files' time zero.
         flush: longest time until a message is on the disk, s.
-        progress: called with the number of messages written.
+        progress: called with the number of rows read.
 
     Raises:
         UsageError: a file has a mistake, something is at ``output`` already, or there is truth
@@ -85,7 +85,12 @@ def import_csv(
     """
     form = form or CsvForm()
     table = ImpactTable(path, form, None if model is None else model.system.contact_names)
-    rows = table.rows()
+    numbers = count(1)
+
+    def read() -> None:
+        progress(next(numbers))
+
+    rows = table.rows(read)
     first = next(rows, None)
     if first is None:
         raise UsageError(f"{path}: holds no impact; expected rows {FORM} below the header")
@@ -94,7 +99,7 @@ def import_csv(
     zero, last, make = start if epoch is None else epoch, 0, bag_messages()
     streams = [_events(path, chain([first], rows), start, zero)]
     if truth is not None:
-        streams.append(_states(truth, form, model, start))
+        streams.append(_states(truth, form, model, start, read))
     counts = Counter[str]()
     with all_or_nothing(output, flush) as writer:
         if model is not None:
@@ -109,7 +114,6 @@ def import_csv(
             if topic == interfaces.IMPACTS.topic:
                 counts["rows"] += len(message.switches)
                 last = stamp
-            progress(counts.total())
     return Imported(
         events=counts[interfaces.IMPACTS.topic],
         rows=counts["rows"],
@@ -136,13 +140,13 @@ def _events(
 
 
 def _states(
-    path: Path, form: CsvForm, model: Model | None, start: int
+    path: Path, form: CsvForm, model: Model | None, start: int, read: Callable[[], object]
 ) -> Iterator[tuple[int, str, AnyMessage]]:
     """Stamps (ns), topic and messages of the true states."""
     if model is None:
         raise UsageError(f"{path}: true states without a model; name it with --model")
     make, names = bag_messages(), model.system.coordinates
-    for row in StateTable(path, form, names).rows():
+    for row in StateTable(path, form, names).rows(read):
         state = JointState(_stamp(path, row, start, 0), names, row.q, row.u)
         yield state.stamp, interfaces.PLANT_JOINT_STATES.topic, make.joint_state(state)
 

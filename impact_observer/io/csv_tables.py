@@ -1,6 +1,6 @@
 """Impact times and true states in CSV files, row by row."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -62,13 +62,13 @@ class ImpactTable:
         """Names of the columns that are not read; complete after the first row."""
         return tuple(name for name in self._file.columns if name not in _COLUMNS)
 
-    def rows(self) -> Iterator[ImpactRow]:
-        """The rows, one by one.
+    def rows(self, read: Callable[[], object] = lambda: None) -> Iterator[ImpactRow]:
+        """The rows, one by one; ``read`` is called whenever one was read.
 
         Raises:
             UsageError: names the file, the line, what was found and what is expected.
         """
-        for line, time, cells in self._file.in_order():
+        for line, time, cells in self._file.in_order(read):
             contact = self._contact(line, cells.get("contact", ""))
             yield ImpactRow(line, time, Switch(contact, self._kind(line, cells.get("kind", ""))))
 
@@ -109,15 +109,15 @@ class StateTable:
         expected = ", ".join(["time", *(names[0] for names in self._names)])
         self._file = CsvFile(path, form, wanted, what="state", expected=expected)
 
-    def rows(self) -> Iterator[StateRow]:
-        """The rows, one by one.
+    def rows(self, read: Callable[[], object] = lambda: None) -> Iterator[StateRow]:
+        """The rows, one by one; ``read`` is called whenever one was read.
 
         Raises:
             UsageError: names the file, the line, what was found and what is expected.
         """
         columns: list[str] = []
         n = len(self._names) // 2
-        for line, time, cells in self._file.in_order():
+        for line, time, cells in self._file.in_order(read):
             columns = columns or self._columns()
             x = [self._value(line, name, cells.get(name, "")) for name in columns]
             yield StateRow(line, time, frozen(x[:n]), frozen(x[n:]))

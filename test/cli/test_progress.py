@@ -1,6 +1,7 @@
 """Progress of a command: on a terminal, and elsewhere."""
 
 import io
+import itertools
 import os
 import pty
 import re
@@ -112,6 +113,20 @@ def test_without_cursor_movement_only_lines_are_written(terminal: bool) -> None:
             [sys.executable, "-c", script], capture_output=True, text=True, check=True
         ).stdout
     assert written.replace("\r", "") == "a line [first]\na line that stays\n"
+
+
+def test_long_work_without_a_terminal_says_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After four seconds, and less and less often; on standard error."""
+    seconds = itertools.count()
+    monkeypatch.setattr(time, "process_time", lambda: next(seconds))
+    with Progress() as progress:
+        for k in range(100):
+            progress.show(f"row {k}\x1b")
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert shown.err.splitlines() == [f"row {k}\\x1b" for k in (3, 7, 15, 31, 63)]
 
 
 def test_a_tight_loop_is_not_slowed() -> None:
