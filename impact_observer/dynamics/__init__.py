@@ -4,7 +4,7 @@
 finds the instant at which a phase ends.
 """
 
-from impact_observer.dynamics.contact.clutch import Clutches
+from impact_observer.dynamics.contact.clutch import Clutches, Piecewise
 from impact_observer.dynamics.contact.friction import Grip, ended
 from impact_observer.dynamics.contact.impact_law import ImpactLaw
 from impact_observer.dynamics.contact.persistent_contact import persistent_contacts
@@ -27,6 +27,7 @@ __all__ = [
     "Motion",
     "Phase",
     "Phases",
+    "Piecewise",
     "PositionProjection",
     "Scales",
     "Search",

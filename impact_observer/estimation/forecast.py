@@ -91,6 +91,7 @@ class Flight:
     Attributes:
         contacts: the contact of each function.
         gaps: how many of them are gaps.
+        guided: whether guides rub: then there are gaps only, and hypotheses share nothing.
         c: the functions are ``c x`` and an offset, shape (functions, 2n).
     """
 
@@ -102,10 +103,12 @@ class Flight:
         self._scales = member.moving.phases.scales
         self._step = self._scales.timescale / FINE
         open_ = tuple(i for i in range(self._system.m) if i not in closed)
-        self.gaps, self.contacts = len(open_), (*open_, *self._phase.held)
+        self.guided = member.moving.guided  # then loads of contacts depend on the motion
+        self._pressed = () if self.guided else self._phase.held
+        self.gaps, self.contacts = len(open_), (*open_, *self._pressed)
         self.c = Measured.gaps(self._system, open_).c
         self._distance = self._system.q_r[list(open_)]
-        if self._phase.held:
+        if self._pressed:
             loads = Measured.loads(self._phase, self._phase.held)
             self.c = np.vstack([self.c, loads.c])
         self._rest = self._phase.start(t, np.zeros(2 * self._system.n))
@@ -138,7 +141,7 @@ class Flight:
         """The functions less ``c x``, ``s`` seconds after the start, (samples, functions)."""
         offset = np.empty((s.size, len(self.c)))
         offset[:, : self.gaps] = self._distance
-        if self._phase.held:
+        if self._pressed:
             forces = self._system.forcing.derivatives(self._t + s, 0)[0]
             offset[:, self.gaps :] = -forces @ self._phase.loads.T
         return offset
@@ -205,6 +208,8 @@ class Forecast:
             return []
         samples = self._flight.over(duration)
         values = samples.values(self._state.x)
+        if self._flight.guided:
+            values = self._all_values(samples.s)
         dips = [dip for j in range(values.shape[1]) for dip in self._of(j, samples, values[:, j])]
         return sorted(dips, key=lambda dip: dip.below)
 
@@ -248,6 +253,11 @@ class Forecast:
         at = s[1:-1][lowest] - (slope / (2 * bend))[lowest]
         where = np.searchsorted(s, at)
         return np.insert(s, where, at), np.insert(values, where, self._values(j, at))
+
+    def _all_values(self, s: Vector) -> Matrix:
+        """All functions after ``s`` seconds, shape (samples, functions)."""
+        states = self.prediction.motion.states(s)
+        return np.asarray(states @ self._flight.c.T + self._flight.offset(s))
 
     def _values(self, j: int, s: Vector) -> Vector:
         """Function ``j`` after ``s`` seconds, shape (samples,)."""

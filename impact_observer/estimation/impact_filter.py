@@ -97,7 +97,8 @@ class ImpactFilter:
         declared = ProcessNoise(model_error, unknowns.drift * unknowns.deviations)
         self._declared = declared
         self.noise = declared if model_error or np.any(declared.drift) else None
-        self._is_smooth = system.forcing.sampled is None and not unknowns.family.size
+        sampled = system.forcing.sampled is not None
+        self._is_smooth = not (sampled or unknowns.family.size or system.guides)
         self._longest = _LONGEST / max(self.members.given.moving.rate, 1e-6)
 
     def begin(self, state: GaussianState) -> GaussianState:
@@ -202,7 +203,7 @@ class ImpactFilter:
 
         Each has white accelerations of its own level, m/s^1.5, besides the declared ones.
         """
-        if self.members.moving:
+        if self.members.moving or self.members.given.moving.guided:
             return [
                 self.predict(t, state, level).prior(s)
                 for state, level in zip(states, levels, strict=True)
@@ -253,7 +254,8 @@ class ImpactFilter:
         expected = self._expected(member, change, contacts, prior, prior)
 
         def rate() -> Vector:
-            rates, forces = member.moving.rates(change.before), member.moving.forces(prior.t)
+            rates = member.moving.rates_at(prior.t, prior.x, change.before)
+            forces = member.moving.forces(prior.t)
             return rates.along(prior.x, forces)[0]
 
         outlier = outlier_likelihood(contacts, expected, prior, rate) if change.hit else None
@@ -298,7 +300,8 @@ class ImpactFilter:
         after, member = self._jumped(change, joint), self.member(joint)
         if change.closed:
             new = tuple(i for i in change.closed if i not in change.before)
-            rates, forces = member.moving.rates(change.before), member.moving.forces(joint.t)
+            rates = member.moving.rates_at(joint.t, after.x, change.before)
+            forces = member.moving.forces(joint.t)
             pressing = rates.along(after.x, forces)[0]
             short = self.short * self.system.contact_speed(pressing[self.system.n :])
             after = rested(self.members, after, new, np.hypot(short[list(new)], leftover))
@@ -345,7 +348,8 @@ class ImpactFilter:
 
         ``member`` is the one of ``view``.
         """
-        rows, jet = member.guard(change.before, contacts, bool(change.hit))
+        hit = bool(change.hit)
+        rows, jet = member.guard_at(view.t, about.x, change.before, contacts, hit=hit)
         forces = member.moving.forces(view.t)
         expansion = jet.expanded(about.x, forces)
         mean, nonlinear = product(about.own, expansion.D, expansion.E)
@@ -399,7 +403,7 @@ class ImpactFilter:
             n = self.system.n
             gamma = member.gaps(change.hit).c[:, :n].dot(joint.x[n:])
             pressed = change.pressed(member.newton, gamma)
-        jet = member.jump_about(joint.x, pressed, change.before, change.closed)
+        jet = member.jump_about(joint.t, joint.x, pressed, change.before, change.closed)
         x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, noise = product(joint.own, D, E)
         if not self.system.curved.isdisjoint(pressed):

@@ -6,7 +6,7 @@ import numpy as np
 
 from impact_observer.dynamics import Motion, Phase
 from impact_observer.estimation.gaussian_state import GaussianState, propagate_errors
-from impact_observer.estimation.members import Members
+from impact_observer.estimation.members import Members, transition_of
 from impact_observer.estimation.parametric import Map, Sensitivity, leading_triangular
 from impact_observer.estimation.process_noise import ProcessNoise
 from impact_observer.estimation.square_root import narrow, triangular
@@ -39,7 +39,8 @@ class LinearPrediction:
         self._phase: Phase = moving.phase(state.closed)
         self._noise = noise
         self._diffusion = partial(given.diffusion, state.closed)
-        self.motion: Motion = self._phase.start(t, state.x)
+        self._guided = moving.guided
+        self.motion: Motion = moving.motion(t, state.x, state.closed)
         self._root = state.root
         if members.moving:
             size, p = state.x.size, state.parameters
@@ -56,18 +57,24 @@ class LinearPrediction:
         if self._members.moving:
             return self.full_root(s)[: self._start.x.size]
         size = self._start.x.size
-        return self._with_noise(self._phase.transition(s) @ self._root[:size], s)
+        return self._with_noise(self._transition(s) @ self._root[:size], s)
 
     def full_root(self, s: float) -> Matrix:
         """The covariance's root after ``s`` seconds, all its rows."""
-        transition = self._phase.transition(s)
+        transition = self._transition(s)
         if self._members.moving:
             return self._with_noise(self._propagated(transition, self._sensitivity(s)), s)
         return self._with_noise(propagate_errors(self._root, 0, transition), s)
 
+    def _transition(self, s: float) -> Matrix:
+        return transition_of(self.motion, s) if self._guided else self._phase.transition(s)
+
     def prior(self, s: float) -> GaussianState:
         """State and covariance after ``s`` seconds."""
-        x, transition = self._phase.flow.moved(self.motion, s)
+        if self._guided:
+            x, transition = self.motion.state(s), self._transition(s)
+        else:
+            x, transition = self._phase.flow.moved(self.motion, s)
         if not self._members.moving:
             prior = self._start.propagated(x, transition)
             return (

@@ -9,7 +9,17 @@ from functools import cached_property, lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.dynamics import KEPT, ImpactLaw, Phase, Phases, PositionProjection
+from impact_observer.dynamics import (
+    KEPT,
+    Clutches,
+    ImpactLaw,
+    Motion,
+    Phase,
+    Phases,
+    Piecewise,
+    PositionProjection,
+    persistent_contacts,
+)
 from impact_observer.estimation.parametric import Map
 from impact_observer.estimation.process_noise import diffusion, fastest_rate
 from impact_observer.estimation.saltation import Jet, Measured, Mirror, StateRates
@@ -35,14 +45,17 @@ class MovingSystem:
     Attributes:
         system: the system; the places of its stops do not matter here.
         phases: its linear phases.
+        guided: whether guides rub: then a motion has many phases, and which one depends on it.
     """
 
     def __init__(self, system: System) -> None:
         """Each phase is prepared when it is first needed."""
         self.system = system
         self.phases = Phases(system)
+        self.guided = bool(system.guides)
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
+        self._rubbed = lru_cache(KEPT)(self._rates_rubbed)
         self.forces = lru_cache(KEPT)(self._forces_at)
         self.diffusion = lru_cache(KEPT)(self._diffusion_over)
         self._rate = lru_cache(KEPT)(lambda closed: fastest_rate(self.phase(closed)))
@@ -77,16 +90,58 @@ class MovingSystem:
 
     def rate_of(self, t: float, x: Vector, closed: Contacts) -> Vector:
         """``dx/dt`` of a state at ``t``, s since the epoch, shape (2n,)."""
-        if not closed and self.system.forcing.sampled is None:
+        if not closed and self.system.forcing.sampled is None and not self.guided:
             return self.free.rates(t, x)
-        return self.rates(closed).along(x, self.forces(t))[0]
+        return self.rates_at(t, x, closed).along(x, self.forces(t))[0]
+
+    def rates_at(self, t: float, x: Vector, closed: Contacts) -> StateRates:
+        """``rates`` at a state, shape (2n,), at ``t``, s since the epoch."""
+        return self._rubbed(self._phase_at(t, x, closed)) if self.guided else self.rates(closed)
+
+    def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
+        """The motion through ``x``, shape (2n,), at ``t``, s since the epoch."""
+        if self.guided:
+            return self._clutches.motion(t, x, closed, fix=False)
+        return self.phase(closed).start(t, x)
+
+    def moved(self, t: float, x: Vector, s: float, closed: Contacts) -> tuple[Vector, Matrix]:
+        """The state ``s`` seconds after, or before, ``x``, and the derivative by ``x``.
+
+        Before it, guides do what they do at ``x``.
+        """
+        if not self.guided:
+            return self.phase(closed).moved(t, x, s)
+        if s <= 0:
+            return self._phase_at(t, x, closed).moved(t, x, s)
+        motion = self.motion(t, x, closed)
+        return motion.state(s), transition_of(motion, s)
+
+    @cached_property
+    def _clutches(self) -> Clutches:
+        return Clutches(self.system, self.phases)
+
+    def _phase_at(self, t: float, x: Vector, closed: Contacts) -> Phase:
+        """The phase of guides and ``closed`` contacts at a state."""
+        grip = persistent_contacts(self.phases, (), t, x, closed)
+        return self.phases.phase(grip.held, (), grip.loads)
+
+    def rubbed_by(self, t: float, x: Vector, closed: Contacts, change: Vector) -> Vector:
+        """What a ``change`` of friction, shape (k,), N, adds to the forces of guides, (n,)."""
+        rubbing = self._phase_at(t, x, closed).rubbing
+        assert rubbing is not None, "guides rub"
+        share = np.array(rubbing.loads) / self.system.friction
+        return np.asarray(self.system.W_T @ (share * change))
+
+    def _rates_rubbed(self, phase: Phase) -> StateRates:
+        assert phase.rubbing is not None, "guides rub"
+        return StateRates(phase, self.system.W_T @ np.array(phase.rubbing.loads))
 
     def flow_map(self, t: float, x: Vector, s: float, closed: Contacts) -> Map:
         """The flow from ``t`` (s since the epoch) over ``s`` seconds, also back, about ``x``.
 
         The caller must not ask for instants at which the forcing is not defined.
         """
-        return Map(*self.phase(closed).moved(t, x, s))
+        return Map(*self.moved(t, x, s, closed))
 
     def carried(self, columns: Matrix, s: float, closed: Contacts) -> Matrix:
         """Differences of states, one a column, ``s`` seconds later, shape (2n, any)."""
@@ -112,6 +167,12 @@ class MovingSystem:
     def _forces_at(self, t: float) -> Matrix:
         """f, df/dt and d2f/dt2 at an instant, shape (3, n)."""
         return self.system.forcing.derivatives(np.array([t]), 2)[:, 0]
+
+
+def transition_of(motion: Motion, s: float) -> Matrix:
+    """The derivative of a guided ``motion`` after ``s`` seconds by its start, shape (2n, 2n)."""
+    assert isinstance(motion, Piecewise), "guides rub"
+    return motion.transition(s)
 
 
 class Member:
@@ -164,12 +225,25 @@ class Member:
             return self.mirror(pressed)
         return _mirror_about(self.newton, self._numbers, x, pressed)
 
-    def jump_about(self, x: Vector, pressed: Contacts, before: Contacts, closed: Contacts) -> Jet:
-        """The jump of states near ``x``, between phases; see ``jump``."""
-        if self.system.curved.isdisjoint(pressed):
+    def jump_about(
+        self, t: float, x: Vector, pressed: Contacts, before: Contacts, closed: Contacts
+    ) -> Jet:
+        """The jump of states near ``x`` at ``t``, between phases; see ``jump``."""
+        moving = self.moving
+        if self.system.curved.isdisjoint(pressed) and not moving.guided:
             return self.jump(pressed, before, closed)
         mirror = self.mirror_about(x, pressed)
-        return mirror.between(self.moving.rates(before), self.moving.rates(closed))
+        after = mirror.J @ x + mirror.offset
+        return mirror.between(moving.rates_at(t, x, before), moving.rates_at(t, after, closed))
+
+    def guard_at(
+        self, t: float, x: Vector, before: Contacts, contacts: Contacts, *, hit: bool
+    ) -> tuple[Measured, Jet]:
+        """``guard`` of states near ``x``, shape (2n,), at ``t``, s since the epoch."""
+        rows, jet = self.guard(before, contacts, hit)
+        if not self.moving.guided:
+            return rows, jet
+        return rows, rows.along(self.moving.rates_at(t, x, before))
 
     def bends(self, x: Vector, root: Matrix, pressed: Contacts) -> Matrix:
         """What the curvature of restitutions by speed adds to the error of a jump, (2n, k).
@@ -290,7 +364,7 @@ class Members:
     def rate_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
         """Of ``dx/dt`` to the parameters, shape (2n, p)."""
         forces = self._force_sensitivity(member, closed, x, t)
-        return np.vstack([np.zeros_like(forces), member.moving.phase(closed).inverse @ forces])
+        return np.asarray(member.moving.rates_at(t, x, closed).B @ forces)
 
     def load_sensitivity(
         self, member: Member, closed: Contacts, contacts: Contacts, x: Vector, t: float
@@ -356,12 +430,15 @@ class Members:
 
     def _force_sensitivity(self, member: Member, closed: Contacts, x: Vector, t: float) -> Matrix:
         """Of the forces that accelerate the masses to the parameters, shape (n, p)."""
-        n, rates = self.family.system.n, member.moving.rates(closed)
+        n, moving = self.family.system.n, member.moving
+        rates = moving.rates_at(t, x, closed)
         acceleration = rates.along(x, member.moving.forces(t))[0][n:]
         forces = self.family.force_changes(member.values, t).T
         for j, each in enumerate(self.family.parameters[: self.moving]):
             effect = each.effect
             forces[:, j] -= effect.K @ x[:n] + effect.C @ x[n:] + effect.M @ acceleration
+            if moving.guided:
+                forces[:, j] += moving.rubbed_by(t, x, closed, effect.friction)
         return np.asarray(forces)
 
     def _member(self, values: tuple[float, ...]) -> Member:

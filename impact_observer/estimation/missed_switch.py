@@ -52,7 +52,8 @@ def posterior_of_missed(
         return GaussianState(*impact.missed(change.t, 0.0, [state])[0])
     x, root, member = state.x, state.root, filter_.member(state)
     contacts = change.contacts[:1]
-    _, jet = member.guard(change.before, contacts, bool(change.hit))
+    hit = bool(change.hit)
+    _, jet = member.guard_at(change.t, x, change.before, contacts, hit=hit)
     value, H, D, E = jet.expanded(x, member.moving.forces(change.t))
     sensitivity = filter_.measured_sensitivity(member, change, contacts, x, change.t)
     seen = np.hstack([H[:, 1:], sensitivity])

@@ -31,16 +31,17 @@ _ONE = np.ones(1)
 
 
 class StateRates:
-    """``dx/dt = A x + B f(t)`` of one phase with nothing fixed.
+    """``dx/dt = A x + B f(t) + b`` of one phase with nothing fixed.
 
     Attributes:
         A: shape (2n, 2n).
         B: shape (2n, n).
+        b: by the constant loads of guides, shape (2n,).
         decay: of the fastest fading motion, 1/s.
     """
 
-    def __init__(self, phase: Phase) -> None:
-        """Write the phase as a system of first order."""
+    def __init__(self, phase: Phase, rubbed: Vector | None = None) -> None:
+        """Write the phase, with forces of guides if any, (n,), as a system of first order."""
         n, equations = phase.equations.n, phase.equations
         inverse = phase.inverse
         self.A = np.zeros((2 * n, 2 * n))
@@ -48,11 +49,12 @@ class StateRates:
         self.A[n:, :n] = -inverse @ equations.K
         self.A[n:, n:] = -inverse @ equations.C
         self.B = np.vstack([np.zeros((n, n)), inverse])
+        self.b = np.zeros(2 * n) if rubbed is None else self.B @ rubbed
         self.decay = max(0.0, -float(np.min(linalg.eigvals(self.A).real)))
 
     def along(self, x: Vector, forces: Matrix) -> tuple[Vector, Vector]:
         """``dx/dt`` and its derivative by time, (2n,) each; ``forces`` are f, df/dt, ..."""
-        first: Vector = self.A.dot(x) + self.B.dot(forces[0])
+        first: Vector = self.A.dot(x) + self.B.dot(forces[0]) + self.b
         second: Vector = self.A.dot(first) + self.B.dot(forces[1])
         return first, second
 
@@ -156,8 +158,8 @@ class Measured(NamedTuple):
         still, first = np.zeros_like(self.rest), self.c @ rates.A
         return Jet.of(
             [self.rest, self.c, -load, nothing, nothing],
-            [still, -first, -self.c @ rates.B, load, nothing],
-            [still, first @ rates.A, first @ rates.B, self.c @ rates.B, -load],
+            [still - self.c @ rates.b, -first, -self.c @ rates.B, load, nothing],
+            [still + first @ rates.b, first @ rates.A, first @ rates.B, self.c @ rates.B, -load],
         )
 
 
@@ -213,10 +215,11 @@ class Mirror(NamedTuple):
         """The expansions of the state after the jump, at the instant of the one before."""
         J, (d, n) = self.J, before.B.shape
         D, kicked = after.A @ J - J @ before.A, after.B - J @ before.B
-        pulled, nothing = after.A @ self.offset, np.zeros((d, n))
+        rubbed, nothing = after.b - J @ before.b, np.zeros((d, n))
+        pulled = after.A @ self.offset + rubbed
         curved, jerked = after.A @ D - D @ before.A, after.A @ kicked - D @ before.B
         return Jet.of(
             [self.offset, J, nothing, nothing, nothing],
             [pulled, D, kicked, nothing, nothing],
-            [after.A @ pulled, curved, jerked, -kicked, nothing],
+            [after.A @ pulled - D @ before.b, curved, jerked, -kicked, nothing],
         )

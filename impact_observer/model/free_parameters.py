@@ -23,6 +23,7 @@ UNITS = {
     "mass-scale": "",
     "stiffness": "N/m",
     "damping": "Ns/m",
+    "friction": "N",
     "mass": "kg",
     "forcing-amplitude": "",
     "forcing-phase": "rad",
@@ -119,6 +120,11 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
     for kind, part in _SCALES.items():
         if np.any(whole := getattr(system, part)):
             yield parameter(f"{kind}-scale", 1.0, ratio, 1.0, **{part: whole})
+    for guide, one in zip(system.guides, np.eye(len(system.guides)), strict=True):
+        least = guide.force / _LARGEST_RATIO
+        yield parameter(
+            f"friction.{guide.name}", guide.force, (least, np.inf), guide.force, friction=one
+        )
     for each in elements:
         least = each.value / _LARGEST_RATIO if each.kind == "mass" else 0.0
         effect = {_SCALES[each.kind]: each.matrix}

@@ -24,6 +24,7 @@ class Coefficients:
         exponent: of power laws of the speed, shape (m,); 0 for other contacts.
         amplitude: of the harmonics, relative to the model's, shape (h,).
         phase: by which the harmonics lead the model's, shape (h,), rad.
+        friction: largest forces of the guides, shape (guides,), N.
         contact_time: how long an impact lasts, shape (m,), s; no ``System`` has it.
     """
 
@@ -35,6 +36,7 @@ class Coefficients:
     exponent: Vector
     amplitude: Vector
     phase: Vector
+    friction: Vector
     contact_time: Vector
 
     @classmethod
@@ -45,7 +47,9 @@ class Coefficients:
         curves = [each.curve for each in system.contacts]
         exponent = np.array([c.exponent if isinstance(c, PowerLaw) else 0.0 for c in curves])
         rebound = system.eps, exponent
-        return cls(system.M, system.C, system.K, system.q_r, *rebound, *harmonics, rigid)
+        return cls(
+            system.M, system.C, system.K, system.q_r, *rebound, *harmonics, system.friction, rigid
+        )
 
     @classmethod
     def change(cls, system: System, **parts: Matrix) -> "Coefficients":
@@ -93,7 +97,7 @@ class ModelParameter:
     @property
     def moves(self) -> bool:
         """Whether the motion between impacts depends on it."""
-        motion = ("M", "C", "K", "amplitude", "phase")
+        motion = ("M", "C", "K", "amplitude", "phase", "friction")
         return any(np.any(getattr(self.effect, name)) for name in motion)
 
 
@@ -180,6 +184,10 @@ class ParametricFamily:
                 for (each, gap, eps), curve in zip(stops, curves, strict=True)
             ),
             frame=self._frame_at(found),
+            guides=tuple(
+                replace(each, force=force)
+                for each, force in zip(self.system.guides, found.friction.tolist(), strict=True)
+            ),
         )
 
     def _frame_at(self, found: Coefficients) -> MovingFrame | None:

@@ -7,6 +7,7 @@ geometric law the gaps stay closed in both.
 """
 
 from abc import abstractmethod
+from bisect import bisect
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -22,7 +23,7 @@ from impact_observer.dynamics.guards.location import Crossing, Search
 from impact_observer.dynamics.guards.watched import Watched
 from impact_observer.kernel import PhaseMotion
 from impact_observer.model import System
-from impact_observer.states import Vector
+from impact_observer.states import Matrix, Vector
 
 _INSTANT = 1e-12
 """Length of a phase that counts as none, relative to the model's time scale."""
@@ -35,10 +36,10 @@ _MOST = 8
 class Clutches:
     """Motions of one system whose closed contacts are sprag clutches."""
 
-    def __init__(self, system: System) -> None:
-        """Prepare the phases."""
+    def __init__(self, system: System, phases: Phases | None = None) -> None:
+        """Prepare the ``phases``, or take them."""
         self.system = system
-        self.phases = Phases(system)
+        self.phases = Phases(system) if phases is None else phases
         self.window = self.phases.scales.window
         self.instant = _INSTANT * self.phases.scales.timescale
         self.search = lru_cache(KEPT)(self._search)
@@ -96,6 +97,7 @@ class Piecewise(Motion):
         self._closed = closed
         self._searched = 0.0
         self._short_phases = 0
+        self._carried: list[Matrix] = [np.eye(x.size)]  # differences, to the start of each part
         system = clutches.system
         u = x[system.n :]
         slow = system.contact_speed(u) <= clutches.phases.speed_tolerance(u)
@@ -121,6 +123,40 @@ class Piecewise(Motion):
         for k in np.unique(which):
             part, mine = self._parts[k], which == k
             found[mine] = part.motion.states(s[mine] - part.start)
+        return found
+
+    def transition(self, s: float) -> Matrix:
+        """Propagation of a small difference of two states by ``s`` seconds, shape (2n, 2n).
+
+        Where a guide stops to slip, or turns, the motions do so at different instants: a saltation
+        matrix (``docs/method.md``). Where one begins to slip it is the identity.
+        """
+        self._extend(s)
+        last = bisect([part.start for part in self._parts], s) - 1
+        for k in range(len(self._carried) - 1, last):
+            part, later = self._parts[k], self._parts[k + 1]
+            moved = part.phase.transition(later.start - part.start) @ self._carried[k]
+            self._carried.append(self._across(part, later) @ moved)
+        part = self._parts[last]
+        return np.asarray(part.phase.transition(s - part.start) @ self._carried[last])
+
+    def _across(self, part: Part, later: Part) -> Matrix:
+        """``I + (F+ - F-) grad h / (dh/dt)-`` for the slip ``h`` that vanishes between parts."""
+        system, n = self._clutches.system, self._clutches.system.n
+        found = np.eye(2 * n)
+        if part.phase.rubbing is None or later.phase.rubbing is None:
+            return found
+        t, x = self.t + later.start, part.motion.state(later.start - part.start)
+        before = part.phase.acceleration(t, x)
+        jump = later.phase.acceleration(t, x) - before
+        speeds = system.W_T.T @ x[n:]
+        slips = [j for j, side in part.phase.rubbing.ends if not side]
+        loads, now = part.phase.rubbing.loads, later.phase.rubbing.loads
+        for j in sorted(slips, key=lambda j: abs(float(speeds[j]))):
+            rate = float(system.W_T[:, j] @ before)
+            if now[j] != loads[j] and rate:
+                found[n:, n:] += np.outer(jump, system.W_T[:, j]) / rate
+                break
         return found
 
     def _extend(self, until: float) -> None:

@@ -126,6 +126,13 @@ class Phase:
         """The motion through ``x`` = (q, u), shape (2n,), at ``t`` s since the epoch."""
         return self.flow.start(t, x)
 
+    def acceleration(self, t: float, x: Vector) -> Vector:
+        """``du/dt`` of a state (p, u), shape (2n,), at ``t`` s since the epoch, shape (n,)."""
+        equations, (q, u) = self.equations, np.split(x, 2)
+        return np.asarray(
+            self.inverse @ (equations.forcing(t) - equations.C @ u - equations.K @ q)
+        )
+
     def transition(self, s: float) -> Matrix:
         """Propagation of the difference of two states (q, u) by ``s`` seconds, shape (2n, 2n)."""
         return self.flow.transition(s)

@@ -11,6 +11,7 @@ from impact_observer.dynamics import KEPT
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Differences, Ensemble
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.members import transition_of
 from impact_observer.estimation.misfit import Fit
 from impact_observer.estimation.model_error import unit_kicks
 from impact_observer.estimation.square_root import triangular
@@ -68,13 +69,15 @@ class FallbackReplica:
     def motion(self, t: float, before: Fallback, closed: Contacts) -> Callable[[float], Fallback]:
         """The replica some seconds after ``t``, s since the epoch, until the next event."""
         phase = self._moving.phase(closed)
-        held = self._geometric.motion(t, before.x, closed) if closed else None
+        guided = self._moving.guided
+        held = self._geometric.motion(t, before.x, closed) if closed or guided else None
 
         def after(s: float) -> Fallback:
             if held is None:
                 x, map_ = phase.moved(t, before.x, s)
             else:
-                x, map_ = held.state(s), phase.transition(s)
+                x = held.state(s)
+                map_ = transition_of(held, s) if guided else phase.transition(s)
             errors = map_.dot(before.errors)
             unit = np.concatenate([errors[:, :-1], self._moving.diffusion(closed, s)], axis=1)
             errors[:, :-1] = triangular(unit)

@@ -15,6 +15,7 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, mean_level, mixture
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.linear import LinearPrediction
+from impact_observer.estimation.members import transition_of
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.model_error import ErrorKind
 from impact_observer.estimation.square_root import triangular
@@ -36,19 +37,24 @@ class SinglePrediction(Prediction):
         self._belief = belief
         moving = filter_.members.given.moving
         self._phase, self._diffusion = moving.phase(closed), partial(moving.diffusion, closed)
-        self._motion = self._phase.start(t, belief.x)
+        self._motion, self._guided = moving.motion(t, belief.x, closed), moving.guided
 
     def state(self, s: float) -> Vector:
         return self._motion.state(s)
 
     def root(self, s: float) -> Matrix:
-        return self._root_after(self._phase.transition(s), s)
+        return self._root_after(self._moved(s)[1], s)
 
     def belief(self, s: float) -> Belief:
-        x, map_ = self._phase.flow.moved(self._motion, s)
+        x, map_ = self._moved(s)
         before = self._belief.ensemble
         after = before.propagated(x, map_) if before.others else Ensemble(x, before.since)
         return Belief(after, self._root_after(map_, s), fit=self._belief.fit)
+
+    def _moved(self, s: float) -> tuple[Vector, Matrix]:
+        if self._guided:
+            return self._motion.state(s), transition_of(self._motion, s)
+        return self._phase.flow.moved(self._motion, s)
 
     def _root_after(self, map_: Matrix, s: float) -> Matrix:
         """The covariance's root after ``s`` seconds, whose transition matrix is ``map_``."""

@@ -83,12 +83,6 @@ class MinimumVariance(Law):
                 unknown offset, and the system no force that depends on time.
         """
         super().__init__(system, uncertainty)
-        if system.guides:
-            raise UsageError(
-                f"{self.name}: guide {system.guides[0].name!r} rubs, and between two events the"
-                " covariance of this law takes one linear motion; expected another law, such as"
-                " unilateral"
-            )
         declared = self.uncertainty.clock_error
         errors = CLOCK_ERRORS if declared is None else (declared,)
         self.clocks = tuple(math.hypot(error, _STAMP) for error in errors)

@@ -11,12 +11,30 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import optimize
 from scipy.integrate import solve_ivp
-from systems import EPOCH, Harmonic, chain, examples, forcing, switchings, system, systems, vectors
+from systems import (
+    EPOCH,
+    Harmonic,
+    chain,
+    estimates,
+    examples,
+    forcing,
+    observer,
+    run,
+    sample,
+    switchings,
+    system,
+    systems,
+    vectors,
+    without_faults,
+)
 
-from impact_observer.dynamics import lyapunov
+from impact_observer.check.model_check import check_model, largest_kept
+from impact_observer.check.model_findings import findings
+from impact_observer.dynamics import Clutches, Piecewise, lyapunov
 from impact_observer.errors import ImpactLawError, ModelError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
+from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
 from impact_observer.model import System, parse_model
 from impact_observer.model.system import Guide
@@ -418,3 +436,64 @@ stops: [{name: far, between: [table, x], gap: 9, restitution: 0.5}]
     times = [seconds_of(each) for each in found[:2]]
     np.testing.assert_allclose(times, [caught, slips], rtol=0, atol=1e-9)
     assert [each.held for each in found[:2]] == [(1,), ()]
+
+
+STICKING = rubbing(
+    chain(2, damping=0.2, force=forcing(2, 0.0, [Harmonic(2.6, [8.0, 0], [0, 0])])),
+    ([-1, 1], 1.5),
+    ([1, 0], 0.4),
+)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_derivative_of_a_rubbing_motion_has_saltation_at_every_turn(seed: int) -> None:
+    """Against differences of exact motions that stick, slip and turn at other instants."""
+    clutches, rng, h = Clutches(STICKING), np.random.default_rng(seed), 1e-6
+    x = np.concatenate([0.3 * rng.normal(size=2), rng.normal(size=2)])
+
+    def after(y: Array) -> Array:
+        return np.asarray(clutches.motion(0.3, y, (), fix=False).state(6.0))
+
+    motion = clutches.motion(0.3, x, (), fix=False)
+    assert isinstance(motion, Piecewise)
+    expected = [(after(x + h * e) - after(x - h * e)) / (2 * h) for e in np.eye(4)]
+    np.testing.assert_allclose(motion.transition(6.0).T, expected, atol=2e-6)
+
+
+@pytest.mark.slow
+def test_minimum_variance_finds_the_state_and_learns_the_friction() -> None:
+    """V falls to 1e-14 of V0 with exact events; a force that is 8 % off is found."""
+    model = sample("rubbing_guide")
+    made = run(model.system, *model.initial_state(), seconds=60.0, rate=1.0)
+    start = np.concatenate(model.initial_state()) + np.array([0.3, -0.2, 0.4, -0.6])
+    watcher = observer(model.system, "minimum-variance", start)
+    for each in made.events:
+        watcher.receive(each)
+    error = estimates(watcher, made.stamps[-1:])[0] - made.states[-1]
+    first = distance(model.system, start, made.states[0])
+    assert distance(model.system, error, np.zeros(4)) <= 1e-14 * first
+    (guide,) = model.system.guides
+    wrong = replace(model.system, guides=(replace(guide, force=1.1),))
+    unknowns = UnknownParameters.named(wrong, ["friction.guide=0.2"])
+    watcher = observer(
+        wrong,
+        "minimum-variance",
+        np.concatenate(model.initial_state()),
+        uncertainty=without_faults(unknowns=unknowns, deviation=0.1),
+    )
+    for each in made.events:
+        watcher.receive(each)
+    ((name, value, deviation),) = watcher.estimate(int(made.stamps[-1])).parameters
+    assert name == "friction.guide"
+    assert value == pytest.approx(1.2, abs=max(5 * deviation, 1e-6))
+    assert value == pytest.approx(1.2, rel=1e-3)
+
+
+def test_check_model_says_what_stuck_replicas_keep() -> None:
+    """``1/2 (2a)^2 / k`` of one guide on one spring, in the note."""
+    model = rubbing(system(1, 0.1, 10, contacts=[([-1], 5.0, 0.5)]), ([1], 2.0))
+    assert largest_kept(model) == pytest.approx(0.8)
+    texts = [each.text for each in findings(check_model(model))]
+    assert any("keep 1/2 dq' K dq, here up to 0.8 J" in text for text in texts)
+    free = rubbing(system(1, 0.1, 0, contacts=[([-1], 5.0, 0.5)]), ([1], 2.0))
+    assert largest_kept(free) is None

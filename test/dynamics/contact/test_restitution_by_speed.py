@@ -181,7 +181,7 @@ def test_saltation_has_the_derivative_of_the_rebound(seed: int) -> None:
         at = np.concatenate([at[:n], law.velocity_after(at[n:], (0,))])
         return phase.moved(s, at, -s)[0]
 
-    jet = member.jump_about(x, (0,), (), ())
+    jet = member.jump_about(0.0, x, (0,), (), ())
     found = jet.expanded(x, member.moving.forces(0.0))
     np.testing.assert_allclose(found.value, own_root(x), atol=1e-13)
     grad = np.concatenate([w, np.zeros(n)])
