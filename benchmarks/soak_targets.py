@@ -48,6 +48,16 @@ _EDGES = (0, 1, 2, 5, 999, 2**31, 2**32 - 1)
 _LONG = (0, 1, 7, 1007, 2**32, 2**63, 2**64 - 1)
 
 
+_LIVE = """\
+name: live
+bodies: [{name: x, mass: 1}]
+grounds: [{name: table, motion: {live: true}}]
+springs: [{between: [table, x], stiffness: 40, damping: 1}]
+forces: [{body: x, input: motor}]
+stops: [{name: stop, between: [table, x], gap: 0.2, restitution: 0.5}]
+"""
+
+
 class Target(NamedTuple):
     """Something that reads foreign input.
 
@@ -243,6 +253,33 @@ def _event(_: Path) -> Attack:
     return attack
 
 
+def _samples(_: Path) -> Attack:
+    """Samples of a live force and ground of any values, between events."""
+    model = parse_model(_LIVE, "live").system
+    observers: list[Observer] = []
+
+    def attack(draw: random.Random) -> object:
+        if not observers or draw.random() < 0.01:
+            observers[:] = [make_observer(model, Options("geometric", ensemble=2))]
+        live = observers[0].live
+        assert live is not None, "the model has live signals"
+        name = draw.choice(["motor", "table", "table", ""])
+        odd = draw.random() < 0.1
+        stamp = draw.choice([1, EPOCH, MAX_STAMP]) if odd else EPOCH + draw.randrange(30 * S)
+        value, rate = (
+            draw.choice([0.0, 1e15, -1e300, math.nan, math.inf])
+            if draw.random() < 0.1
+            else draw.gauss(0.0, 1.0)
+            for _ in range(2)
+        )
+        live.add(name, stamp, value)
+        live.add_motion(name, stamp, value, rate)
+        observers[0].receive(_drawn_event(draw))
+        return _check_finite(observers[0])
+
+    return attack
+
+
 TARGETS = (
     Target("model", 0.5, _model),
     Target("table", 1, _table),
@@ -253,6 +290,7 @@ TARGETS = (
     Target("bag-message", 25, _rosbags_message),
     Target("message", 40, _message),
     Target("event", 8, _event),
+    Target("samples", 2, _samples),
 )
 """All of them."""
 

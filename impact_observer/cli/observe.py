@@ -70,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
             most=args.most_estimates or MOST_ESTIMATES,
             flush=args.flush,
             progress=show,
+            warn=lambda line: progress.line(f"warning: {line}"),
         )
         verdicts = [
             f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in rulings.items()

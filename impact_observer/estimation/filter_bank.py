@@ -136,7 +136,7 @@ class FilterBank:
         self._spurious = spurious - true + math.log(SPURIOUS_RATE) + self._rate
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._scan = SCAN * filter_.system.n
-        self._flight = lru_cache(_FLIGHTS)(Flight)
+        self._flight = Flight if filter_.system.live else lru_cache(_FLIGHTS)(Flight)
 
     def correct(
         self, change: ContactChange, hypotheses: Sequence[Hypothesis], restarts: Restarts

@@ -56,7 +56,8 @@ class MovingSystem:
         self.phase = lru_cache(KEPT)(self._phase_of)
         self.rates = lru_cache(KEPT)(self._rates_of)
         self._rubbed = lru_cache(KEPT)(self._rates_rubbed)
-        self.forces = lru_cache(KEPT)(self._forces_at)
+        changes = system.live is not None  # what was known of a force may be others' past
+        self.forces = self._forces_at if changes else lru_cache(KEPT)(self._forces_at)
         self.diffusion = lru_cache(KEPT)(self._diffusion_over)
         self._rate = lru_cache(KEPT)(lambda closed: fastest_rate(self.phase(closed)))
 

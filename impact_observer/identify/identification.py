@@ -23,6 +23,7 @@ from impact_observer.identify.outliers import outliers_by_motion, outliers_by_ob
 from impact_observer.identify.recorded_impacts import Recording
 from impact_observer.identify.residuals import ROUNDED, HeldBack, widening
 from impact_observer.model import System
+from impact_observer.model.live_signals import refused
 from impact_observer.model.parametric_family import ParametricFamily
 from impact_observer.observer.episode import last_episode
 from impact_observer.stamps import seconds_between
@@ -151,7 +152,7 @@ def identify(
         progress: receives what is being done.
 
     Raises:
-        UsageError: the forcing is sampled.
+        UsageError: the forcing is sampled, or something arrives live.
         BagError: the events contain no impact of the system's contacts.
         IdentificationError: fewer impacts than unknowns, or parameters that move no impact.
         ImpactLawError: the impact law has no solution at an event.
@@ -161,6 +162,7 @@ def identify(
             f"{family.system.name}: guide {family.system.guides[0].name!r} rubs, which identify"
             " cannot take; expected a model without friction"
         )
+    refused(family.system, "identify")
     if family.system.forcing.sampled is not None:
         raise UsageError(
             f"{family.system.name}: its forcing is sampled, which identify cannot take; expected"

@@ -36,6 +36,8 @@ class Access(NamedTuple):
 
 SENSOR = Interface("switch", "std_msgs/msg/Bool")
 """The sensor of the sample ``config/detector/switch.yaml``."""
+LIVE = (interfaces.FORCING, interfaces.GROUND_MOTION)
+"""Received where the model has live forces or grounds."""
 NODES = {
     "plant": Access(
         (
@@ -44,7 +46,7 @@ NODES = {
             interfaces.PLANT_MODEL,
             interfaces.SIMULATED_CLOCK,
         ),
-        (),
+        LIVE,
         ("~/reset",),
     ),
     "observer": Access(
@@ -55,7 +57,7 @@ NODES = {
             interfaces.OBSERVER_BOUND,
             interfaces.DIAGNOSTIC_ARRAYS,
         ),
-        (interfaces.IMPACTS,),
+        (interfaces.IMPACTS, *LIVE),
         ("~/reset", "~/set_state"),
     ),
     "detector": Access((interfaces.IMPACTS, interfaces.DIAGNOSTIC_ARRAYS), (SENSOR,)),

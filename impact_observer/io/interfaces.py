@@ -80,6 +80,9 @@ STATES = Quality()
 LATCHED = Quality(transient_local=True, depth=1)
 """A value that holds until the next one: a late subscriber receives the last one."""
 
+INPUTS = Quality(depth=2000)
+"""Samples of live forces and grounds: none may be lost, and many may wait."""
+
 IMPACT_EVENT = "impact_observer_msgs/msg/ImpactEvent"
 CONTACT_SWITCH = "impact_observer_msgs/msg/ContactSwitch"
 OBSERVER_STATE = "impact_observer_msgs/msg/ObserverState"
@@ -133,6 +136,8 @@ class Interface:
 
 
 IMPACTS = Interface("impacts", IMPACT_EVENT, EVENTS)
+FORCING = Interface("forcing", JOINT_STATE, INPUTS)
+GROUND_MOTION = Interface("ground_motion", JOINT_STATE, INPUTS)
 PLANT_JOINT_STATES = Interface("plant/joint_states", JOINT_STATE)
 PLANT_MODEL = Interface("plant/model", STRING, LATCHED)
 OBSERVER_JOINT_STATES = Interface("observer/joint_states", JOINT_STATE)
@@ -146,6 +151,8 @@ DIAGNOSTIC_ARRAYS = Interface("/diagnostics", DIAGNOSTICS)
 
 INTERFACES = (
     IMPACTS,
+    FORCING,
+    GROUND_MOTION,
     PLANT_JOINT_STATES,
     PLANT_MODEL,
     OBSERVER_JOINT_STATES,

@@ -6,7 +6,7 @@ equal byte for byte. Reading needs the attributes only.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
@@ -185,6 +185,17 @@ class Messages:
             position=self._array("JointState.position", state.q, n),
             velocity=self._array("JointState.velocity", state.u, n),
             effort=self._floats(np.empty(0)),
+        )
+
+    def forces(self, stamp: int, forces: Mapping[str, float]) -> AnyMessage:
+        """Forces of inputs by name, N, as ``sensor_msgs/JointState`` with efforts only."""
+        nothing, values = self._floats(np.empty(0)), np.array(list(forces.values()), dtype=float)
+        return self._classes(interfaces.JOINT_STATE)(
+            header=self._header("JointState", stamp),
+            name=list(forces),
+            position=nothing,
+            velocity=nothing,
+            effort=self._array("JointState.effort", values, len(forces)),
         )
 
     def estimate_error(self, error: EstimateError) -> AnyMessage:

@@ -14,6 +14,7 @@ from impact_observer.errors import UsageError
 from impact_observer.events import DECIDING, ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.io import interfaces
 from impact_observer.io.estimate_messages import in_log_order, messages_of
+from impact_observer.io.live_inputs import LIVE_TOPICS, give_recorded
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
@@ -40,6 +41,7 @@ def observe_bag(
     most: int = MOST_ESTIMATES,
     flush: float = FLUSH,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[int, Counter[Ruling]]:
     """Run ``observer`` on a bag's events; impacts, true states and model are copied.
 
@@ -53,6 +55,7 @@ def observe_bag(
         flush: longest time until a message is on the disk, s.
         most: estimates that are made, at most.
         progress: called with the number of estimates made and of those to be made.
+        warn: called with what was wrong with samples of live forces and grounds.
 
     Returns:
         The number of estimates, and how many final verdicts there are of each kind.
@@ -69,7 +72,11 @@ def observe_bag(
         )
     stamps = _sample_stamps(reader, events, rate, epoch)
     _check_size(reader, observer, output, stamps, most)
-    topics = [topic for each in PLANT_TOPICS if (topic := reader.find(each)) is not None]
+    problems = Counter(give_recorded(reader, observer.live))
+    for problem, count in problems.items():
+        warn(f"{count} samples are left out: {problem}")
+    copied_topics = (*PLANT_TOPICS, *LIVE_TOPICS)
+    topics = [topic for each in copied_topics if (topic := reader.find(each)) is not None]
     with all_or_nothing(output, flush) as writer:
         for topic in topics:
             info = reader.topics[topic]

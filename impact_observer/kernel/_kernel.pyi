@@ -77,7 +77,11 @@ class SampledForces:
         jets: Matrix,
         rounding: float,
         check: Callable[[Vector], None],
+        dropped: int = 0,
+        newest: float = ...,
     ) -> None: ...
+    def splice(self, first: int, time: Vector, jets: Matrix, newest: float) -> None: ...
+    def drop(self, first: int) -> None: ...
 
 class SeriesFlow(PhaseFlow):
     def __init__(

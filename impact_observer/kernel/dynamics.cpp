@@ -151,11 +151,12 @@ std::shared_ptr<ModalFlow> make_modal(const py::tuple& coordinates, const py::tu
 }
 
 std::shared_ptr<SampledForces> make_samples(const Array& time, const Array& jets, double rounding,
-                                            const py::object& check) {
+                                            const py::object& check, std::size_t dropped,
+                                            double newest) {
     const View at = checked(time, "time", ANY);
     const std::size_t k = at.rows;
     const View values = checked(jets, "jets", py::ssize_t(JETS * k), ANY);
-    if (k < 2) throw py::value_error("time: expected two samples at least");
+    if (k < 1) throw py::value_error("time: expected a sample at least");
     for (std::size_t i = 1; i < k; ++i)
         if (!(at[i] > at[i - 1])) throw py::value_error("time: does not ascend");
     auto found = std::make_shared<SampledForces>();
@@ -167,7 +168,31 @@ std::shared_ptr<SampledForces> make_samples(const Array& time, const Array& jets
     }
     found->rounding = finite(rounding, "rounding");
     found->check = check;
+    found->dropped = dropped;
+    found->newest = newest;
     return found;
+}
+
+// Other samples from number `first` on, and none to change before `newest`.
+void splice(SampledForces& samples, std::size_t first, const Array& time, const Array& jets,
+            double newest) {
+    const View at = checked(time, "time", ANY);
+    if (at.rows == 0) throw py::value_error("time: expected a sample at least");
+    if (first < samples.dropped || first > samples.count())
+        throw py::value_error("first: no such sample");
+    double before = first > samples.dropped ? samples.at(first - 1) : -INFINITY;
+    for (std::size_t i = 0; i < at.rows; before = at[i++])
+        if (!(at[i] > before)) throw py::value_error("time: does not ascend");
+    samples.splice(
+        first, at,
+        checked(jets, "jets", py::ssize_t(JETS * at.rows), py::ssize_t(samples.jets[0].columns)));
+    samples.newest = newest;
+}
+
+void drop(SampledForces& samples, std::size_t first) {
+    if (first < samples.dropped || first >= samples.count())
+        throw py::value_error("first: no such sample");
+    samples.drop(first);
 }
 
 std::shared_ptr<SeriesFlow> make_series(const py::tuple& coordinates, const Array& J,
@@ -399,6 +424,15 @@ py::list fly_all(const std::shared_ptr<Arena>& arena, std::int64_t stamp, double
 }  // namespace
 
 void bind_dynamics(py::module_& module) {
+    py::register_exception_translator([](std::exception_ptr thrown) {
+        try {
+            if (thrown) std::rethrow_exception(thrown);
+        } catch (const TooFar& error) {
+            const py::object type =
+                py::module_::import("impact_observer.errors").attr("DynamicsError");
+            PyErr_SetString(type.ptr(), error.what());
+        }
+    });
     py::class_<Started>(module, "PhaseMotion")
         .def_readonly("t", &Started::t)
         .def("state", &state, py::arg("s"))
@@ -414,7 +448,10 @@ void bind_dynamics(py::module_& module) {
              py::arg("waves"));
     py::class_<SampledForces, std::shared_ptr<SampledForces>>(module, "SampledForces")
         .def(py::init(&make_samples), py::arg("time"), py::arg("jets"), py::arg("rounding"),
-             py::arg("check"));
+             py::arg("check"), py::arg("dropped") = 0, py::arg("newest") = INFINITY)
+        .def("splice", &splice, py::arg("first"), py::arg("time"), py::arg("jets"),
+             py::arg("newest"))
+        .def("drop", &drop, py::arg("first"));
     py::class_<SeriesFlow, Flow, std::shared_ptr<SeriesFlow>>(module, "SeriesFlow")
         .def(py::init(&make_series), py::arg("coordinates"), py::arg("J"), py::arg("waves"),
              py::arg("load"), py::arg("push"), py::arg("samples"), py::arg("rate"))

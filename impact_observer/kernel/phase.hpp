@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <cstdint>
 #include <memory>
+#include <stdexcept>
+#include <string>
 
 #include "arrays.hpp"
 #include "rows.hpp"
@@ -152,7 +154,14 @@ class Flow {
 };
 
 constexpr std::size_t ORDERS = 9;     // derivatives 0 to 8
-constexpr double MOST_STRIDES = 1e9;  // of a motion: more would never end
+constexpr double MOST_STRIDES = 4e6;  // of a motion: more would take too long
+
+// A motion that would take too long.
+struct TooFar : std::runtime_error {
+    explicit TooFar(double s)
+        : std::runtime_error("the motion of " + std::to_string(s) +
+                             " s takes too many steps; are these stamps right?") {}
+};
 
 // Functions along one motion: `look` goes to an instant, the others tell what is there.
 class Functions {

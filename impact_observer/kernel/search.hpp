@@ -32,7 +32,6 @@ class Hunt {
     Hunt(std::unique_ptr<Functions> along, double window, double start = 0.0)
         : functions(std::move(along)),
           window(window),
-          end(functions->end()),
           s(start),
           last(start),
           stretch(window),
@@ -41,9 +40,10 @@ class Hunt {
 
     // The first crossing, if all before `horizon` has to be looked at to find it.
     const std::optional<Crossing>& first(double horizon) {
-        if ((std::min(horizon, end) - s) * functions->rate() > MOST_STRIDES)
-            throw std::invalid_argument("horizon: too far");
-        while (!found && s <= horizon && s < end) step();
+        const double end = functions->end();
+        if ((std::min(horizon, end) - s) * functions->rate() > MOST_STRIDES) throw TooFar(horizon);
+        while (!found && s <= horizon && s < end) step(end);
+        if (!found && s <= horizon && s == end && is_below()) cross();
         return found;
     }
 
@@ -51,11 +51,19 @@ class Hunt {
 
   private:
     std::unique_ptr<Functions> functions;
-    double window, end, s, last, stretch;
+    double window, s, last, stretch;
     std::vector<double> values, before;  // at s and at `last`
     std::optional<Crossing> found;
 
-    void step() {
+    // Whether one of the functions is below zero at s by more than rounding.
+    bool is_below() {
+        functions->look(s);
+        for (std::size_t i = 0; i < values.size(); ++i)
+            if (functions->derivative(0, i) < -DEPTH / 2 * functions->scale(i)) return true;
+        return false;
+    }
+
+    void step(double end) {
         ++looks;
         functions->look(s);
         const double stop = std::min({s + stretch, functions->smooth_until(), end});

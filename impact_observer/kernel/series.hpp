@@ -14,16 +14,56 @@ constexpr std::size_t KEPT = 64;      // of so many strides one is kept, to go b
 
 constexpr std::size_t JETS = 4;  // a cubic and its derivatives
 
-// Forces at instants, a cubic from each to the next; after the last one they are held.
+// Forces at instants, a cubic from each to the next; after the last one it goes on. More may come,
+// and old ones be dropped; samples are counted from the very first.
 struct Samples {
     std::vector<double> time;  // s since the epoch, ascending
     Matrix jets[JETS];         // the forces and their derivatives from each instant on, a row each
-    double rounding;           // difference of instants that counts as none, s
+    double rounding = 0.0;     // difference of instants that counts as none, s
+    double newest = INFINITY;  // from when on they may still change, s
+    std::size_t dropped = 0;   // at the front
+    std::vector<double> changes;  // the instants from which on they have changed, each time
+
+    std::size_t count() const { return dropped + time.size(); }
+    double at(std::size_t k) const { return time[here(k)]; }
+    const double* jet(std::size_t order, std::size_t k) const { return jets[order].row(here(k)); }
 
     // The sample that holds from t on.
     std::size_t index(double t) const {
         const auto after = std::upper_bound(time.begin(), time.end(), t + rounding);
-        return std::size_t(std::max<std::ptrdiff_t>(after - time.begin(), 1)) - 1;
+        return dropped + std::size_t(std::max<std::ptrdiff_t>(after - time.begin(), 1)) - 1;
+    }
+
+    // Other samples from number `first` on.
+    void splice(std::size_t first, const View& at, const View& values) {
+        const std::size_t kept = first - dropped, columns = jets[0].columns;
+        changes.push_back(at[0]);
+        time.resize(kept);
+        time.insert(time.end(), at.data, at.data + at.rows);
+        for (std::size_t k = 0; k < JETS; ++k) {
+            std::vector<double>& data = jets[k].data;
+            data.resize(kept * columns);
+            data.insert(data.end(), values.row(k * at.rows),
+                        values.row(k * at.rows) + at.rows * columns);
+            jets[k].rows = time.size();
+        }
+    }
+
+    // Forget samples before number `first`.
+    void drop(std::size_t first) {
+        const std::size_t old = here(first), columns = jets[0].columns;
+        time.erase(time.begin(), time.begin() + std::ptrdiff_t(old));
+        for (Matrix& each : jets) {
+            each.data.erase(each.data.begin(), each.data.begin() + std::ptrdiff_t(old * columns));
+            each.rows = time.size();
+        }
+        dropped = first;
+    }
+
+  private:
+    std::size_t here(std::size_t k) const {
+        if (k < dropped || k >= count()) throw std::invalid_argument("samples: not there");
+        return k - dropped;
     }
 };
 
@@ -67,24 +107,28 @@ class Walk {
           flow(std::move(of)),
           t(t.seconds),
           angles(flow->harmonics.at(t)) {
-        if (flow->samples) first = flow->samples->index(this->t);
+        if (flow->samples) {
+            first = flow->samples->index(this->t);
+            seen = flow->samples->changes.size();
+        }
         flow->coordinates.split(x, flow->coordinates.rest(x), y.row(0));
         enter();
     }
 
     const SeriesFlow& of() const { return *flow; }
 
+    // Until when the forces are final, s.
+    double last() const { return flow->samples ? flow->samples->newest - t : INFINITY; }
+
     // To the stride that holds at s.
     void go(double s) {
+        if (flow->samples && seen < flow->samples->changes.size()) refresh();
         if (s < begin) {
             const auto after = std::upper_bound(kept.begin(), kept.end(), s,
                                                 [](double at, const Kept& k) { return at < k.s; });
-            const Kept& from = *(after == kept.begin() ? after : after - 1);
-            interval = from.interval, stride = from.stride, passed = from.passed;
-            std::copy(from.y.begin(), from.y.end(), y.row(0));
-            enter();
+            restore(*(after == kept.begin() ? after : after - 1));
         }
-        if ((s - begin) * flow->rate > MOST_STRIDES) throw std::invalid_argument("s: too far");
+        if ((s - begin) * flow->rate > MOST_STRIDES) throw TooFar(s);
         while (s >= end) {
             std::vector<double> next(y.columns);
             value(length, next.data());
@@ -117,14 +161,31 @@ class Walk {
     std::size_t first = 0, interval = 0, passed = 0;
     double stride = 0, strides = INFINITY;  // in the interval between two samples
     std::vector<Kept> kept;
+    std::size_t seen = 0;  // changes of the samples
+
+    void restore(const Kept& from) {
+        interval = from.interval, stride = from.stride, passed = from.passed;
+        std::copy(from.y.begin(), from.y.end(), y.row(0));
+        enter();
+    }
+
+    // Goes back to before the samples that have changed meanwhile.
+    void refresh() {
+        const std::vector<double>& changes = flow->samples->changes;
+        const double from =
+            *std::min_element(changes.begin() + std::ptrdiff_t(seen), changes.end()) - t;
+        seen = changes.size();
+        while (kept.size() > 1 && kept.back().s > from) kept.pop_back();
+        if (begin >= from) restore(Kept(kept.back()));
+    }
 
     // Where an interval begins.
-    double knot(std::size_t k) const { return k == 0 ? 0.0 : flow->samples->time[first + k] - t; }
+    double knot(std::size_t k) const { return k == 0 ? 0.0 : flow->samples->at(first + k) - t; }
 
     // Begins the stride with y: where it lies, and all derivatives.
     void enter() {
         const double from = knot(interval), rate = flow->rate;
-        if (flow->samples && first + interval + 1 < flow->samples->time.size()) {
+        if (flow->samples && first + interval + 1 < flow->samples->count()) {
             const double whole = knot(interval + 1) - from;
             strides = std::max(std::ceil(whole * rate), 1.0);
             begin = from + whole * (stride / strides);
@@ -164,13 +225,13 @@ class Walk {
             }
         if (!flow->samples) return;
         const std::size_t now = first + interval;
-        if (interval == 0) s += t - flow->samples->time[first];
+        if (interval == 0) s += t - flow->samples->at(first);
         for (std::size_t k = 0; k < JETS; ++k)
             for (std::size_t j = 0; j < force.columns; ++j) {
-                force(k, j) = flow->samples->jets[JETS - 1](now, j);
+                force(k, j) = flow->samples->jet(JETS - 1, now)[j];
                 for (std::size_t i = JETS - 1; i-- > k;)
                     force(k, j) =
-                        flow->samples->jets[i](now, j) + s / double(i - k + 1) * force(k, j);
+                        flow->samples->jet(i, now)[j] + s / double(i - k + 1) * force(k, j);
             }
     }
 };
@@ -237,6 +298,7 @@ class SeriesFunctions : public Functions {
 
     std::size_t size() const override { return guards->w; }
     double smooth_until() const override { return walk.end; }
+    double end() const override { return walk.last(); }
     double rate() const override { return guards->series->rate; }
     double derivative(std::size_t order, std::size_t i) const override { return here(i, order); }
     double constant(std::size_t i) const override { return guards->waves(i, 0) + added[i]; }

@@ -13,7 +13,8 @@ from impact_observer.errors import ModelError
 from impact_observer.model import sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.ground_keys import GroundMotions, read_grounds
+from impact_observer.model.ground_keys import GroundMotions, live_names, read_grounds
+from impact_observer.model.grounds import LiveNames
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.restitution import read_restitution
 from impact_observer.model.system import Contact, Guide, System, moving_system
@@ -120,7 +121,7 @@ def assembled_system(
     matrices = {kind: np.zeros((line.n, line.n)) for kind in KINDS}
     for each in elements:
         matrices[each.kind] += each.value * each.matrix
-    forcing = _forcing(line, document, folder)
+    forcing, live = _forcing(line, document, folder)
     stops = [_stop(line, key, value) for key, value in document.items("stops")]
     M, C, K = matrices["mass"], matrices["damping"], matrices["stiffness"]
     rubbing = [_guide(line, key, value) for key, value in document.items("friction")]
@@ -133,6 +134,7 @@ def assembled_system(
             factors = np.reshape(moving, (-1, len(grounds)))
             pushed = [_pushed(line, springs, kind) for kind in KINDS[1:]]
             system = moving_system(system, line.motions.grounds(pushed[0], pushed[1], factors))
+        system = replace(system, live=live)
     except ModelError as error:
         raise ModelError(error.key.replace("contacts[", "stops["), error.problem) from None
     return system, tuple(each for each in elements if each.value)
@@ -170,21 +172,35 @@ def labels(pairs: Iterable[Value]) -> list[str]:
     ]
 
 
-def _forcing(line: _Line, document: Section, folder: Path | None) -> Forcing:
-    found = _sum(line, document.items("forces"))
+def _forcing(
+    line: _Line, document: Section, folder: Path | None
+) -> tuple[Forcing, LiveNames | None]:
+    """``f(t)``, and what arrives live, if anything does."""
+    found, inputs = _sum(line, document.items("forces"))
+    live = live_names(inputs, line.motions.live, line.n)
     if "forcing" not in document:
-        return found
+        return found, live
     section = Section("forcing", document.value("forcing"), sampled_files.KEYS)
     section.value("sampled")
-    return replace(found, sampled=sampled_files.read_samples(section, line.names, folder))
+    return replace(found, sampled=sampled_files.read_samples(section, line.names, folder)), live
 
 
-def _sum(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
+def _sum(line: _Line, forces: list[tuple[str, Value]]) -> tuple[Forcing, list[tuple[str, Vector]]]:
+    """The sum of forces, and the live ones by name with their directions."""
     constant = np.zeros(line.n)
-    frequency, cosine, sine = [], [], []
+    frequency, cosine, sine, inputs = [], [], [], list[tuple[str, Vector]]()
     for key, value in forces:
-        force = Section(key, value, ("body", "constant", "amplitude", "frequency", "phase"))
+        kinds = ("constant", "amplitude", "frequency", "phase", "input")
+        force = Section(key, value, ("body", *kinds))
         e = line.body(force)
+        if "input" in force:
+            for name in kinds[:-1]:
+                if name in force:
+                    raise ModelError(
+                        force.key(name), "stands beside input; write two forces instead"
+                    )
+            inputs.append((force.text("input"), e))
+            continue
         if "constant" in force:
             for name in ("amplitude", "frequency", "phase"):
                 if name in force:
@@ -198,12 +214,13 @@ def _sum(line: _Line, forces: list[tuple[str, Value]]) -> Forcing:
         cosine.append(amplitude * np.cos(phase) * e)
         sine.append(-amplitude * np.sin(phase) * e)
     h = len(frequency)
-    return Forcing(
+    found = Forcing(
         constant,
         np.array(frequency),
         np.reshape(cosine, (h, line.n)),
         np.reshape(sine, (h, line.n)),
     )
+    return found, inputs
 
 
 def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:

@@ -69,7 +69,7 @@ class Samples:
         elif self.hold == "linear":
             jets[1, :-1] = np.diff(force, axis=0) / steps[:, None]
         jets[0] = force
-        ends = _shifted(jets[:, :-1], steps)[0]
+        ends = shifted(jets[:, :-1], steps)[0]
         jump = np.abs(ends - force[1:]).max(initial=0.0)
         derived = {
             "time": time,
@@ -86,6 +86,12 @@ class Samples:
     def of_jets(cls, time: Vector, jets: NDArray[np.float64]) -> "Samples":
         """Cubics from each of the instants on, by their derivatives, shape (4, k, n)."""
         return cls(time, jets[0], "cubic", jets)
+
+    @property
+    def drives(self) -> NDArray[np.bool_]:
+        """Which coordinates have a force at some time, shape (n,)."""
+        assert self.jets is not None, "derived"
+        return np.asarray(np.any(self.jets != 0, axis=(0, 1)))
 
     @property
     def end(self) -> float:
@@ -118,7 +124,7 @@ class Samples:
         self.check(t)
         j = self._index(t, self.rounding if slack is None else slack)
         assert self.jets is not None, "derived"
-        return _shifted(self.jets[:, j], np.asarray(t - self.time[j]))
+        return shifted(self.jets[:, j], np.asarray(t - self.time[j]))
 
     def check(self, t: Vector) -> None:
         """Check that there are samples at ``t``, s since the epoch.
@@ -162,7 +168,7 @@ class Samples:
         return Samples.of_jets(time, each[0] + each[1])
 
 
-def _shifted(jets: NDArray[np.float64], s: Vector) -> NDArray[np.float64]:
+def shifted(jets: NDArray[np.float64], s: Vector) -> NDArray[np.float64]:
     """Cubics by their derivatives, shape (4, samples, n), each ``s`` seconds later."""
     found, s = np.array(jets), s[:, None]
     for k in range(JETS - 1):

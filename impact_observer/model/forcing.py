@@ -201,20 +201,22 @@ def _norms(forces: NDArray[np.float64], X: Matrix) -> NDArray[np.float64]:
 def _bound_of_samples(samples: Samples, X: Matrix) -> Callable[[int, Vector], Vector]:
     """As ``Forcing.bound``: a cubic is nowhere larger than the sum of its terms at the end."""
     assert samples.jets is not None, "derived"
-    sizes, steps = [_norms(jet, X) for jet in samples.jets], np.append(samples.steps, 0.0)
-    for k in range(JETS - 1):
-        factor = np.ones(steps.size)
-        for order in range(k + 1, JETS):
-            factor = factor * steps / (order - k)
-            sizes[k] = sizes[k] + factor * _norms(samples.jets[order], X)
-    if samples.hold == "linear":  # nowhere larger than at both of its ends
-        ends = _norms(samples.force, X)
-        sizes[0] = np.maximum(ends, np.append(ends[1:], 0.0))
-    nothing = np.zeros(steps.size)
 
     def bounded(k: int, t: Vector) -> Vector:
-        per_sample = sizes[k] if k < JETS else nothing
-        return np.asarray(per_sample[samples.index(t)])
+        j = samples.index(t)
+        if k >= JETS or samples.jets is None:
+            return np.zeros(t.shape)
+        last = samples.time.size - 1
+        after = np.minimum(j + 1, last)
+        if samples.hold == "linear" and k == 0:  # nowhere larger than at both of its ends
+            ends = _norms(samples.force[np.stack([j, after])], X)
+            return np.asarray(np.max(ends, axis=0))
+        step, factor = samples.time[after] - samples.time[j], np.ones(t.shape)
+        total = _norms(samples.jets[k, j], X)
+        for order in range(k + 1, JETS):
+            factor = factor * step / (order - k)
+            total = total + factor * _norms(samples.jets[order, j], X)
+        return np.asarray(total)
 
     return bounded
 

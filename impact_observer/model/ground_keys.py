@@ -13,10 +13,10 @@ from impact_observer.model import sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.force_samples import JETS, Samples
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.grounds import Grounds, motion_of
+from impact_observer.model.grounds import Grounds, LiveNames, motion_of
 from impact_observer.states import Matrix, Vector
 
-KINDS = ("harmonics", "sampled")
+KINDS = ("harmonics", "sampled", "live")
 _DISPLACEMENT = "displacement"
 Harmonic: TypeAlias = tuple[int, float, float, float]
 """Ground, amplitude (m), frequency (rad/s) and phase (rad)."""
@@ -30,12 +30,14 @@ class GroundMotions:
         names: of the grounds.
         harmonics: of their motions.
         samples: of their displacements, k columns, if some are sampled.
+        live: names of those that are known only live.
         written: the value of the key, with tables in it.
     """
 
     names: tuple[str, ...] = ()
     harmonics: tuple[Harmonic, ...] = ()
     samples: Samples | None = None
+    live: tuple[str, ...] = ()
     written: tuple[Mapping[str, Value], ...] = ()
 
     def unit(self, name: Value) -> Vector:
@@ -65,12 +67,21 @@ def read_grounds(document: Section, taken: Sequence[str], folder: Path | None) -
             raise ModelError(item.key("name"), f"{name!r} is taken already; names must differ")
         names.append(name)
     harmonics: list[Harmonic] = []
+    live: list[str] = []
     sampled: Samples | None = None
     written: list[Mapping[str, Value]] = []
     for k, item in enumerate(items):
         motion = Section(item.key("motion"), item.value("motion"), KINDS)
         if sum(kind in motion for kind in KINDS) != 1:
             raise ModelError(item.key("motion"), f"expected one of {', '.join(KINDS)}")
+        if "live" in motion:
+            if motion.value("live") is not True:
+                raise ModelError(
+                    motion.key("live"), f"{motion.value('live')!r} found; expected true"
+                )
+            live.append(names[k])
+            written.append({"name": names[k], "motion": {"live": True}})
+            continue
         if "harmonics" in motion:
             harmonics += _harmonics(k, motion)
             written.append({"name": names[k], "motion": {"harmonics": motion.value("harmonics")}})
@@ -80,7 +91,7 @@ def read_grounds(document: Section, taken: Sequence[str], folder: Path | None) -
         sampled = spline if sampled is None else sampled.plus(spline)
         text = sampled_files.csv_text(table, (_DISPLACEMENT,))
         written.append({"name": names[k], "motion": {"sampled": text}})
-    return GroundMotions(tuple(names), tuple(harmonics), sampled, tuple(written))
+    return GroundMotions(tuple(names), tuple(harmonics), sampled, tuple(live), tuple(written))
 
 
 def _harmonics(ground: int, motion: Section) -> Iterator[Harmonic]:
@@ -105,3 +116,16 @@ def _clamped(key: str, table: Matrix) -> Samples:
     jets[:, :-1] = parts * np.array([1.0, 1.0, 2.0, 6.0])[:, None, None]
     jets[0] = table[:, 1:]
     return Samples.of_jets(time, jets)
+
+
+def live_names(
+    inputs: Sequence[tuple[str, Vector]], grounds: tuple[str, ...], n: int
+) -> LiveNames | None:
+    """What arrives live; directions of an input that stands there several times add up."""
+    names = tuple(dict.fromkeys(name for name, _ in inputs))
+    if not names and not grounds:
+        return None
+    directions = np.zeros((n, len(names)))
+    for name, direction in inputs:
+        directions[:, names.index(name)] += direction
+    return LiveNames(names, directions, grounds)

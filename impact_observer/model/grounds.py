@@ -12,6 +12,7 @@ the package computes in this frame; only what comes in and goes out are coordina
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,31 @@ from impact_observer.errors import ModelError
 from impact_observer.model.angles import Angles
 from impact_observer.model.forcing import Forcing
 from impact_observer.states import Matrix, Vector, frozen
+
+
+class Displacements(Protocol):
+    """Where grounds are that are known only live."""
+
+    grounds: tuple[str, ...]
+
+    def displacements(self, ns: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
+        """Displacements and speeds at instants, ns since the epoch, (samples, grounds) each."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveNames:
+    """What arrives live.
+
+    Attributes:
+        inputs: names of forces.
+        directions: of the coordinates by unit forces, shape (n, inputs).
+        grounds: names of grounds.
+    """
+
+    inputs: tuple[str, ...]
+    directions: Matrix
+    grounds: tuple[str, ...]
+
 
 _UNSOLVED = 1e-9
 """Motion of a stop that no shift removes and that is not rounding, relative to the largest."""
@@ -81,6 +107,7 @@ class MovingFrame:
         grounds: what moves.
         forcing: ``f(t)`` of the model, without what the grounds do.
         shift: ``E``: coordinates are those in the frame plus ``E s(t)``, shape (n, k).
+        live: where its live grounds are; None where they rest.
         angles: of the harmonics of the grounds. Derived.
         gap_reach: how far grounds move each contact and guide at most, shape (m + guides,), m.
             Derived.
@@ -89,6 +116,7 @@ class MovingFrame:
     grounds: Grounds
     forcing: Forcing
     shift: Matrix
+    live: Displacements | None = None
     angles: Angles = field(init=False)
     gap_reach: Vector = field(init=False)
 
@@ -116,6 +144,10 @@ class MovingFrame:
         if motion.sampled is not None:
             jets = motion.sampled.derivatives(np.asarray(ns * 1e-9))
             s, speed = s + jets[0], speed + jets[1]
+        if self.live is not None:
+            which = [self.grounds.names.index(name) for name in self.live.grounds]
+            for total, part in zip((s, speed), self.live.displacements(ns), strict=True):
+                total[:, which] += part
         return s, speed
 
     def states(self, ns: NDArray[np.int64]) -> Matrix:

@@ -17,7 +17,7 @@ from impact_observer.model import elements, sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.ground_keys import GroundMotions, read_grounds
+from impact_observer.model.ground_keys import GroundMotions, live_names, read_grounds
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.restitution import read_restitution
 from impact_observer.model.system import LARGEST_STATE, Contact, Guide, System, moving_system
@@ -181,6 +181,9 @@ def _forcing_of(system: System) -> Value:
                 grounds.names, grounds.stiffness.T, grounds.damping.T, strict=True
             )
         ]
+    if system.live is not None and system.live.inputs:
+        inputs = zip(system.live.inputs, system.live.directions.T.tolist(), strict=True)
+        document["inputs"] = [{"name": name, "direction": each} for name, each in inputs]
     return document
 
 
@@ -313,7 +316,7 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
     allowed = ("name", "direction", "force", "motion")
     guides = [guide_section(*item, allowed) for item in section.items("friction")]
-    forcing, pushed = _forcing(section, names, motions, folder)
+    forcing, pushed, inputs = _forcing(section, names, motions, folder)
     system = System(
         name=name,
         coordinates=names,
@@ -328,21 +331,23 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
         ),
     )
     factors = [_factors(each, motions) for each in (*contacts, *guides)]
-    if not motions.names:
-        return system
-    return moving_system(
-        system, motions.grounds(*pushed, np.reshape(factors, (-1, len(motions.names))))
-    )
+    if motions.names:
+        moving = np.reshape(factors, (-1, len(motions.names)))
+        system = moving_system(system, motions.grounds(*pushed, moving))
+    return replace(system, live=live_names(inputs, motions.live, n))
 
 
 def _forcing(
     section: Section, coordinates: Sequence[str], motions: GroundMotions, folder: Path | None
-) -> tuple[Forcing, tuple[Matrix, Matrix]]:
-    """``f(t)``, and the forces by displacements and by speeds of grounds, shape (n, k) each."""
+) -> tuple[Forcing, tuple[Matrix, Matrix], list[tuple[str, Vector]]]:
+    """``f(t)``, the forces by displacements and by speeds of grounds, and live inputs.
+
+    Those by grounds have shape (n, k) each; inputs are names with directions, shape (n,).
+    """
     n, pushed = len(coordinates), np.zeros((2, len(motions.names), len(coordinates)))
     if "forcing" not in section:
-        return Forcing.none(n), (pushed[0].T, pushed[1].T)
-    keys = ("constant", "harmonics", *sampled_files.KEYS, "grounds")
+        return Forcing.none(n), (pushed[0].T, pushed[1].T), []
+    keys = ("constant", "harmonics", *sampled_files.KEYS, "grounds", "inputs")
     forcing = Section("forcing", section.value("forcing"), keys)
     harmonics = [
         Section(key, value, ("frequency", "cosine", "sine"))
@@ -365,7 +370,9 @@ def _forcing(
         sine=part("sine"),
         sampled=sampled_files.read_samples(forcing, coordinates, folder),
     )
-    return found, (pushed[0].T, pushed[1].T)
+    items = [Section(*item, ("name", "direction")) for item in forcing.items("inputs")]
+    inputs = [(each.text("name"), each.vector("direction", n)) for each in items]
+    return found, (pushed[0].T, pushed[1].T), inputs
 
 
 def _known(section: Section, key: str, motions: GroundMotions) -> int:

@@ -17,7 +17,7 @@ from scipy import linalg
 from impact_observer.errors import ModelError, UsageError
 from impact_observer.model.document import LARGEST, finite
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.grounds import Grounds, MovingFrame
+from impact_observer.model.grounds import Grounds, LiveNames, MovingFrame
 from impact_observer.model.restitution import Curve
 from impact_observer.states import Matrix, Vector, frozen
 
@@ -81,6 +81,7 @@ class System:
         contacts: the stops.
         frame: that frame, and the grounds that move; None where nothing moves by itself.
         guides: where it rubs.
+        live: names of what arrives live; None where nothing does.
         W: directions of the contacts, shape (n, m). Derived.
         q_r: gaps in the rest position, shape (m,), m or rad. Derived.
         eps: restitution coefficients, shape (m,); nominal ones of contacts whose restitution
@@ -102,6 +103,7 @@ class System:
     contacts: tuple[Contact, ...]
     frame: MovingFrame | None = None
     guides: tuple[Guide, ...] = ()
+    live: LiveNames | None = None
     W: Matrix = field(init=False)
     q_r: Vector = field(init=False)
     eps: Vector = field(init=False)
@@ -156,7 +158,7 @@ class System:
     def depends_on_time(self) -> bool:
         """Whether the epoch matters, of the forcing or of the motion of grounds."""
         moves = self.frame is not None and self.frame.grounds.motion.depends_on_time
-        return moves or self.forcing.depends_on_time
+        return moves or self.live is not None or self.forcing.depends_on_time
 
     def held_force(self, t: float) -> str:
         """A warning where the last sample of the forces is held at ``t``, s since the epoch."""

@@ -152,9 +152,11 @@ class Prediction(ABC):
 
     Attributes:
         is_plain: whether only the state changes: it has neither ``root`` nor ``closed``.
+        follows_samples: whether it is that of the samples of forces whenever it is asked.
     """
 
     is_plain: ClassVar[bool] = False
+    follows_samples: ClassVar[bool] = False
 
     @abstractmethod
     def state(self, s: float) -> Vector:

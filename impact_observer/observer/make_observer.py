@@ -10,6 +10,7 @@ from impact_observer.estimation.uncertainty import Uncertainty, deviation_of
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.elements import Element
+from impact_observer.model.live_signals import connected
 from impact_observer.observer.laws import law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
@@ -32,6 +33,7 @@ def make_observer(
         UsageError: an option cannot be used, by its name.
     """
     options = options or Options()
+    system, live = connected(system)
     law = law_named(options.law)
     uncertainty = Uncertainty(
         deviation_of(options.initial_deviation, system),
@@ -52,6 +54,7 @@ def make_observer(
         ensemble=options.ensemble,
         others=others,
         agreed=options.agreed,
+        live=live,
     )
 
 

@@ -21,6 +21,7 @@ from impact_observer.events import (
     Verdict,
 )
 from impact_observer.model import System
+from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.observer.event_order import NEAR_STAMPS, EventKey, LatestSequences
 from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.laws.law import Law
@@ -82,6 +83,7 @@ class Observer:
         ensemble: how many replicas are run together.
         given_epoch: the epoch that was given, ns; 0 for none.
         remarks: how often the stream of events was irregular, by kind.
+        live: signals to which samples may be added at any time; None where the system has none.
     """
 
     def __init__(
@@ -96,6 +98,7 @@ class Observer:
         ensemble: int = Options.ensemble,
         others: Matrix | None = None,
         agreed: float = Options.agreed,
+        live: LiveSignals | None = None,
     ) -> None:
         """Make an observer that has received nothing yet.
 
@@ -109,6 +112,7 @@ class Observer:
             ensemble: how many replicas are run together, at least one.
             others: initial states of the others, shape (ensemble - 1, 2n); None for drawn ones.
             agreed: V distance at which they count as synchronized, relative to the energy.
+            live: the signals of ``system``, where it has live ones.
 
         Raises:
             UsageError: a wrong state, or a number that is not positive.
@@ -117,6 +121,10 @@ class Observer:
             if not value > 0:
                 raise UsageError(f"{name}: {value:g} found; expected a positive number")
         q, u = system.checked_state(position, velocity)
+        if live is None:
+            refused(system, "an observer without signals")
+        self.live = live
+        self._is_inserting = False
         self.system = system
         self.law = law
         self._initial = np.concatenate([q, u])
@@ -146,6 +154,8 @@ class Observer:
         """Start with a run of the sender whose ``epoch`` (ns) is known, or 0."""
         update = EventUpdate(self.law, self._test, epoch)
         self._run = RunHistory(update, self._first_entry, self._history)
+        if self.live is not None and epoch:
+            self.live.follow(epoch)
         if self.given_epoch and epoch == self.given_epoch:
             self._run.begin(epoch)
 
@@ -210,6 +220,7 @@ class Observer:
         except UsageError:
             self._without_epoch.append(event)
             raise
+        self._follow()
         verdicts, switches = self._resolve_contacts(event)
         if self._run.is_repeated(event, switches):
             reason = "this sequence number was seen"
@@ -269,6 +280,14 @@ class Observer:
             for run, of_run in waiting.items():
                 yield from self._receive_waiting(run, of_run)
 
+    def _follow(self) -> None:
+        """Use the samples of live signals that have come, but not while events are inserted."""
+        if self.live is None or self._is_inserting or not self.epoch:
+            return
+        changed = self.live.follow(self.epoch)
+        if changed is not None:
+            self._run.rerun(changed)
+
     def _is_late(self, event: ImpactEvent) -> bool:
         """Whether an event is of the run in use, and events after it have been applied."""
         run, timeline = self._runs.in_use, self._run.timeline
@@ -294,10 +313,16 @@ class Observer:
         """Apply late events of a run together."""
         timeline = run.timeline
         assert timeline is not None, "they are late"
-        refused = {key: why for key in waiting if (why := misplaced(key, timeline, ()))}
-        for key, why in refused.items():  # the past was shortened since
+        without_place = {key: why for key in waiting if (why := misplaced(key, timeline, ()))}
+        for key, why in without_place.items():  # the past was shortened since
             yield waiting[key].event, self._refuse(waiting[key].event, *why)
-        made = yield from timeline.inserting([key for key in waiting if key not in refused])
+        self._is_inserting = True
+        try:
+            made = yield from timeline.inserting(
+                [key for key in waiting if key not in without_place]
+            )
+        finally:
+            self._is_inserting = False
         for key, error in made.failed.items():
             run.numbers.discard(key.sequence)
             yield (
@@ -318,6 +343,8 @@ class Observer:
         for _, insertion in received:
             self.remarks[Remark.MISFIT] += insertion.entry.belief.fit.is_misfit
         owns, others = run.verdicts([(each.verdicts, made) for each, made in received])
+        if self.live is not None and run.timeline is not None:
+            self.live.forget_before(run.timeline.start.stamp)
         if others:
             self.remarks[Remark.REVISED] += sum(verdict.revises for verdict in others)
         complete = []
@@ -334,6 +361,7 @@ class Observer:
             UsageError: ``stamp`` lies before the past that is kept, or no event has come, or the
                 forcing depends on time and its epoch is unknown.
         """
+        self._follow()
         return self._run.estimate(stamp)
 
     def estimates(self, stamps: Stamps, *, only_states: bool = False) -> Iterator[Estimates]:
@@ -345,6 +373,7 @@ class Observer:
         Raises:
             UsageError: as ``estimate``.
         """
+        self._follow()
         return self._run.estimates(stamps, only_states=only_states)
 
     def replicas(self, stamps: Stamps) -> NDArray[np.float64]:
@@ -353,6 +382,7 @@ class Observer:
         Args:
             stamps: at which, ns, ascending, shape (samples,); no event lies between them.
         """
+        self._follow()
         return self._run.replicas(stamps)
 
     def set_state(
@@ -374,6 +404,7 @@ class Observer:
         """
         x = np.concatenate(self.system.checked_state(position, velocity))
         root = self._root if covariance is None else covariance_root(covariance, self.system.n)
+        self._follow()
         if (timeline := self._run.timeline) is None:
             self._initial, self._root = x, root
         else:

@@ -66,6 +66,17 @@ class RunHistory:
         """Have the initial state hold at ``stamp`` (ns)."""
         self.timeline = Timeline(self._first_entry(stamp), self.update.apply)
 
+    def rerun(self, stamp: int) -> None:
+        """What is known of live signals has changed from ``stamp`` (ns) on."""
+        timeline = self.timeline
+        if timeline is None:
+            return
+        start = timeline.start.stamp
+        if stamp <= start and timeline.is_complete and not self._is_state_given:
+            timeline.restart(self._first_entry(start))
+        else:
+            timeline.rerun(stamp)
+
     def restart(self, first: Entry) -> None:
         """Go on from another state, which holds after all events of its stamp."""
         assert self.timeline is not None, "it has begun"

@@ -6,6 +6,7 @@ A late event is put in its place, and the events after it are applied again (``d
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Container, Generator, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias, TypeVar
 
@@ -211,6 +212,23 @@ class Timeline:
             if closing and _is_superseded(self.entries[first], closing):
                 changed = first
         return first, changed
+
+    def rerun(self, stamp: int) -> None:
+        """Apply the events after ``stamp`` (ns) again, as what is known of forces has changed.
+
+        One that cannot be applied any more is left out.
+        """
+        first = max(bisect_right(self.entries, stamp, key=_stamp), 1)
+        previous = self.entries[first - 1]
+        if previous.prediction is not None and not previous.prediction.follows_samples:
+            previous.prediction = None
+        events = [entry.key for entry in self.entries[first:]]
+        entries = list[Entry]()
+        for i, event in enumerate(events):
+            with suppress(ImpactObserverError):
+                previous = self._update(previous, event, superseding(i, events))
+                entries.append(previous)
+        self.entries[first:] = entries
 
     def _applied(self, previous: Entry, events: Sequence[EventKey]) -> list[Entry]:
         entries = []

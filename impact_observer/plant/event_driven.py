@@ -19,10 +19,11 @@ from impact_observer.dynamics import (
 from impact_observer.errors import DynamicsError, ImpactLawError
 from impact_observer.kernel import PhaseMotion
 from impact_observer.model import System
+from impact_observer.model.live_signals import LiveSignals, refused
 from impact_observer.plant.flights import Hit, PlainImpacts
 from impact_observer.plant.switching import Switching, switches
 from impact_observer.plant.zeno import LOW, AccumulationDetector, ZenoCutoff
-from impact_observer.stamps import Elapsed, Instant, text
+from impact_observer.stamps import MAX_STAMP, Elapsed, Instant, text
 from impact_observer.states import Stamps, Vector
 
 _INSTANT = 1e-4
@@ -46,13 +47,28 @@ class Plant:
     _last: Switching | None
     _moving: PhaseMotion | None
 
-    def __init__(self, system: System, position: Vector, velocity: Vector, *, epoch: int) -> None:
+    def __init__(
+        self,
+        system: System,
+        position: Vector,
+        velocity: Vector,
+        *,
+        epoch: int,
+        live: LiveSignals | None = None,
+    ) -> None:
         """Start at ``epoch`` (ns) from ``position`` and ``velocity``, shape (n,) each.
+
+        ``live`` are the signals of ``system``, known at the epoch, where it has live ones.
 
         Raises:
             UsageError: a state of the wrong size, not finite, or inside a stop.
             ImpactLawError: contacts are closed at the start and their impact has no solution.
         """
+        if live is None:
+            refused(system, "a plant without signals")
+        else:
+            live.follow(epoch)
+        self._live = live
         q, u = system.checked_start(position, velocity)
         self.system = system
         self.epoch = epoch
@@ -85,10 +101,23 @@ class Plant:
             ImpactLawError: the impact law has no solution.
             DynamicsError: changes of contacts at one instant never end.
         """
+        limit = min(limit, self.known_until)
         if self._next is None:
             self._next = self._soon(limit)
         coming = self._next
         return coming if coming is not None and coming.instant.stamp <= limit else None
+
+    @property
+    def known_until(self) -> int:
+        """Before which stamp all live signals are known, ns: so far it may go.
+
+        Samples that have come are used.
+        """
+        if self._live is None:
+            return MAX_STAMP
+        self._live.follow(self.epoch)
+        self._live.forget_before(self._start.stamp)
+        return self._live.known_until - 1
 
     def _soon(self, limit: int) -> Switching | None:
         """The next switching, if it is computed or its stamp is not after ``limit`` (ns)."""

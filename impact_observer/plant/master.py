@@ -5,6 +5,7 @@ from typing import TypeAlias
 from impact_observer.errors import UsageError
 from impact_observer.integrators import DEFAULT_STEP, EVENT_DRIVEN, INTEGRATORS, MOREAU
 from impact_observer.model import System
+from impact_observer.model.live_signals import LiveSignals
 from impact_observer.plant.event_driven import Plant
 from impact_observer.plant.time_stepping import TimeSteppingPlant
 from impact_observer.states import Vector
@@ -21,9 +22,11 @@ def make_plant(
     epoch: int,
     integrator: str = EVENT_DRIVEN,
     step: float = DEFAULT_STEP,
+    live: LiveSignals | None = None,
 ) -> Master:
     """A plant at ``epoch`` (ns), from ``position`` and ``velocity``, shape (n,) each.
 
+    ``live`` are the signals of ``system`` where it has live ones.
     ``integrator`` is one of ``INTEGRATORS``; ``step`` is the length of the steps of ``moreau``, s.
 
     Raises:
@@ -31,7 +34,7 @@ def make_plant(
         ImpactLawError: contacts are closed at the start and their impact has no solution.
     """
     if integrator == EVENT_DRIVEN:
-        return Plant(system, position, velocity, epoch=epoch)
+        return Plant(system, position, velocity, epoch=epoch, live=live)
     if integrator == MOREAU:
         return TimeSteppingPlant(system, position, velocity, epoch=epoch, step=step)
     raise UsageError(f"integrator: {integrator!r} found; expected {' or '.join(INTEGRATORS)}")

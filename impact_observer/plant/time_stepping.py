@@ -11,8 +11,9 @@ import numpy as np
 from impact_observer.dynamics.contact.moreau import MoreauScheme, TimeStep
 from impact_observer.errors import UsageError
 from impact_observer.model import System
+from impact_observer.model.live_signals import refused
 from impact_observer.plant.switching import Switching, switches
-from impact_observer.stamps import NS_PER_S, Instant
+from impact_observer.stamps import MAX_STAMP, NS_PER_S, Instant
 from impact_observer.states import Stamps, Vector
 
 
@@ -66,6 +67,7 @@ class TimeSteppingPlant:
                 finite or shorter than 1 ns.
             ImpactLawError: the law has no solution in the first step.
         """
+        refused(system, "the integrator moreau")
         q, u = system.checked_start(position, velocity)
         self.system = system
         self.epoch = epoch
@@ -81,6 +83,11 @@ class TimeSteppingPlant:
         self._scheme = MoreauScheme(system, self.step / NS_PER_S)
         nothing = TimeStep(q, u, u, np.zeros(system.m), ())
         self._begin(_Place(0, nothing, self._scheme.step(0, q, u)))
+
+    @property
+    def known_until(self) -> int:
+        """How far it may go: nothing arrives live."""
+        return MAX_STAMP
 
     def next_switching(self, limit: int) -> Switching | None:
         """The next switching if its stamp is not after ``limit`` (ns).

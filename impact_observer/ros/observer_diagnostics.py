@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from impact_observer.events import Remark, Ruling, Verdict
 from impact_observer.model.free_parameters import with_unit
 from impact_observer.observer import Observer
+from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.stamps import NS_PER_S
 from impact_observer.states import Estimate
 
@@ -27,6 +28,8 @@ class ObserverDiagnostics:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
             ``invalid``, ``overflow``, ``large innovations``, ``clock_jumps``.
         mismatch: an incompatible quality of service; empty for none.
+        inputs: the node's samples of live forces and grounds, if there are any.
+        input_timeout: how old they may be, s.
     """
 
     def __init__(self, node: str, observer: Observer) -> None:
@@ -34,6 +37,8 @@ class ObserverDiagnostics:
         self._node, self._observer = node, observer
         self.counts: Counter[str] = Counter()
         self.mismatch = ""
+        self.inputs: LiveIntake | None = None
+        self.input_timeout = math.inf
         self._reported: Counter[str] = Counter()
         self._latency = 0.0
         self._applied = False
@@ -80,6 +85,7 @@ class ObserverDiagnostics:
             "restarts": observer.restarts,
             "largest latency [s]": f"{self._latency:.6f}",
             "large innovations": self.counts["large innovations"],
+            **self._input_values(now),
             **({} if last is None else _estimate_values(last)),
         }
         return DiagnosticStatus(
@@ -90,6 +96,18 @@ class ObserverDiagnostics:
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
         )
 
+    def _input_values(self, now: int) -> dict[str, object]:
+        """Ages of live forces and grounds, and what was wrong with their samples."""
+        if self.inputs is None or not (ages := self.inputs.ages(now)):
+            return {}
+        live = self._observer.live
+        return {
+            **{f"age of {name} [s]": f"{age:.3f}" for name, age in ages.items()},
+            "samples": self.inputs.counts["samples"],
+            "invalid samples": self.inputs.counts["invalid samples"],
+            "samples too late": 0 if live is None else live.late,
+        }
+
     def _health(self, now: int, last: Estimate | None) -> tuple[bytes, str]:
         """Level and message: the worst that holds."""
         if self.mismatch:
@@ -97,7 +115,10 @@ class ObserverDiagnostics:
         if self._refused and not self._applied:
             return DiagnosticStatus.ERROR, f"no event was applied, the last: {self._why}"
         new = self._new_faults()
-        fault = self._clock_fault(now) or _doubt(last) or ", ".join(new) or self._refusals()
+        silent = self.inputs.silent(now, self.input_timeout) if self.inputs else ""
+        fault = (
+            self._clock_fault(now) or silent or _doubt(last) or ", ".join(new) or self._refusals()
+        )
         if fault:
             return DiagnosticStatus.WARN, fault
         return DiagnosticStatus.OK, f"{self.counts['applied']} impacts applied"

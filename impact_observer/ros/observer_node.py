@@ -35,6 +35,7 @@ from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
 from impact_observer.ros.event_intake import SLICE, EventIntake
 from impact_observer.ros.introduction import introduce
+from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.log_lines import LogLines
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.observer_diagnostics import MisfitNews, ObserverDiagnostics
@@ -86,6 +87,15 @@ class ObserverNode(Node):
         future = from_seconds(values.number("future"))
         self._intake = EventIntake(self._observer, self._now, future, limits, self._counts)
         self._lines = LogLines(self.get_logger())
+        self._inputs = LiveIntake(
+            self,
+            self._observer.live,
+            self._lines.error,
+            (self._now, values.number("future")),
+            self._correct_by_samples,
+        )
+        self._diagnostics.inputs = self._inputs
+        self._diagnostics.input_timeout = values.number("input_timeout")
         self._go_on = self.create_guard_condition(self._apply_events)
         self._forget_estimates()
         durability = values.text("events_durability")
@@ -111,7 +121,10 @@ class ObserverNode(Node):
         )
         parameters.on_change(self, parameters.OBSERVER, partial(_check_lag, options), self._change)
         known = f", epoch {options.epoch} ns" if options.epoch else ""
-        introduce(self, f"model {system.name}, law {options.law}{known}", "events on impacts")
+        live = f" and samples of {', '.join(self._inputs.ages(0))}" if system.live else ""
+        introduce(
+            self, f"model {system.name}, law {options.law}{known}", f"events on impacts{live}"
+        )
 
     def _publisher(self, interface: interfaces.Interface) -> Publisher:
         topic = f"~/{interface.name.rpartition('/')[2]}"
@@ -186,6 +199,12 @@ class ObserverNode(Node):
             self._counts["corrected"] += 1
         for event, verdicts, late in pending:
             self._publish_verdicts(event, self._with_lag_reason(verdicts) if late else verdicts)
+
+    def _correct_by_samples(self, stamp: int) -> None:
+        """Publish the last estimate again where a sample at ``stamp`` (ns) came after it."""
+        if self._last is not None and stamp <= self._last_stamp:
+            self._publish(self._last_stamp)
+            self._counts["corrected"] += 1
 
     def _publish_verdicts(self, event: ImpactEvent, verdicts: Iterable[Verdict]) -> None:
         latency = max(seconds_between(event.stamp, self._now()), 0.0)
@@ -273,6 +292,8 @@ class ObserverNode(Node):
     def _on_clock_back(self, _: TimeJump) -> None:
         """Restart the observer after a backward jump of the clock, as of a looped bag."""
         self._intake.clear()
+        if self._observer.live is not None:
+            self._observer.live.clear()
         self._observer.restart("the clock jumped back")
         self._forget_estimates()
         self._counts["clock_jumps"] += 1

@@ -18,6 +18,22 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 _MODEL = Option("model", "", "a model file or the name of a sample", required=True)
+_INPUT_TIMEOUT = Option(
+    "input_timeout",
+    1.0,
+    "longest time without a sample of a live force or ground",
+    "s",
+    low=0.001,
+    high=1e9,
+)
+_FUTURE = Option(
+    "future",
+    1.0,
+    "how far ahead of the clock a stamp may be; events that are farther wait",
+    "s",
+    low=0.0,
+    high=1e9,
+)
 _LARGEST = 2**63 - 1
 """The largest int that a ROS parameter can hold."""
 
@@ -50,6 +66,8 @@ PLANT = (
         high=1000,
     ),
     Option("seed", 0, "of the random generator; recorded with the model", low=0),
+    _INPUT_TIMEOUT,
+    replace(_FUTURE, meaning="how far ahead of the clock a sample may be stamped"),
     *(replace(each, name=f"sensor.{each.name}") for each in SENSOR_FAULTS),
 )
 OBSERVER = (
@@ -65,14 +83,7 @@ OBSERVER = (
         high=1e9,
         live=True,
     ),
-    Option(
-        "future",
-        1.0,
-        "how far ahead of the clock a stamp may be; what is farther waits",
-        "s",
-        low=0.0,
-        high=1e9,
-    ),
+    _FUTURE,
     Option("max_switches", 100, "most contacts that switch in one event", low=1, high=1_000_000),
     Option("max_name", 256, "longest name of a contact", "bytes", low=1, high=1_000_000),
     Option(
@@ -84,6 +95,7 @@ OBSERVER = (
         "of the subscription to impacts; transient_local receives past impacts too",
         choices=("volatile", "transient_local"),
     ),
+    _INPUT_TIMEOUT,
 )
 DETECTOR = (
     Option("sources", "", "a file of sensors, or the name of a sample", required=True),

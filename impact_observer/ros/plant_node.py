@@ -11,16 +11,18 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
-from impact_observer.errors import UsageError
+from impact_observer.errors import DynamicsError, UsageError
 from impact_observer.integrators import described
 from impact_observer.io import interfaces
 from impact_observer.io.messages import JointState
 from impact_observer.io.recordings import published_model
 from impact_observer.model import read_model
+from impact_observer.model.live_signals import connected
 from impact_observer.plain_text import printable
 from impact_observer.plant import Master, SensorModel, SensorSimulation, make_plant
 from impact_observer.ros import parameters
 from impact_observer.ros.introduction import introduce
+from impact_observer.ros.live_intake import LiveIntake
 from impact_observer.ros.message_classes import message_class, ros_messages
 from impact_observer.ros.qos import qos_profile
 from impact_observer.sensor_faults import SENSOR_FAULTS
@@ -30,6 +32,8 @@ _LOOK_AHEAD = NS_PER_S
 """How far ahead the next switching is searched, ns."""
 _LONGEST_SLEEP = 0.05
 """Between two readings of a clock that is not the node's own, s."""
+_LONGEST_WAIT = NS_PER_S // 100
+"""Between two looks at what live forces and grounds allow, ns."""
 _ACKNOWLEDGE_TIMEOUT = Duration(seconds=1.0)
 """How long the node waits at its end for subscribers to receive the last messages."""
 _SETTLING_TIME = 3.5
@@ -68,6 +72,13 @@ class PlantNode(Node):
         faults: dict[str, Any] = {t.name: values.value(f"sensor.{t.name}") for t in SENSOR_FAULTS}
         self._sensor = SensorModel(**faults)
         self._sensor.check(self._model.system)
+        self._system, self._live = connected(self._model.system, causal=True)
+        self._timeout = values.number("input_timeout")
+        clock = (self._clock_now, values.number("future"))
+        self._inputs = LiveIntake(
+            self, self._live, self._warn, clock, on_samples=lambda _: self._tick()
+        )
+        self._waits_since: float | None = None
         self._check_time_source()
         self._make = ros_messages()
         how = described(self._integrator, self._step)
@@ -82,6 +93,7 @@ class PlantNode(Node):
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._episode = 0
         self._is_held = False
+        self._waited_at = 0
         self._plant: Master | None = None
         # The timer is set to the next thing that is due, in wall time.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -142,17 +154,37 @@ class PlantNode(Node):
             return False
         if now == 0:
             return False  # simulated time that has not begun
+        if self._live is not None:
+            known = self._live.known_until
+            if known < now and (self._owns_clock or self._wanted_epoch or not known):
+                self._wait_for_inputs(now)
+                return False
+            now = min(now, known)
         self._start(now)
         return True
 
+    def _wait_for_inputs(self, now: int) -> None:
+        """Raise DynamicsError where live forces or grounds have not come for too long."""
+        self._waits_since = self._waits_since or time.monotonic()
+        if time.monotonic() - self._waits_since > self._timeout:
+            silent = self._inputs.silent(now, 0.0)
+            raise DynamicsError(
+                f"the plant waits: {silent.partition(';')[0]}; input_timeout is over"
+            )
+
+    def _warn(self, line: str) -> None:
+        self.get_logger().warning(line, throttle_duration_sec=1.0)
+
     def _start(self, epoch: int) -> None:
         """Start an episode at ``epoch``."""
+        self._waits_since = None
         self._plant = make_plant(
-            self._model.system,
+            self._system,
             *self._model.initial_state(),
             epoch=epoch,
             integrator=self._integrator,
             step=self._step,
+            live=self._live,
         )
         self._plant.next_switching(epoch + _LOOK_AHEAD)
         self._end = epoch + self._duration if self._duration else MAX_STAMP
@@ -172,11 +204,26 @@ class PlantNode(Node):
         self.get_logger().info(printable(f"{name}: episode {self._episode}, epoch {epoch} ns"))
 
     def _now(self) -> int:
-        """The present stamp, ns."""
-        if self._owns_clock:
-            elapsed = (time.monotonic_ns() - self._started) * self._factor
-            return self._epoch + int(elapsed)
-        return int(self.get_clock().now().nanoseconds)
+        """The present stamp, ns; where live signals are not known so far, the latest they are."""
+        now = self._clock_now()
+        if self._plant is None or (known := self._plant.known_until) >= now:
+            self._waits_since = None
+            return now
+        self._wait_for_inputs(now)
+        known = max(known, self._epoch)
+        if self._owns_clock:  # it stands still meanwhile
+            self._started += int((now - known) / self._factor)
+        if self._waited_at != known:
+            self._waited_at, self._waits_since = known, None
+        return known
+
+    def _clock_now(self) -> int:
+        """The time of the clock, ns."""
+        if not self._owns_clock:
+            return int(self.get_clock().now().nanoseconds)
+        if self._plant is None:
+            return self._wanted_epoch or int(self.get_clock().now().nanoseconds)
+        return self._epoch + int((time.monotonic_ns() - self._started) * self._factor)
 
     def _sample_stamp(self, k: int) -> int:
         """Stamp of the true state number ``k``, ns."""
@@ -242,6 +289,8 @@ class PlantNode(Node):
             switching = self._plant.next_switching(now + _LOOK_AHEAD)
             if switching is not None:
                 yield switching.instant.stamp
+            if self._live is not None:
+                yield now + _LONGEST_WAIT
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Restart from the initial state, as a new episode whose epoch is now."""

@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
@@ -17,6 +18,14 @@ from impact_observer.ros.entry import NODES as CLASSES
 
 OPTIONAL = {"/clock"}
 """Published by a plant that owns the time, received by nodes in simulated time."""
+LIVE_MODEL = """\
+name: live
+bodies: [{name: x, mass: 1}]
+grounds: [{name: table, motion: {live: true}}]
+forces: [{body: x, input: motor}]
+stops: [{name: plate, between: [table, x], gap: 1, restitution: 0.5}]
+initial_state: {position: [0], velocity: [0]}
+"""
 ARGUMENTS = {"detector": ["-p", "sources:=switch"]}
 
 
@@ -45,11 +54,12 @@ def test_every_node_has_a_policy() -> None:
 @pytest.mark.ros
 @pytest.mark.parametrize("name", NODES)
 def test_a_policy_allows_what_its_node_does_and_nothing_else(
-    name: str, ros_environment: dict[str, str]
+    name: str, ros_environment: dict[str, str], tmp_path: Path
 ) -> None:
     """Topics that it publishes and receives, services that it offers."""
     assert ros_environment
-    given = ARGUMENTS.get(name, ["-p", "model:=two_mass"])
+    (tmp_path / "live.yaml").write_text(LIVE_MODEL)
+    given = ARGUMENTS.get(name, ["-p", f"model:={tmp_path / 'live.yaml'}"])
     with spinning(["--ros-args", *given]) as spinner:
         if name == "detector":
             from std_msgs.msg import Bool

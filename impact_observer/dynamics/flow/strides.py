@@ -6,6 +6,7 @@ not depend on which instants are asked for, to the bit. The kernel makes them (`
 """
 
 from functools import cached_property, lru_cache
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from impact_observer.kernel import Guards, PhaseMotion, SampledForces
 from impact_observer.kernel import SeriesFlow as Strides
 from impact_observer.model.angles import Angles
 from impact_observer.model.force_samples import Samples
+from impact_observer.model.live_signals import LiveSamples
 from impact_observer.states import Matrix, Vector
 
 
@@ -92,10 +94,25 @@ class SeriesFlow(Flow):
         return np.asarray(T @ linalg.expm(s * self.modes.J[0]) @ T_inverse)
 
 
+Jets: TypeAlias = NDArray[np.float64]
+
+
 @lru_cache(KEPT)
 def _forces(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
     """The forces that are not always zero, and their coordinates."""
     assert samples.jets is not None, "derived"
-    active = np.flatnonzero(np.any(samples.jets != 0, axis=(0, 1)))
+    active = np.flatnonzero(samples.drives)
     jets = np.concatenate(samples.jets)[:, active]
-    return SampledForces(samples.time, jets, samples.rounding, samples.check), active
+    dropped, newest = 0, np.inf
+    if isinstance(samples, LiveSamples):
+        dropped, newest = samples.dropped, samples.newest
+    found = SampledForces(
+        samples.time, jets, samples.rounding, samples.check, dropped=dropped, newest=newest
+    )
+    if isinstance(samples, LiveSamples):
+
+        def splice(first: int, time: Vector, others: Jets, newest: float) -> None:
+            found.splice(first, time, np.concatenate(others)[:, active], newest)
+
+        samples.follow(splice, found.drop)
+    return found, active

@@ -199,6 +199,7 @@ class _CommonPhase(Prediction):
     """All replicas in one linear phase: their differences share one transition matrix."""
 
     is_plain: ClassVar[bool] = True
+    follows_samples: ClassVar[bool] = True
 
     def __init__(self, first: Motion, belief: Belief, phase: Phase) -> None:
         self._first = first

@@ -1,0 +1,364 @@
+"""What is known of forces and grounds only while it happens: samples that arrive, in any order.
+
+The previous sample of an input holds. A ground moves by cubic Hermite polynomials from sample to
+sample, before the first it rests where that is, and after the last one its speed stays. All is a
+function of the samples alone, whatever the order and the times at which they arrive.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.errors import UsageError
+from impact_observer.model.document import LARGEST
+from impact_observer.model.force_samples import JETS, Samples, shifted
+from impact_observer.model.forcing import Forcing
+from impact_observer.model.system import System
+from impact_observer.states import Matrix, Vector
+
+_NS = 1e-9
+_ROUNDING = 2.5e-10
+"""Difference of instants that counts as none, s: a quarter of a stamp."""
+_OFTEN = 1000
+"""Samples that are forgotten together."""
+_NEVER = -(1 << 62)
+"""A stamp before all samples, ns."""
+
+Splice = Callable[[int, Vector, NDArray[np.float64], float], None]
+"""Takes other samples from a number on: instants, jets, and until when they are final, s."""
+
+
+class LiveSamples(Samples):
+    """Samples that change; who has copies of them follows.
+
+    Attributes:
+        dropped: how many samples have been forgotten.
+        newest: until when they are final, s since the epoch; infinity where all may change.
+    """
+
+    dropped: int
+    newest: float
+    _drives: NDArray[np.bool_]
+    _followers: list[tuple[Splice, Callable[[int], None]]]
+
+    def __init__(self, base: Samples | None, drives: NDArray[np.bool_], newest: float) -> None:
+        """Begin with those of ``base``, or with none; others ``drive`` these coordinates, too."""
+        n = drives.size
+        time, jets = np.array([_NEVER * _NS, 0.0]), np.zeros((JETS, 2, n))
+        if base is not None and base.jets is not None:
+            time, jets = base.time, base.jets
+        super().__init__(time, jets[0], "cubic", jets)
+        used = drives if base is None else drives | base.drives
+        for name, value in {
+            "_drives": used,
+            "dropped": 0,
+            "newest": newest,
+            "_followers": [],
+            "jumps": True,
+            "rounding": _ROUNDING,
+        }.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def drives(self) -> NDArray[np.bool_]:
+        """Which coordinates may have a force, shape (n,)."""
+        return self._drives
+
+    @property
+    def end(self) -> float:
+        """There is no last sample."""
+        return np.inf
+
+    def follow(self, splice: Splice, drop: Callable[[int], None]) -> None:
+        """From now on tell of changes, and of the number of the first sample that is kept."""
+        self._followers.append((splice, drop))
+
+    def change(self, first: int, time: Vector, jets: NDArray[np.float64], newest: float) -> None:
+        """Put others from the sample ``first`` on, counted from the very first."""
+        kept = first - self.dropped
+        assert self.jets is not None, "derived"
+        self._set(
+            np.concatenate([self.time[:kept], time]),
+            np.concatenate([self.jets[:, :kept], jets], axis=1),
+        )
+        object.__setattr__(self, "newest", newest)
+        for splice, _ in self._followers:
+            splice(first, time, jets, newest)
+
+    def forget(self, first: int) -> None:
+        """Forget the samples before ``first``."""
+        assert self.jets is not None, "derived"
+        old = first - self.dropped
+        self._set(self.time[old:], self.jets[:, old:])
+        object.__setattr__(self, "dropped", first)
+        for _, drop in self._followers:
+            drop(first)
+
+    def _set(self, time: Vector, jets: NDArray[np.float64]) -> None:
+        for name, value in (("time", time), ("jets", jets), ("force", jets[0])):
+            object.__setattr__(self, name, value)
+
+
+@dataclass(slots=True)
+class _Signal:
+    """The samples of one input or ground, by stamp."""
+
+    name: str
+    moves: bool
+    stamps: list[int]
+    values: list[float]
+    rates: list[float]
+
+    def jets(self, at: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Value and three derivatives at stamps (ns, ascending), from there on: (4, samples)."""
+        found = np.zeros((JETS, at.size))
+        if not self.stamps or not at.size:
+            return found
+        first = max(bisect_right(self.stamps, int(at[0])) - 1, 0)
+        last = bisect_right(self.stamps, int(at[-1])) + 1
+        stamps = np.array(self.stamps[first:last])
+        value, rate = (np.array(x[first:last]) for x in (self.values, self.rates))
+        k = np.searchsorted(stamps, at, side="right") - 1
+        before = k < 0
+        if not self.moves:
+            found[0] = np.where(before, 0.0, value[k])
+            return found
+        k = np.maximum(k, 0)
+        starts = np.stack([value, rate, 0 * value, 0 * value])
+        if value.size > 1:
+            h = np.diff(stamps) * _NS
+            chord = np.diff(value) / h
+            starts[2, :-1] = (6 * chord - 4 * rate[:-1] - 2 * rate[1:]) / h
+            starts[3, :-1] = (6 * rate[:-1] + 6 * rate[1:] - 12 * chord) / h**2
+        jets = shifted(starts[:, k, None], (at - stamps[k]) * _NS)[..., 0]
+        jets[:, before] = 0.0
+        jets[0, before] = value[0]
+        return np.asarray(jets)
+
+
+class _Received(NamedTuple):
+    """A sample that has come, of the signal with this index."""
+
+    signal: int
+    stamp: int
+    value: float
+    rate: float
+
+
+class LiveSignals:
+    """The live inputs and grounds of one user of a system.
+
+    Attributes:
+        inputs: names of the inputs.
+        grounds: names of the grounds that are live.
+        samples: what they do, with all other samples of forces.
+        newest: the latest stamp of each of them, ns; 0 before the first.
+        late: how many samples came too late to be used.
+    """
+
+    def __init__(self, system: System, *, causal: bool) -> None:
+        """Begin without any sample.
+
+        Args:
+            system: whose signals.
+            causal: whether samples that lie before others of their signal are left out, so that
+                what has been is final.
+        """
+        live = system.live
+        assert live is not None, "the system has live signals"
+        self.inputs, self.grounds = live.inputs, live.grounds
+        self._signals = [
+            *(_Signal(name, False, [], [], []) for name in live.inputs),
+            *(_Signal(name, True, [], [], []) for name in live.grounds),
+        ]
+        self._index = {(each.name, each.moves): k for k, each in enumerate(self._signals)}
+        self._responses = _responses(system)
+        drives = np.any(self._responses != 0, axis=(0, 1))
+        self._base = system.forcing.sampled
+        self._causal = causal
+        self.samples = LiveSamples(self._base, drives, -np.inf if causal else np.inf)
+        self.newest = [0] * len(self._signals)
+        self.late = 0
+        self._pending: list[_Received] = []
+        self._epoch: int | None = None
+        self._knots: list[int] = []
+        self._least = _NEVER
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of inputs, then of grounds, in the order of ``newest``."""
+        return tuple(each.name for each in self._signals)
+
+    @property
+    def known_until(self) -> int:
+        """The stamp up to which all signals are known, ns; 0 before each has a sample."""
+        return min(self.newest)
+
+    @property
+    def is_pending(self) -> bool:
+        """Whether samples have come since ``follow``."""
+        return bool(self._pending)
+
+    def add(self, name: str, stamp: int, value: float) -> str:
+        """Take a sample of an input, N.
+
+        Returns:
+            In words why it cannot be used; empty where it can.
+        """
+        return self._add((name, False), stamp, value, 0.0)
+
+    def add_motion(self, name: str, stamp: int, position: float, velocity: float) -> str:
+        """Take a sample of a ground: ``position`` in m, ``velocity`` in m/s; as ``add``."""
+        return self._add((name, True), stamp, position, velocity)
+
+    def _add(self, key: tuple[str, bool], stamp: int, value: float, rate: float) -> str:
+        k = self._index.get(key)
+        if k is None:
+            known = ", ".join(self.grounds if key[1] else self.inputs) or "none"
+            return f"{key[0]!r} is not known; expected some of {known}"
+        if not (isfinite(value) and isfinite(rate) and max(abs(value), abs(rate)) <= LARGEST):
+            return f"{key[0]!r}: {value:g} and {rate:g} found; expected finite numbers"
+        if self._causal and stamp <= self.newest[k]:
+            self.late += 1
+            return f"{key[0]!r}: its stamp is not after that of the sample before"
+        self.newest[k] = max(self.newest[k], stamp)
+        self._pending.append(_Received(k, stamp, value, rate))
+        return ""
+
+    def clear(self) -> None:
+        """Forget all samples."""
+        for each in self._signals:
+            each.stamps, each.values, each.rates = [], [], []
+        self.newest = [0] * len(self._signals)
+        self._pending.clear()
+        self._epoch, self._least = None, _NEVER
+
+    def follow(self, epoch: int) -> int | None:
+        """Use the samples that have come.
+
+        Args:
+            epoch: stamp of ``t = 0``, ns.
+
+        Returns:
+            The stamp from which on something has changed, ns; None where nothing has.
+        """
+        changed = None if epoch == self._epoch else _NEVER
+        pending, self._pending = self._pending, []
+        for each in pending:
+            altered = self._inserted(each)
+            if altered is not None:
+                changed = altered if changed is None else min(changed, altered)
+        if changed is not None:
+            self._rebuild(epoch, changed, [each.stamp for each in pending])
+        return changed
+
+    def _inserted(self, sample: _Received) -> int | None:
+        """Put a sample in its place; from which stamp on that changes its signal."""
+        signal = self._signals[sample.signal]
+        at = bisect_left(signal.stamps, sample.stamp)
+        if sample.stamp <= self._least:
+            self.late += 1
+            return None
+        if at < len(signal.stamps) and signal.stamps[at] == sample.stamp:
+            return None  # the first sample of a stamp counts
+        signal.stamps.insert(at, sample.stamp)
+        signal.values.insert(at, sample.value)
+        signal.rates.insert(at, sample.rate)
+        if not signal.moves:
+            return sample.stamp
+        return signal.stamps[at - 1] if at else _NEVER
+
+    def _rebuild(self, epoch: int, changed: int, stamps: Sequence[int]) -> None:
+        """Make other samples of forces from ``changed`` (ns) on."""
+        if epoch != self._epoch:
+            self._epoch, self._knots, start = epoch, self._all_knots(epoch), 0
+        else:  # from the knot on in whose interval the change begins
+            start = max(bisect_right(self._knots, changed) - 1, 0)
+            tail = sorted({*self._knots[start:], *(s for s in stamps if s > self._knots[0])})
+            self._knots[start:] = tail
+        at, first = np.array(self._knots[start:], dtype=np.int64), self.samples.dropped + start
+        time: Vector = np.asarray((at - epoch) * _NS)
+        self.samples.change(first, time, self._forces(at, epoch), self._final())
+
+    def _all_knots(self, epoch: int) -> list[int]:
+        """Stamps of everything, ns, ascending."""
+        own, first = {stamp for each in self._signals for stamp in each.stamps}, _NEVER
+        if self._base is not None:
+            first, *others = [epoch + round(t / _NS) for t in self._base.time.tolist()]
+            own |= set(others)
+        return [first, *sorted(stamp for stamp in own if stamp > first)]
+
+    def _final(self) -> float:
+        """Until when the samples do not change any more, s since the epoch."""
+        assert self._epoch is not None, "followed"
+        return (self.known_until - self._epoch) * _NS if self._causal else np.inf
+
+    def _forces(self, at: NDArray[np.int64], epoch: int) -> NDArray[np.float64]:
+        """Forces on the coordinates and their derivatives at stamps (ns), (4, samples, n)."""
+        n = self._responses.shape[2]
+        total = np.zeros((JETS, at.size, n))
+        if self._base is not None:
+            total += self._base.derivatives(np.asarray((at - epoch) * _NS), slack=_NS)
+        for k, signal in enumerate(self._signals):
+            jets = signal.jets(at)[..., None]
+            for order, response in enumerate(self._responses[k]):
+                total[: JETS - order] += jets[order:] * response
+        return total
+
+    def displacements(self, ns: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
+        """Those of the live grounds and their speeds, ns since the epoch: (samples, grounds)."""
+        assert self._epoch is not None, "followed"
+        order = np.argsort(ns, kind="stable")
+        found = np.zeros((2, ns.size, len(self.grounds)))
+        for k, signal in enumerate(self._signals[len(self.inputs) :]):
+            found[:, order, k] = signal.jets(ns[order] + self._epoch)[:2]
+        return found[0], found[1]
+
+    def forget_before(self, stamp: int) -> None:
+        """Forget what is not needed from ``stamp`` (ns) on, now and then."""
+        old = bisect_right(self._knots, stamp) - 1
+        if old < _OFTEN:
+            return
+        self._least = self._knots[old]
+        self.samples.forget(self.samples.dropped + old)
+        del self._knots[:old]
+        for each in self._signals:
+            gone = max(bisect_right(each.stamps, self._least) - 1, 0)
+            del each.stamps[:gone], each.values[:gone], each.rates[:gone]
+
+
+def _responses(system: System) -> NDArray[np.float64]:
+    """Forces by the value, first and second derivative of each signal, (signals, 3, n)."""
+    live, frame = system.live, system.frame
+    assert live is not None, "the system has live signals"
+    found = np.zeros((len(live.inputs) + len(live.grounds), 3, system.n))
+    found[: len(live.inputs), 0] = live.directions.T
+    for k, name in enumerate(live.grounds, len(live.inputs)):
+        assert frame is not None, "a live ground is one of the frame's"
+        i, E = frame.grounds.names.index(name), frame.shift
+        found[k, 0] = (frame.grounds.stiffness - system.K @ E)[:, i]
+        found[k, 1] = (frame.grounds.damping - system.C @ E)[:, i]
+        found[k, 2] = -(system.M @ E)[:, i]
+    return found
+
+
+def connected(system: System, *, causal: bool = False) -> tuple[System, LiveSignals | None]:
+    """The ``system`` with signals of its own, where it has live ones."""
+    if system.live is None:
+        return system, None
+    signals = LiveSignals(system, causal=causal)
+    frame = None if system.frame is None else replace(system.frame, live=signals)
+    forcing: Forcing = replace(system.forcing, sampled=signals.samples)
+    return replace(system, forcing=forcing, frame=frame), signals
+
+
+def refused(system: System, what: str) -> None:
+    """Raise UsageError where a ``system`` has live signals, which ``what`` cannot use."""
+    if system.live is not None:
+        names = ", ".join((*system.live.inputs, *system.live.grounds))
+        raise UsageError(f"{system.name}: {names} arrive live, which {what} cannot use")

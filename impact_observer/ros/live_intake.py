@@ -1,0 +1,117 @@
+"""Subscriptions of a node to the live forces and grounds of its model."""
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from impact_observer.io import interfaces
+from impact_observer.io.live_inputs import give
+from impact_observer.io.messages import AnyMessage
+from impact_observer.model.live_signals import LiveSignals
+from impact_observer.ros.message_classes import message_class
+from impact_observer.ros.qos import qos_profile
+from impact_observer.ros.subscribing import waiting_messages
+from impact_observer.stamps import NS_PER_S
+
+_SLICE = 5_000_000
+"""Longest time for samples before others have their turn, ns."""
+
+
+class LiveIntake:
+    """Gives the samples that a node receives to the signals of its model.
+
+    Attributes:
+        counts: ``samples``: those received; ``invalid samples``: those that cannot be used.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        live: LiveSignals | None,
+        on_problem: Callable[[str], None],
+        clock: tuple[Callable[[], int], float],
+        on_samples: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        """Subscribe to what ``live`` needs.
+
+        Args:
+            node: whose subscriptions they are.
+            live: signals; None where the model has none.
+            on_problem: called with the line on a sample that cannot be used.
+            clock: the time, ns, and how far ahead of it a stamp may be, s.
+            on_samples: called after new samples with the least of their stamps, ns.
+        """
+        self._live = live
+        self._on_problem, self._on_samples = on_problem, on_samples
+        self._now, self._future = clock
+        self.counts: Counter[str] = Counter()
+        self._subscriptions = [*self._subscribed(node)] if live is not None else []
+
+    def _subscribed(self, node: Node) -> Iterable[Subscription]:
+        assert self._live is not None, "there are signals"
+        for interface, names in (
+            (interfaces.FORCING, self._live.inputs),
+            (interfaces.GROUND_MOTION, self._live.grounds),
+        ):
+            if names:
+                yield self._subscription(node, interface)
+
+    def _subscription(self, node: Node, interface: interfaces.Interface) -> Subscription:
+        """A subscription that takes all that waits at once: the executor is slow."""
+        moves = interface is interfaces.GROUND_MOTION
+
+        def take(message: AnyMessage) -> None:
+            end = time.monotonic_ns() + _SLICE
+            least = self._take(interface.name, message, moves=moves)
+            for waiting, _ in waiting_messages(subscription, interface.quality.depth):
+                least = min(least, self._take(interface.name, waiting, moves=moves))
+                if time.monotonic_ns() >= end:
+                    break
+            self._on_samples(least)
+
+        subscription: Subscription = node.create_subscription(
+            message_class(interface.type), interface.name, take, qos_profile(interface.quality)
+        )
+        return subscription
+
+    def _take(self, topic: str, message: AnyMessage, *, moves: bool) -> int:
+        """Give the samples of a message; their stamp, ns."""
+        assert self._live is not None, "there are signals"
+        stamp = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
+        self.counts["samples"] += len(message.name)
+        for problem in self._ahead(stamp) or give(self._live, message, moves=moves):
+            self.counts["invalid samples"] += 1
+            self._on_problem(f"{topic}: {problem}")
+        return int(stamp)
+
+    def _ahead(self, stamp: int) -> list[str]:
+        """Why a stamp is too far ahead of the clock; nothing where it is not."""
+        assert self._live is not None, "there are signals"
+        if stamp <= max(self._live.newest):  # no need to read the clock
+            return []
+        now = self._now()
+        ahead = (stamp - now) / NS_PER_S
+        if not now or ahead <= self._future:
+            return []
+        return [f"stamped {ahead:.3f} s after the clock; future allows {self._future:g} s"]
+
+    def ages(self, now: int) -> dict[str, float]:
+        """How old the newest sample of each signal is at ``now`` (ns), s; infinite without any."""
+        if self._live is None:
+            return {}
+        return {
+            name: (now - newest) / NS_PER_S if newest else float("inf")
+            for name, newest in zip(self._live.names, self._live.newest, strict=True)
+        }
+
+    def silent(self, now: int, timeout: float) -> str:
+        """Which signals have had no sample for longer than ``timeout`` (s), in one line."""
+        old = {name: age for name, age in self.ages(now).items() if age > timeout}
+        parts = [
+            f"no sample of {name} for {age:.3g} s" if age < float("inf") else f"none of {name} yet"
+            for name, age in old.items()
+        ]
+        return f"{', '.join(parts)}; input_timeout is {timeout:g} s" if parts else ""

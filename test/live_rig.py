@@ -1,0 +1,139 @@
+"""A rig with a live force and a live ground: its samples, its plant, and a bag of both."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from systems import EPOCH
+
+from impact_observer.events import ImpactEvent
+from impact_observer.io import interfaces
+from impact_observer.io.messages import JointState, bag_messages
+from impact_observer.io.writer import BagWriter
+from impact_observer.model import parse_model
+from impact_observer.model.live_signals import LiveSignals, connected
+from impact_observer.plant import Plant, make_plant
+from impact_observer.stamps import NS_PER_S
+
+Array = NDArray[np.float64]
+RIG = """\
+name: rig
+bodies:  [{name: x1, mass: 1}, {name: x2, mass: 2}]
+grounds: [{name: base, motion: {live: true}}]
+springs:
+  - {between: [base, x1], stiffness: 10, damping: 0.3}
+  - {between: [x1, x2], stiffness: 20, damping: 0.2}
+  - {between: [x2, ground], stiffness: 5}
+forces:  [{body: x2, input: motor}, {body: x1, amplitude: 0.5, frequency: 2}]
+stops:
+  - {name: foot, between: [base, x1], gap: 0.2, restitution: 0.7}
+  - {name: head, body: x2, limit: 0.3, side: above, restitution: 0.7}
+"""
+START = np.array([0.1, 0.0]), np.array([0.0, 0.5])
+SECONDS = 5.0
+
+
+def motor(t: float) -> float:
+    """The force of the input, N."""
+    return float(4 * np.cos(2.5 * t))
+
+
+def base(t: float) -> tuple[float, float]:
+    """Displacement and speed of the ground."""
+    return float(0.1 * np.cos(3 * t)), float(-0.3 * np.sin(3 * t))
+
+
+Sample = tuple[bool, int, float, float]
+"""Whether it is of the ground; stamp (ns), value, rate."""
+
+
+@cache
+def samples(step: float = 1e-3) -> list[Sample]:
+    """Of both signals, in turns, from the epoch to the end."""
+    found: list[Sample] = []
+    for t in np.arange(0.0, SECONDS + step, step).tolist():
+        stamp = EPOCH + round(t * NS_PER_S)
+        found.append((False, stamp, motor(t), 0.0))
+        found.append((True, stamp, *base(t)))
+    return found
+
+
+def give(live: LiveSignals | None, sample: Sample) -> str:
+    """Add a sample."""
+    assert live is not None
+    moves, stamp, value, rate = sample
+    if moves:
+        return live.add_motion("base", stamp, value, rate)
+    return live.add("motor", stamp, value)
+
+
+@cache
+def simulated(pauses: int = 7) -> tuple[list[ImpactEvent], NDArray[np.int64], Array]:
+    """Events and states of a plant that gets so many samples of each signal at a time."""
+    given = samples()
+    system, live = connected(parse_model(RIG, "rig").system, causal=True)
+    for sample in given[:2]:
+        give(live, sample)
+    plant = make_plant(system, *START, epoch=EPOCH, live=live)
+    assert isinstance(plant, Plant)
+    events: list[ImpactEvent] = []
+    stamps: list[int] = []
+    states: list[Array] = []
+    shown = EPOCH
+
+    def show(until: int) -> None:
+        nonlocal shown
+        while shown <= until:
+            stamps.append(shown)
+            states.append(plant.states(np.array([shown]))[0])
+            shown += NS_PER_S // 100
+
+    for k in range(2, len(given), 2 * pauses):
+        for sample in given[k : k + 2 * pauses]:
+            give(live, sample)
+        until = plant.known_until
+        while (switching := plant.next_switching(until)) is not None:
+            show(switching.instant.stamp - 1)
+            plant.cross(switching)
+            number = len(events) + 1
+            stamp = switching.instant.stamp
+            events.append(ImpactEvent(stamp, switching.switches, number, epoch=EPOCH))
+        show(until)
+    return events, np.array(stamps), np.array(states)
+
+
+LATE = 30_000_000
+"""How much later a twentieth of the samples arrive, ns."""
+
+
+def arrivals() -> list[int]:
+    """When each sample is received, ns: after 0.1 ms, or late."""
+    late = np.random.default_rng(2).random(len(samples())) < 0.05
+    return [
+        sample[1] + (LATE if is_late else 100_000)
+        for sample, is_late in zip(samples(), late.tolist(), strict=True)
+    ]
+
+
+def bag(path: Path) -> Path:
+    """A recording of the rig: its model, impacts, samples as they arrived, and true states."""
+    make, (events, stamps, states) = bag_messages(), simulated()
+    model = parse_model(RIG, "rig")
+    names, n = model.system.coordinates, model.system.n
+    messages: list[tuple[int, str, object]] = [
+        (EPOCH, interfaces.PLANT_MODEL.topic, make.model(model.text()))
+    ]
+    messages += [(e.stamp, interfaces.IMPACTS.topic, make.event(e)) for e in events]
+    for at, (moves, stamp, value, rate) in zip(arrivals(), samples(), strict=True):
+        motion = JointState(stamp, ("base",), np.array([value]), np.array([rate]))
+        message = make.joint_state(motion) if moves else make.forces(stamp, {"motor": value})
+        topic = interfaces.GROUND_MOTION.topic if moves else interfaces.FORCING.topic
+        messages.append((at, topic, message))
+    for stamp, x in zip(stamps.tolist(), states, strict=True):
+        state = make.joint_state(JointState(stamp, names, x[:n], x[n:]))
+        messages.append((stamp, interfaces.PLANT_JOINT_STATES.topic, state))
+    with BagWriter(path) as writer:
+        for at, topic, message in sorted(messages, key=lambda each: each[0]):
+            writer.write(topic, at, message)
+    return path

@@ -1,0 +1,130 @@
+"""Forces and grounds that are known only live: in the plant causal, in the observer by stamp."""
+
+import numpy as np
+import pytest
+from live_rig import RIG, SECONDS, START, Array, Sample, arrivals, give, motor, samples, simulated
+from numpy.typing import NDArray
+from systems import EPOCH
+
+from impact_observer.errors import UsageError
+from impact_observer.events import ImpactEvent
+from impact_observer.model import parse_model
+from impact_observer.observer import Observer, Options, make_observer
+from impact_observer.plant import Plant, make_plant
+from impact_observer.stamps import NS_PER_S
+
+
+def test_plant_does_not_depend_on_how_samples_are_grouped() -> None:
+    """To the bit: it goes no further than the samples, and what has been is final."""
+    one = simulated()
+    many = simulated(pauses=37)
+    assert [e.stamp for e in one[0]] == [e.stamp for e in many[0]]
+    assert len(one[0]) > 5
+    count = min(len(one[1]), len(many[1]))
+    np.testing.assert_array_equal(one[2][:count], many[2][:count])
+
+
+def test_plant_under_live_signals_is_that_of_the_functions_they_sample() -> None:
+    """A ground by Hermite polynomials, exact to the fourth order; a force that is held."""
+    text = RIG.replace("live: true", "harmonics: [{amplitude: 0.1, frequency: 3}]")
+    held = np.arange(0.0, SECONDS + 1e-3, 1e-3)
+    rows = "".join(f"    {t!r},{motor(t)!r}\n" for t in held.tolist())
+    table = f"forcing:\n  hold: previous\n  sampled: |\n    time,x2\n{rows}"
+    text = text.replace("{body: x2, input: motor}, ", "") + table
+    known = parse_model(text, "rig").system
+    plant, impacts = Plant(known, *START, epoch=EPOCH), list[int]()
+    while (switching := plant.next_switching(EPOCH + round(SECONDS * NS_PER_S))) is not None:
+        impacts.append(switching.instant.stamp)
+        plant.cross(switching)
+    found = [event.stamp for event in simulated()[0]]
+    assert len(found) >= len(impacts) - 1
+    np.testing.assert_allclose(found[:8], impacts[:8], rtol=0, atol=100)
+
+
+def watcher(law: str) -> Observer:
+    """An observer of the rig."""
+    options = Options(law=law, initial_state="0.3,-0.2,0.5,-0.5", epoch=EPOCH, clock_error=0.0)
+    return make_observer(parse_model(RIG, "rig").system, options)
+
+
+def final_estimates(observer: Observer, stamps: NDArray[np.int64]) -> Array:
+    """States at stamps when all is known."""
+    found = [observer.estimate(int(stamp)) for stamp in stamps]
+    return np.array([np.concatenate([each.q, each.u]) for each in found])
+
+
+@pytest.mark.parametrize(
+    "law", ["geometric", pytest.param("minimum-variance", marks=pytest.mark.slow)]
+)
+def test_estimates_are_those_of_all_samples_whatever_came_when(law: str) -> None:
+    """To the bit: all samples first; in order with events; and a twentieth of them late."""
+    events, stamps, states = simulated()
+    first, given = watcher(law), samples()
+    for sample in given:
+        assert give(first.live, sample) == ""
+    for event in events:
+        first.receive(event)
+    check = stamps[:: 40 if law == "geometric" else 100]
+    expected = final_estimates(first, check)
+    inbox: list[tuple[int, ImpactEvent | Sample]] = [
+        *zip(arrivals(), given, strict=True),
+        *((event.stamp, event) for event in events),
+    ]
+    inbox.sort(key=lambda each: each[0])
+    live = watcher(law)
+    for k, (at, item) in enumerate(inbox):
+        if isinstance(item, ImpactEvent):
+            live.receive(item)
+        else:
+            give(live.live, item)
+        if k % 97 == 0 and live.start is not None:
+            live.estimate(at)
+    np.testing.assert_array_equal(final_estimates(live, check), expected)
+    error = np.abs(expected - states[np.isin(stamps, check)])
+    assert np.max(error[-1]) < (1e-6 if law == "minimum-variance" else 0.3)
+
+
+def test_old_samples_are_forgotten() -> None:
+    """Those that no estimate of the history needs; estimates go on as before."""
+    given, (events, _, _) = samples(), simulated()
+    options = Options(law="geometric", epoch=EPOCH, history=0.5)
+    short = make_observer(parse_model(RIG, "rig").system, options)
+    whole = make_observer(parse_model(RIG, "rig").system, Options(law="geometric", epoch=EPOCH))
+    for observer in (short, whole):
+        waiting = list(events)
+        for sample in given:
+            while waiting and waiting[0].stamp <= sample[1]:
+                observer.receive(waiting.pop(0))
+            give(observer.live, sample)
+    assert short.live is not None
+    assert whole.live is not None
+    assert short.live.samples.time.size < whole.live.samples.time.size
+    at = EPOCH + round(SECONDS * NS_PER_S)
+    one, two = short.estimate(at), whole.estimate(at)
+    np.testing.assert_array_equal(one.q, two.q)
+
+
+@pytest.mark.parametrize(
+    ("sample", "line"),
+    [
+        (("motor", 1, np.nan), "'motor': nan and 0 found; expected finite numbers"),
+        (("engine", 1, 1.0), "'engine' is not known; expected some of motor"),
+        (("base", 1, 1.0), "'base' is not known; expected some of motor"),
+    ],
+)
+def test_sample_that_cannot_be_used_is_named(sample: tuple[str, int, float], line: str) -> None:
+    """And changes nothing."""
+    live = watcher("geometric").live
+    assert live is not None
+    assert live.add(*sample) == line
+    assert not live.is_pending
+
+
+def test_who_has_no_signals_refuses_the_model() -> None:
+    """One line names what arrives live."""
+    system = parse_model(RIG, "rig").system
+    line = "rig: motor, base arrive live, which a plant without signals cannot use"
+    with pytest.raises(UsageError, match=line):
+        Plant(system, *START, epoch=EPOCH)
+    with pytest.raises(UsageError, match="which the integrator moreau cannot use"):
+        make_plant(system, *START, epoch=EPOCH, integrator="moreau")

@@ -1,0 +1,103 @@
+"""Live forces and grounds from a recording, and in a node that is fed by it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_rig import RIG, bag, give, samples, simulated
+
+from impact_observer.cli.main import main
+from impact_observer.io.reader import BagReader
+from impact_observer.model import parse_model
+from impact_observer.observer import Options, make_observer
+
+INITIAL = "0.3,-0.2,0.5,-0.5"
+
+
+@pytest.mark.slow
+def test_observe_reads_samples_from_a_bag_and_copies_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Estimates are those of an observer that is given the samples; the result can be read again.
+
+    What is no sample is left out, with a warning.
+    """
+    recorded, once, twice = bag(tmp_path / "rig"), tmp_path / "once", tmp_path / "twice"
+    for source, output in ((recorded, once), (once, twice)):
+        assert main(["observe", str(source), "--initial", INITIAL, "-o", str(output)]) == 0
+    assert "warning" not in capsys.readouterr().out
+    observer = make_observer(parse_model(RIG, "rig").system, Options(initial_state=INITIAL))
+    assert observer.live is not None
+    for sample in samples():
+        assert give(observer.live, sample) == ""
+    for event in simulated()[0]:
+        observer.receive(event)
+    with BagReader(once) as one, BagReader(twice) as two:
+        found = one.observer_states("/observer/state")
+        again = two.observer_states("/observer/state")
+    assert found.stamps.size > 400
+    np.testing.assert_array_equal(found.q, again.q)
+    last = observer.estimate(int(found.stamps[-1]))
+    np.testing.assert_array_equal(found.q[-1], last.q)
+    np.testing.assert_array_equal(found.u[-1], last.u)
+
+
+@pytest.mark.ros
+def test_node_estimates_what_observe_does_with_samples_that_come_late(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """Two thousand samples a second, a twentieth of them late: equal bits behind a lag."""
+    pytest.importorskip("impact_observer_msgs")
+    from diagnostic_msgs.msg import DiagnosticArray
+    from impact_observer_msgs.msg import ObserverState
+    from processes import ros_arguments, running, running_node, spinning
+    from sensor_msgs.msg import JointState
+
+    from impact_observer.io.interfaces import Quality
+    from impact_observer.io.messages import read_estimate
+    from impact_observer.ros.qos import qos_profile
+
+    recorded, output = bag(tmp_path / "rig"), tmp_path / "out"
+    assert main(["observe", str(recorded), "--initial", INITIAL, "-o", str(output)]) == 0
+    with BagReader(output) as reader:
+        offline = reader.observer_states("/observer/state")
+    where = {stamp: i for i, stamp in enumerate(offline.stamps.tolist())}
+    (tmp_path / "rig.yaml").write_text(RIG)
+    parameters = {
+        "model": str(tmp_path / "rig.yaml"),
+        "use_sim_time": True,
+        "initial_state": f"'{INITIAL}'",
+        "lag": 1.0,
+    }
+    states: list[ObserverState] = []
+    diagnostics: list[DiagnosticArray] = []
+    with (
+        running_node("observer", ros_arguments(parameters), ros_environment),
+        spinning() as spinner,
+    ):
+        many = qos_profile(Quality(depth=1000))
+        probe = spinner.probe
+        probe.create_subscription(ObserverState, "observer/state", states.append, many)
+        probe.create_subscription(DiagnosticArray, "/diagnostics", diagnostics.append, many)
+        spinner.until(lambda: "observer" in probe.get_node_names())
+        probe.create_subscription(JointState, "plant/joint_states", id, many)
+        play = ["play", str(recorded), "--rate", "0.5", "--delay", "10", "--topics"]
+        topics = ["/impacts", "/plant/joint_states", "/forcing", "/ground_motion"]
+        with running("impact_observer", [*play, *topics], ros_environment) as player:
+            spinner.until(lambda: player.poll() is not None)
+            assert player.returncode == 0, player.communicate()
+        spinner.until(lambda: bool(diagnostics))
+        spinner.settle()
+    final = {}
+    for message in states:
+        _, estimate = read_estimate(message)
+        final[estimate.stamp] = estimate
+    compared = [(each, where[stamp]) for stamp, each in final.items() if stamp in where]
+    assert len(compared) > 250
+    for estimate, i in compared:
+        assert estimate.q.tobytes() == offline.q[i].tobytes()
+        assert estimate.u.tobytes() == offline.u[i].tobytes()
+    values = {each.key: each.value for each in diagnostics[-1].status[0].values}
+    assert int(values["samples"]) == len(samples())
+    assert values["invalid samples"] == "0"
+    assert "age of motor [s]" in values
