@@ -136,6 +136,11 @@ def _hit(rig: Rig, stamp: int, **more: int) -> Event:
     return Event(stamp, (Switch("stop"),), **given)
 
 
+def _calm(_: Rig) -> Messages:
+    """Nothing: how long other processes make the node wait."""
+    return iter(())
+
+
 def _at_once(rig: Rig) -> Messages:
     """1000 impacts in 1 ms."""
     now = time.time_ns()
@@ -185,6 +190,7 @@ def _extreme(rig: Rig) -> Messages:
 
 
 ATTACKS: dict[str, Callable[[Rig], Messages]] = {
+    "calm": _calm,
     "at-once": _at_once,
     "second": _second,
     "burst": _burst,
