@@ -161,15 +161,14 @@ def run_nodes(seconds: float, output: Path) -> None:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         (folder / "juggler.yaml").write_text(MODEL)
         model = ["-p", f"model:={folder / 'juggler.yaml'}"]
-        plant = ["-p", f"duration:={seconds}", "-p", "input_timeout:=20.0"]
+        plant = ["-p", f"duration:={seconds}", "-p", "wait_for_subscribers:=1"]
         watch = ["-p", f"initial_state:='{GUESS}'", "-p", "rate:=200.0"]
-        start = [sys.executable, "-m", "impact_observer"]
         for words in (
-            ["record", "-o", str(output)],
-            ["observer", "--ros-args", *model, *watch],
-            ["plant", "--ros-args", *model, *plant, "-p", "wait_for_subscribers:=2"],
+            ["impact_observer", "record", "-o", str(output)],
+            ["impact_observer.ros.entry", "observer", "--ros-args", *model, *watch],
+            ["impact_observer.ros.entry", "plant", "--ros-args", *model, *plant],
         ):
-            process = subprocess.Popen([*start, *words])
+            process = subprocess.Popen([sys.executable, "-m", *words])
             stack.callback(process.wait)
             stack.callback(process.terminate)
         rclpy.init()
