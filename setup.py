@@ -46,7 +46,7 @@ class BuildKernel(build_ext):  # type: ignore[misc]
     def build_extensions(self) -> None:
         """Compile all files at once, or end with one line that names what is missing."""
         for each in self.extensions:
-            each.extra_compile_args += ["-O1"] if self.debug else []
+            each.extra_compile_args += ["-O0"] if self.debug else []
             each.extra_link_args += [] if self.debug else ["-Wl,--strip-all"]
         with suppress(ImportError):  # pybind11-dev of Ubuntu is where compilers look by themselves
             from pybind11 import get_include  # noqa: PLC0415

@@ -104,6 +104,26 @@ class Verdict(NamedTuple):
     revises: bool = False
 
 
+class SmoothedImpact(NamedTuple):
+    """An impact or a release, by all events; mirrors ``impact_observer_msgs/SmoothedImpact``.
+
+    Attributes:
+        stamp: the instant, ns.
+        reported: as the sensor stamped it, ns; 0 where it missed it.
+        sequence: of the event; 0 where there is none or the sender does not count.
+        contact: its name.
+        ruling: applied, or inserted where the sensor missed it.
+        deviation: standard deviation of the instant, s.
+    """
+
+    stamp: int
+    reported: int
+    sequence: int
+    contact: str
+    ruling: Ruling
+    deviation: float
+
+
 REVISED = "revised: "
 """Prefix of the reason of a verdict that replaces an earlier one."""
 

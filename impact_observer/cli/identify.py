@@ -65,6 +65,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the model with the identified values, as YAML",
     )
     parser.add_argument(
+        "--initial-state",
+        action="store_true",
+        help="write the identified initial state into the model too",
+    )
+    parser.add_argument(
         "--plot", metavar="FILE", type=Path, help="write the errors of the stamps: PNG, SVG, PDF"
     )
     parser.add_argument("--json", action="store_true", help="print the results as JSON")
@@ -83,6 +88,7 @@ def run(args: argparse.Namespace) -> int:
         check=args.check,
         namespace=args.namespace,
         output=args.output,
+        initial_state=args.initial_state,
         plot=args.plot,
         json=args.json,
     )
@@ -100,6 +106,7 @@ def identify(
     check: bool = False,
     namespace: str = "",
     output: Path | None = None,
+    initial_state: bool = False,
     plot: Path | None = None,
     json: bool = False,
 ) -> int:
@@ -127,7 +134,7 @@ def identify(
     from impact_observer.model import parse_model
     from impact_observer.model.free_parameters import parametric_family
 
-    _check_usage(free, output, plot, check=check, clock=clock_error)
+    _check_usage(free, output, plot, check=check, clock=clock_error, initial_state=initial_state)
     if not 0 <= held_back <= _MOST_HELD_BACK:
         raise UsageError(
             f"--held-back: {held_back:g} found; expected a share from 0 to {_MOST_HELD_BACK:g}"
@@ -160,7 +167,8 @@ def identify(
         fit_report.print_parameters(found, checked)
     lines = sys.stderr if json else sys.stdout
     if output is not None and good:
-        output.write_text(fit_report.model_text(found, given, bag, output), encoding="utf-8")
+        text = fit_report.model_text(found, given, bag, output, initial=initial_state)
+        output.write_text(text, encoding="utf-8")
         say(f"model: {output}", file=lines)
     if plot is not None:
         name = found.family.system.name
@@ -176,8 +184,11 @@ def _check_usage(
     *,
     check: bool,
     clock: float | None,
+    initial_state: bool,
 ) -> None:
     """Raise UsageError before the work is done."""
+    if initial_state and output is None:
+        raise UsageError("--initial-state: written into the model, so -o is needed")
     if check and (free or output):
         raise UsageError("--check identifies nothing; expected no --free and no -o beside it")
     if check and clock is None:

@@ -24,6 +24,7 @@ COMMANDS = {
     "detect": "find the impacts in a bag of switches, accelerations, forces",
     "import": "make a bag from the impact times in a CSV file",
     "observe": "run an observer on the impacts in a bag",
+    "smooth": "the best estimate of a recording at every instant, from all its impacts",
     "compare": "estimates against the truth: V(t), errors, a picture",
     "sweep": "Monte Carlo over laws, starts, sensors and wrong models, on all cores or a cluster",
     "figure": "from a model to the picture: V(t) of several laws",

@@ -7,11 +7,11 @@ from pathlib import Path
 from impact_observer import __version__
 from impact_observer.detector import Detection, Detector, SensorCounts, Source
 from impact_observer.detector.sensors import MAX_DELAY
-from impact_observer.errors import BagError, ImpactObserverError
+from impact_observer.errors import BagError
 from impact_observer.io import interfaces
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import all_or_nothing, model_of
+from impact_observer.io.recordings import all_or_nothing, carried_topics, model_of
 from impact_observer.io.writer import FLUSH, BagWriter
 from impact_observer.model import Model
 
@@ -117,23 +117,14 @@ def _declared(
     own = _OWN if model is not None else _OWN[:1]
     if interfaces.IMPACTS.topic in reader.topics:
         problems.append(f"{interfaces.IMPACTS.topic} of the bag is left out for the one found")
-    copied = set()
-    for topic, info in reader.topics.items():
-        if topic in own:
-            continue
-        try:
-            writer.declare(
-                topic, type_name=info.type, quality=info.quality, definition=info.definition
-            )
-            copied.add(topic)
-        except ImpactObserverError as error:
-            problems.append(f"{topic} is not carried along: {error}")
+    copied, left_out = carried_topics(reader, writer, own)
+    problems += left_out
     writer.declare(interfaces.IMPACTS.topic)
     if model is not None:
         text = model.text({"package": "impact_observer", "version": __version__})
         message = bag_messages().model(text)
         writer.write(interfaces.PLANT_MODEL.topic, reader.start, message)
-    return copied
+    return {*copied}
 
 
 def _run(

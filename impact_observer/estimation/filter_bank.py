@@ -27,7 +27,7 @@ from impact_observer.estimation.impact_filter import Asked, ImpactFilter
 from impact_observer.estimation.likelihood import CERTAIN, Likelihood
 from impact_observer.estimation.missed_switch import insert_switch
 from impact_observer.estimation.uncertainty import Uncertainty
-from impact_observer.events import Kind, Ruling
+from impact_observer.events import Contacts, Kind, Ruling
 
 SPURIOUS_RATE = 0.1
 """Rate of spurious impacts of a contact, were all events spurious, in the fastest rate."""
@@ -101,6 +101,20 @@ _Draft: TypeAlias = tuple[float, Hypothesis, ContactChange, str]
 """Weight, hypothesis before, event and reason of a branch whose likelihood is not known yet."""
 
 
+class LogPriors(NamedTuple):
+    """Logarithms of what is known of an event before it is seen.
+
+    Attributes:
+        reported: probability that an impact is reported.
+        missed: probability that it is not.
+        spurious: odds of a spurious event, times their rate, 1/s.
+    """
+
+    reported: float
+    missed: float
+    spurious: float
+
+
 class FilterBank:
     """Hypotheses of one system from event to event.
 
@@ -137,6 +151,11 @@ class FilterBank:
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
         self._scan = SCAN * filter_.system.n
         self._flight = Flight if filter_.system.live else lru_cache(_FLIGHTS)(Flight)
+
+    @property
+    def log_priors(self) -> LogPriors:
+        """What it assumes of any event."""
+        return LogPriors(self._reported, self._missed, self._spurious)
 
     def correct(
         self, change: ContactChange, hypotheses: Sequence[Hypothesis], restarts: Restarts
@@ -269,15 +288,16 @@ class FilterBank:
     ) -> Hypothesis:
         """The event was ``here``, and leads to ``state``."""
         h, likelihood = branch.before, branch.likelihood
-        innovations = likelihood.innovations
-        if here is not change:
-            pairs = zip(change.contacts, here.contacts, strict=False)
+        innovations, switched = likelihood.innovations, change.contacts
+        if here is not change and len(here.contacts) == len(switched):
+            switched = here.contacts
+            pairs = zip(change.contacts, switched, strict=True)
             innovations = {i: innovations[j] for i, j in pairs if j in innovations}
         after = Hypothesis(
             state,
             h.clock,
             branch.weight,
-            _noted(h, change, (Ruling.APPLIED, branch.reason), innovations),
+            _noted(h, change, (Ruling.APPLIED, branch.reason), innovations, switched),
             innovation=likelihood.normalised if innovations else None,
             residual=likelihood.normalised * likelihood.deviation if innovations else 0.0,
             subset=h.subset,
@@ -478,8 +498,12 @@ def _noted(
     change: ContactChange,
     ruling: tuple[Ruling, str],
     innovations: Mapping[int, float],
+    switched: Contacts = (),
 ) -> tuple[Note, ...]:
-    """The notes of ``h`` with those on an event, and on the missed switches before it."""
+    """The notes of ``h`` with those on an event, and on the missed switches before it.
+
+    The contacts that have ``switched`` are those of the event unless others are given.
+    """
     event = (change.stamp, change.sequence)
     inserted = [
         Note(
@@ -489,11 +513,14 @@ def _noted(
             Ruling.INSERTED,
             f"{each.kind.name} missed: without it the estimate would penetrate by"
             f" {each.depth:.3g} standard deviations",
+            switched=each.contact,
+            kind=each.kind,
         )
         for each in h.missed
     ]
     own = [
-        Note(event, change.stamp, i, *ruling, innovations.get(i, -1.0)) for i in change.contacts
+        Note(event, change.stamp, i, *ruling, innovations.get(i, -1.0), j)
+        for i, j in zip(change.contacts, switched or change.contacts, strict=True)
     ]
     notes = (*h.notes, *inserted, *own)
     first = max(len(notes) - _NOTES, 0)

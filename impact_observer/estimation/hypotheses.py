@@ -32,6 +32,8 @@ class Note(NamedTuple):
         ruling: applied, rejected or inserted.
         reason: in plain words; empty for an event that is accepted as it was reported.
         innovation: in standard deviations; -1 where there is none.
+        switched: index of the contact that has switched: another one where it was mislabelled.
+        kind: how it has switched, of an inserted one.
     """
 
     event: tuple[int, int]
@@ -40,6 +42,8 @@ class Note(NamedTuple):
     ruling: Ruling
     reason: str = ""
     innovation: float = -1.0
+    switched: int = -1
+    kind: Kind = Kind.IMPACT
 
     @property
     def is_inserted(self) -> bool:

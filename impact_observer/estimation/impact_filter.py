@@ -112,9 +112,9 @@ class ImpactFilter:
 
         The accelerations have white noise of ``model_error``, m/s^1.5, besides the declared one.
         """
-        return LinearPrediction(t, state, self.members, self._noise(model_error))
+        return LinearPrediction(t, state, self.members, self.noise_of(model_error))
 
-    def _noise(self, model_error: float) -> ProcessNoise | None:
+    def noise_of(self, model_error: float) -> ProcessNoise | None:
         """The declared process noise, and white accelerations of ``model_error``, m/s^1.5."""
         if not model_error:
             return self.noise
@@ -218,7 +218,7 @@ class ImpactFilter:
             if x is not about:
                 after = after + map_.dot(x - about)
             prior = state.propagated(after, map_)
-            if noise := self._noise(level):
+            if noise := self.noise_of(level):
                 over = partial(moving.diffusion, closed)
                 root = noise.added_to(prior.root, state.x.size, over, s)
                 prior = prior._replace(root=narrow(root))
@@ -247,7 +247,7 @@ class ImpactFilter:
 
     def likelihood(self, change: ContactChange, prior: Joint) -> Likelihood:
         """The likelihood of an event, if it is what it is reported to be."""
-        contacts = self._measured_contacts(change)
+        contacts = self.measured_contacts(change)
         if not contacts:
             return Likelihood(0.0, {})
         member = self.member(prior)
@@ -270,7 +270,7 @@ class ImpactFilter:
         instant, until that changes next to nothing. The linearisation of ``likelihood`` is used
         first.
         """
-        contacts = self._measured_contacts(change)
+        contacts = self.measured_contacts(change)
         found, member = prior, self.member(prior)
         linear = likelihood and likelihood.linear
         for _ in range(ROUNDS if contacts else 0):
@@ -300,10 +300,7 @@ class ImpactFilter:
         after, member = self._jumped(change, joint), self.member(joint)
         if change.closed:
             new = tuple(i for i in change.closed if i not in change.before)
-            rates = member.moving.rates_at(joint.t, after.x, change.before)
-            forces = member.moving.forces(joint.t)
-            pressing = rates.along(after.x, forces)[0]
-            short = self.short * self.system.contact_speed(pressing[self.system.n :])
+            short = self.neglected(member, change.before, after.x, joint.t)
             after = rested(self.members, after, new, np.hypot(short[list(new)], leftover))
         s, sensitivity = change.t - joint.t, None
         if not (s or change.closed):
@@ -313,6 +310,15 @@ class ImpactFilter:
             sensitivity = s * rate
         x, map_ = member.moving.flow_map(joint.t, after.x, s, change.closed)
         return after.propagated(x, map_, sensitivity)
+
+    def neglected(self, member: Member, before: Contacts, x: Vector, t: float) -> Vector:
+        """Speeds of all contacts that a plant may neglect to come to rest at ``x``, (m,), m/s.
+
+        ``before`` are closed until then, at ``t`` s since the epoch.
+        """
+        rates, forces = member.moving.rates_at(t, x, before), member.moving.forces(t)
+        pressing = rates.along(x, forces)[0]
+        return self.short * self.system.contact_speed(pressing[self.system.n :])
 
     def widened(self, state: GaussianState, factor: float) -> GaussianState:
         """``state`` with standard deviations that are larger by ``factor``.
@@ -335,7 +341,8 @@ class ImpactFilter:
             return self.members.gap_sensitivity(contacts)
         return self.members.load_sensitivity(member, change.before, contacts, x, t)
 
-    def _measured_contacts(self, change: ContactChange) -> Contacts:
+    def measured_contacts(self, change: ContactChange) -> Contacts:
+        """The contacts of which an event measures the guard; see ``ContactChange.informative``."""
         if change.hit:
             return change.hit
         held = self.members.given.moving.phase(change.before).held
@@ -395,14 +402,18 @@ class ImpactFilter:
         other = sensitivity @ (joint.theta - member.values)
         return joint.propagated(s, map_._replace(value=map_.value + other), sensitivity)
 
+    def pressed(self, member: Member, change: ContactChange, x: Vector) -> Contacts:
+        """The contacts that take an impulse at an event, before which the state is ``x``."""
+        if not change.hit:
+            return ()
+        n = self.system.n
+        gamma = member.gaps(change.hit).c[:, :n].dot(x[n:])
+        return change.pressed(member.newton, gamma)
+
     def _jumped(self, change: ContactChange, joint: Joint) -> GaussianState:
         """The state after the jump, at the instant of ``joint``: saltation."""
-        pressed: Contacts = ()
         member, size = self.member(joint), joint.size
-        if change.hit:
-            n = self.system.n
-            gamma = member.gaps(change.hit).c[:, :n].dot(joint.x[n:])
-            pressed = change.pressed(member.newton, gamma)
+        pressed = self.pressed(member, change, joint.x)
         jet = member.jump_about(joint.t, joint.x, pressed, change.before, change.closed)
         x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, noise = product(joint.own, D, E)

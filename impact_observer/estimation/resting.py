@@ -1,5 +1,7 @@
 """Contacts that come to rest: their gaps and speeds are measured to be zero."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy import linalg
 
@@ -8,7 +10,35 @@ from impact_observer.estimation.members import Members
 from impact_observer.estimation.saltation import Measured
 from impact_observer.estimation.square_root import correction
 from impact_observer.events import Contacts
-from impact_observer.states import Vector
+from impact_observer.states import Matrix, Vector
+
+
+class RestMeasurement(NamedTuple):
+    """Gaps and speeds of contacts that come to rest, measured to be zero.
+
+    Attributes:
+        H: their derivatives by (q, u, constants), shape (k, 2n + c).
+        value: of the state, shape (k,).
+        floor: standard deviation of the rounding of each.
+    """
+
+    H: Matrix
+    value: Vector
+    floor: list[float]
+
+
+class RestProjection(NamedTuple):
+    """A state at rest on its closed contacts, as a function of one that is nearly so.
+
+    Attributes:
+        x: the state at rest, shape (2n,).
+        map_: its derivative by the state, shape (2n, 2n).
+        sensitivity: by the parameters, shape (2n, p).
+    """
+
+    x: Vector
+    map_: Matrix
+    sensitivity: Matrix
 
 
 def rested(
@@ -21,19 +51,9 @@ def rested(
     """
     if not state.closed:
         return state
-    member, size, p = members.at(state.theta), state.x.size, state.parameters
-    # A contact that comes to rest may have bounced unreported before, so its speed is no
-    # measurement where its restitution is estimated.
-    certain = ~members.estimates_restitution(new)
-    slow = tuple(i for i, each in zip(new, certain.tolist(), strict=True) if each)
-    gaps, speeds = member.gaps(new), Measured.speeds(member.system, slow)
-    c = np.vstack([gaps.c, speeds.c])
-    value = np.concatenate([gaps.value(state.x), speeds.value(state.x)])
-    sizes = members.given.moving.phases.scales.sizes(state.x)
-    floor = [*gaps.rounding(sizes), *np.hypot(speeds.rounding(sizes), leftover[certain])]
-    H = np.hstack([c, np.zeros((len(c), state.root.shape[0] - size))])
-    H[: len(new), size : size + p] = members.gap_sensitivity(new)
-    update = correction(state.root, H, np.empty((len(c), 0)), floor)
+    size, p = state.x.size, state.parameters
+    H, value, floor = rest_measurement(members, state, new, leftover)
+    update = correction(state.root, H, np.empty((len(H), 0)), floor)
     change = -update.change(value)
     if p:
         theta = state.theta + change[size : size + p]
@@ -44,10 +64,29 @@ def rested(
         root=update.root,
         differences=state.differences - update.change(H.dot(state.differences)),
     )
-    return _projected(members, corrected)
+    return corrected.propagated(*rest_projection(members, corrected))
 
 
-def _projected(members: Members, state: GaussianState) -> GaussianState:
+def rest_measurement(
+    members: Members, state: GaussianState, new: Contacts, leftover: Vector
+) -> RestMeasurement:
+    """What is measured where contacts are ``new`` at rest; see ``rested``."""
+    member, size, p = members.at(state.theta), state.x.size, state.parameters
+    # A contact that comes to rest may have bounced unreported before, so its speed is no
+    # measurement where its restitution is estimated.
+    certain = ~members.estimates_restitution(new)
+    slow = tuple(i for i, each in zip(new, certain.tolist(), strict=True) if each)
+    gaps, speeds = member.gaps(new), Measured.speeds(member.system, slow)
+    c = np.vstack([gaps.c, speeds.c])
+    value = np.concatenate([gaps.value(state.x), speeds.value(state.x)])
+    sizes = members.given.moving.phases.scales.sizes(state.x)
+    floor = [*gaps.rounding(sizes), *np.hypot(speeds.rounding(sizes), leftover[certain])]
+    H = np.hstack([c, np.zeros((len(c), len(state.root) - size))])
+    H[: len(new), size : size + p] = members.gap_sensitivity(new)
+    return RestMeasurement(H, value, floor)
+
+
+def rest_projection(members: Members, state: GaussianState) -> RestProjection:
     """``state``, nearly at rest on its closed contacts, projected onto ``g = 0, gamma = 0``.
 
     The projection is that by which the plant itself comes to rest.
@@ -58,5 +97,4 @@ def _projected(members: Members, state: GaussianState) -> GaussianState:
     still = member.moving.phase(closed).inverse @ member.system.M
     sensitivity = np.zeros((2 * n, state.parameters))
     sensitivity[:n] = -Z @ members.gap_sensitivity(closed)
-    map_ = linalg.block_diag(np.eye(n) - Z @ W, still)
-    return state.propagated(x, map_, sensitivity)
+    return RestProjection(x, linalg.block_diag(np.eye(n) - Z @ W, still), sensitivity)

@@ -35,6 +35,11 @@ def _initial_state(found: Identification) -> Vector:
     return np.asarray(states[0])
 
 
+def _initial_errors(found: Identification) -> Vector:
+    """Standard errors of ``_initial_state``, shape (2n,)."""
+    return np.asarray(np.sqrt(np.diag(found.covariance))[: found.start.size])
+
+
 def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
     """What ``--json`` prints; SI units."""
     family, recording = found.family, found.recording
@@ -63,7 +68,7 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
         "unknown": list(found.undetermined),
         "singular_values": found.singular.tolist(),
         "initial_state": _initial_state(found).tolist(),
-        "initial_state_error": np.sqrt(np.diag(found.covariance))[: found.start.size].tolist(),
+        "initial_state_error": _initial_errors(found).tolist(),
         "initial_state_seconds": recording.start,
         "clock_error": float(found.clock),
         "clock_error_declared": found.declared,
@@ -92,7 +97,7 @@ def for_json(found: Identification, check: FitCheck) -> dict[str, object]:
 def print_parameters(found: Identification, check: FitCheck) -> None:
     """Print the fitted parameters and how well they are determined."""
     lines = [*_about_fit(found), *_about_errors(found, check), *_about_parameters(found)]
-    print_report(_parameter_table(found), lines)
+    print_report(_parameter_table(found), [_about_start(found), *lines])
 
 
 def print_check(found: Identification, check: FitCheck) -> None:
@@ -116,7 +121,21 @@ def _parameter_table(found: Identification) -> Table:
         if each.name in found.bounded:
             own = "at its bound"
         table.add_row(each.name, f"{each.value:.6g}", shown, own, each.unit)
+    names = found.family.system.coordinates
+    rows = [*((f"{name} at the start", "m or rad") for name in names)]
+    rows += [(f"d{name}/dt at the start", "m/s or rad/s") for name in names]
+    states = zip(rows, _initial_state(found), _initial_errors(found), strict=True)
+    for (name, unit), value, error in states:
+        table.add_row(name, "", f"{value:.10g}", f"{error:.2g}", unit)
     return table
+
+
+def _about_start(found: Identification) -> str:
+    """Where the initial state holds."""
+    if found.recording.start:
+        return f"The start is {found.recording.start:.9g} s after the epoch."
+    named = found.recording.episode.start == found.recording.episode.keys[0].stamp
+    return "The start is the first impact." if named else "The start is the epoch."
 
 
 def _about_fit(found: Identification) -> Iterator[str]:
@@ -206,7 +225,9 @@ def _about_check(found: Identification, check: FitCheck) -> Iterator[str]:
     yield "The model fits." if good else f"The model does not fit; worst: {check.worst}."
 
 
-def model_text(found: Identification, given: ModelText, bag: Path, output: Path) -> str:
+def model_text(
+    found: Identification, given: ModelText, bag: Path, output: Path, *, initial: bool = False
+) -> str:
     """The given model file with the fitted values, in its own form, with provenance.
 
     Args:
@@ -214,6 +235,7 @@ def model_text(found: Identification, given: ModelText, bag: Path, output: Path)
         given: the file it was fitted from.
         bag: the recording.
         output: where the text will be; for errors.
+        initial: whether to write the initial state too.
 
     Raises:
         ModelError: the fitted values make no valid model.
@@ -230,6 +252,9 @@ def model_text(found: Identification, given: ModelText, bag: Path, output: Path)
     if "provenance" in document:
         provenance["before"] = document["provenance"]
     entries = changes(document, found.family, found.values)
+    if initial:
+        q, u = np.split(_initial_state(found), 2)
+        entries["initial_state",] = {"position": q.tolist(), "velocity": u.tolist()}
     text = edited(given.text, {**entries, ("provenance",): provenance})
     parse_model(*given._replace(text=text, source=str(output)))
     return text

@@ -16,6 +16,8 @@ from impact_observer.states import Estimate, Estimates
 Serialize: TypeAlias = Callable[[str, object], bytes]
 """Makes bytes of a topic and a message of its type."""
 _OWN = (interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES)
+OBSERVER = "observer"
+"""The node that publishes estimates, where none other is named."""
 
 
 def in_log_order(
@@ -46,9 +48,11 @@ def in_log_order(
 
 
 def messages_of(
-    estimates: Estimates, names: tuple[str, ...], serialize: Serialize
+    estimates: Estimates, names: tuple[str, ...], serialize: Serialize, owner: str = OBSERVER
 ) -> Iterator[tuple[int, str, bytes]]:
     """The messages that an observer node publishes of estimates: log times (ns), topics, bytes.
+
+    The ``owner`` is the node's name.
 
     Raises:
         MessageError: a message cannot carry an estimate.
@@ -57,11 +61,12 @@ def messages_of(
     is_wrong = stamps[-1] > MAX_STAMP or not np.isfinite(x).all()  # one of them raises the error
     if is_wrong or stamps.size == 1:
         for each in estimates if is_wrong else (estimates.first,):
-            for topic, data in _one(each, names, serialize):
+            for topic, data in _one(each, names, serialize, owner):
                 yield each.stamp, topic, data
         return
     made = []
-    for own, (topic, example) in zip(_OWN, _one(estimates.first, names, serialize), strict=True):
+    first = _one(estimates.first, names, serialize, owner)
+    for own, (topic, example) in zip(_OWN, first, strict=True):
         copies = encode(own.type, example, stamps, x[:, :n], x[:, n:])
         assert copies is not None, "our messages have a layout"
         made.append([(topic, data) for data in copies])
@@ -71,11 +76,12 @@ def messages_of(
 
 
 def _one(
-    estimate: Estimate, names: tuple[str, ...], serialize: Serialize
+    estimate: Estimate, names: tuple[str, ...], serialize: Serialize, owner: str
 ) -> Iterator[tuple[str, bytes]]:
     """The two messages of an estimate, with their topics."""
     make = bag_messages()
     joints = JointState(estimate.stamp, names, estimate.q, estimate.u)
     messages = (make.joint_state(joints), make.estimate(estimate, names))
     for own, message in zip(_OWN, messages, strict=True):
-        yield own.topic, serialize(own.topic, message)
+        topic = f"/{own.of(owner)}"
+        yield topic, serialize(topic, message)

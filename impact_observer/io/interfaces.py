@@ -83,10 +83,13 @@ LATCHED = Quality(transient_local=True, depth=1)
 INPUTS = Quality(depth=2000)
 """Samples of live forces and grounds: none may be lost, and many may wait."""
 
+SMOOTHER = "smoother"
+"""The owner of the topics of smoothed recordings."""
 IMPACT_EVENT = "impact_observer_msgs/msg/ImpactEvent"
 CONTACT_SWITCH = "impact_observer_msgs/msg/ContactSwitch"
 OBSERVER_STATE = "impact_observer_msgs/msg/ObserverState"
 EVENT_VERDICT = "impact_observer_msgs/msg/EventVerdict"
+SMOOTHED_IMPACT = "impact_observer_msgs/msg/SmoothedImpact"
 ESTIMATE_ERROR = "impact_observer_msgs/msg/EstimateError"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
@@ -124,15 +127,19 @@ class Interface:
         """Whether an absolute ``topic`` is this one, in any namespace and of any owner.
 
         ``/rig/observer_geometric/state`` fits ``observer/state``: several observers live side
-        by side as ``observer_<law>``.
+        by side as ``observer_<law>``. So does ``/smoother/state``: estimates of a smoother are
+        read like those of an observer.
         """
         if self.name.startswith("/"):
             return topic == self.name
         wanted, found = self.name.split("/"), topic.split("/")[1:]
         if len(found) < len(wanted) or found[-1] != wanted[-1]:
             return False
-        owner = found[-2] if len(wanted) == 2 else ""
-        return len(wanted) == 1 or owner == wanted[0] or owner.startswith(f"{wanted[0]}_")
+        owner = found[-2] if len(found) > 1 else ""
+        if len(wanted) == 1:
+            return owner != SMOOTHER
+        alike = owner == wanted[0] or owner.startswith(f"{wanted[0]}_")
+        return alike or (owner == SMOOTHER and wanted[0] == "observer")
 
 
 IMPACTS = Interface("impacts", IMPACT_EVENT, EVENTS)
@@ -144,6 +151,7 @@ OBSERVER_JOINT_STATES = Interface("observer/joint_states", JOINT_STATE)
 OBSERVER_STATES = Interface("observer/state", OBSERVER_STATE)
 OBSERVER_VERDICTS = Interface("observer/verdicts", EVENT_VERDICT, EVENTS)
 OBSERVER_BOUND = Interface("observer/bound", ESTIMATE_ERROR, LATCHED)
+SMOOTHED_IMPACTS = Interface("smoother/impacts", SMOOTHED_IMPACT, EVENTS)
 MONITOR_ERROR = Interface("monitor/error", ESTIMATE_ERROR)
 VIEWER_MARKERS = Interface("viewer/markers", MARKERS)
 SIMULATED_CLOCK = Interface("/clock", CLOCK)
@@ -159,6 +167,7 @@ INTERFACES = (
     OBSERVER_STATES,
     OBSERVER_VERDICTS,
     OBSERVER_BOUND,
+    SMOOTHED_IMPACTS,
     MONITOR_ERROR,
     VIEWER_MARKERS,
     SIMULATED_CLOCK,

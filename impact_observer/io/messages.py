@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from impact_observer.errors import ImpactObserverError
-from impact_observer.events import REVISED, ImpactEvent, Kind, Ruling, Switch, Verdict
+from impact_observer.events import (
+    REVISED,
+    ImpactEvent,
+    Kind,
+    Ruling,
+    SmoothedImpact,
+    Switch,
+    Verdict,
+)
 from impact_observer.io import interfaces
 from impact_observer.io.typestores import typestore
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, text
@@ -147,6 +155,19 @@ class Messages:
             reason=verdict.reason,
             innovation=_number("EventVerdict.innovation", verdict.innovation),
             latency=_number("EventVerdict.latency", latency),
+        )
+
+    def smoothed_impact(self, impact: SmoothedImpact) -> AnyMessage:
+        """``impact`` as ``impact_observer_msgs/SmoothedImpact``."""
+        _check_counter("SmoothedImpact.sequence", impact.sequence, _MAX_UINT64)
+        _check_stamp("SmoothedImpact.reported", impact.reported, earliest=0)
+        return self._classes(interfaces.SMOOTHED_IMPACT)(
+            header=self._header("SmoothedImpact", impact.stamp),
+            reported=self.time(impact.reported),
+            sequence=impact.sequence,
+            contact=impact.contact,
+            verdict=int(impact.ruling),
+            deviation=_number("SmoothedImpact.deviation", impact.deviation),
         )
 
     def estimate(self, estimate: Estimate, names: Sequence[str]) -> AnyMessage:
@@ -326,6 +347,22 @@ def read_verdict(message: AnyMessage) -> tuple[Verdict, float]:
         revises=message.reason.startswith(REVISED),
     )
     return verdict, float(message.latency)
+
+
+def read_smoothed_impact(message: AnyMessage) -> SmoothedImpact:
+    """The smoothed impact in a message.
+
+    Raises:
+        MessageError: its stamp is not after 0, or the ruling is unknown.
+    """
+    return SmoothedImpact(
+        stamp=read_stamp("SmoothedImpact.header.stamp", message.header.stamp),
+        reported=read_stamp("SmoothedImpact.reported", message.reported, earliest=0),
+        sequence=int(message.sequence),
+        contact=message.contact,
+        ruling=_member(Ruling, "SmoothedImpact.verdict", message.verdict),
+        deviation=float(message.deviation),
+    )
 
 
 def read_estimate(message: AnyMessage) -> tuple[tuple[str, ...], Estimate]:

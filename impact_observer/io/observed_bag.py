@@ -19,6 +19,7 @@ from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
 from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.model import System
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.event_outcomes import count_rulings
 from impact_observer.observer.sender_runs import placed
@@ -63,15 +64,10 @@ def observe_bag(
     Raises:
         UsageError, BagError: the bags cannot be used as asked.
     """
-    events = events_in(reader)
-    epochs = {event.epoch for event in events if event.epoch}
-    if epoch and epochs and epoch not in epochs:
-        raise UsageError(
-            f"{reader.path}: epoch {text(epoch)} s asked for, but its events say"
-            f" {text(min(epochs))} s; leave --epoch out"
-        )
-    stamps = _sample_stamps(reader, events, rate, epoch)
-    _check_size(reader, observer, output, stamps, most)
+    events = events_from(reader, epoch)
+    stamps = sample_stamps(reader, events, rate, epoch)
+    has_covariance = observer.law.has_covariance
+    check_size(reader, observer.system, output, stamps, most, has_covariance=has_covariance)
     problems = Counter(give_recorded(reader, observer.live))
     for problem, count in problems.items():
         warn(f"{count} samples are left out: {problem}")
@@ -92,7 +88,24 @@ def observe_bag(
     return messages.estimates, +(messages.others + rulings)
 
 
-def _sample_stamps(
+def events_from(reader: BagReader, epoch: int) -> list[ImpactEvent]:
+    """The events of a bag whose forcing begins at ``epoch`` (ns); 0 to take it from the events.
+
+    Raises:
+        UsageError: the events say another epoch.
+        BagError: the bag is damaged.
+    """
+    events = events_in(reader)
+    epochs = {event.epoch for event in events if event.epoch}
+    if epoch and epochs and epoch not in epochs:
+        raise UsageError(
+            f"{reader.path}: epoch {text(epoch)} s asked for, but its events say"
+            f" {text(min(epochs))} s; leave --epoch out"
+        )
+    return events
+
+
+def sample_stamps(
     reader: BagReader, events: Sequence[ImpactEvent], rate: float | None, epoch: int
 ) -> Stamps:
     """Stamps of the estimates: at ``rate`` (Hz) from the epoch on, or those of the true states."""
@@ -109,17 +122,23 @@ def _sample_stamps(
     return grid(start, last, rate)
 
 
-def _check_size(
-    reader: BagReader, observer: Observer, output: Path, stamps: Stamps, most: int
+def check_size(
+    reader: BagReader,
+    system: System,
+    output: Path,
+    stamps: Stamps,
+    most: int,
+    *,
+    has_covariance: bool,
 ) -> None:
     """Refuse more estimates than asked for, or than the disk has room for.
 
     Raises:
         UsageError: naming the limit, and until when estimates would be made.
     """
-    count, n = stamps.size, observer.system.n
-    covariance = 4 * n * n if observer.law.name == "minimum-variance" else 0
-    names = sum(len(each) + 8 for each in observer.system.coordinates)
+    count, n = stamps.size, system.n
+    covariance = 4 * n * n if has_covariance else 0
+    names = sum(len(each) + 8 for each in system.coordinates)
     size = count * (_MOST_FIXED + 2 * (names + 16 * n) + 8 * covariance)
     folder = next((each for each in output.absolute().parents if each.exists()), Path.cwd())
     free = shutil.disk_usage(folder).free

@@ -2,13 +2,13 @@
 
 import heapq
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from operator import itemgetter
 from pathlib import Path
 
 from impact_observer import __version__
-from impact_observer.errors import BagError
+from impact_observer.errors import BagError, ImpactObserverError
 from impact_observer.events import ImpactEvent
 from impact_observer.integrators import EVENT_DRIVEN
 from impact_observer.io import interfaces
@@ -66,6 +66,28 @@ def all_or_nothing(path: Path, flush: float = FLUSH) -> Iterator[BagWriter]:
             writer.close()
         shutil.rmtree(path, ignore_errors=True)
         raise
+
+
+def carried_topics(
+    reader: BagReader, writer: BagWriter, without: Collection[str]
+) -> tuple[list[str], list[str]]:
+    """Declare the topics of a bag that are to be copied: all but those ``without``.
+
+    Returns:
+        Their names, and a line for each that the writer cannot carry.
+    """
+    copied, problems = [], []
+    for topic, info in reader.topics.items():
+        if topic in without:
+            continue
+        try:
+            writer.declare(
+                topic, type_name=info.type, quality=info.quality, definition=info.definition
+            )
+            copied.append(topic)
+        except ImpactObserverError as error:
+            problems.append(f"{topic} is not carried along: {error}")
+    return copied, problems
 
 
 def write_run(

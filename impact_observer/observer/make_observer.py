@@ -11,7 +11,7 @@ from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.model import System
 from impact_observer.model.elements import Element
 from impact_observer.model.live_signals import connected
-from impact_observer.observer.laws import law_named
+from impact_observer.observer.laws import Law, law_named
 from impact_observer.observer.observer import Observer
 from impact_observer.options import Options
 from impact_observer.states import Matrix, Vector
@@ -22,19 +22,22 @@ def make_observer(
     options: Options | None = None,
     elements: Sequence[Element] = (),
     others: Matrix | None = None,
+    *,
+    law: type[Law] | None = None,
 ) -> Observer:
     """An observer of ``system`` that has received no event yet.
 
     ``options`` are None for the defaults. The system was assembled of ``elements``: their
     parameters can be estimated one by one. The ``others`` are initial states of the replicas that
-    run beside the estimate, shape (ensemble - 1, 2n); by default they are drawn.
+    run beside the estimate, shape (ensemble - 1, 2n); by default they are drawn. Another ``law``
+    than that of the options may be given.
 
     Raises:
         UsageError: an option cannot be used, by its name.
     """
     options = options or Options()
     system, live = connected(system)
-    law = law_named(options.law)
+    law = law or law_named(options.law)
     uncertainty = Uncertainty(
         deviation_of(options.initial_deviation, system),
         None if options.clock_error < 0 else options.clock_error,

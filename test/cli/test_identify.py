@@ -34,12 +34,16 @@ def test_identified_parameters_are_printed_and_written(
     """The file reads as a model again, says where it is from, and keeps its comments."""
     output, plot = tmp_path / "identified.yaml", tmp_path / "identified.svg"
     words = ["identify", bag(BAG), "--model", str(model), "--free", "restitution,gap"]
-    assert main([*words, "-o", str(output), "--plot", str(plot)]) == 0
+    written = ["-o", str(output), "--initial-state"]
+    assert main([*words, *written, "--plot", str(plot)]) == 0
     said = capsys.readouterr().out
     assert "restitution.stop" in said
     assert "standard error" in said
     identified = read_model(output)
     np.testing.assert_allclose(identified.system.eps, [0.7], rtol=1e-6)
+    assert "dx2/dt at the start" in said
+    start = np.concatenate(identified.initial_state())
+    np.testing.assert_allclose(start, [0.1, -0.2, 0.5, 0.0], atol=1e-5)
     assert set(identified.provenance["parameters"]) == {"restitution.stop", "gap.stop"}  # type: ignore[call-overload]
     assert output.read_text().count("#") == model.read_text().count("#")
     assert plot.stat().st_size > 0

@@ -20,6 +20,8 @@ QUALITIES = st.builds(Quality, st.booleans(), st.booleans(), st.integers(0, 10_0
         ("/observer/joint_states", interfaces.OBSERVER_JOINT_STATES),
         ("/observer_geometric/state", interfaces.OBSERVER_STATES),
         ("/rig/observer_open_loop/verdicts", interfaces.OBSERVER_VERDICTS),
+        ("/smoother/state", interfaces.OBSERVER_STATES),
+        ("/rig/smoother/impacts", interfaces.SMOOTHED_IMPACTS),
         ("/monitor_geometric/error", interfaces.MONITOR_ERROR),
         ("/clock", interfaces.SIMULATED_CLOCK),
         ("/joint_states", None),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 from systems import examples
 
-from impact_observer.events import ImpactEvent, Kind, Ruling, Switch, Verdict
+from impact_observer.events import ImpactEvent, Kind, Ruling, SmoothedImpact, Switch, Verdict
 from impact_observer.io import interfaces
 from impact_observer.io import messages as m
 from impact_observer.io.messages import (
@@ -40,6 +40,7 @@ EVENTS = st.builds(
 VERDICTS = st.builds(
     Verdict, STAMPS, st.sampled_from(Ruling), COUNTS, TEXTS, TEXTS, FLOATS, revises=st.just(False)
 )
+IMPACTS = st.builds(SmoothedImpact, STAMPS, EARLY, COUNTS, TEXTS, st.sampled_from(Ruling), FLOATS)
 NAMES = st.lists(TEXTS, max_size=3, unique=True).map(tuple)
 
 
@@ -132,6 +133,13 @@ def test_estimate_survives_its_message(both: tuple[Estimate, tuple[str, ...]]) -
     assert same(estimate, both[0])
 
 
+@given(impact=IMPACTS)
+def test_smoothed_impact_survives_its_message(impact: SmoothedImpact) -> None:
+    """Stamps to the nanosecond, the deviation bit for bit."""
+    back = through_bytes(bag_messages().smoothed_impact(impact), interfaces.SMOOTHED_IMPACT)
+    assert m.read_smoothed_impact(back) == impact
+
+
 @given(error=errors())
 def test_estimate_error_survives_its_message(error: EstimateError) -> None:
     """Numbers bit for bit."""
@@ -141,6 +149,7 @@ def test_estimate_error_survives_its_message(error: EstimateError) -> None:
 
 MAKERS: SearchStrategy[tuple[str, Callable[[Messages], object]]] = st.one_of(
     EVENTS.map(lambda v: (interfaces.IMPACT_EVENT, lambda make: make.event(v))),
+    IMPACTS.map(lambda v: (interfaces.SMOOTHED_IMPACT, lambda make: make.smoothed_impact(v))),
     VERDICTS.map(lambda v: (interfaces.EVENT_VERDICT, lambda make: make.verdict(v, 0.25))),
     joint_states().map(lambda v: (interfaces.JOINT_STATE, lambda make: make.joint_state(v))),
     estimates().map(lambda v: (interfaces.OBSERVER_STATE, lambda make: make.estimate(*v))),

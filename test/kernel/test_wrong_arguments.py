@@ -37,6 +37,7 @@ def sanitized(folder: Path) -> dict[str, str]:
         "LD_PRELOAD": " ".join(map(library, LIBRARIES)),
         "ASAN_OPTIONS": "detect_leaks=0:allocator_may_return_null=1:max_allocation_size_mb=4096",
         "UBSAN_OPTIONS": "print_stacktrace=1",
+        "FEWER_EXAMPLES": "1",
     }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from impact_observer.errors import UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
-from impact_observer.estimation.filter_bank import FilterBank
+from impact_observer.estimation.filter_bank import FilterBank, LogPriors
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import (
     Hypothesis,
@@ -48,7 +48,7 @@ from impact_observer.observer.laws.kalman_predictions import (
 from impact_observer.observer.laws.law import Law
 from impact_observer.observer.laws.parameter_accounts import ParameterAccounts
 from impact_observer.observer.laws.starts import Starts
-from impact_observer.states import Matrix
+from impact_observer.states import Matrix, Vector
 
 CLOCK_ERRORS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 """Standard deviations of a stamp, s: one hypothesis each where none is declared."""
@@ -176,6 +176,20 @@ class MinimumVariance(Law):
             return MisfitPrediction(belief.fit, found, motion, None)
         ours = self._accounts.predict(t, account, prior)
         return MisfitPrediction(belief.fit, found, motion, ours, explained=account.is_explained)
+
+    @property
+    def filter(self) -> ImpactFilter:
+        """Predicts and corrects one state."""
+        return self._bank.filter
+
+    @property
+    def log_priors(self) -> LogPriors:
+        """What is assumed of any event."""
+        return self._bank.log_priors
+
+    def prior(self, x: Vector, root: Matrix) -> GaussianState:
+        """What is declared of a start at ``x`` = (q, u) with a root of its covariance."""
+        return self._starts.declared(x[None], root, ())
 
     @cached_property
     def _accounts(self) -> ParameterAccounts:

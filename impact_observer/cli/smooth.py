@@ -1,0 +1,79 @@
+"""Estimate the states in a bag from all of its impacts, before and after each instant.
+
+The observer of least variance decides what each event was; then the motion that explains all of
+them best is found. The bag that is made carries everything of the first along, and topics of the
+owner /smoother: state, joint_states, verdicts, impacts.
+"""
+
+import argparse
+from pathlib import Path
+
+from impact_observer.cli.arguments import (
+    add_bag_output,
+    add_model,
+    add_namespace,
+    add_observer_arguments,
+    observer_options,
+    positive,
+)
+from impact_observer.cli.arguments import count as whole
+
+LAW = "minimum-variance"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add this subcommand's arguments to ``parser``."""
+    add = parser.add_argument
+    add("bag", metavar="BAG", type=Path, help="a bag with impacts")
+    add_model(parser)
+    add_namespace(parser)
+    add_observer_arguments(parser)
+    add("--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)")
+    add(
+        "--most-estimates",
+        metavar="N",
+        type=whole,
+        help="refuse to make more (default 10000000): one wrong stamp could fill the disk",
+    )
+    add_bag_output(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Smooth a bag, and write a bag with the estimates."""
+    from impact_observer.cli.progress import Progress
+    from impact_observer.io.observed_bag import MOST_ESTIMATES
+    from impact_observer.io.reader import BagReader
+    from impact_observer.io.recordings import model_of
+    from impact_observer.model.free_parameters import with_unit
+    from impact_observer.smooth.bag_smoothing import smooth_bag
+
+    chosen = observer_options(args, LAW)
+    with BagReader(args.bag, args.namespace) as reader, Progress() as progress:
+        read = model_of(reader, args.model)
+        found = smooth_bag(
+            reader,
+            read,
+            chosen,
+            args.output,
+            rate=args.rate,
+            most=args.most_estimates or MOST_ESTIMATES,
+            flush=args.flush,
+            progress=progress.step,
+        )
+        verdicts = ", ".join(
+            f"{n} {ruling.name.lower().replace('_', ' ')}" for ruling, n in found.rulings.items()
+        )
+        progress.line(f"{args.output}: {found.estimates} estimates, verdicts: {verdicts}")
+        for line in found.problems:
+            progress.line(f"warning: {line}")
+        for each in found.runs:
+            for name, value, deviation in each.parameters:
+                progress.line(f"learned: {with_unit(name)} {value:.9g} +- {deviation:.2g}")
+            if not each.smoothed.is_settled:
+                progress.line(
+                    "warning: the last linearisation still changed the motion by"
+                    f" {each.smoothed.change:.2g} standard deviations"
+                )
+            if each.misfit:
+                progress.line(f"warning: {each.misfit}")
+    return 0

@@ -1,0 +1,227 @@
+"""The account of a recording: what each of its events was, by the likeliest hypothesis at the end.
+
+The observer runs through the recording first. A hypothesis keeps its latest decisions only; those
+on older events are the ones of the last hypothesis that still had them.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.hypotheses import Note
+from impact_observer.estimation.model_error import NO_ERROR, LearnedError
+from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.observer import Observer, replay_batches
+from impact_observer.observer.belief import Belief
+from impact_observer.observer.laws.minimum_variance import MinimumVariance
+from impact_observer.stamps import Elapsed, seconds_between
+
+_WRONG = ("restart", "accepted: the covariance")
+"""How reasons of notes begin where the estimate was wrong."""
+_SETTLED = 16
+"""Events after which a hypothesis has found the errors of clock and model at an event."""
+
+
+class Moment(NamedTuple):
+    """An instant at which contacts switch, as it is accounted for.
+
+    Attributes:
+        change: what the contacts do then; at the stamp where it was reported.
+        clock: standard deviation of the stamp, s; of one that is inserted without meaning.
+        error: of the model in the flight before it, and at its impact.
+        is_inserted: whether it was missed by the sensor, so that its instant follows from the
+            motion alone.
+    """
+
+    change: ContactChange
+    clock: float
+    error: LearnedError = NO_ERROR
+    is_inserted: bool = False
+
+
+class EventAccount(NamedTuple):
+    """What each event of a recording was.
+
+    Attributes:
+        moments: those that are true, and those inserted, in order.
+        verdicts: the final ones, in order.
+        reported: the moments if all events are as they were reported, and none was missed.
+        doubtful: number of moments until the filter was last wrong about its estimate.
+    """
+
+    moments: tuple[Moment, ...]
+    verdicts: tuple[Verdict, ...]
+    reported: tuple[Moment, ...] = ()
+    doubtful: int = 0
+
+    def as_reported(self) -> "EventAccount":
+        """The account in which all events are as they were reported."""
+        verdicts = [
+            each._replace(ruling=Ruling.APPLIED, reason="")
+            if each.ruling is Ruling.REJECTED and each.contact
+            else each
+            for each in self.verdicts
+            if each.ruling is not Ruling.INSERTED
+        ]
+        return EventAccount(self.reported, tuple(verdicts), self.reported)
+
+    @property
+    def rejected(self) -> int:
+        """Number of switches that are false."""
+        return sum(each.ruling is Ruling.REJECTED and bool(each.contact) for each in self.verdicts)
+
+    @property
+    def decisions(self) -> tuple[object, ...]:
+        """What was decided, to be compared with another account's."""
+        return tuple(
+            (each.change.sequence, each.change.hit, each.change.closed, each.is_inserted)
+            for each in self.moments
+        )
+
+
+class _Trace(NamedTuple):
+    """What an event was, and the likeliest hypothesis just after it.
+
+    Attributes:
+        change: as it was reported.
+        notes: of the hypothesis on the latest events.
+        clock: standard deviation of a stamp, s.
+        error: of the model.
+    """
+
+    change: ContactChange
+    notes: tuple[Note, ...]
+    clock: float
+    error: LearnedError
+
+
+class TracedLaw(MinimumVariance):
+    """The law of least variance; it remembers what it decided after each event.
+
+    Attributes:
+        traces: by stamp and sequence number of the event.
+        last: the belief after the last event.
+    """
+
+    traces: dict[tuple[int, int], _Trace]
+    last: Belief | None
+
+    def forget(self) -> None:
+        """Forget all traces, before a recording begins."""
+        self.traces, self.last = {}, None
+
+    def correct(self, change: ContactChange, belief: Belief) -> Belief:
+        """As the law does."""
+        posterior = super().correct(change, belief)
+        best = posterior.hypotheses[0] if posterior.hypotheses else None
+        self.traces[change.stamp, change.sequence] = (
+            _Trace(change, (), self.clocks[0], NO_ERROR)
+            if best is None
+            else _Trace(change, best.notes, best.clock, best.error)
+        )
+        self.last = posterior
+        return posterior
+
+
+def account_of(
+    observer: Observer,
+    law: TracedLaw,
+    events: Sequence[ImpactEvent],
+    progress: Callable[[int], None] = lambda _: None,
+) -> EventAccount:
+    """The account of ``events`` by an ``observer`` with this ``law`` that has received none yet.
+
+    ``progress`` is called with the number of events done.
+
+    Raises:
+        ImpactLawError, UsageError: as ``Observer.receive``.
+    """
+    law.forget()
+    received = []
+    for each in replay_batches(observer, events, np.empty(0, dtype=np.int64), rejects=True):
+        assert isinstance(each, Verdict), "no estimates are asked for"
+        received.append(each)
+        progress(len(law.traces))
+    traces = dict(sorted(law.traces.items()))
+    decided: dict[tuple[int, int], list[Note]] = {}
+    for trace in traces.values():
+        decided |= _by_event(trace.notes)
+    names = observer.system.contact_names
+    verdicts = [each for each in received if (each.stamp, each.sequence) not in traces]
+    verdicts = [each for each in verdicts if each.ruling is not Ruling.INSERTED]
+    verdicts += [_verdict(note, names) for notes in decided.values() for note in notes]
+    verdicts.sort(key=lambda each: (each.stamp, each.sequence))
+    wrong = [key for key in traces if _is_wrong(decided.get(key, ()))]
+    epoch = observer.epoch or min(each.stamp for each in events)
+    moments = tuple(_moments(traces, decided, epoch))
+    reported = tuple(_moments(traces, {}, epoch))
+    last = max(wrong, default=(0, 0))
+    doubtful = sum(each.change.stamp <= last[0] for each in moments)
+    return EventAccount(moments, tuple(verdicts), reported, doubtful)
+
+
+def _is_wrong(notes: Sequence[Note]) -> bool:
+    """Whether the estimate was wrong at an event."""
+    return any(note.reason.startswith(_WRONG) for note in notes)
+
+
+def _by_event(notes: Iterable[Note]) -> dict[tuple[int, int], list[Note]]:
+    found: dict[tuple[int, int], list[Note]] = {}
+    for note in notes:
+        found.setdefault(note.event, []).append(note)
+    return found
+
+
+def _verdict(note: Note, names: Sequence[str]) -> Verdict:
+    sequence = 0 if note.is_inserted else note.event[1]
+    contact = names[note.contact]
+    return Verdict(note.stamp, note.ruling, sequence, contact, note.reason, note.innovation)
+
+
+def _moments(
+    traces: Mapping[tuple[int, int], _Trace],
+    decided: Mapping[tuple[int, int], Sequence[Note]],
+    epoch: int,
+) -> Iterator[Moment]:
+    """The moments of the decisions on each event, in order; all contacts are open at first."""
+    closed: Contacts = ()
+    since, later = 0, [*traces.values()]
+    for k, (key, trace) in enumerate(traces.items()):
+        notes = decided.get(key, ())
+        _, _, clock, error = later[min(k + _SETTLED, len(later) - 1)]
+        for note in notes:
+            if note.is_inserted:
+                switch = [(note.switched, note.kind)]
+                change = _change(closed, switch, (note.stamp, 0), epoch, since)
+                yield Moment(change, 0.0, error, is_inserted=True)
+                closed, since = change.closed, note.stamp
+        own = [note for note in notes if not note.is_inserted]
+        if own and own[0].ruling is not Ruling.APPLIED:
+            continue
+        renamed = {note.contact: note.switched for note in own}
+        switches = [(renamed.get(i, i), kind) for i, kind in _switches(trace.change)]
+        change = _change(closed, switches, key, epoch, since)
+        if change.hit or change.before != change.closed:
+            yield Moment(change, clock, error)
+            closed, since = change.closed, change.stamp
+
+
+def _switches(change: ContactChange) -> list[tuple[int, Kind]]:
+    """How each contact of a change switches."""
+    hit = [(i, Kind.CLOSE if i in change.closed else Kind.IMPACT) for i in change.hit]
+    return [*hit, *((i, Kind.OPEN) for i in change.opened)]
+
+
+def _change(
+    closed: Contacts,
+    switches: Sequence[tuple[int, Kind]],
+    event: tuple[int, int],
+    epoch: int,
+    since: int,
+) -> ContactChange:
+    """What ``switches`` at an ``event`` (stamp, sequence) do while ``closed`` are closed."""
+    stamp, sequence = event
+    t, flown = Elapsed(stamp - epoch), seconds_between(since or stamp, stamp)
+    return ContactChange.of(t, closed, switches, stamp=stamp, sequence=sequence, flown=flown)

@@ -1,0 +1,136 @@
+"""Smooths the recording in a bag, and writes a bag with the result."""
+
+import heapq
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+
+from impact_observer.events import Ruling
+from impact_observer.io import interfaces
+from impact_observer.io.estimate_messages import messages_of
+from impact_observer.io.live_inputs import give_recorded
+from impact_observer.io.messages import bag_messages
+from impact_observer.io.observed_bag import (
+    MOST_ESTIMATES,
+    check_size,
+    events_from,
+    sample_stamps,
+)
+from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import all_or_nothing, carried_topics
+from impact_observer.io.writer import FLUSH, BagWriter
+from impact_observer.model import Model
+from impact_observer.observer import Observer, Options
+from impact_observer.smooth.recording import Progress, no_progress, smoothed_runs
+from impact_observer.smooth.smoothed_motion import SmoothedMotion
+from impact_observer.stamps import MAX_STAMP
+from impact_observer.states import Stamps
+
+_ESTIMATES = tuple(
+    f"/{each.of(interfaces.SMOOTHER)}"
+    for each in (interfaces.OBSERVER_JOINT_STATES, interfaces.OBSERVER_STATES)
+)
+_VERDICTS = f"/{interfaces.OBSERVER_VERDICTS.of(interfaces.SMOOTHER)}"
+
+
+@dataclass(frozen=True, slots=True)
+class BagSmoothing:
+    """What became of a bag.
+
+    Attributes:
+        runs: the smoothed motions, one for each run of the sender.
+        estimates: their number.
+        problems: topics that were not copied and samples that were left out, a line each.
+    """
+
+    runs: Sequence[SmoothedMotion]
+    estimates: int
+    problems: Sequence[str]
+
+    @property
+    def rulings(self) -> Counter[Ruling]:
+        """How many final verdicts there are of each kind."""
+        return Counter(each.ruling for run in self.runs for each in run.account.verdicts)
+
+
+def smooth_bag(
+    reader: BagReader,
+    model: Model,
+    options: Options,
+    output: Path,
+    *,
+    rate: float | None = None,
+    most: int = MOST_ESTIMATES,
+    flush: float = FLUSH,
+    progress: Progress = no_progress,
+) -> BagSmoothing:
+    """Smooth the events of a bag; everything else in it is copied.
+
+    Args:
+        reader: the bag to read.
+        model: that explains its events.
+        options: of the observer.
+        output: the bag to make.
+        rate: of the estimates, Hz; None for the stamps of the true states.
+        most: estimates that are made, at most.
+        flush: longest time until a message is on the disk, s.
+        progress: called with what is being done, how much of it is done, and all of it.
+
+    Raises:
+        UsageError, BagError: the bags cannot be used as asked.
+    """
+    events = events_from(reader, options.epoch)
+    stamps = sample_stamps(reader, events, rate, options.epoch)
+    check_size(reader, model.system, output, stamps, most, has_covariance=True)
+    problems = list[str]()
+
+    def give(observer: Observer) -> None:
+        problems[:] = give_recorded(reader, observer.live)
+
+    runs = smoothed_runs(model.system, events, options, model.elements, progress, give)
+    counts = Counter(problems)
+    left_out = [f"{count} samples are left out: {each}" for each, count in counts.items()]
+    own = (*_ESTIMATES, _VERDICTS, interfaces.SMOOTHED_IMPACTS.topic)
+    with all_or_nothing(output, flush) as writer:
+        topics, not_copied = carried_topics(reader, writer, own)
+        copied = ((raw.log_time, raw.topic, raw.data) for raw in reader.raw(topics))
+        estimates = _estimates(writer, model.system.coordinates, runs, stamps, progress)
+        made = heapq.merge(_decisions(writer, runs), estimates, key=itemgetter(0))
+        for log_time, topic, data in heapq.merge(copied, made, key=itemgetter(0)):
+            writer.write_raw(topic, log_time, data)
+    return BagSmoothing(runs, int(np.sum(stamps >= runs[0].start)), [*not_copied, *left_out])
+
+
+def _decisions(
+    writer: BagWriter, runs: Iterable[SmoothedMotion]
+) -> Iterator[tuple[int, str, bytes]]:
+    """Messages of verdicts and impacts: log times (ns), topics, bytes; in order of stamps."""
+    make, found = bag_messages(), list[tuple[int, str, object]]()
+    for run in runs:
+        found += [(each.stamp, _VERDICTS, make.verdict(each)) for each in run.account.verdicts]
+        topic = interfaces.SMOOTHED_IMPACTS.topic
+        found += [(each.stamp, topic, make.smoothed_impact(each)) for each in run.impacts()]
+    for stamp, topic, message in sorted(found, key=itemgetter(0)):
+        yield stamp, topic, writer.serialized(topic, message)
+
+
+def _estimates(
+    writer: BagWriter,
+    names: tuple[str, ...],
+    runs: Sequence[SmoothedMotion],
+    stamps: Stamps,
+    progress: Progress,
+) -> Iterator[tuple[int, str, bytes]]:
+    """Messages of the states at ``stamps``: log times (ns), topics, bytes."""
+    done, total = 0, int(stamps.size)
+    for k, run in enumerate(runs):
+        end = runs[k + 1].start if k + 1 < len(runs) else MAX_STAMP + 1
+        here = stamps[(stamps >= run.start) & (stamps < end)]
+        for each in run.estimates(here):
+            yield from messages_of(each, names, writer.serialized, interfaces.SMOOTHER)
+            done += each.stamps.size
+            progress("states", done, total)

@@ -1,0 +1,186 @@
+"""Smoothing of a chain of linear steps with normal errors, by square roots alone.
+
+An estimate with a square root ``S`` of its covariance stands for ``z = mean + S zeta``, where
+``zeta`` are independent errors of variance one. A step and its measurement turn the errors: by an
+orthogonal matrix those before it are functions of the innovation, which is known, of the errors
+after it, and of others that no later measurement concerns. So going back from the end the mean and
+covariance of ``zeta`` given all measurements follow by orthogonal matrices alone, and the smoothed
+state is ``mean + S E[zeta]``. Nothing is inverted and no covariances are subtracted: jumps without
+rebound, exact measurements and stamps of 1 ns do no harm, and no smoothed variance exceeds the
+filtered one.
+
+It is the smoother of Bryson and Frazier (Bierman, Factorization Methods for Discrete Sequential
+Estimation, 1977, chapter 10) with the adjoint state and its covariance scaled by ``S``.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from impact_observer.states import Matrix, Vector
+
+
+class Step(NamedTuple):
+    """``z' = A z + b + N w``, and then ``H z' + V v = y`` is measured; w and v are white noise.
+
+    Attributes:
+        A: shape (d', d).
+        b: shape (d',).
+        N: shape (d', any).
+        H: shape (k, d'); k is 0 where nothing is measured.
+        y: shape (k,).
+        V: shape (k, any), of rank k unless ``H`` and the prior make the innovation's covariance
+            regular.
+    """
+
+    A: Matrix
+    b: Vector
+    N: Matrix
+    H: Matrix
+    y: Vector
+    V: Matrix
+
+    @classmethod
+    def unmeasured(cls, A: Matrix, b: Vector, N: Matrix | None = None) -> "Step":
+        """A step after which nothing is measured; ``N`` is None for no noise."""
+        d = len(b)
+        noise = np.zeros((d, 0)) if N is None else N
+        return cls(A, b, noise, np.zeros((0, d)), np.zeros(0), np.zeros((0, 0)))
+
+    def after(self, first: "Step") -> "Step":
+        """The step that does ``first``, which measures nothing, and then this one."""
+        assert not first.y.size, "a measurement cannot be put off"
+        noise = np.hstack([self.A @ first.N, self.N])
+        return self._replace(A=self.A @ first.A, b=self.A @ first.b + self.b, N=noise)
+
+
+class Normal(NamedTuple):
+    """A normal vector.
+
+    Attributes:
+        mean: shape (d,).
+        root: a square root of the covariance, shape (d, any).
+    """
+
+    mean: Vector
+    root: Matrix
+
+    def mapped(self, A: Matrix, b: Vector, N: Matrix | None = None) -> "Normal":
+        """``A z + b``, and noise with the root ``N``, if any."""
+        root = A @ self.root
+        return Normal(A @ self.mean + b, root if N is None else np.hstack([root, N]))
+
+    @property
+    def deviations(self) -> Vector:
+        """Standard deviations, shape (d,)."""
+        return np.asarray(np.sqrt(np.einsum("ij,ij->i", self.root, self.root)))
+
+    @property
+    def covariance(self) -> Matrix:
+        """Shape (d, d)."""
+        return np.asarray(self.root @ self.root.T)
+
+
+class _Turn(NamedTuple):
+    """How the errors before a step follow from those after it.
+
+    Attributes:
+        known: their mean by the innovation, shape (c,).
+        Q: their rows of the orthogonal matrix for the errors after it, then for those that no
+            later measurement concerns, shape (c, any).
+    """
+
+    known: Vector
+    Q: Matrix
+
+    def back(self, later: Normal) -> Normal:
+        """The errors before the step, from those after it."""
+        d = later.mean.size
+        root = np.hstack([self.Q[:, :d] @ later.root, self.Q[:, d:]])
+        return Normal(self.known + self.Q[:, :d] @ later.mean, _lower(root))
+
+
+class Chain:
+    """Steps from what is known of a first state.
+
+    Attributes:
+        first: the state before the first step.
+        count: number of steps.
+        step: the step of an index; each is asked for twice.
+        evidence: logarithm of the probability density of all measurements; known once ``states``
+            has begun.
+    """
+
+    def __init__(self, first: Normal, count: int, step: Callable[[int], Step]) -> None:
+        """See the attributes."""
+        self.first, self.count, self.step = first, count, step
+        self.evidence = 0.0
+
+    def states(self) -> Iterator[tuple[int, Normal]]:
+        """The states after each step given all measurements, the last one first.
+
+        With each its index; at last -1 and the first state. The forward pass keeps only every so
+        many states, so that the memory grows with the square root of their number.
+        """
+        size = max(1, math.isqrt(self.count))
+        blocks = [range(k, min(k + size, self.count)) for k in range(0, self.count, size)]
+        kept, self.evidence = [self.first], 0.0
+        for block in blocks:
+            state = kept[-1]
+            for k in block:
+                state, _, density = _filtered(state, self.step(k))
+                self.evidence += density
+            kept.append(state)
+        d = kept[-1].mean.size
+        errors = Normal(np.zeros(d), np.eye(d))
+        for before, block in zip(reversed(kept[:-1]), reversed(blocks), strict=True):
+            states, turns = [before], list[_Turn]()
+            for k in block:
+                state, turn, _ = _filtered(states[-1], self.step(k))
+                states.append(state)
+                turns.append(turn)
+            for k, state, turn in zip(
+                reversed(block), reversed(states[1:]), reversed(turns), strict=True
+            ):
+                yield k, _given(state, errors)
+                errors = turn.back(errors)
+        yield -1, _given(self.first, errors)
+
+
+def _given(state: Normal, errors: Normal) -> Normal:
+    """The state ``mean + root zeta`` for the ``errors`` zeta."""
+    return Normal(state.mean + state.root @ errors.mean, state.root @ errors.root)
+
+
+def _filtered(before: Normal, step: Step) -> tuple[Normal, _Turn, float]:
+    """The state after a step and its measurement, and how errors go back through it.
+
+    Last the logarithm of the measurement's probability density.
+    """
+    (k, d), c, own = step.H.shape, before.root.shape[1], step.V.shape[1]
+    mean = step.A @ before.mean + step.b
+    root = np.hstack([step.A @ before.root, step.N])
+    columns = max(own + root.shape[1], k + d)
+    joint = np.zeros((k + d, columns))
+    joint[:k, :own], joint[:k, own : own + root.shape[1]] = step.V, step.H @ root
+    joint[k:, own : own + root.shape[1]] = root
+    Q, R = np.linalg.qr(joint.T, mode="complete")
+    found = R[: k + d].T
+    white, seen = np.zeros(0), step.y - step.H @ mean
+    if k:
+        white = linalg.solve_triangular(found[:k, :k], seen, lower=True, check_finite=False)
+    turn = Q[own : own + c]
+    after = Normal(mean + found[k:, :k] @ white, found[k:, k:])
+    sizes = np.abs(np.diag(found[:k, :k])) * math.sqrt(2 * math.pi)
+    density = -float(white @ white) / 2 - float(np.sum(np.log(sizes)))
+    return after, _Turn(turn[:, :k] @ white, turn[:, k:]), density
+
+
+def _lower(root: Matrix) -> Matrix:
+    """A square root of the same covariance, of as many columns as rows."""
+    if root.shape[1] <= len(root):
+        return root
+    return np.asarray(np.linalg.qr(root.T)[1].T)

@@ -1,0 +1,361 @@
+"""The motion through the moments of an account, linearised about a path.
+
+At each moment the chain's vector is ``z = (e, x, constants)``: the jump comes ``e`` seconds before
+an instant ``T`` of the path, and the state at ``T`` would be ``x`` without the jump; constants are
+what no flight changes. Between two instants the state moves by an affine map, whatever the path.
+At a moment the guard and the jump are functions of ``(e, x)`` (``estimation/saltation.py``). They
+are linearised about the path's state at ``T``. A reported stamp is the instant ``T - e`` and a
+normal error; the instant of an inserted moment is the root of the guard.
+"""
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.error_accounts import ErrorAccounts
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.likelihood import STILL
+from impact_observer.estimation.members import Member
+from impact_observer.estimation.missed_switch import posterior_of_missed
+from impact_observer.estimation.model_error import ErrorKind
+from impact_observer.estimation.parametric import Map, Sensitivity
+from impact_observer.estimation.process_noise import ProcessNoise
+from impact_observer.estimation.resting import (
+    RestProjection,
+    rest_measurement,
+    rest_projection,
+)
+from impact_observer.estimation.saltation import STATE_ROUNDING, Expansion
+from impact_observer.events import Contacts
+from impact_observer.smooth.account import Moment
+from impact_observer.smooth.chain import Normal, Step
+from impact_observer.states import Matrix, Vector
+
+IMPOSSIBLE = -1e4
+"""Logarithm of a probability that counts as none."""
+_ROUNDED = 1e-13
+"""Rounding of a state of the path, relative to its size."""
+
+
+class Path(NamedTuple):
+    """What the motion is linearised about.
+
+    Attributes:
+        early: by how much each instant is before the stamp of its moment, s, shape (k,).
+        x: states (q, u) just before, as if without the jump, shape (k, 2n).
+        doubt: standard deviations of the gap of a contact that hits then, m, shape (k,).
+        constants: parameters and clock offset, shape (c,).
+        spread: standard deviations of the parameters, shape (p,): the distances over which
+            derivatives with respect to them are taken.
+    """
+
+    early: Vector
+    x: Matrix
+    doubt: Vector
+    constants: Vector
+    spread: Vector
+
+
+class Node(NamedTuple):
+    """A step of the chain.
+
+    Attributes:
+        moment: its index.
+        is_rest: whether it is the rest of contacts after the moment.
+    """
+
+    moment: int
+    is_rest: bool = False
+
+
+class Arc:
+    """A recording from its first state on, as its account has it.
+
+    Attributes:
+        moments: of the account.
+        first: the state before them, what is known of it without them.
+    """
+
+    def __init__(
+        self, filter_: ImpactFilter, t: float, first: GaussianState, moments: Sequence[Moment]
+    ) -> None:
+        """The state ``first`` holds at ``t``, s since the epoch; no contact is closed then."""
+        self.moments = moments
+        self.first = Normal(np.append(first.x, first.constants), first.root)
+        self._filter, self._members, self._t = filter_, filter_.members, t
+        self._state, self._p = first, first.parameters
+        self._size, self._count = first.x.size, first.constants.size
+        self._sizes = filter_.phases.scales.sizes
+        self._diffusion = filter_.members.given.moving.diffusion
+        self._errors = ErrorAccounts(filter_, (0.0,))
+
+    def predicted(self) -> Path:
+        """The path of the filter, from the first state on."""
+        count, filter_ = len(self.moments), self._filter
+        early, doubt, x = np.zeros(count), np.zeros(count), np.zeros((count, self._size))
+        state, t = self._state, self._t
+        for k, moment in enumerate(self.moments):
+            change = moment.change
+            prediction = filter_.predict(t, state, _level(moment, ErrorKind.ACCELERATION))
+            prior = prediction.prior(change.t - t)
+            x[k], t, doubt[k] = prior.x, change.t, self.gap_deviation(k, prior.root)
+            if moment.is_inserted:
+                state = posterior_of_missed(filter_, change, prior)
+                continue
+            joint = filter_.joint_prior(change, prior, moment.clock)
+            joint = filter_.joint_posterior(change, joint)
+            early[k], x[k] = change.t - joint.t, joint.x
+            state = filter_.posterior(change, joint)
+        deviations = np.linalg.norm(self._state.root[self._size :][: self._p], axis=1)
+        return Path(early, x, doubt, state.constants, deviations)
+
+    def instant(self, path: Path, k: int) -> float:
+        """The ``k``-th instant of a path, s since the epoch; -1 for the start."""
+        return self._t if k < 0 else self.moments[k].change.t - float(path.early[k])
+
+    def closed_after(self, k: int) -> Contacts:
+        """Contacts that are closed after the ``k``-th moment; -1 for the start."""
+        return () if k < 0 else self.moments[k].change.closed
+
+    def rests(self, k: int) -> bool:
+        """Whether contacts are at rest after the ``k``-th moment, which measures their gaps."""
+        return bool(self.closed_after(k))
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The steps of the chain: each moment, and each rest after one."""
+        found = [Node(k, rest) for k in range(len(self.moments)) for rest in (False, True)]
+        return [each for each in found if not each.is_rest or self.rests(each.moment)]
+
+    def step(self, path: Path, node: Node) -> Step:
+        """The step of the chain that leads to ``node``."""
+        return (self.resting if node.is_rest else self.arrival)(path, node.moment)
+
+    def member(self, path: Path) -> Member:
+        """The system with the parameters of a path."""
+        return self._members.at(path.constants[: self._p])
+
+    def noise_after(self, k: int) -> ProcessNoise | None:
+        """The noise of the flight after the ``k``-th moment; None for none."""
+        is_last = k + 1 == len(self.moments)
+        level = 0.0 if is_last else _level(self.moments[k + 1], ErrorKind.ACCELERATION)
+        return self._filter.noise_of(level)
+
+    def sampled(
+        self, path: Path, times: Mapping[int, Sequence[float]]
+    ) -> tuple["Arc", Path, list[int]]:
+        """The arc and path with moments at ``times`` at which nothing happens; where these are.
+
+        ``times`` (s since the epoch) are ascending, by the moment that they follow.
+        """
+        moments, early, states, wanted = list[Moment](), list[float](), list[Vector](), list[int]()
+        for k in range(-1, len(self.moments)):
+            if k >= 0:
+                moments.append(self.moments[k])
+                early.append(float(path.early[k]))
+                states.append(path.x[k])
+            closed, t = self.closed_after(k), self.instant(path, k)
+            for at in times.get(k, ()):
+                wanted.append(len(moments))
+                moments.append(
+                    Moment(ContactChange(at, closed, (), closed), 0.0, self.moments[k + 1].error)
+                )
+                early.append(0.0)
+                moving = self.member(path).moving
+                states.append(moving.flow_map(t, self._after(path, k), at - t, closed).value)
+        arc = Arc(self._filter, self._t, self._state, moments)
+        doubt = np.zeros(len(moments))
+        doubt[[k for k in range(len(moments)) if k not in {*wanted}]] = path.doubt
+        return arc, path._replace(early=np.array(early), x=np.array(states), doubt=doubt), wanted
+
+    def log_slope(self, path: Path, k: int) -> float:
+        """Logarithm of what turns densities of guards into such of instants, at a moment.
+
+        0 for one that measures nothing. A contact that separates cannot hit.
+        """
+        guard = self._guard(path, k)
+        if self.moments[k].is_inserted or not guard.y.size:
+            return 0.0
+        slopes = guard.H[:, 0]
+        if self.moments[k].change.hit and np.any(slopes <= 0):
+            return IMPOSSIBLE
+        return float(np.sum(np.log(np.abs(slopes) + STILL)))
+
+    def moved_before(self, path: Path, k: int, x: Vector, s: float) -> Vector:
+        """The state ``x`` before the ``k``-th moment, ``s`` seconds after the path's instant."""
+        closed = self.moments[k].change.before
+        return self.member(path).moving.flow_map(self.instant(path, k), x, s, closed).value
+
+    def gap_deviation(self, k: int, root: Matrix) -> float:
+        """Standard deviation of the gap of the contact that hits at the ``k``-th moment, m.
+
+        ``root`` is of (q, u, constants); 0 where none hits.
+        """
+        hit, n = self.moments[k].change.hit, self._size // 2
+        return float(np.linalg.norm(self._filter.system.W[:, hit[0]] @ root[:n])) if hit else 0.0
+
+    def rounding(self, x: Vector) -> Vector:
+        """How far state and constants may differ by rounding, shape (2n + c,)."""
+        return np.append(_ROUNDED * self._sizes(x), np.full(self._count, STILL))
+
+    def bounded(self, constants: Vector) -> Vector:
+        """``constants`` with parameters within their bounds."""
+        theta = np.clip(constants[: self._p], self._members.low, self._members.high)
+        return np.concatenate([theta, constants[self._p :]])
+
+    def arrival(self, path: Path, k: int) -> Step:
+        """From where the moment before has left the chain to the ``k``-th, and its measurement."""
+        s = self.instant(path, k) - self.instant(path, k - 1)
+        flown = self.flight(path, k - 1, s).after(self.left(path, k - 1))
+        return self._stamped(path, k).after(flown)
+
+    def left(self, path: Path, k: int) -> Step:
+        """From the chain's vector at the ``k``-th moment to (x, constants) just after it."""
+        if k < 0:
+            return Step.unmeasured(
+                np.eye(self._size + self._count), np.zeros(len(self.first.mean))
+            )
+        return self._projection(path, k) if self.rests(k) else self._jump(path, k)
+
+    def flight(self, path: Path, k: int, s: float) -> Step:
+        """From just after the ``k``-th moment ``s`` seconds on, no contact switching."""
+        t, closed, x = self.instant(path, k), self.closed_after(k), self._after(path, k)
+        theta, q, size = path.constants[: self._p], self._members.moving, self._size
+
+        def at(values: Vector) -> Map:
+            return self._members.motion(values).flow_map(t, x, s, closed)
+
+        moved = at(theta)
+        A = np.eye(size + self._count)
+        A[:size, :size] = moved.linear
+        if q:
+            steps = self._members.steps(theta, np.diag(path.spread)[:q])
+            A[:size, size : size + q] = Sensitivity.of(at, theta[:q], steps).first.T
+        b = np.zeros(len(A))
+        b[:size] = moved.value - A[:size] @ np.append(x, path.constants)
+        noise = self.noise_after(k)
+        root = np.zeros((len(A), 0))
+        if noise is not None and s > 0:
+            root = noise.added_to(root, size, partial(self._diffusion, closed), s)
+        return Step.unmeasured(A, b, root)
+
+    def resting(self, path: Path, k: int) -> Step:
+        """The jump at the ``k``-th moment, after which closed contacts are measured to rest."""
+        change, x, member = self.moments[k].change, self._jumped(path, k), self.member(path)
+        new = tuple(i for i in change.closed if i not in change.before)
+        short = self._filter.neglected(member, change.before, x, self.instant(path, k))
+        near = self._near(path, x, change.closed)
+        rest = rest_measurement(self._members, near, new, short[list(new)])
+        jump, y = self._jump(path, k), rest.H @ np.append(x, path.constants) - rest.value
+        return jump._replace(H=rest.H, y=y, V=np.diag(rest.floor))
+
+    def _stamped(self, path: Path, k: int) -> Step:
+        """From (x, constants) at the ``k``-th instant to (e, x, constants), with the stamp."""
+        moment, d = self.moments[k], self._size + self._count
+        A, b = np.vstack([np.zeros(d), np.eye(d)]), np.zeros(1 + d)
+        guard = self._guard(path, k)
+        if moment.is_inserted:
+            H, value = guard.H[0], float(guard.y[0])
+            A[0], b[0] = -H[1:] / H[0], value / H[0]
+            return Step.unmeasured(A, b)
+        b[0] = -float(path.early[k])
+        if self._count > self._p:
+            A[0, -1] = 1.0
+        noise = np.zeros((1 + d, 1))
+        noise[0] = moment.clock
+        return guard._replace(A=A, b=b, N=noise)
+
+    def _guard(self, path: Path, k: int) -> Step:
+        """The measurement that the guards of the ``k``-th moment are zero."""
+        change, x, member = self.moments[k].change, path.x[k], self.member(path)
+        contacts, d = self._filter.measured_contacts(change), 1 + self._size + self._count
+        if self.moments[k].is_inserted:
+            contacts = change.contacts[:1]
+        if not contacts:
+            return Step.unmeasured(np.eye(d), np.zeros(d))
+        t = self.instant(path, k)
+        rows, jet = member.guard_at(t, x, change.before, contacts, hit=bool(change.hit))
+        value, own, _, bend = jet.expanded(x, member.moving.forces(t))
+        H = np.zeros((len(contacts), d))
+        H[:, : own.shape[1]] = own
+        end = own.shape[1] + self._p
+        H[:, own.shape[1] : end] = self._filter.measured_sensitivity(
+            member, change, contacts, x, t
+        )
+        if self.moments[k].is_inserted:
+            # Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
+            falling = np.sqrt(np.abs(bend) * (np.abs(value) + path.doubt[k]))
+            H[:, 0] = np.maximum(np.maximum(H[:, 0], falling), STILL)
+        y = H[:, 1:] @ np.append(x, path.constants) - value
+        scale = self._sizes(x) if change.hit else x
+        floor = rows.rounding(scale, member.moving.forces(t)[0])
+        return Step(np.eye(d), np.zeros(d), np.zeros((d, 0)), H, y, np.diag(floor))
+
+    def _jump(self, path: Path, k: int) -> Step:
+        """From (e, x, constants) at the ``k``-th moment to (x, constants) just after it."""
+        moment, x = self.moments[k], path.x[k]
+        change, size, d = moment.change, self._size, self._size + self._count
+        expansion, pressed = self._jump_of(path, k)
+        A, b = np.zeros((d, 1 + d)), np.zeros(d)
+        A[:, 1:] = np.eye(d)
+        A[:size, : 1 + size] = expansion.H
+        if self._p and pressed:
+            theta = path.constants[: self._p]
+            steps = self._members.steps(theta, np.diag(path.spread))
+            sensitivity = Sensitivity.of(
+                lambda values: self._members.impact(values, x, pressed), theta, steps
+            )
+            A[:size, 1 + size : 1 + size + self._p] = sensitivity.first.T
+        b[:size] = expansion.value - A[:size, 1:] @ np.append(x, path.constants)
+        columns = [np.diag(STATE_ROUNDING * self._sizes(x, change.flown))]
+        level = _level(moment, ErrorKind.RESTITUTION)
+        if level and change.hit and not change.closed:
+            columns.append(level * self._errors.kicks(x, change.hit))
+        noise = np.hstack(columns)
+        return Step.unmeasured(A, b, np.pad(noise, ((0, self._count), (0, 0))))
+
+    def _jump_of(self, path: Path, k: int) -> tuple[Expansion, Contacts]:
+        """The jump at the ``k``-th moment, and the contacts that take an impulse."""
+        change, x, member = self.moments[k].change, path.x[k], self.member(path)
+        pressed = self._filter.pressed(member, change, x)
+        t = self.instant(path, k)
+        jet = member.jump_about(t, x, pressed, change.before, change.closed)
+        return jet.expanded(x, member.moving.forces(t)), pressed
+
+    def _jumped(self, path: Path, k: int) -> Vector:
+        """The path's state just after the jump at the ``k``-th moment, (2n,)."""
+        return self._jump_of(path, k)[0].value
+
+    def _after(self, path: Path, k: int) -> Vector:
+        """The path's state just after the ``k``-th moment, contacts at rest; -1 for the start."""
+        if k < 0:
+            return self._state.x
+        x = self._jumped(path, k)
+        return self._rested(path, k, x).x if self.rests(k) else x
+
+    def _projection(self, path: Path, k: int) -> Step:
+        """From (x, constants) after a rest was measured to closed contacts exactly at rest."""
+        x, size = self._jumped(path, k), self._size
+        rest = self._rested(path, k, x)
+        A, b = np.eye(size + self._count), np.zeros(size + self._count)
+        A[:size, :size], A[:size, size : size + self._p] = rest.map_, rest.sensitivity
+        b[:size] = rest.x - A[:size] @ np.append(x, path.constants)
+        return Step.unmeasured(A, b)
+
+    def _rested(self, path: Path, k: int, x: Vector) -> RestProjection:
+        return rest_projection(self._members, self._near(path, x, self.closed_after(k)))
+
+    def _near(self, path: Path, x: Vector, closed: Contacts = ()) -> GaussianState:
+        """A state of the path, without a covariance."""
+        d = self._size + self._count
+        nothing = np.zeros((d, 0))
+        return GaussianState(x, path.constants, nothing, nothing, closed, self._p)
+
+
+def _level(moment: Moment, kind: ErrorKind) -> float:
+    """The level of one kind of model error at a moment."""
+    return moment.error.level if moment.error.kind is kind else 0.0

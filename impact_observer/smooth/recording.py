@@ -1,0 +1,263 @@
+"""The events of a recording, smoothed: what each was, and the motion that explains them all."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from impact_observer.errors import BagError
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.events import ImpactEvent
+from impact_observer.model import System
+from impact_observer.model.elements import Element
+from impact_observer.observer import Observer, Options, initial_state, make_observer
+from impact_observer.observer.sender_runs import placed
+from impact_observer.smooth.account import EventAccount, TracedLaw, account_of
+from impact_observer.smooth.backward import Retracing
+from impact_observer.smooth.linearised import Arc, Node
+from impact_observer.smooth.smoothed_motion import SmoothedMotion
+from impact_observer.smooth.smoother import Smoothed, smooth
+from impact_observer.stamps import Elapsed
+
+Progress: TypeAlias = Callable[[str, int, int], None]
+"""Called with what is being done, how much of it is done, and all of it."""
+
+_MOST_ROUNDS = 2
+"""Rounds in which other accounts of the events are tried."""
+_SEARCHED = 80
+"""Events at the beginning of which other accounts are tried."""
+_RETRACED = 4
+"""Moments from which the motion is followed back."""
+_SURE, _WIDER = 3.0, (0.0, 0.1, 0.3)
+"""Standard deviations with which filters of other accounts begin, relative to those of the
+smoothed start and to those that are declared.
+"""
+
+
+def no_progress(what: str, done: int, total: int) -> None:
+    """Do nothing."""
+    del what, done, total
+
+
+def no_inputs(observer: Observer) -> None:
+    """Give it nothing."""
+    del observer
+
+
+def smoothed_runs(
+    system: System,
+    events: Sequence[ImpactEvent],
+    options: Options,
+    elements: Sequence[Element] = (),
+    progress: Progress = no_progress,
+    give: Callable[[Observer], object] = no_inputs,
+) -> list[SmoothedMotion]:
+    """The smoothed motion in each run of the sender in a recording, in order.
+
+    Args:
+        system: of the model.
+        events: in order of reception, or as ``sender_runs.in_order`` has them.
+        options: of the observer.
+        elements: of which the system was assembled.
+        progress: see ``Progress``.
+        give: gives an observer the recorded samples of live inputs.
+
+    Raises:
+        UsageError: an option cannot be used.
+        BagError: no event could be applied.
+    """
+    runs: dict[int, list[ImpactEvent]] = {}
+    for each in placed(events, options.epoch):
+        if each.period >= 0:
+            runs.setdefault(each.period, []).append(each.event)
+    made = partial(make_observer, system, _own(options), elements, law=TracedLaw)
+    found = [_Run(run, options, made, give, progress).motion() for run in runs.values()]
+    if not any(each.account.moments for each in found):
+        raise BagError("no impact was applied: is it a recording of this model?")
+    return found
+
+
+def _own(options: Options) -> Options:
+    """The options of the filter that decides what each event was."""
+    return replace(options, law=TracedLaw.name, ensemble=1)
+
+
+class _Trial(NamedTuple):
+    """An account of the events, and the motion that explains it best.
+
+    Attributes:
+        law: that has made the account.
+        account: what each event was.
+        smoothed: the motion.
+        epoch: stamp of ``t = 0`` of the forcing, ns; 0 while unknown.
+    """
+
+    law: TracedLaw
+    account: EventAccount
+    smoothed: Smoothed
+    epoch: int
+
+
+def _evidence(trial: _Trial) -> float:
+    """Logarithm of the probability density of the events by an account."""
+    prior = trial.law.log_priors
+    return (
+        trial.smoothed.evidence
+        + trial.account.rejected * prior.spurious
+        + sum(
+            prior.missed if each.is_inserted else prior.reported for each in trial.account.moments
+        )
+    )
+
+
+class _Run:
+    """The events of one run of the sender, and what is declared of them."""
+
+    def __init__(
+        self,
+        events: Sequence[ImpactEvent],
+        options: Options,
+        make: Callable[[], Observer],
+        give: Callable[[Observer], object],
+        progress: Progress,
+    ) -> None:
+        self._events, self._options, self._progress = events, options, progress
+        self._make, self._give = make, give
+
+    def motion(self) -> SmoothedMotion:
+        """The motion by the account that all events together make likeliest.
+
+        The filter decides on the first events while it knows little. So other accounts of them
+        are tried: all as they were reported, those found backward from later moments, and those
+        of filters that begin about the smoothed start, until none is likelier.
+        """
+        few = self._events[:_SEARCHED]
+        best = self._tried(few)
+        if not best.law.uncertainty.trusts_events:
+            best = self._searched(best, few)
+        if len(self._events) > len(few):
+            best = self._tried(self._events, best.smoothed)
+        start = self._start(best.epoch)
+        return SmoothedMotion(
+            best.smoothed, best.account, best.law, start=start, epoch=best.epoch or start
+        )
+
+    def _searched(self, best: "_Trial", events: Sequence[ImpactEvent]) -> "_Trial":
+        """The likeliest account of ``events``, from a first one on."""
+        tried, reported = {best.account.decisions}, best.account.as_reported()
+        if reported.decisions in tried and best.smoothed.is_settled:
+            return best
+        if reported.decisions not in tried:
+            tried.add(reported.decisions)
+            best = max(best, self._evaluated(best.law, reported, best.epoch), key=_evidence)
+        for _ in range(_MOST_ROUNDS):
+            before = best
+            best = self._refined(self._retraced(best, tried), tried, events)
+            if best is before:
+                break
+        return best
+
+    def _retraced(self, best: "_Trial", tried: set[tuple[object, ...]]) -> "_Trial":
+        """The likeliest account whose first moments are found backward, from several moments."""
+        known, law, n = best.account, best.law, best.law.system.n
+        count = len(known.moments)
+        if known.decisions == known.as_reported().decisions:
+            return best
+        prior, begin = self._prior(law, best.epoch), self._begin(best.epoch)
+        back = Retracing(law.filter, prior, begin)
+        for first in range(n + 2, min(count - n, _RETRACED * n + 3), n):
+            x = best.smoothed.known.at(Node(first)).mean[1 : 1 + 2 * n]
+            account = back.account(known, first, x)
+            if account is None or account.decisions in tried:
+                continue
+            tried.add(account.decisions)
+            best = max(best, self._evaluated(law, account, best.epoch), key=_evidence)
+        return best
+
+    def _refined(
+        self,
+        best: "_Trial",
+        tried: set[tuple[object, ...]],
+        events: Sequence[ImpactEvent],
+    ) -> "_Trial":
+        """The likeliest account of filters that begin near the smoothed start of the best."""
+        for wider in _WIDER:
+            observer, law = self._observer(best.smoothed, best.epoch, wider)
+            account = self._account(observer, law, events)
+            if account.decisions in tried:
+                continue
+            tried.add(account.decisions)
+            best = max(best, self._evaluated(law, account, observer.epoch), key=_evidence)
+        return best
+
+    def _tried(self, events: Sequence[ImpactEvent], about: Smoothed | None = None) -> "_Trial":
+        """The account of a filter that begins as declared, or ``about`` a smoothed start."""
+        epoch = self._options.epoch or self._events[0].epoch
+        observer, law = self._observer(about, epoch)
+        return self._evaluated(law, self._account(observer, law, events), observer.epoch)
+
+    def _evaluated(self, law: TracedLaw, account: EventAccount, epoch: int) -> "_Trial":
+        """An account with the motion that explains it best."""
+        whole = self._with_all_inputs(law, epoch)
+        arc = Arc(whole.filter, self._begin(epoch), self._prior(whole, epoch), account.moments)
+        smoothed = smooth(arc, lambda done, total: self._progress("smoother", done, total))
+        return _Trial(law, account, smoothed, epoch)
+
+    def _prior(self, law: TracedLaw, epoch: int) -> GaussianState:
+        """What is declared of the start."""
+        system = law.system
+        x = np.concatenate(initial_state(self._options.initial_state, system))
+        (x,) = system.to_frame(np.array([self._begin(epoch).ns]), x[None])
+        return law.prior(x, law.uncertainty.root(system.n))
+
+    def _with_all_inputs(self, law: TracedLaw, epoch: int) -> TracedLaw:
+        """``law``, or where inputs are live one like it that has forgotten none of them."""
+        if law.system.live is None:
+            return law
+        observer, law = self._observer()
+        assert observer.live is not None, "the system is live"
+        observer.live.follow(epoch)
+        return law
+
+    def _begin(self, epoch: int) -> Elapsed:
+        """Seconds from the epoch to the start; 0 where the epoch is unknown."""
+        start = self._start(epoch)
+        return Elapsed(start - (epoch or start))
+
+    def _observer(
+        self, about: Smoothed | None = None, epoch: int = 0, wider: float = 0.0
+    ) -> tuple[Observer, TracedLaw]:
+        """An observer that has received nothing, as declared or ``about`` a smoothed start.
+
+        There its deviations are ``_SURE`` times those of the smoothed state, and ``wider`` times
+        those that are declared.
+        """
+        made = self._make()
+        self._give(made)
+        law = made.law
+        assert isinstance(law, TracedLaw), "it was asked for"
+        if about is not None:
+            start = self._start(epoch)
+            n, first = law.system.n, about.first
+            root = np.hstack([_SURE * first.root[: 2 * n], wider * law.uncertainty.root(n)])
+            at = np.array([start - (epoch or start)])
+            (x,) = law.system.from_frame(at, first.mean[None, : 2 * n])
+            made.set_state(start, x[:n], x[n:], root @ root.T)
+        return made, law
+
+    def _account(
+        self, observer: Observer, law: TracedLaw, events: Sequence[ImpactEvent]
+    ) -> EventAccount:
+        total = len(events)
+        return account_of(
+            observer, law, events, lambda done: self._progress("filter", done, total)
+        )
+
+    def _start(self, epoch: int) -> int:
+        """Where the initial state holds, ns: the epoch, or the first event if others are lost."""
+        first = min((each.sequence for each in self._events if each.sequence), default=0)
+        if epoch and first <= 1:
+            return epoch
+        return min(each.stamp for each in self._events)

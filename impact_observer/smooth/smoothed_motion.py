@@ -1,0 +1,200 @@
+"""The smoothed motion at any instant, and the smoothed instants of its impacts."""
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+
+import numpy as np
+
+from impact_observer.estimation.gaussian_state import GaussianState
+from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.linear import LinearPrediction
+from impact_observer.events import Ruling, SmoothedImpact
+from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.smooth.account import EventAccount, Moment, TracedLaw
+from impact_observer.smooth.chain import Normal
+from impact_observer.smooth.linearised import IMPOSSIBLE
+from impact_observer.smooth.smoother import Smoothed, at_samples
+from impact_observer.stamps import Elapsed
+from impact_observer.states import Estimate, Estimates, Matrix, Stamps, Vector, frozen
+
+LAW = "smoother"
+"""What estimates of the smoother name where others name their law."""
+
+
+_FAR = 5.0
+"""Deviations of a stamp beyond which the motion does not explain it."""
+
+
+class SmoothedMotion:
+    """The motion in one run of the sender, as all of its events tell it.
+
+    Attributes:
+        start: stamp of the first state, ns.
+        smoothed: its states at the moments.
+        account: what each event was.
+    """
+
+    def __init__(
+        self, smoothed: Smoothed, account: EventAccount, law: TracedLaw, *, start: int, epoch: int
+    ) -> None:
+        """A motion by ``law``; stamps (ns) of the first state, and of ``t = 0``."""
+        self.smoothed, self.account, self.start = smoothed, account, start
+        self._law, self._epoch = law, epoch
+        self._names = law.system.contact_names
+        self._instants = np.array([self._instant(k) for k in range(len(account.moments))])
+
+    def impacts(self) -> Iterator[SmoothedImpact]:
+        """All impacts and releases, in the order of the moments."""
+        for k, moment in enumerate(self.account.moments):
+            _, deviation = self.smoothed.instant(k)
+            change = moment.change
+            reported, ruling = change.stamp, Ruling.APPLIED
+            if moment.is_inserted:
+                reported, ruling = 0, Ruling.INSERTED
+            for i in change.contacts:
+                yield SmoothedImpact(
+                    int(self._instants[k]),
+                    reported,
+                    change.sequence,
+                    self._names[i],
+                    ruling,
+                    deviation,
+                )
+
+    def estimates(self, stamps: Stamps) -> Iterator[Estimates]:
+        """The states at ``stamps`` (ns, ascending, shape (samples,)); none before the start.
+
+        At an impact it is the state just after it.
+        """
+        stamps = stamps[np.searchsorted(stamps, self.start) :]
+        order = np.maximum.accumulate(self._instants) if self._instants.size else self._instants
+        flights = np.searchsorted(order, stamps, side="right") - 1
+        last = len(self.account.moments) - 1
+        flown = {k: stamps[flights == k] for k in np.unique(flights).tolist()}
+        noisy = {k: here for k, here in flown.items() if k < last and self._is_noisy(k)}
+        sampled = self._sampled(noisy)
+        for k, here in flown.items():
+            if k == last:
+                yield from self._predicted(k, here)
+            elif k in noisy:
+                yield from self._given(k, here, sampled)
+            else:
+                yield from self._flown(k, here)
+
+    def _instant(self, k: int) -> int:
+        """The smoothed instant of a moment, ns."""
+        early, _ = self.smoothed.instant(k)
+        return self.account.moments[k].change.stamp - round(early * 1e9)
+
+    def _flown(self, k: int, stamps: Stamps) -> Iterator[Estimates]:
+        """States in the flight after the ``k``-th moment, which has no noise."""
+        t, after = self.smoothed.arc.instant(self.smoothed.path, k), self.smoothed.after(k)
+        flight = LinearPrediction(t, self._state(after, k), self._law.filter.members, None)
+        for stamp in stamps.tolist():
+            s = Elapsed(stamp - self._epoch) - t
+            yield self._estimate(stamp, k, flight.state(s), flight.root(s))
+
+    def _is_noisy(self, k: int) -> bool:
+        return self.smoothed.arc.noise_after(k) is not None
+
+    def _sampled(self, stamps: Mapping[int, Stamps]) -> Iterator[Normal]:
+        """States at ``stamps`` of flights with noise, which both ends of a flight tell of."""
+        if not stamps:
+            return iter(())
+        times = {
+            k: [Elapsed(stamp - self._epoch) for stamp in here.tolist()]
+            for k, here in stamps.items()
+        }
+        return at_samples(self.smoothed, times)
+
+    def _given(self, k: int, stamps: Stamps, states: Iterator[Normal]) -> Iterator[Estimates]:
+        """The next ``states``, which are those at ``stamps`` after the ``k``-th moment."""
+        size = 2 * self._law.system.n
+        for stamp, z in zip(stamps.tolist(), states, strict=False):
+            yield self._estimate(stamp, k, z.mean[:size], z.root[:size])
+
+    def _predicted(self, k: int, stamps: Stamps) -> Iterator[Estimates]:
+        """States after the last moment: those of the filter, from the smoothed state on."""
+        t = self.smoothed.arc.instant(self.smoothed.path, k)
+        prediction = self._prediction(k, t)
+        for stamp in stamps.tolist():
+            s = Elapsed(stamp - self._epoch) - t
+            closed, root = prediction.closed(s), prediction.root(s)
+            assert root is not None, "the law has a covariance"
+            yield self._estimate(stamp, k, prediction.state(s), root, closed)
+
+    def _prediction(self, k: int, t: float) -> Prediction:
+        state, last = self._state(self.smoothed.after(k), k), self._law.last
+        if last is None or last.fallback is None:
+            belief = Belief(state.ensemble, state.root)
+        else:
+            moment: Moment = self.account.moments[k]
+            best = Hypothesis(state, moment.clock, error=moment.error)
+            belief = Belief(state.ensemble, hypotheses=(best,), fallback=last.fallback)
+        return self._law.predict(t, belief, state.closed)
+
+    def _state(self, z: Normal, k: int) -> GaussianState:
+        """The state (q, u, constants) after the ``k``-th moment as the filter has it."""
+        size, closed = 2 * self._law.system.n, self.smoothed.arc.closed_after(k)
+        others = np.zeros((z.mean.size, 0))
+        parameters = self._law.filter.members.family.size
+        return GaussianState(z.mean[:size], z.mean[size:], z.root, others, closed, parameters)
+
+    def _estimate(
+        self, stamp: int, k: int, x: Vector, root: Matrix, closed: tuple[int, ...] | None = None
+    ) -> Estimates:
+        n, event = self._law.system.n, self.account.moments[k].change if k >= 0 else None
+        x = self._law.system.from_frame(np.array([stamp - self._epoch]), x[None])[0]
+        held = self.smoothed.arc.closed_after(k) if closed is None else closed
+        estimate = Estimate(
+            stamp=stamp,
+            law=LAW,
+            q=x[:n],
+            u=x[n:],
+            covariance=frozen(root @ root.T),
+            closed=tuple(self._names[i] for i in held),
+            synchronized=self.smoothed.is_settled and not self.misfit,
+            misfit=self.misfit,
+            clock_offset=self._constants.offset,
+            parameters=self.parameters,
+            last_sequence=event.sequence if event else 0,
+            last_event=event.stamp if event else 0,
+        )
+        return Estimates(estimate, np.array([stamp]), x[None])
+
+    @cached_property
+    def _constants(self) -> GaussianState:
+        """The state at the start, of which only the constants matter."""
+        return self._state(self.smoothed.first, -1)
+
+    @cached_property
+    def parameters(self) -> tuple[tuple[str, float, float], ...]:
+        """What is estimated besides the state: name, value, standard deviation, SI units."""
+        names = self._law.filter.members.family.names
+        size, theta = 2 * self._law.system.n, self._constants.theta.tolist()
+        deviations = self.smoothed.first.deviations[size:].tolist()
+        found = [*zip(names, theta, deviations, strict=False)]
+        if len(deviations) > len(names):
+            found.append(("clock_offset", self._constants.offset, deviations[-1]))
+        return tuple(found)
+
+    @cached_property
+    def unexplained(self) -> int:
+        """How many reported instants the motion does not explain: they are too far from it."""
+        return sum(
+            abs(self.smoothed.instant(k)[0]) > _FAR * moment.clock
+            or self.smoothed.arc.log_slope(self.smoothed.path, k) <= IMPOSSIBLE
+            for k, moment in enumerate(self.account.moments)
+            if not moment.is_inserted
+        )
+
+    @cached_property
+    def misfit(self) -> str:
+        """The warning that the motion does not explain the impacts; empty while it does."""
+        if self.unexplained:
+            return (
+                f"{self.unexplained} of {len(self.account.moments)} impacts are more than"
+                f" {_FAR:g} deviations of their stamps from the smoothed motion: the account of"
+                " the events or the model is wrong; see docs/smoothing.md"
+            )
+        return self._law.last.misfit if self._law.last else ""

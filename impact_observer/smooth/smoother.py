@@ -1,0 +1,183 @@
+"""The best estimate of a recording at every instant, from all of its events, before and after.
+
+The filter's path through the account is a first guess. The motion is linearised about it and
+smoothed, which gives a better path, until the change is small against the deviations: Gauss and
+Newton's method for the likeliest motion (Bell, The iterated Kalman smoother as a Gauss-Newton
+method, 1994).
+"""
+
+import math
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from impact_observer.smooth.chain import Chain, Normal
+from impact_observer.smooth.linearised import Arc, Node, Path
+
+SETTLED = 1e-3
+"""Change of the path, in standard deviations, below which it is linearised no more."""
+MOST_ROUNDS = 20
+"""Most linearisations."""
+_MOST_WORSE = 3
+"""Linearisations without a smaller change than before, after which there are no more."""
+_ROOM = 0.4
+"""Distance by which an instant may move at once, relative to that to the one before or after."""
+_IN_MEMORY = 2**23
+"""Most numbers that are kept in memory."""
+
+
+class Smoothed(NamedTuple):
+    """The smoothed motion.
+
+    Attributes:
+        arc: the recording.
+        path: that it is linearised about.
+        first: the state (q, u, constants) at the start.
+        known: at each node of the arc, of (e, q, u, constants) at a moment.
+        evidence: logarithm of the probability density of the reported instants, 1/s each.
+        change: that another linearisation would make, in standard deviations.
+        rounds: linearisations.
+    """
+
+    arc: Arc
+    path: Path
+    first: Normal
+    known: "KnownStates"
+    evidence: float
+    change: float
+    rounds: int
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether another linearisation would change it by less than its deviations."""
+        return self.change < 1.0
+
+    def instant(self, k: int) -> tuple[float, float]:
+        """By how much the ``k``-th moment was before its stamp, and the deviation of that, s."""
+        z = self.known.at(Node(k))
+        early = float(self.path.early[k] + z.mean[0])
+        return early, float(z.deviations[0])
+
+    def after(self, k: int) -> Normal:
+        """The state (q, u, constants) just after the ``k``-th moment; -1 for the start.
+
+        At the instant of the path.
+        """
+        if k < 0:
+            return self.first
+        step = self.arc.left(self.path, k)
+        z = self.known.at(Node(k, self.arc.rests(k)))
+        return z.mapped(step.A, step.b, step.N)
+
+
+class KnownStates:
+    """What is known at the nodes of an arc; on the disk where it is large."""
+
+    def __init__(self, nodes: Sequence[Node], d: int) -> None:
+        """Room for ``nodes``, of vectors of up to ``d`` numbers."""
+        self.nodes = nodes
+        self._index = {node: i for i, node in enumerate(nodes)}
+        self._means = _room(len(nodes), d)
+        self._roots = _room(len(nodes), d * d)
+
+    def set(self, i: int, z: Normal) -> None:
+        """Keep what is known at the ``i``-th node."""
+        d = z.mean.size
+        self._means[i, :d] = z.mean
+        self._roots[i, : d * d] = z.root.ravel()
+
+    def at(self, node: Node) -> Normal:
+        """What is known at ``node``."""
+        i, width = self._index[node], self._means.shape[1]
+        d = width - node.is_rest
+        return Normal(self._means[i, :d].copy(), self._roots[i, : d * d].reshape(d, d).copy())
+
+
+def _room(rows: int, columns: int) -> NDArray[np.float64]:
+    """Zeros, shape (rows, columns), in a file without a name where they are many."""
+    if rows * columns <= _IN_MEMORY:
+        return np.zeros((rows, columns))
+    file = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as what is mapped)
+    return np.memmap(file, np.float64, "w+", shape=(rows, columns))
+
+
+def smooth(
+    arc: Arc, progress: Callable[[int, int], None] = lambda _done, _total: None
+) -> Smoothed:
+    """Smooth the motion through the moments of ``arc``.
+
+    ``progress`` is called with the number of linearisations done, and the most that may be.
+    """
+    path, nodes, worse = arc.predicted(), arc.nodes, 0
+    best: Smoothed | None = None
+    for rounds in range(1, MOST_ROUNDS + 1):
+        first, known, evidence = _linear(arc, path, nodes)
+        better, change = _improved(arc, path, known)
+        progress(rounds, MOST_ROUNDS)
+        worse += 1
+        if best is None or change < best.change:
+            best = Smoothed(arc, path, first, known, evidence, change, rounds)
+            worse = 0
+        if best.change <= SETTLED or worse == _MOST_WORSE or not math.isfinite(change):
+            break
+        path = better
+    assert best is not None, "there was a round"
+    return best
+
+
+def at_samples(smoothed: Smoothed, times: Mapping[int, Sequence[float]]) -> Iterator[Normal]:
+    """The states (q, u, constants) at ``times`` (s since the epoch) in flights with noise.
+
+    ``times`` are ascending, by the moment that the flight follows. Each is a moment of its own at
+    which nothing happens.
+    """
+    arc, path, wanted = smoothed.arc.sampled(smoothed.path, times)
+    _, known, _ = _linear(arc, path, arc.nodes)
+    for k in wanted:
+        step = arc.left(path, k)
+        yield known.at(Node(k, arc.rests(k))).mapped(step.A, step.b, step.N)
+
+
+def _linear(arc: Arc, path: Path, nodes: Sequence[Node]) -> tuple[Normal, KnownStates, float]:
+    """The first state, those at ``nodes``, and the evidence, linearised about ``path``."""
+    first, known = arc.first, KnownStates(nodes, 1 + arc.first.mean.size)
+    chain = Chain(arc.first, len(nodes), lambda i: arc.step(path, nodes[i]))
+    for i, z in chain.states():
+        if i < 0:
+            first = z
+        else:
+            known.set(i, z)
+    slopes = sum(arc.log_slope(path, k) for k in range(len(arc.moments)))
+    return first, known, chain.evidence + slopes
+
+
+def _improved(arc: Arc, path: Path, known: KnownStates) -> tuple[Path, float]:
+    """The path of the smoothed motion, and how far it is from ``path``, in deviations.
+
+    The distance is infinite where the motion is not finite.
+    """
+    early, x, doubt, largest = path.early.copy(), path.x.copy(), path.doubt.copy(), 0.0
+    constants = path.constants
+    instants = [arc.instant(path, k) for k in range(-1, len(early))]
+    room = _ROOM * np.maximum(np.diff(instants, append=np.inf), 0.0)
+    for node in known.nodes:
+        if node.is_rest:
+            continue
+        k, z = node.moment, known.at(node)
+        if not np.isfinite(z.mean).all():
+            return path, math.inf
+        doubt[k] = arc.gap_deviation(k, z.root[1:])
+        constants = z.mean[1 + x.shape[1] :]
+        e = min(max(float(z.mean[0]), -float(room[k + 1])), float(room[k]))
+        early[k] += e
+        is_measured = not arc.moments[k].is_inserted
+        now = z.mean[1 : 1 + x.shape[1]]
+        moved = np.append(now - path.x[k], constants - path.constants)
+        x[k] = arc.moved_before(path, k, now, -e)
+        deviations = np.hypot(z.deviations[1:], arc.rounding(now))
+        # Of an inserted moment in a chattering sequence the instant is rounding.
+        largest = max(largest, float(np.max(np.abs(moved) / deviations)) * is_measured)
+    return Path(early, x, doubt, arc.bounded(constants), path.spread), largest

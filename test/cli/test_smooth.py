@@ -1,0 +1,76 @@
+"""smooth: a bag in, a bag with the best estimates out."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rosbags")
+
+from impact_observer.cli.main import main
+from impact_observer.events import Ruling
+from impact_observer.io.messages import read_smoothed_impact
+from impact_observer.io.reader import BagReader
+from impact_observer.resources import shared
+
+
+@pytest.mark.slow
+def test_smoothed_bag_is_compared_drawn_and_exported_as_any_estimate(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Everything is carried along; the error at the start is a thousandth of the motion."""
+    output = tmp_path / "smoothed"
+    assert main(["smooth", str(shared("bags/jitter")), "-o", str(output)]) == 0
+    assert "22 applied" in capsys.readouterr().out
+    assert main(["compare", str(output), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["smoother"]
+    assert found["impacts_used"] == 22
+    assert 0 < found["V_end"] < found["V_start"] < 2e-3
+    assert main(["plot", str(output), "-o", str(tmp_path / "motion.svg")]) == 0
+    assert main(["export", str(output), "-o", str(tmp_path / "states.csv")]) == 0
+    with BagReader(output) as reader:
+        impacts = [read_smoothed_impact(m) for _, m in reader.messages("/smoother/impacts")]
+        verdicts = [*reader.verdicts("/smoother/verdicts")]
+        assert {"/impacts", "/plant/joint_states", "/plant/model"} <= reader.topics.keys()
+    assert len(impacts) == len(verdicts) == 22
+    assert {*(each.ruling for each in impacts), *(v.ruling for v in verdicts)} == {Ruling.APPLIED}
+    assert all(abs(each.stamp - each.reported) < 6_000_000 for each in impacts)
+    assert all(0 < each.deviation < 1.1e-3 for each in impacts)
+
+
+@pytest.mark.slow
+def test_smoothing_again_replaces_what_was_smoothed(tmp_path: Path) -> None:
+    """From the same events, with other options."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert main(["smooth", str(shared("bags/jitter")), "-o", str(first)]) == 0
+    again = ["smooth", str(first), "--rate", "10", "--clock-error", "0.001", "-o", str(second)]
+    assert main(again) == 0
+    with BagReader(second) as reader:
+        assert reader.topics["/smoother/state"].count == 301
+        assert reader.topics["/smoother/impacts"].count == 22
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        ([], "carries no truth to sample with; give --rate"),
+        (["--rate", "1e6"], "--most-estimates allows 10000000"),
+        (["--rate", "10", "--model", "three_mass"], "no impact was applied"),
+    ],
+)
+def test_wrong_use_is_one_line(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    expected: str,
+) -> None:
+    """And no bag is left."""
+    table, bag = tmp_path / "times.csv", tmp_path / "bag"
+    table.write_text("time,contact\n1.0,stop\n1.5,stop\n12.0,stop\n")
+    assert main(["import", str(table), "--model", "two_mass", "-o", str(bag)]) == 0
+    capsys.readouterr()
+    output = tmp_path / "smoothed"
+    assert main(["smooth", str(bag), "-o", str(output), *arguments]) != 0
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert expected in line
+    assert not output.exists()

@@ -1,0 +1,213 @@
+"""Smoothed recordings: against a fit of simulated instants, and the filter where both agree."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy import optimize
+from systems import EPOCH, sample
+
+from impact_observer.events import ImpactEvent, Ruling, Switch
+from impact_observer.model import System, parse_model
+from impact_observer.observer import make_observer, replay
+from impact_observer.options import Options
+from impact_observer.plant import Plant, SensorModel, simulate, simulate_sensor
+from impact_observer.smooth import SmoothedMotion, smoothed_runs
+from impact_observer.stamps import NS_PER_S
+from impact_observer.states import Estimate, Vector
+
+JITTER = 1e-3
+SURE = Options(
+    law="minimum-variance",
+    clock_error=JITTER,
+    model_error=0.0,
+    missed=0.0,
+    spurious=0.0,
+    mislabelled=0.0,
+    ensemble=1,
+)
+"""Every event is trusted, so that the least squares have no choice."""
+PRESSED = """
+name: pressed
+bodies: [{name: x1, mass: 1}, {name: x2, mass: 0.5}]
+springs:
+  - {between: [ground, x1], stiffness: 30, damping: 0.3}
+  - {between: [x1, x2], stiffness: 20, damping: 0.2}
+forces: [{body: x2, constant: 4}, {body: x1, amplitude: 6, frequency: 3.1}]
+stops: [{name: stop, body: x2, limit: 0.1, side: above, restitution: 0.4}]
+initial_state: {position: [0.05, -0.2], velocity: [0.4, 0]}
+"""
+
+
+def recording(
+    system: System, x: Vector, seconds: float, sensor: SensorModel, seed: int = 1
+) -> list[ImpactEvent]:
+    """The events that a sensor makes of a plant that starts at ``x``."""
+    last = EPOCH + round(seconds * NS_PER_S)
+    run = simulate(Plant(system, *np.split(x, 2), epoch=EPOCH), np.array([last]))
+    made = simulate_sensor(sensor, system, run.switchings, epoch=EPOCH, last=last, seed=seed)
+    return [each.event for each in made]
+
+
+def smoothed(system: System, events: Sequence[ImpactEvent], options: Options) -> SmoothedMotion:
+    """The motion of a recording of one run."""
+    (motion,) = smoothed_runs(system, events, options)
+    return motion
+
+
+def states(motion: SmoothedMotion, seconds: Sequence[float]) -> list[Estimate]:
+    """Estimates at some instants, s since the epoch."""
+    stamps = np.array([EPOCH + round(each * NS_PER_S) for each in seconds])
+    return [each for batch in motion.estimates(stamps) for each in batch]
+
+
+@pytest.mark.slow
+def test_start_is_that_of_a_fit_of_simulated_instants() -> None:
+    """The likeliest start: instants of the event-driven plant, fitted by SciPy.
+
+    Its covariance follows from the derivatives of the instants, by differences.
+    """
+    model = sample("two_mass")
+    system, x = model.system, np.concatenate(model.initial_state())
+    events = recording(system, x, 12.0, SensorModel(jitter=JITTER))
+    reported = np.array([each.stamp for each in events])
+
+    def residuals(start: Vector) -> Vector:
+        last = np.array([int(reported[-1]) + NS_PER_S // 5])
+        run = simulate(Plant(system, *np.split(start, 2), epoch=EPOCH), last)
+        found = [
+            (e.stamp - s.instant.stamp) * 1e-9 - s.instant.remainder
+            for e, s in zip(events, run.impacts, strict=True)
+        ]
+        return np.append(np.array(found) / JITTER, start)
+
+    fit = optimize.least_squares(residuals, x, x_scale=1e-2, diff_step=1e-5, xtol=1e-12)
+    covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+    found = smoothed(system, events, SURE).smoothed.first
+    deviations = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(found.deviations, deviations, rtol=2e-3)
+    assert np.all(np.abs(found.mean - fit.x) < 2e-3 * deviations)
+
+
+@pytest.mark.slow
+def test_last_state_is_the_filters() -> None:
+    """With nothing after it the smoother knows what the filter does."""
+    model = sample("three_mass")
+    system, x = model.system, np.concatenate(model.initial_state())
+    events = recording(system, x, 15.0, SensorModel(jitter=JITTER))
+    last = np.array([EPOCH + 15 * NS_PER_S])
+    start = ",".join(f"{each + 0.01:.17g}" for each in x)
+    options = Options(**{**SURE.__dict__, "initial_state": start, "initial_deviation": "0.02"})
+    (own,) = [
+        each
+        for each in replay(make_observer(system, options), events, last)
+        if isinstance(each, Estimate)
+    ]
+    (found,) = states(smoothed(system, events, options), [15.0])
+    deviations = np.sqrt(np.diag(own.covariance))
+    difference = np.append(found.q - own.q, found.u - own.u)
+    assert np.all(np.abs(difference) < 0.05 * deviations)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), deviations, rtol=0.05)
+
+
+@pytest.mark.slow
+def test_start_is_exact_though_impacts_are_missed_and_false() -> None:
+    """Exact stamps: the account is found, and the start to nanometres, from zero."""
+    model = sample("two_mass")
+    system, x = model.system, np.concatenate(model.initial_state())
+    sensor = SensorModel(missed=0.2, spurious=0.15)
+    events = recording(system, x, 16.0, sensor, seed=4)
+    motion = smoothed(system, events, Options(law="minimum-variance"))
+    (found,) = states(motion, [0.0])
+    assert np.max(np.abs(np.append(found.q, found.u) - x)) < 1e-7
+    rulings = [each.ruling for each in motion.account.verdicts]
+    assert Ruling.INSERTED in rulings
+    assert Ruling.REJECTED in rulings
+    inserted = [each for each in motion.impacts() if each.ruling is Ruling.INSERTED]
+    ideal = {each.stamp for each in recording(system, x, 16.0, SensorModel())}
+    assert inserted
+    assert all(min(abs(each.stamp - stamp) for stamp in ideal) <= 1 for each in inserted)
+    assert all(each.reported == 0 for each in inserted)
+
+
+@pytest.mark.slow
+def test_states_are_exact_through_accumulating_impacts_and_contact_that_stays() -> None:
+    """Closed contacts, their releases, and the gap of a closed one is zero."""
+    model = parse_model(PRESSED, "pressed")
+    system, x = model.system, np.concatenate(model.initial_state())
+    events = recording(system, x, 6.0, SensorModel())
+    motion = smoothed(system, events, Options(law="minimum-variance", clock_error=0.0))
+    plant = Plant(system, *np.split(x, 2), epoch=EPOCH)
+    seconds = [0.0, 0.33, 0.65, 2.2, 3.1, 4.1, 5.3]
+    truth = simulate(plant, np.array([EPOCH + round(s * NS_PER_S) for s in seconds])).states
+    found = states(motion, seconds)
+    for each, true in zip(found, truth, strict=True):
+        np.testing.assert_allclose(np.append(each.q, each.u), true, atol=1e-6)
+        assert not each.closed or abs(system.gap(each.q)[0]) < 1e-9
+    assert any(each.closed for each in found)
+
+
+@pytest.mark.slow
+def test_states_between_events_do_not_depend_on_which_are_asked_for() -> None:
+    """With white accelerations both ends of a flight tell of a state within it."""
+    model = sample("two_mass")
+    system, x = model.system, np.concatenate(model.initial_state())
+    events = recording(system, x, 8.0, SensorModel(jitter=JITTER))
+    options = Options(**{**SURE.__dict__, "model_error": 0.05})
+    motion = smoothed(system, events, options)
+    alone = states(motion, [3.1])
+    among = states(motion, [0.1, 2.0, 3.0, 3.1, 3.2, 6.0])
+    np.testing.assert_allclose(alone[0].q, among[3].q, atol=1e-9)
+    np.testing.assert_allclose(alone[0].covariance, among[3].covariance, rtol=1e-6, atol=1e-12)
+    sure = states(smoothed(system, events, SURE), [3.1])
+    assert np.all(np.diag(alone[0].covariance) > np.diag(sure[0].covariance))
+
+
+@pytest.mark.slow
+def test_parameters_and_offset_are_learned_with_the_motion() -> None:
+    """A stiffness that is 2 % wrong and stamps that are 10 ms late, from exact instants."""
+    model = sample("two_mass")
+    x = np.concatenate(model.initial_state())
+    events = recording(model.system, x, 20.0, SensorModel(delay=0.01))
+    text = model.text().replace("20.0", "19.6").replace("10.0", "9.8")
+    wrong = parse_model(text, "softer")
+    np.testing.assert_allclose(wrong.system.K, 0.98 * model.system.K)
+    options = Options(
+        law="minimum-variance",
+        clock_error=0.0,
+        clock_offset_error=0.02,
+        estimate_parameters=("stiffness-scale",),
+    )
+    motion = smoothed(wrong.system, events, options)
+    learned = {name: value for name, value, _ in motion.parameters}
+    assert learned["stiffness-scale"] == pytest.approx(1 / 0.98, rel=1e-6)
+    assert learned["clock_offset"] == pytest.approx(0.01, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_ball_from_its_bounce_times_alone() -> None:
+    """No epoch: the first stamp is the start, and the speed there that of a fall from 1 m."""
+    system = sample("bouncing_ball").system
+    first, eps = np.sqrt(2 / 9.81), 0.9
+    flights = 2 * first * eps ** np.arange(1, 9)
+    stamps = np.rint(1e9 * (2 + np.append(0.0, np.cumsum(flights)))).astype(int).tolist()
+    events = [ImpactEvent(stamp, (Switch(system.contact_names[0]),)) for stamp in stamps]
+    motion = smoothed(system, events, Options(law="minimum-variance"))
+    after = next(iter(motion.estimates(np.array([stamps[0] + 1])))).first
+    speed = eps * np.sqrt(2 * 9.81)
+    assert after.u[0] == pytest.approx(speed, abs=1e-6)
+    assert np.sqrt(after.covariance[1, 1]) < 1e-6
+
+
+@pytest.mark.slow
+def test_states_are_exact_on_a_table_that_moves() -> None:
+    """Estimates are coordinates of the model, whatever frame the computation has."""
+    model = sample("ball_on_table")
+    x = np.concatenate(model.initial_state())
+    events = recording(model.system, x, 1.0, SensorModel())
+    motion = smoothed(model.system, events, Options(law="minimum-variance"))
+    seconds = [0.0, 0.21, 0.55, 0.93]
+    stamps = np.array([EPOCH + round(each * NS_PER_S) for each in seconds])
+    truth = simulate(Plant(model.system, *np.split(x, 2), epoch=EPOCH), stamps).states
+    for each, true in zip(states(motion, seconds), truth, strict=True):
+        np.testing.assert_allclose(np.append(each.q, each.u), true, atol=1e-7)
