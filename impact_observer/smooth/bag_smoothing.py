@@ -91,7 +91,9 @@ def smooth_bag(
     def give(observer: Observer) -> None:
         problems[:] = give_recorded(reader, observer.live)
 
-    runs = smoothed_runs(model.system, events, options, model.elements, progress, give)
+    runs = smoothed_runs(
+        model.system, events, options, model.elements, progress=progress, give=give
+    )
     counts = Counter(problems)
     left_out = [f"{count} samples are left out: {each}" for each, count in counts.items()]
     own = (*_ESTIMATES, _VERDICTS, interfaces.SMOOTHED_IMPACTS.topic)

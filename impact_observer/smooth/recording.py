@@ -51,6 +51,7 @@ def smoothed_runs(
     events: Sequence[ImpactEvent],
     options: Options,
     elements: Sequence[Element] = (),
+    *,
     progress: Progress = no_progress,
     give: Callable[[Observer], object] = no_inputs,
 ) -> list[SmoothedMotion]:
