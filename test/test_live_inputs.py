@@ -4,9 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from live_rig import RIG, bag, give, samples, simulated
+from live_rig import RIG, bag, base, give, samples, simulated
+from systems import EPOCH
 
 from impact_observer.cli.main import main
+from impact_observer.draw.film_from_bag import read_film
+from impact_observer.draw.plot.series import read_recording
 from impact_observer.io.reader import BagReader
 from impact_observer.model import parse_model
 from impact_observer.observer import Options, make_observer
@@ -40,6 +43,20 @@ def test_observe_reads_samples_from_a_bag_and_copies_them(
     last = observer.estimate(int(found.stamps[-1]))
     np.testing.assert_array_equal(found.q[-1], last.q)
     np.testing.assert_array_equal(found.u[-1], last.u)
+
+
+@pytest.mark.slow
+def test_gaps_and_films_contain_the_recorded_motion_of_grounds(tmp_path: Path) -> None:
+    """The true gap of a stop on the live ground is never negative, and closes at its impacts."""
+    with BagReader(bag(tmp_path / "rig")) as reader:
+        system = parse_model(RIG, "rig").system
+        content = read_recording(reader, system, select=["g_foot"])
+        film = read_film(reader, system, start=0.0, duration=4.0)
+    (truth,) = content.series
+    assert truth.values.min() > -1e-4
+    assert truth.values.min() < 0.02
+    moved = [film.moved(EPOCH + t * 10**8)[0] for t in range(10)]
+    np.testing.assert_allclose(moved, [-base(t / 10)[0] for t in range(10)], atol=1e-6)
 
 
 @pytest.mark.ros

@@ -6,7 +6,8 @@ from typing import NamedTuple
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, MessageError, read_stamp
 from impact_observer.io.reader import BagReader
-from impact_observer.model.live_signals import LiveSignals
+from impact_observer.model import System
+from impact_observer.model.live_signals import LiveSignals, connected
 
 LIVE_TOPICS = (interfaces.FORCING, interfaces.GROUND_MOTION)
 
@@ -75,3 +76,17 @@ def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
         decode = reader.decoder(topic)
         for raw in reader.raw([topic]):
             yield from give(live, decode(raw.data), moves=each is interfaces.GROUND_MOTION)
+
+
+def with_recorded(reader: BagReader, system: System, epoch: int) -> System:
+    """The ``system`` with the live forces and grounds of a bag, where it has such.
+
+    Raises:
+        BagError: the bag is damaged.
+    """
+    found, live = connected(system)
+    if live is not None:
+        for _ in give_recorded(reader, live):
+            pass  # observe warns of samples that cannot be used
+        live.follow(epoch)
+    return found

@@ -173,7 +173,7 @@ class PlantNode(Node):
             )
 
     def _warn(self, line: str) -> None:
-        self.get_logger().warning(line, throttle_duration_sec=1.0)
+        self.get_logger().warning(printable(line), throttle_duration_sec=1.0)
 
     def _start(self, epoch: int) -> None:
         """Start an episode at ``epoch``."""

@@ -18,6 +18,7 @@ from impact_observer.draw.plot.quantities import (
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
+from impact_observer.io.live_inputs import with_recorded
 from impact_observer.io.pairing import arrived
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
@@ -119,6 +120,7 @@ def read_recording(
     shown = selected(every, ("positions", "velocities") if select is None else select)
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
     epoch = epoch_of(events) or int(first.stamps[0])
+    system = system and with_recorded(reader, system, epoch)
     low = epoch + from_seconds(start)
     high = MAX_STAMP if duration is None else low + from_seconds(duration)
     curves = {
