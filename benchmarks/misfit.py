@@ -148,6 +148,9 @@ def arguments(args: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--exact", type=int, default=0, metavar="N", help="false alarms in N events instead"
     )
+    parser.add_argument(
+        "--first-seed", type=int, default=0, metavar="K", help="of --exact: the first seed"
+    )
     parser.add_argument("--picture", type=new_file, metavar="FILE", help="draw the plant instead")
     given = parser.parse_args(args)
     if min(given.seeds, given.jobs) < 1 or not given.seconds > 10 or given.exact < 0:
@@ -182,7 +185,7 @@ def main(args: Sequence[str] | None = None) -> int:
         draw(given.plants[0], given.seconds, given.picture)
         return 0
     if given.exact:
-        counts = misfit_alarms.run(given.exact, given.jobs)
+        counts = misfit_alarms.run(given.exact, given.jobs, given.first_seed)
         misfit_alarms.print_table(counts, console)
         document = {"exact": [asdict(each) for each in counts]}
     else:

@@ -91,14 +91,14 @@ def counted(job: Job) -> Count:
     return Count(job.model, job.sensor.name, len(warnings) - 1, begun, sum(warnings))
 
 
-def run(events: int, workers: int) -> list[Count]:
-    """Counts by model and sensor, of at least so many events."""
+def run(events: int, workers: int, seed: int = 0) -> list[Count]:
+    """Counts by model and sensor, of at least so many events; the first run has this ``seed``."""
     totals = {(m, sensor): Count(m, sensor.name) for m in MODELS for sensor in SENSORS}
     with (
         Progress(console=Console(stderr=True), transient=True) as progress,
         Parallel(workers, return_as="generator") as parallel,
     ):
-        shown, seed = progress.add_task("events", total=events), 0
+        shown = progress.add_task("events", total=events)
         while sum(each.events for each in totals.values()) < events:
             jobs = [Job(*each, seed) for seed, each in enumerate(totals, start=seed)]
             for job, found in zip(jobs, parallel(map(delayed(counted), jobs)), strict=True):

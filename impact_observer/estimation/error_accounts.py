@@ -35,6 +35,10 @@ COARSE_CLOCK = 10.0
 """Deviation of a stamp, relative to the least, from which on it may be an error of the model."""
 
 
+BRIEF = 0.1
+"""Flight up to which an impact says nothing new, relative to the model's time scale."""
+
+
 class ErrorAccounts:
     """The errors of the model that the hypotheses of one filter may have."""
 
@@ -43,6 +47,7 @@ class ErrorAccounts:
         self._system = filter_.system
         self._moving = filter_.members.given.moving
         self._timescale = filter_.phases.scales.timescale
+        self._brief = BRIEF * self._timescale
         self._clocks = sorted(clocks)
         kicks = unit_kicks(filter_.system)
         kicks = np.concatenate([np.zeros_like(kicks), kicks])
@@ -60,7 +65,7 @@ class ErrorAccounts:
         With each the logarithm of its probability.
         """
         size, deviation = abs(likelihood.normalised), likelihood.deviation
-        if not (here.hit and likelihood.innovations and h.since > 0):
+        if not (here.hit and likelihood.innovations and h.since > self._brief):
             return
         chance, clocks = OTHER_ERROR, [h.clock]
         if h.error.level:
@@ -91,7 +96,7 @@ class ErrorAccounts:
             unit, most = self._seen(h, error.kind, here), self._largest(h, error.kind, here)
             error = error.matched(likelihood.normalised, likelihood.deviation, unit, most)
         if error is not NO_ERROR:
-            posterior = posterior._replace(error=error)
+            posterior = posterior._replace(error=error, last_error=posterior.events)
         return posterior if here.closed else self.kicked(posterior, h.state.x, here.hit)
 
     def kicked(self, after: Hypothesis, x: Vector, hit: Contacts) -> Hypothesis:

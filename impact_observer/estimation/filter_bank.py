@@ -63,6 +63,8 @@ CONFIDENT = 3.0
 """The same for a dip that is not over yet."""
 _MOST_MISSED = 256
 """Missed impacts between two events that a hypothesis may insert."""
+FORLORN = -40.0
+"""The same for the hypotheses that the model is exact: how unlikely they are, tells a misfit."""
 _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
 _FLIGHTS = 8
@@ -149,6 +151,7 @@ class FilterBank:
         spurious, true = _logs(uncertainty.spurious)
         self._spurious = spurious - true + math.log(SPURIOUS_RATE) + self._rate
         self._most = min(most, max(LEAST_HYPOTHESES, _WORK // (2 * filter_.system.n)))
+        self._judges = self.errors is not None and uncertainty.unknowns is None
         self._scan = SCAN * filter_.system.n
         self._flight = Flight if filter_.system.live else lru_cache(_FLIGHTS)(Flight)
 
@@ -169,10 +172,36 @@ class FilterBank:
         branches = self._branches(change, hypotheses)
         branches.sort(key=_weight)
         likely = branches[: min(_likely(branches), self._most)]
+        likely += self._unlikely_exact(branches, len(likely))
         made = self._distinct([h for h in self._made(change, likely) if h.state.is_finite])
-        if not (self._trusts_estimate or self._is_expected(branches[0])):
-            made = sorted([*made, *_restarted(change, made, restarts())], key=_weight)
-        return normalised(made)
+        if not self._trusts_estimate:
+            made = [*made, *self._restarted(change, branches, made, restarts)]
+        return normalised(sorted(made, key=_weight))
+
+    def _unlikely_exact(self, branches: Sequence[_Branch], likely: int) -> list[_Branch]:
+        """Of ``branches`` after the ``likely`` ones the likeliest with an exact model."""
+        if not self._judges or all(each.before.is_exact for each in branches):
+            return []
+        enough = branches[0].weight + FORLORN
+        exact = [b for b in branches if b.before.is_exact and b.weight > enough]
+        exact = exact[: min(_likely(exact), self._most)]
+        return exact[sum(b.before.is_exact for b in branches[:likely]) :]
+
+    def _restarted(
+        self,
+        change: ContactChange,
+        branches: Sequence[_Branch],
+        made: Sequence[Hypothesis],
+        restarts: Restarts,
+    ) -> Iterator[Hypothesis]:
+        """Restarts of those with an exact model and of the others, if they did not predict it."""
+        if not made:
+            yield from _restarted(change, made, restarts())
+        for exact in (True, False):
+            own = [h for h in made if h.is_exact is exact]
+            first = next((b for b in branches if b.before.is_exact is exact), None)
+            if own and first is not None and not self._is_expected(first):
+                yield from _restarted(change, own, restarts())
 
     def _clear(self, change: ContactChange, h: Hypothesis) -> tuple[Hypothesis, ...]:
         """What ``correct`` finds where one hypothesis is left that explains the event well.
@@ -200,6 +229,8 @@ class FilterBank:
         """The interpretations of an event; more of them under hypotheses that lead."""
         weights = [each.weight_before(change.contacts) for each in hypotheses]
         leading = max(weights) + LEADING
+        of_exact = [w for w, h in zip(weights, hypotheses, strict=True) if h.is_exact]
+        leading_exact = max(of_exact, default=0.0) + LEADING if self._judges else math.inf
         found: list[_Branch] = []
         true: list[_Draft] = []
         clocks: list[_Draft] = []
@@ -211,7 +242,7 @@ class FilterBank:
                 continue
             prior = self._reported + (weight if here is change else h.weight_before(here.contacts))
             true.append((prior, h, here, ""))
-            leads.append(weight >= leading)
+            leads.append(weight >= leading or (h.is_exact and weight >= leading_exact))
             nexts = self._next_clocks.get(h.clock, ()) if leads[-1] else ()
             clocks += [
                 (prior + CLOCK_CHANGE, h._replace(clock=clock), here, "") for clock in nexts
@@ -301,6 +332,8 @@ class FilterBank:
             innovation=likelihood.normalised if innovations else None,
             residual=likelihood.normalised * likelihood.deviation if innovations else 0.0,
             subset=h.subset,
+            events=h.events + 1,
+            last_error=h.last_error,
         )
         return after if self.errors is None else self.errors.after(h, here, likelihood, after)
 
@@ -336,7 +369,7 @@ class FilterBank:
         found: dict[object, Hypothesis] = {}
         for h in made:
             decisions = (note.decision for note in h.notes[-self._scan :])
-            same = (h.clock, h.error.kind, h.subset, *decisions)
+            same = (h.clock, h.error.kind, h.subset, h.is_exact, *decisions)
             if same not in found or found[same].weight < h.weight:
                 found[same] = h
         return sorted(found.values(), key=_weight)
@@ -362,15 +395,19 @@ class FilterBank:
             t, s, group = waiting.pop(0)
             dips = self._dips(t, s, group)
             found += self._flown(t, s, group, dips)
-            enough = max(path.weight for path in found) + UNLIKELY
+            most = max(path.weight for path in found)
             for h, some in zip(group, dips, strict=True):
-                waiting += self._inserted(h, some, t, s, enough)
+                waiting += self._inserted(h, some, t, s, most + self._least(h))
         if len(found) == 1:
             return tuple(found)
         found.sort(key=_weight)
-        enough = found[0].weight + UNLIKELY
-        likely = [each for each in found[: 2 * self._most] if each.weight >= enough]
+        most = found[0].weight
+        likely = [h for h in found[: 2 * self._most] if h.weight >= most + self._least(h)]
         return tuple(sorted(likely, key=lambda each: each.penalised_weight, reverse=True))
+
+    def _least(self, h: Hypothesis) -> float:
+        """Logarithm of a probability, relative to the largest, below which ``h`` is not kept."""
+        return FORLORN if self._judges and h.is_exact else UNLIKELY
 
     def _dips(self, t: float, s: float, group: Sequence[Hypothesis]) -> list[list[Dip]]:
         """Of each hypothesis the dips in the ``s`` seconds after ``t``."""
@@ -482,6 +519,8 @@ def _restarted(
     notes = tuple(note for note in notes if note.event != event or note.is_inserted)
     for h in restarts:
         begun = Hypothesis(h.state, h.clock, h.weight + total + RESTART, notes)
+        if made:
+            begun = begun._replace(events=made[0].events, last_error=made[0].last_error)
         yield begun._replace(notes=_noted(begun, change, ruling, {}))
 
 

@@ -18,6 +18,10 @@ _RARE = 1e-3
 """Probability up to which the least likely hypotheses are not published."""
 _RARE_ERROR = 0.05
 """Probability up to which hypotheses of another model error are not published."""
+FIRST = 12
+"""Events from the start in which the state is not known: an error of the model is no sign then."""
+_EXACT = 24
+"""Events in a row without an error of the model, after which it counts as exact again."""
 NO_KICKS = np.zeros((0, 0))
 NOTHING: Mapping[int, float] = MappingProxyType({})
 
@@ -90,6 +94,8 @@ class Hypothesis(NamedTuple):
             was negative. None where it was rejected or measured nothing.
         residual: the same in m.
         subset: which of the parameters it estimates, as a number; 0 for all.
+        events: that it has explained.
+        last_error: which of them it has explained by an error of the model, the last; 0 for none.
     """
 
     state: GaussianState
@@ -104,6 +110,18 @@ class Hypothesis(NamedTuple):
     innovation: float | None = None
     residual: float = 0.0
     subset: int = 0
+    events: int = 0
+    last_error: int = 0
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it explains the events by an exact model.
+
+        The latest, and but for the first, once these are over.
+        """
+        last, events = self.last_error, self.events
+        by_first = last <= FIRST <= events
+        return not self.error.level and (not last or by_first or events - last >= _EXACT)
 
     @property
     def penalised_weight(self) -> float:
@@ -187,6 +205,13 @@ def error_share(hypotheses: Sequence[Hypothesis]) -> float:
     if not any(h.error.level for h in hypotheses):
         return 0.0
     return float(probabilities(hypotheses) @ [h.error.level > 0 for h in hypotheses])
+
+
+def exact_share(hypotheses: Sequence[Hypothesis]) -> float:
+    """The probability that the model has been exact at the latest events."""
+    if all(h.is_exact for h in hypotheses):
+        return 1.0
+    return float(probabilities(hypotheses) @ [h.is_exact for h in hypotheses])
 
 
 def mixture(hypotheses: Sequence[Hypothesis]) -> GaussianState:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from impact_observer.estimation.hypotheses import FIRST
 from impact_observer.states import Vector
 
 LARGEST_STATISTIC = 48.0
@@ -43,6 +44,12 @@ _NOTABLE = 3.0
 """The same where an error of the model is established, and the account is ``NEARER``."""
 _EXPLAINED = 0.8
 """Share of the latest events that other parameters explain, at least, to be the right ones."""
+LARGEST_EVIDENCE = 12.0
+"""Logarithm of the odds of an error of the model to none, above which the model is refuted."""
+_DOUBTED_EVIDENCE = 4.0
+"""The same, above which parameters of the model are estimated too."""
+_STEP = 3.0
+"""Most by which one event may raise that logarithm: one outlier is no misfit."""
 _LAGS = 4
 _CLIPPED = 3.0
 """Innovation, in standard deviations, beyond which it counts as this: an outlier is no misfit."""
@@ -85,6 +92,8 @@ class Fit(NamedTuple):
         errors: events in a row after which an error of the model has been ``ESTABLISHED``.
         by_clock: whether that account explains the innovations by errors of the clock.
         statistic: of the test; 0 while there are too few innovations.
+        evidence: logarithm of the odds of an error of the model to none, at most ``_STEP`` more
+            after each event.
         residuals: at the latest impacts.
         is_refuted: whether other parameters explain the latest impacts better.
         was_misfit: whether the model did not explain the impacts up to the event before.
@@ -96,6 +105,7 @@ class Fit(NamedTuple):
     errors: int = 0
     by_clock: bool = False
     statistic: float = 0.0
+    evidence: float = 0.0
     residuals: tuple[Residual, ...] = ()
     is_refuted: bool = False
     was_misfit: bool = False
@@ -107,11 +117,17 @@ class Fit(NamedTuple):
         in_error: bool = False,
         by_clock: bool = False,
         as_reported: bool = True,
+        exact: float = 1.0,
     ) -> "Fit":
-        """The fit after an event; ``innovation`` is None where it measured nothing."""
+        """The fit after an event; ``innovation`` is None where it measured nothing.
+
+        ``exact`` is the probability that the model has been exact.
+        """
+        evidence = min(self.evidence + _STEP, -math.log(max(exact, _LEAST)))
         before = self._replace(
             as_reported=(*self.as_reported[-(LATEST - 1) :], as_reported),
             explained=(*self.explained[-(LATEST - 1) :], as_reported and not in_error),
+            evidence=evidence if len(self.as_reported) >= FIRST else 0.0,
             was_misfit=self.is_misfit,
         )
         if innovation is None:
@@ -144,14 +160,15 @@ class Fit(NamedTuple):
     def is_misfit(self) -> bool:
         """Whether the model does not explain the impacts.
 
-        An error of the model that is established is no proof: it may be that of a clock. But while
-        it is, a warning does not end.
+        An error of the model that is established is no proof while an exact model may have
+        explained all events: it may be that of a clock. But while it is, a warning does not end.
         """
         n = len(self.as_reported)
         is_excused = n >= _LATEST_EXCUSED and sum(self.as_reported) < _LEAST_EXPLAINED * n
         is_correlated = self.statistic > LARGEST_STATISTIC
         lasts = self.was_misfit and self.is_in_error
-        return is_excused or is_correlated or self.is_refuted or lasts
+        is_improbable = self.is_in_error and self.evidence > LARGEST_EVIDENCE
+        return is_excused or is_correlated or is_improbable or self.is_refuted or lasts
 
     @property
     def is_in_error(self) -> bool:
@@ -164,7 +181,9 @@ class Fit(NamedTuple):
         latest = self.explained[-_FEWEST:]
         is_excused = len(latest) == _FEWEST and 2 * sum(latest) < _FEWEST
         is_correlated = self.statistic > _DOUBTED_STATISTIC
-        return self.is_misfit or is_excused or is_correlated or self.errors >= _DOUBTED
+        is_improbable = self.evidence > _DOUBTED_EVIDENCE
+        is_in_doubt = is_excused or is_correlated or is_improbable
+        return self.is_misfit or is_in_doubt or self.errors >= _DOUBTED
 
     @property
     def is_explained(self) -> bool:

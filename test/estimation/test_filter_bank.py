@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -28,6 +29,7 @@ from impact_observer.estimation.filter_bank import MOST_HYPOTHESES, FilterBank
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis, published
 from impact_observer.estimation.impact_filter import ImpactFilter
+from impact_observer.estimation.model_error import NO_ERROR, ErrorKind, LearnedError
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import ImpactEvent, Kind, Switch
 from impact_observer.model import System
@@ -146,6 +148,46 @@ def test_one_account_is_left_of_an_exact_run() -> None:
         watcher.receive(each)
     assert len(whole.events) > 20
     assert [len(belief.hypotheses) for belief in beliefs(watcher)[-3:]] == [1, 1, 1]
+
+
+def test_error_of_the_model_counts_for_24_events_but_not_among_the_first_12() -> None:
+    """While the state is not known, an error only says so."""
+    state = GaussianState(np.zeros(2), np.zeros(0), np.eye(2), np.zeros((2, 0)))
+
+    def is_exact(events: int, last_error: int, level: float = 0.0) -> bool:
+        error = LearnedError(ErrorKind.ACCELERATION, level) if level else NO_ERROR
+        h = Hypothesis(state, 1e-9, error=error, events=events, last_error=last_error)
+        return h.is_exact
+
+    assert [is_exact(events, 5) for events in (6, 11, 12, 40)] == [False, False, True, True]
+    assert [is_exact(events, 13) for events in (13, 36, 37)] == [False, False, True]
+    assert is_exact(3, 0)
+    assert not is_exact(40, 40, 1e-3)
+
+
+@pytest.mark.slow
+def test_exact_model_is_as_probable_as_a_share_of_the_hypotheses() -> None:
+    """It stays probable beside a faulty sensor, and is refuted by a plant of other restitution."""
+    model = sample("two_mass").system
+    other = replace(
+        model, contacts=tuple(replace(c, restitution=0.98 * c.restitution) for c in model.contacts)
+    )
+    rng, start = np.random.default_rng(12), sample("two_mass").initial_state()
+    for plant, jitter, exact in ((model, 1e-4, True), (other, 0.0, False)):
+        whole = run(plant, *start, seconds=60.0, rate=1.0)
+        watcher = observer(
+            model,
+            "minimum-variance",
+            np.zeros(2 * model.n),
+            uncertainty=Uncertainty(),
+            epoch=EPOCH,
+        )
+        for each in whole.events:
+            late = round(jitter * NS_PER_S * rng.normal())
+            watcher.receive(replace(each, stamp=each.stamp + late))
+        evidence = [belief.fit.evidence for belief in beliefs(watcher)]
+        assert (max(evidence) < 4.0) is exact
+        assert (max(evidence) > 12.0) is not exact
 
 
 @pytest.mark.parametrize(("clock", "ways"), [(1e-5, 1), (1e-7, 2)])

@@ -82,6 +82,44 @@ def test_error_of_the_model_that_lasts_needs_another_account_to_be_a_misfit() ->
     assert not persistent.after(0.3).beside(0.0).is_misfit
 
 
+def test_established_error_is_a_misfit_once_an_exact_model_is_improbable() -> None:
+    """An exact model of probability 1e-6 is refuted after 12 events with an error, 1e-5 is not."""
+    nu = np.random.default_rng(8).normal(size=12).tolist()
+    for exact, is_misfit in ((1e-5, False), (1e-6, True)):
+        fit = Fit()
+        for each in nu:
+            fit = fit.after(each, in_error=True, exact=1.0)
+        assert not fit.is_misfit
+        for each in nu[:6]:
+            fit = fit.after(each, in_error=True, exact=exact)
+        assert fit.is_misfit is is_misfit
+        assert not fit.after(nu[6], in_error=False, exact=1.0).is_misfit
+
+
+def test_one_event_proves_little() -> None:
+    """However improbable the exact model is after it, it takes four of them."""
+    nu = np.random.default_rng(9).normal(size=12).tolist()
+    fit = Fit()
+    for each in nu:
+        fit = fit.after(each, in_error=True)
+    warned = []
+    for each in nu[:6]:
+        fit = fit.after(each, in_error=True, exact=0.0)
+        warned.append(fit.is_misfit)
+    assert warned == [False] * 4 + [True] * 2
+    assert fit.after(nu[6], in_error=True, exact=0.9).evidence < 0.2
+
+
+def test_improbable_exact_model_is_no_misfit_without_an_established_error() -> None:
+    """The exact model may have been lost by the search for what early events were."""
+    nu = np.random.default_rng(10).normal(size=32).tolist()
+    fit = Fit()
+    for each in nu:
+        fit = fit.after(each, exact=1e-30)
+        assert not fit.is_misfit
+    assert fit.is_doubted
+
+
 def test_events_that_need_an_excuse_are_a_misfit() -> None:
     """Spurious, missed and restarted in turn, with few innovations; one in five is no misfit."""
     fit, fair, nu = Fit(), Fit(), np.random.default_rng(10).normal(size=40).tolist()

@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.error_accounts import BRIEF
 from impact_observer.estimation.filter_bank import FilterBank
-from impact_observer.estimation.hypotheses import Hypothesis, error_share
+from impact_observer.estimation.hypotheses import Hypothesis, error_share, exact_share
 from impact_observer.estimation.misfit import ESTABLISHED, Fit
 from impact_observer.states import Vector
 
-BRIEF = 0.1
-"""Flight up to which an impact says nothing new, relative to the model's time scale."""
 ROUNDED = 2e-9
 """Error of a predicted instant that is rounding, s: of the stamp to 1 ns, and of those before."""
 
@@ -45,5 +44,6 @@ def fitted(
         innovation,
         in_error=error_share(corrected) > ESTABLISHED,
         as_reported=likeliest.is_as_reported((change.stamp, change.sequence)),
+        exact=exact_share(corrected),
         by_clock=errors is not None and errors.is_coarse(likeliest.clock),
     )
