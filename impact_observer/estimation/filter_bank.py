@@ -64,7 +64,7 @@ CONFIDENT = 3.0
 _MOST_MISSED = 256
 """Missed impacts between two events that a hypothesis may insert."""
 FORLORN = -40.0
-"""The same for the hypotheses that the model is exact: how unlikely they are, tells a misfit."""
+"""The same for hypotheses with an exact model: a misfit shows in how unlikely they are."""
 _NOTES = 32
 """Notes that a hypothesis keeps, at least: older decisions do not change."""
 _FLIGHTS = 8
