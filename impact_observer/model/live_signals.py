@@ -204,6 +204,11 @@ class LiveSignals:
         """Whether samples have come since ``follow``."""
         return bool(self._pending)
 
+    def keep_waiting(self, most: int) -> None:
+        """Forget the oldest of more samples than ``most`` that wait for ``follow``."""
+        if len(self._pending) > most:
+            del self._pending[: -most // 2]
+
     def add(self, name: str, stamp: int, value: float) -> str:
         """Take a sample of an input, N.
 

@@ -66,6 +66,17 @@ class RunHistory:
         """Have the initial state hold at ``stamp`` (ns)."""
         self.timeline = Timeline(self._first_entry(stamp), self.update.apply)
 
+    def go_on_from(self, stamp: int) -> bool:
+        """Keep what is known at ``stamp`` (ns) of no event after the last one; whether it did."""
+        timeline = self.timeline
+        if timeline is None or timeline.entries[-1].since >= stamp:
+            return False
+        entry = timeline.entries[-1]
+        belief = self.update.prediction(entry).belief(seconds_between(entry.since, stamp))
+        timeline.go_on_from(stamp, belief)
+        self._is_state_given = True
+        return True
+
     def rerun(self, stamp: int) -> None:
         """What is known of live signals has changed from ``stamp`` (ns) on."""
         timeline = self.timeline
@@ -117,12 +128,15 @@ class RunHistory:
 
     def too_old(self, stamp: int) -> Refusal | None:
         """Why an event at ``stamp`` (ns), the earliest, cannot be applied any more."""
-        if self.timeline is None or stamp >= self._earliest:
+        timeline = self.timeline
+        if timeline is not None and timeline.newest.stamp <= stamp < timeline.entries[-1].since:
+            return Ruling.TOO_LATE, _before(timeline.entries[-1].since), Remark.TOO_LATE
+        if timeline is None or stamp >= self._earliest:
             return None
         start = self.last_event - self._history
         if stamp >= start:
             return None
-        return Ruling.TOO_LATE, _before(max(start, self.timeline.start.stamp)), Remark.TOO_LATE
+        return Ruling.TOO_LATE, _before(max(start, timeline.start.stamp)), Remark.TOO_LATE
 
     def timeline_from_start(self, stamp: int) -> Timeline:
         """The timeline, from the start that all events so far and one at ``stamp`` determine."""

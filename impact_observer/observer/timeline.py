@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Container, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeAlias, TypeVar
 
 from impact_observer.errors import ImpactObserverError
@@ -212,6 +212,11 @@ class Timeline:
             if closing and _is_superseded(self.entries[first], closing):
                 changed = first
         return first, changed
+
+    def go_on_from(self, stamp: int, belief: Belief) -> None:
+        """Forget all up to the last event, and hold ``belief`` at a later ``stamp`` (ns)."""
+        last = replace(self.entries[-1], since=stamp, belief=belief, prediction=None)
+        self.entries = [last]
 
     def rerun(self, stamp: int) -> None:
         """Apply the events after ``stamp`` (ns) again, as what is known of forces has changed.

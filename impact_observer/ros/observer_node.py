@@ -339,6 +339,7 @@ class ObserverNode(Node):
     def _publish_diagnostics(self) -> None:
         """Publish counts and faults to ``/diagnostics``."""
         self._lines.restore()
+        self._observer.forget_silence(self._now())
         array = DiagnosticArray(status=[self._diagnostics.status(self._now(), self._last)])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics_topic.publish(array)

@@ -1,5 +1,7 @@
 """Forces and grounds that are known only live: in the plant causal, in the observer by stamp."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from live_rig import RIG, SECONDS, START, Array, Sample, arrivals, give, motor, samples, simulated
@@ -7,9 +9,10 @@ from numpy.typing import NDArray
 from systems import EPOCH
 
 from impact_observer.errors import UsageError
-from impact_observer.events import ImpactEvent
+from impact_observer.events import ImpactEvent, Ruling
 from impact_observer.model import parse_model
 from impact_observer.observer import Observer, Options, make_observer
+from impact_observer.observer import observer as observer_module
 from impact_observer.plant import Plant, make_plant
 from impact_observer.stamps import NS_PER_S
 
@@ -102,6 +105,43 @@ def test_old_samples_are_forgotten() -> None:
     at = EPOCH + round(SECONDS * NS_PER_S)
     one, two = short.estimate(at), whole.estimate(at)
     np.testing.assert_array_equal(one.q, two.q)
+
+
+@pytest.mark.slow
+def test_samples_without_any_event_do_not_fill_the_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The estimate goes on from the start of the history, equal but for rounding."""
+    monkeypatch.setattr(observer_module, "MOST_SAMPLES", 2000)
+    events = simulated()[0][:1]
+    options = Options(law="geometric", initial_state="0.3,-0.2,0.5,-0.5", epoch=EPOCH, history=0.5)
+    bounded, whole = (make_observer(parse_model(RIG, "rig").system, options) for _ in range(2))
+    for observer in (bounded, whole):
+        for event in events:
+            observer.receive(event)
+        for k, sample in enumerate(samples()):
+            give(observer.live, sample)
+            if k % 500 == 0:
+                observer.estimate(sample[1])
+                if observer is bounded:
+                    observer.forget_silence(sample[1])
+    assert bounded.live is not None
+    assert whole.live is not None
+    assert bounded.live.samples.time.size < 3100 < whole.live.samples.time.size
+    at = EPOCH + round(SECONDS * NS_PER_S)
+    one, two = bounded.estimate(at), whole.estimate(at)
+    np.testing.assert_allclose(one.q, two.q, atol=1e-12)
+    assert one.last_sequence == 1
+    late = replace(events[0], stamp=events[0].stamp + NS_PER_S // 4, sequence=2)
+    (verdict,) = bounded.receive(late)
+    assert verdict.ruling is Ruling.TOO_LATE
+    waiting = make_observer(parse_model(RIG, "rig").system, Options(law="geometric"))
+    assert waiting.live is not None
+    for sample in samples():
+        give(waiting.live, sample)
+    waiting.forget_silence(at)
+    waiting.live.follow(EPOCH)
+    assert waiting.live.samples.time.size < 1100
 
 
 @pytest.mark.parametrize(
