@@ -187,7 +187,7 @@ def test_both_integrators_agree_on_random_systems() -> None:
     """Robust switchings, which are most of them, are the same and within some steps."""
     step, offset, counts = 2e-3, 5e-3, [0, 0]
 
-    @examples(30)
+    @examples(14)
     @given(st.data())
     def agree(data: st.DataObject) -> None:
         model = data.draw(systems(common_restitution=True, gaps=(0.0, 1.0), max_n=3))
