@@ -335,7 +335,7 @@ class Phases:
         W = self.system.directions[:, list(held)]
         free = ReducedCoordinates.of(W, equations.M)
         # Deflections of held contacts that load no other contact.
-        static = self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)] @ W.T
+        static = self._deflections(held, fixed, equations.K) @ W.T
         M = _symmetric(free.restricted(equations.M))
         C, K = free.restricted(equations.C), _symmetric(free.restricted(equations.K))
         inverse = np.zeros((free.free.size, n))
@@ -346,6 +346,20 @@ class Phases:
         return flow_of(
             Reduced(M, C, K, equations.forcing), frame=PhaseFrame(free, inverse, static, Q, rest)
         )
+
+    def _deflections(self, held: tuple[int, ...], fixed: tuple[int, ...], K: Matrix) -> Matrix:
+        """Displacements of ``p`` by unit deflections of ``held``, which load nothing else, (n, k).
+
+        Held contacts among ``fixed`` have none. A guide may stick anywhere: where gaps are fixed
+        its deflection is in balance with the stiffness ``K`` that they leave, shape (n, n).
+        """
+        if not fixed or all(i < self.system.m for i in held):
+            return self.projection.jump(self.independent((*held, *fixed)))[:, : len(held)]
+        n, k = self.system.n, len(held)
+        W, size = self.system.directions[:, list(held)], float(np.max(np.abs(K))) or 1.0
+        balance = np.block([[K / size, W], [W.T, np.zeros((k, k))]])
+        found = linalg.lstsq(balance, np.vstack([np.zeros((n, k)), np.eye(k)]))[0]
+        return np.asarray(found[:n])
 
     def _left(self, orthogonal: Matrix) -> Matrix:
         """What is left of ``M^-1`` where only motions along ``orthogonal`` are free."""

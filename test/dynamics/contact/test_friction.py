@@ -30,7 +30,7 @@ from systems import (
 
 from impact_observer.check.model_check import check_model, largest_kept
 from impact_observer.check.model_findings import findings
-from impact_observer.dynamics import Clutches, Piecewise, lyapunov
+from impact_observer.dynamics import Clutches, Phases, Piecewise, lyapunov
 from impact_observer.errors import ImpactLawError, ModelError, UsageError
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
@@ -356,6 +356,28 @@ def test_replica_at_the_plants_state_stays_with_it() -> None:
             y, t, hits = replica.impact(y, switching.contacts, ()), now, hits + 1
             motion = replica.motion(t, y, switching.closed)
     assert hits >= 5
+
+
+def test_guide_that_sticks_beside_a_fixed_gap_is_in_balance() -> None:
+    """A replica whose contact slips while its gap is fixed: its motion obeys its equations."""
+    model = rubbing(
+        system(np.eye(3) / 2, np.zeros((3, 3)), np.eye(3) / 2, contacts=[([-1, 2, 0], 0.3, 0.0)]),
+        ([0.5, 1, 1], 0.8),
+    )
+    phases = Phases(model)
+    q, u = phases.projection.position_after(np.array([0.2, -0.4, 0.7]), (0,)), np.zeros(3)
+    u = np.array([1.0, 1.5, -2.0])  # the guide is at rest, the contact slips
+    phase, h = phases.phase((1,), (0,), (0.0,)), 1e-4
+    motion = phase.start(0.0, np.concatenate([q, u]))
+    states = motion.states(np.array([0.3 - h, 0.3, 0.3 + h]))
+    Q = np.eye(3) - phases.projection.jump((0,)) @ model.W.T
+    rate = (states[2] - states[0]) / (2 * h)
+    np.testing.assert_allclose(rate[:3], Q @ states[1, 3:], atol=1e-7)
+    force = -model.K @ states[1, :3]
+    w = model.W_T[:, 0]
+    load = -float(w @ np.linalg.solve(model.M, force)) / float(w @ np.linalg.solve(model.M, w))
+    np.testing.assert_allclose(rate[3:], np.linalg.solve(model.M, force + w * load), atol=1e-6)
+    np.testing.assert_allclose(model.gap(states[:, :3].T[:, 1]), 0, atol=1e-12)
 
 
 def test_stuck_replicas_keep_their_distance() -> None:
