@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from impact_observer.errors import BagError
+from impact_observer.errors import BagError, UsageError
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
@@ -66,9 +66,14 @@ def smoothed_runs(
         give: gives an observer the recorded samples of live inputs.
 
     Raises:
-        UsageError: an option cannot be used.
+        UsageError: an option cannot be used; a guide rubs.
         BagError: no event could be applied.
     """
+    if system.guides:
+        raise UsageError(
+            f"{system.name}: guide {system.guides[0].name!r} rubs, which smooth cannot take;"
+            " expected a model without friction"
+        )
     runs: dict[int, list[ImpactEvent]] = {}
     for each in placed(events, options.epoch):
         if each.period >= 0:

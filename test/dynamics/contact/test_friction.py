@@ -16,6 +16,7 @@ from systems import (
     Harmonic,
     chain,
     estimates,
+    event,
     examples,
     forcing,
     observer,
@@ -36,9 +37,12 @@ from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.unknown_parameters import UnknownParameters
 from impact_observer.events import Kind
+from impact_observer.identify.identification import identify
 from impact_observer.model import System, parse_model
+from impact_observer.model.free_parameters import parametric_family
 from impact_observer.model.system import Guide
-from impact_observer.observer import ReplicaLaw
+from impact_observer.observability.rank import observability
+from impact_observer.observer import Options, ReplicaLaw
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.observer.laws.kinematic import Kinematic
@@ -46,6 +50,7 @@ from impact_observer.observer.laws.open_loop import OpenLoop
 from impact_observer.observer.laws.unilateral import Unilateral
 from impact_observer.plant import Plant, Switching
 from impact_observer.plant.time_stepping import TimeSteppingPlant
+from impact_observer.smooth.recording import smoothed_runs
 from impact_observer.stamps import NS_PER_S
 
 Array = NDArray[np.float64]
@@ -437,6 +442,18 @@ def test_time_stepping_refuses_friction_by_name() -> None:
     model = parse_model(MODEL, "rub.yaml").system
     with pytest.raises(UsageError, match=r"guide 'guide' rubs.*expected the integrator event-dr"):
         TimeSteppingPlant(model, np.zeros(2), np.zeros(2), epoch=EPOCH, step=1e-3)
+
+
+def test_identify_smooth_and_observability_refuse_friction_by_name() -> None:
+    """One line each, which names the guide."""
+    model = parse_model(MODEL, "rub.yaml").system
+    events = [event(0.5, "s"), event(1.0, "s")]
+    with pytest.raises(UsageError, match=r"guide 'guide' rubs, which identify cannot take"):
+        identify(parametric_family(model, []), events)
+    with pytest.raises(UsageError, match=r"guide 'guide' rubs, which smooth cannot take"):
+        smoothed_runs(model, events, Options())
+    with pytest.raises(UsageError, match=r"guide 'guide' rubs, so what impacts determine"):
+        observability(model, events)
 
 
 def test_guide_on_a_moving_ground_carries_the_body_until_it_slips() -> None:
