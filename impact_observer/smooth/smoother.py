@@ -9,12 +9,13 @@ method, 1994).
 import math
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from impact_observer.smooth.chain import Chain, Normal
+from impact_observer.smooth.chain import Chain, Normal, Step
 from impact_observer.smooth.linearised import Arc, Node, Path
 
 SETTLED = 1e-3
@@ -25,6 +26,8 @@ _MOST_WORSE = 3
 """Linearisations without a smaller change than before, after which there are no more."""
 _ROOM = 0.4
 """Distance by which an instant may move at once, relative to that to the one before or after."""
+_FEW_NUMBERS = 2**20
+"""Most numbers in the covariances of all nodes of which the steps are kept."""
 _IN_MEMORY = 2**23
 """Most numbers that are kept in memory."""
 
@@ -144,7 +147,12 @@ def at_samples(smoothed: Smoothed, times: Mapping[int, Sequence[float]]) -> Iter
 def _linear(arc: Arc, path: Path, nodes: Sequence[Node]) -> tuple[Normal, KnownStates, float]:
     """The first state, those at ``nodes``, and the evidence, linearised about ``path``."""
     first, known = arc.first, KnownStates(nodes, 1 + arc.first.mean.size)
-    chain = Chain(arc.first, len(nodes), lambda i: arc.step(path, nodes[i]))
+
+    def step(i: int) -> Step:
+        return arc.step(path, nodes[i])
+
+    is_small = len(nodes) * arc.first.root.size <= _FEW_NUMBERS
+    chain = Chain(arc.first, len(nodes), cache(step) if is_small else step)
     for i, z in chain.states():
         if i < 0:
             first = z
