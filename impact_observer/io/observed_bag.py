@@ -111,7 +111,7 @@ def sample_stamps(
     """Stamps of the estimates: at ``rate`` (Hz) from the epoch on, or those of the true states."""
     truth = reader.truth_topic()
     if rate is None:
-        if truth is None:
+        if truth is None or not reader.topics[truth].count:
             raise UsageError(f"{reader.path}: carries no truth to sample with; give --rate")
         return _stamps_of(reader, truth)
     used = [each.event for each in placed(events, epoch) if each.period >= 0]

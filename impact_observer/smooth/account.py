@@ -150,7 +150,7 @@ def account_of(
         decided |= _by_event(trace.notes)
     names = observer.system.contact_names
     verdicts = [each for each in received if (each.stamp, each.sequence) not in traces]
-    verdicts = [each for each in verdicts if each.ruling is not Ruling.INSERTED]
+    verdicts = [v for v in verdicts if v.ruling is not Ruling.INSERTED and not v.revises]
     verdicts += [_verdict(note, names) for notes in decided.values() for note in notes]
     verdicts.sort(key=lambda each: (each.stamp, each.sequence))
     wrong = [key for key in traces if _is_wrong(decided.get(key, ()))]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from impact_observer.errors import BagError
 from impact_observer.events import Ruling
 from impact_observer.io import interfaces
 from impact_observer.io.estimate_messages import messages_of
@@ -91,9 +92,12 @@ def smooth_bag(
     def give(observer: Observer) -> None:
         problems[:] = give_recorded(reader, observer.live)
 
-    runs = smoothed_runs(
-        model.system, events, options, model.elements, progress=progress, give=give
-    )
+    try:
+        runs = smoothed_runs(
+            model.system, events, options, model.elements, progress=progress, give=give
+        )
+    except BagError as error:
+        raise BagError(f"{reader.path}: {error}") from None
     counts = Counter(problems)
     left_out = [f"{count} samples are left out: {each}" for each, count in counts.items()]
     own = (*_ESTIMATES, _VERDICTS, interfaces.SMOOTHED_IMPACTS.topic)

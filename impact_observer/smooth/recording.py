@@ -78,6 +78,8 @@ def smoothed_runs(
     for each in placed(events, options.epoch):
         if each.period >= 0:
             runs.setdefault(each.period, []).append(each.event)
+    if not runs:
+        raise BagError("it holds no impact")
     made = partial(make_observer, system, _own(options), elements, law=TracedLaw)
     found = [_Run(run, options, made, give, progress).motion() for run in runs.values()]
     if not any(each.account.moments for each in found):
@@ -168,13 +170,13 @@ class _Run:
     def _retraced(self, best: "_Trial", tried: set[tuple[object, ...]]) -> "_Trial":
         """The likeliest account whose first moments are found backward, from several moments."""
         known, law, n = best.account, best.law, best.law.system.n
-        count = len(known.moments)
+        count, given = len(known.moments), best.smoothed.known
         if known.decisions == known.as_reported().decisions:
             return best
         prior, begin = self._prior(law, best.epoch), self._begin(best.epoch)
         back = Retracing(law.filter, prior, begin)
         for first in range(n + 2, min(count - n, _RETRACED * n + 3), n):
-            x = best.smoothed.known.at(Node(first)).mean[1 : 1 + 2 * n]
+            x = given.at(Node(first)).mean[1 : 1 + 2 * n]
             account = back.account(known, first, x)
             if account is None or account.decisions in tried:
                 continue

@@ -1,5 +1,6 @@
 """The smoothed motion at any instant, and the smoothed instants of its impacts."""
 
+import math
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.hypotheses import Hypothesis
+from impact_observer.estimation.likelihood import STILL
 from impact_observer.estimation.linear import LinearPrediction
 from impact_observer.events import Ruling, SmoothedImpact
 from impact_observer.observer.belief import Belief, Prediction
@@ -84,7 +86,7 @@ class SmoothedMotion:
     def _instant(self, k: int) -> int:
         """The smoothed instant of a moment, ns."""
         early, _ = self.smoothed.instant(k)
-        return self.account.moments[k].change.stamp - round(early * 1e9)
+        return max(self.account.moments[k].change.stamp - round(early * 1e9), self.start)
 
     def _flown(self, k: int, stamps: Stamps) -> Iterator[Estimates]:
         """States in the flight after the ``k``-th moment, which has no noise."""
@@ -118,7 +120,7 @@ class SmoothedMotion:
         t = self.smoothed.arc.instant(self.smoothed.path, k)
         prediction = self._prediction(k, t)
         for stamp in stamps.tolist():
-            s = Elapsed(stamp - self._epoch) - t
+            s = max(Elapsed(stamp - self._epoch) - t, 0.0)
             closed, root = prediction.closed(s), prediction.root(s)
             assert root is not None, "the law has a covariance"
             yield self._estimate(stamp, k, prediction.state(s), root, closed)
@@ -151,7 +153,7 @@ class SmoothedMotion:
             law=LAW,
             q=x[:n],
             u=x[n:],
-            covariance=frozen(root @ root.T),
+            covariance=frozen(self._widened**2 * (root @ root.T)),
             closed=tuple(self._names[i] for i in held),
             synchronized=self.smoothed.is_settled and not self.misfit,
             misfit=self.misfit,
@@ -182,11 +184,27 @@ class SmoothedMotion:
     def unexplained(self) -> int:
         """How many reported instants the motion does not explain: they are too far from it."""
         return sum(
-            abs(self.smoothed.instant(k)[0]) > _FAR * moment.clock
+            abs(residual) > _FAR
             or self.smoothed.arc.log_slope(self.smoothed.path, k) <= IMPOSSIBLE
+            for k, residual in self._residuals.items()
+        )
+
+    @cached_property
+    def _residuals(self) -> dict[int, float]:
+        """Errors of the stamps of reported moments, in their deviations, by their index."""
+        late = self._constants.offset
+        return {
+            k: (self.smoothed.instant(k)[0] - late) / max(moment.clock, STILL)
             for k, moment in enumerate(self.account.moments)
             if not moment.is_inserted
-        )
+        }
+
+    @cached_property
+    def _widened(self) -> float:
+        """By how much deviations are larger than those of a motion that explains the stamps."""
+        squares = [each * each for each in self._residuals.values()]
+        rms = math.sqrt(sum(squares) / len(squares)) if self.unexplained else 1.0
+        return max(1.0, rms, 1.0 if self.smoothed.is_settled else self.smoothed.change)
 
     @cached_property
     def misfit(self) -> str:

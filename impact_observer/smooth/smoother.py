@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from impact_observer.estimation.likelihood import STILL
 from impact_observer.smooth.chain import Chain, Normal, Step
 from impact_observer.smooth.linearised import Arc, Node, Path
 
@@ -187,5 +188,6 @@ def _improved(arc: Arc, path: Path, known: KnownStates) -> tuple[Path, float]:
         x[k] = arc.moved_before(path, k, now, -e)
         deviations = np.hypot(z.deviations[1:], arc.rounding(now))
         # Of an inserted moment in a chattering sequence the instant is rounding.
-        largest = max(largest, float(np.max(np.abs(moved) / deviations)) * is_measured)
+        far = np.abs(moved) / np.maximum(deviations, STILL)
+        largest = max(largest, float(np.max(far)) * is_measured)
     return Path(early, x, doubt, arc.bounded(constants), path.spread), largest

@@ -182,6 +182,25 @@ def test_parameters_and_offset_are_learned_with_the_motion() -> None:
     learned = {name: value for name, value, _ in motion.parameters}
     assert learned["stiffness-scale"] == pytest.approx(1 / 0.98, rel=1e-6)
     assert learned["clock_offset"] == pytest.approx(0.01, abs=1e-6)
+    assert not motion.misfit
+    assert states(motion, [5.0])[0].synchronized
+
+
+@pytest.mark.slow
+def test_impacts_that_no_motion_explains_are_warned_of() -> None:
+    """At random instants, one of them twice; states are finite and not synchronized."""
+    system = sample("two_mass").system
+    times = [0.956, 2.0478, 2.2566, 3.3849, 5.2355, 6.236, 6.236, 7.2697, 8.0081, 9.4059]
+    name = Switch(system.contact_names[0])
+    events = [
+        ImpactEvent(EPOCH + round(t * NS_PER_S), (name,), k + 1, 0, EPOCH)
+        for k, t in enumerate(times)
+    ]
+    motion = smoothed(system, events, Options(law="minimum-variance"))
+    assert "more than 5 deviations" in motion.misfit
+    for each in states(motion, [0.0, 3.0, 9.5, 12.0]):
+        assert np.all(np.isfinite(np.append(each.q, each.u)))
+        assert not each.synchronized
 
 
 @pytest.mark.slow
