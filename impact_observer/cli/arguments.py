@@ -138,6 +138,19 @@ def add_model(
     parser.add_argument("--model", metavar="MODEL", help=meaning)
 
 
+def add_estimates(parser: "argparse._ActionsContainer") -> None:
+    """Add how many estimates to make, and the most."""
+    parser.add_argument(
+        "--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)"
+    )
+    parser.add_argument(
+        "--most-estimates",
+        metavar="N",
+        type=count,
+        help="refuse to make more (default 10000000): one wrong stamp could fill the disk",
+    )
+
+
 def add_bag_output(parser: argparse.ArgumentParser) -> None:
     """The bag that a command makes: its folder, and how soon what it has is on the disk."""
     parser.add_argument(

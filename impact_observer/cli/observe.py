@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 from impact_observer.cli.arguments import (
     add_bag_output,
+    add_estimates,
     add_model,
     add_namespace,
     add_observer_arguments,
     observer_options,
-    positive,
 )
-from impact_observer.cli.arguments import count as whole
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,13 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
     add("--law", metavar="LAW", default="geometric", help="of the observer (default geometric)")
     add_observer_arguments(parser, convergence=True)
-    add("--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)")
-    add(
-        "--most-estimates",
-        metavar="N",
-        type=whole,
-        help="refuse to make more (default 10000000): one wrong stamp could fill the disk",
-    )
+    add_estimates(parser)
     add_bag_output(parser)
 
 

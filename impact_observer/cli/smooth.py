@@ -10,13 +10,12 @@ from pathlib import Path
 
 from impact_observer.cli.arguments import (
     add_bag_output,
+    add_estimates,
     add_model,
     add_namespace,
     add_observer_arguments,
     observer_options,
-    positive,
 )
-from impact_observer.cli.arguments import count as whole
 
 LAW = "minimum-variance"
 
@@ -28,13 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_model(parser)
     add_namespace(parser)
     add_observer_arguments(parser)
-    add("--rate", metavar="HZ", type=positive, help="estimates, Hz (default: as the truth)")
-    add(
-        "--most-estimates",
-        metavar="N",
-        type=whole,
-        help="refuse to make more (default 10000000): one wrong stamp could fill the disk",
-    )
+    add_estimates(parser)
     add_bag_output(parser)
 
 
