@@ -122,8 +122,19 @@ def use_what_only_tests_use(calls: dict[str, list[Call]]) -> None:
         search.first(motion, 2.0)
         search.guards.known(motion, 0.1, 0.2)
     Phases(PRESSED).phase().transition(0.1)
+    make, time, jets = calls["SampledForces.__init__"][0].function, *_first_samples(calls)
+    forces = make(*calls["SampledForces.__init__"][0].given)
+    for k in range(2):
+        forces.splice(time.size - 1, time[-1:] + k, jets, float(time[-1]))  # type: ignore[attr-defined]
+    forces.drop(1)  # type: ignore[attr-defined]
     arena, _, _, x = calls["Arena.start"][0].given
     arena.fly_all(0, 0.0, x[None], 2_000_000_000, 9)
+
+
+def _first_samples(calls: dict[str, list[Call]]) -> tuple[Any, Any]:
+    """Instants of the first sampled forces that were made, and the jets of one of them."""
+    time, jets = calls["SampledForces.__init__"][0].given[:2]
+    return time, jets[: len(jets) // time.size]
 
 
 def work() -> None:
