@@ -139,7 +139,7 @@ def test_parameters_that_a_user_estimates_stand_alone() -> None:
     """Nothing else is estimated beside them, though they are the wrong ones."""
     wanted = {"law": "minimum-variance", "estimate_parameters": ("stiffness-scale",)}
     chosen = Options(epoch=EPOCH, **wanted, **TRUSTED)  # type: ignore[arg-type]
-    watcher = fed(make_observer(sample("two_mass").system, chosen, ()), wrong().events[:45])
+    watcher = fed(make_observer(sample("two_mass").system, chosen, ()), wrong().events[:38])
     last = watcher.estimate(watcher.last_event)
     assert last.misfit
     names = {name for name, *_ in last.parameters}
