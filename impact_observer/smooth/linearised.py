@@ -78,6 +78,7 @@ class Arc:
     Attributes:
         moments: of the account.
         first: the state before them, what is known of it without them.
+        filter: of whose system it is.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class Arc:
         """The state ``first`` holds at ``t``, s since the epoch; no contact is closed then."""
         self.moments = moments
         self.first = Normal(np.append(first.x, first.constants), first.root)
-        self._filter, self._members, self._t = filter_, filter_.members, t
+        self.filter, self._members, self._t = filter_, filter_.members, t
         self._state, self._p = first, first.parameters
         self._size, self._count = first.x.size, first.constants.size
         self._sizes = filter_.phases.scales.sizes
@@ -95,7 +96,7 @@ class Arc:
 
     def predicted(self) -> Path:
         """The path of the filter, from the first state on."""
-        count, filter_ = len(self.moments), self._filter
+        count, filter_ = len(self.moments), self.filter
         early, doubt, x = np.zeros(count), np.zeros(count), np.zeros((count, self._size))
         state, t = self._state, self._t
         for k, moment in enumerate(self.moments):
@@ -143,7 +144,7 @@ class Arc:
         """The noise of the flight after the ``k``-th moment; None for none."""
         is_last = k + 1 == len(self.moments)
         level = 0.0 if is_last else _level(self.moments[k + 1], ErrorKind.ACCELERATION)
-        return self._filter.noise_of(level)
+        return self.filter.noise_of(level)
 
     def sampled(
         self, path: Path, times: Mapping[int, Sequence[float]]
@@ -167,7 +168,7 @@ class Arc:
                 early.append(0.0)
                 moving = self.member(path).moving
                 states.append(moving.flow_map(t, self._after(path, k), at - t, closed).value)
-        arc = Arc(self._filter, self._t, self._state, moments)
+        arc = Arc(self.filter, self._t, self._state, moments)
         doubt = np.zeros(len(moments))
         doubt[[k for k in range(len(moments)) if k not in {*wanted}]] = path.doubt
         return arc, path._replace(early=np.array(early), x=np.array(states), doubt=doubt), wanted
@@ -196,7 +197,7 @@ class Arc:
         ``root`` is of (q, u, constants); 0 where none hits.
         """
         hit, n = self.moments[k].change.hit, self._size // 2
-        return float(np.linalg.norm(self._filter.system.W[:, hit[0]] @ root[:n])) if hit else 0.0
+        return float(np.linalg.norm(self.filter.system.W[:, hit[0]] @ root[:n])) if hit else 0.0
 
     def rounding(self, x: Vector) -> Vector:
         """How far state and constants may differ by rounding, shape (2n + c,)."""
@@ -247,7 +248,7 @@ class Arc:
         """The jump at the ``k``-th moment, after which closed contacts are measured to rest."""
         change, x, member = self.moments[k].change, self._jumped(path, k), self.member(path)
         new = tuple(i for i in change.closed if i not in change.before)
-        short = self._filter.neglected(member, change.before, x, self.instant(path, k))
+        short = self.filter.neglected(member, change.before, x, self.instant(path, k))
         near = self._near(path, x, change.closed)
         rest = rest_measurement(self._members, near, new, short[list(new)])
         jump, y = self._jump(path, k), rest.H @ np.append(x, path.constants) - rest.value
@@ -272,7 +273,7 @@ class Arc:
     def _guard(self, path: Path, k: int) -> Step:
         """The measurement that the guards of the ``k``-th moment are zero."""
         change, x, member = self.moments[k].change, path.x[k], self.member(path)
-        contacts, d = self._filter.measured_contacts(change), 1 + self._size + self._count
+        contacts, d = self.filter.measured_contacts(change), 1 + self._size + self._count
         if self.moments[k].is_inserted:
             contacts = change.contacts[:1]
         if not contacts:
@@ -283,9 +284,7 @@ class Arc:
         H = np.zeros((len(contacts), d))
         H[:, : own.shape[1]] = own
         end = own.shape[1] + self._p
-        H[:, own.shape[1] : end] = self._filter.measured_sensitivity(
-            member, change, contacts, x, t
-        )
+        H[:, own.shape[1] : end] = self.filter.measured_sensitivity(member, change, contacts, x, t)
         if self.moments[k].is_inserted:
             # Near grazing the acceleration decides the instant: s = sqrt(2 g / a), not g / gamma.
             falling = np.sqrt(np.abs(bend) * (np.abs(value) + path.doubt[k]))
@@ -321,7 +320,7 @@ class Arc:
     def _jump_of(self, path: Path, k: int) -> tuple[Expansion, Contacts]:
         """The jump at the ``k``-th moment, and the contacts that take an impulse."""
         change, x, member = self.moments[k].change, path.x[k], self.member(path)
-        pressed = self._filter.pressed(member, change, x)
+        pressed = self.filter.pressed(member, change, x)
         t = self.instant(path, k)
         jet = member.jump_about(t, x, pressed, change.before, change.closed)
         return jet.expanded(x, member.moving.forces(t)), pressed

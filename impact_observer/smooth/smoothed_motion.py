@@ -91,7 +91,8 @@ class SmoothedMotion:
     def _flown(self, k: int, stamps: Stamps) -> Iterator[Estimates]:
         """States in the flight after the ``k``-th moment, which has no noise."""
         t, after = self.smoothed.arc.instant(self.smoothed.path, k), self.smoothed.after(k)
-        flight = LinearPrediction(t, self._state(after, k), self._law.filter.members, None)
+        members = self.smoothed.arc.filter.members
+        flight = LinearPrediction(t, self._state(after, k), members, None)
         for stamp in stamps.tolist():
             s = Elapsed(stamp - self._epoch) - t
             yield self._estimate(stamp, k, flight.state(s), flight.root(s))
@@ -146,7 +147,8 @@ class SmoothedMotion:
         self, stamp: int, k: int, x: Vector, root: Matrix, closed: tuple[int, ...] | None = None
     ) -> Estimates:
         n, event = self._law.system.n, self.account.moments[k].change if k >= 0 else None
-        x = self._law.system.from_frame(np.array([stamp - self._epoch]), x[None])[0]
+        system = self.smoothed.arc.filter.system
+        (x,) = system.from_frame(np.array([stamp - self._epoch]), x[None])
         held = self.smoothed.arc.closed_after(k) if closed is None else closed
         estimate = Estimate(
             stamp=stamp,
