@@ -69,7 +69,7 @@ class IssuedVerdicts:
                 continue
             note = latest if issued is None else latest._replace(stamp=issued.stamp)
             if subject.inserted or subject.event not in owns:
-                verdicts.append(_verdict(note, self._names, revises=issued is not None))
+                verdicts.append(verdict_of(note, self._names, revises=issued is not None))
             self._issued[subject] = note
         for subject, note in outdated.items():
             del self._issued[subject]
@@ -181,7 +181,8 @@ def _by_subject(notes: Sequence[Note]) -> dict[Subject, Note]:
     }
 
 
-def _verdict(note: Note, names: Sequence[str], *, revises: bool) -> Verdict:
+def verdict_of(note: Note, names: Sequence[str], *, revises: bool = False) -> Verdict:
+    """What a ``note`` says on the contact of one of these ``names``."""
     reason = note.reason
     if revises:
         reason = f"{REVISED}{reason or 'as reported'}"

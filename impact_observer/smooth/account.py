@@ -16,10 +16,9 @@ from impact_observer.events import Contacts, ImpactEvent, Kind, Ruling, Verdict
 from impact_observer.observer import Observer, replay_batches
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
+from impact_observer.observer.verdicts import verdict_of
 from impact_observer.stamps import Elapsed, seconds_between
 
-_WRONG = ("restart", "accepted: the covariance")
-"""How reasons of notes begin where the estimate was wrong."""
 _SETTLED = 16
 """Events after which a hypothesis has found the errors of clock and model at an event."""
 
@@ -48,13 +47,11 @@ class EventAccount(NamedTuple):
         moments: those that are true, and those inserted, in order.
         verdicts: the final ones, in order.
         reported: the moments if all events are as they were reported, and none was missed.
-        doubtful: number of moments until the filter was last wrong about its estimate.
     """
 
     moments: tuple[Moment, ...]
     verdicts: tuple[Verdict, ...]
     reported: tuple[Moment, ...] = ()
-    doubtful: int = 0
 
     def as_reported(self) -> "EventAccount":
         """The account in which all events are as they were reported."""
@@ -151,20 +148,12 @@ def account_of(
     names = observer.system.contact_names
     verdicts = [each for each in received if (each.stamp, each.sequence) not in traces]
     verdicts = [v for v in verdicts if v.ruling is not Ruling.INSERTED and not v.revises]
-    verdicts += [_verdict(note, names) for notes in decided.values() for note in notes]
+    verdicts += [verdict_of(note, names) for notes in decided.values() for note in notes]
     verdicts.sort(key=lambda each: (each.stamp, each.sequence))
-    wrong = [key for key in traces if _is_wrong(decided.get(key, ()))]
     epoch = observer.epoch or min(each.stamp for each in events)
     moments = tuple(_moments(traces, decided, epoch))
     reported = tuple(_moments(traces, {}, epoch))
-    last = max(wrong, default=(0, 0))
-    doubtful = sum(each.change.stamp <= last[0] for each in moments)
-    return EventAccount(moments, tuple(verdicts), reported, doubtful)
-
-
-def _is_wrong(notes: Sequence[Note]) -> bool:
-    """Whether the estimate was wrong at an event."""
-    return any(note.reason.startswith(_WRONG) for note in notes)
+    return EventAccount(moments, tuple(verdicts), reported)
 
 
 def _by_event(notes: Iterable[Note]) -> dict[tuple[int, int], list[Note]]:
@@ -172,12 +161,6 @@ def _by_event(notes: Iterable[Note]) -> dict[tuple[int, int], list[Note]]:
     for note in notes:
         found.setdefault(note.event, []).append(note)
     return found
-
-
-def _verdict(note: Note, names: Sequence[str]) -> Verdict:
-    sequence = 0 if note.is_inserted else note.event[1]
-    contact = names[note.contact]
-    return Verdict(note.stamp, note.ruling, sequence, contact, note.reason, note.innovation)
 
 
 def _moments(
