@@ -8,12 +8,14 @@ import pytest
 
 from docs.tables import files
 from impact_observer.cli.main import COMMANDS
+from impact_observer.detector.sensor_file import parse_sources
 from impact_observer.model import parse_model
 from impact_observer.observer import ReplicaLaw
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 TABLES = files()
+COMMAND_PAGE = (ROOT / "docs" / "commands.md").read_text()
 HOUSE = (ROOT / "docs" / "house.md").read_text()
 
 
@@ -39,15 +41,33 @@ def test_tables_of_options_and_samples_of_parameters_are_those_of_the_code(path:
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_the_readme_lists_every_command(command: str) -> None:
+def test_the_page_of_commands_lists_every_command(command: str) -> None:
     """With what it does."""
-    assert re.search(rf"^\| `{command}[ `]", README, re.MULTILINE)
+    assert re.search(rf"^\| `{command}[ `]", COMMAND_PAGE, re.MULTILINE)
 
 
-def test_the_example_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_readme_names_every_command(command: str) -> None:
+    """In its story, or in the table of what else there is."""
+    assert re.search(rf"`{command}`|\./dev (run )?{command}\b", README)
+
+
+def test_the_readme_is_read_in_ten_minutes() -> None:
+    """At most 1400 words, with its tables and commands."""
+    assert len(README.split()) <= 1400
+
+
+def test_every_page_is_in_the_reading_order() -> None:
+    """A page that no index names is not found."""
+    index = (ROOT / "docs" / "index.md").read_text()
+    pages = {path.name for path in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    assert pages == set(re.findall(r"\]\(([\w]+\.md)\)", index))
+
+
+def test_the_example_in_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
     """It prints the estimate beside the truth, and they agree."""
-    (code,) = blocks(README, "python")
-    exec(compile(code, "README.md", "exec"), {})
+    (code,) = blocks(COMMAND_PAGE, "python")
+    exec(compile(code, "commands.md", "exec"), {})
     estimate, truth = re.findall(r"\[([^]]*)\]", capsys.readouterr().out)
     difference = [
         abs(float(a) - float(b)) for a, b in zip(estimate.split(), truth.split(), strict=True)
@@ -67,10 +87,11 @@ def test_the_example_of_the_page_of_sweeps_runs() -> None:
 
 def test_the_model_of_the_readme_is_a_model() -> None:
     """It can be copied as it stands."""
-    (text,) = blocks(README, "yaml")
+    text, sensors = blocks(README, "yaml")
     model = parse_model(text, "README.md")
     assert model.system.name == "hammer"
     assert model.system.contact_names == ("anvil",)
+    assert [each.contact for each in parse_sources(sensors, "README.md")] == ["anvil"]
 
 
 def test_files_and_functions_named_in_the_house_exist() -> None:
