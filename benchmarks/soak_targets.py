@@ -28,6 +28,7 @@ from impact_observer.io.messages import MessageError, MessageLimits, bag_message
 from impact_observer.io.observed_bag import observe_bag
 from impact_observer.io.typestores import deserialize, new_typestore
 from impact_observer.model import parse_model, read_model
+from impact_observer.model.measurements_file import parse_measurements
 from impact_observer.observer import Observer, Options, make_observer
 from impact_observer.options import OBSERVER_OPTIONS, Option
 from impact_observer.resources import shared
@@ -44,6 +45,11 @@ EPOCH = 5 * S
 _MODELS = ("two_mass", "three_mass", "bouncing_ball")
 _TABLE = b"time,x1,x2\n0,0,1\n0.5,1e-3,-2\n1,0,4\n"
 _IMPACTS = b"time,contact,kind,sequence\n0.5,stop,impact,1\n0.9,stop,close,2\n1.25,stop,open,3\n"
+_MEASURED = b"""measurements:
+  - {name: laser, topic: /range, field: a.b[3], position: {x2: -1}, offset: 0.5, deviation: learn}
+  - {name: probe, topic: /probe, joint: x, quantity: velocity, gap: stop, deviation: 1.0e-4,
+     gain: 1, delay: 0.01, blanking: 0.004, gate: 5.0, timeout: 0.5, stamp: receive}
+"""
 _EDGES = (0, 1, 2, 5, 999, 2**31, 2**32 - 1)
 _LONG = (0, 1, 7, 1007, 2**32, 2**63, 2**64 - 1)
 
@@ -106,6 +112,17 @@ def _sensors(_: Path) -> Attack:
 
     def attack(draw: random.Random) -> object:
         return parse_sources(_text(mutated(draw, draw.choice(texts), texts)), "sensors")
+
+    return attack
+
+
+def _measurements(_: Path) -> Attack:
+    """A file of what is measured beside the impacts."""
+    texts = [each.read_bytes() for each in sorted(shared("config/measurements").glob("*.yaml"))]
+    texts.append(_MEASURED)
+
+    def attack(draw: random.Random) -> object:
+        return parse_measurements(_text(mutated(draw, draw.choice(texts), texts)), "measured")
 
     return attack
 
@@ -284,6 +301,7 @@ TARGETS = (
     Target("model", 0.5, _model),
     Target("table", 1, _table),
     Target("sensors", 0.5, _sensors),
+    Target("measurements", 0.5, _measurements),
     Target("csv", 0.5, _csv),
     Target("bag", 0.1, _bag),
     Target("parameters", 25, _parameters),

@@ -11,7 +11,7 @@ from benchmarks.soak import soak
 from benchmarks.soak_targets import TARGETS, Target
 from impact_observer.errors import UsageError
 
-INPUTS = {"bag": 4, "csv": 12, "model": 12, "sensors": 12}
+INPUTS = {"bag": 4, "csv": 12, "model": 12, "measurements": 12, "sensors": 12}
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda each: each.name)

@@ -5,7 +5,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from impact_observer.detector.fields import FieldPath, header_stamp, numbers_at
 from impact_observer.detector.peak import PeakSensor
 from impact_observer.detector.sensors import (
     ArrivalSensor,
@@ -17,6 +16,7 @@ from impact_observer.detector.sensors import (
 from impact_observer.detector.source import ARRIVAL, PEAK, SWITCH, Source
 from impact_observer.detector.switch import SwitchSensor
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.message_fields import FieldPath, header_stamp, numbers_at
 from impact_observer.stamps import MAX_STAMP, from_seconds
 
 _SENSORS: dict[str, type[Sensor]] = {

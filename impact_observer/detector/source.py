@@ -5,8 +5,8 @@ import math
 import re
 from dataclasses import dataclass, replace
 
-from impact_observer.detector.fields import parse_path
 from impact_observer.errors import UsageError
+from impact_observer.message_fields import parse_path
 
 SWITCH, PEAK, ARRIVAL = "switch", "peak", "arrival"
 KINDS = (SWITCH, PEAK, ARRIVAL)

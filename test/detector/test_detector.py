@@ -23,10 +23,10 @@ from signals import (
 )
 
 from impact_observer.detector import Detector, Source, parse_sources, read_sources
-from impact_observer.detector.fields import header_stamp, numbers_at, parse_path
 from impact_observer.detector.source import IMU
 from impact_observer.errors import UsageError
 from impact_observer.events import ImpactEvent, Kind, Switch
+from impact_observer.message_fields import header_stamp, numbers_at, parse_path
 
 
 def two_switches(epoch: int = 0) -> Detector:

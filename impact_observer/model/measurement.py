@@ -1,0 +1,177 @@
+"""One sensor that measures a known function of the state, as its user declares it."""
+
+import dataclasses
+import math
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+from impact_observer.errors import UsageError
+from impact_observer.message_fields import FieldPath, parse_path
+from impact_observer.model.document import LARGEST
+
+if TYPE_CHECKING:
+    from impact_observer.model.system import System
+
+POSITION, VELOCITY, ACCELERATION = "position", "velocity", "acceleration"
+KINDS = (POSITION, VELOCITY, ACCELERATION)
+QUANTITIES = (POSITION, VELOCITY)
+STAMPS = ("header", "receive")
+LONGEST = 10.0
+"""Longest delay and blanking that may be declared, s: the longest ``history`` of an observer."""
+_TOPIC = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+Coefficients: TypeAlias = tuple[tuple[str, float], ...]
+"""Names of coordinates, each with a number."""
+_RANGES = {
+    "offset": (-LARGEST, LARGEST, "a finite number"),
+    "gain": (0.0, 2.0, "0 to 2"),
+    "delay": (0.0, LONGEST, f"0 to {LONGEST:g} s"),
+    "blanking": (0.0, LONGEST, f"0 to {LONGEST:g} s"),
+    "gate": (1e-9, 1e9, "a positive number of standard deviations"),
+    "timeout": (1e-9, 1e9, "a positive number of seconds"),
+}
+"""Least and most of each number, and what is expected, in words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """A sensor: ``y`` = a sum of coefficients times positions, velocities, ... + ``offset``.
+
+    Attributes:
+        name: of the sensor, in verdicts and diagnostics.
+        topic: where it publishes.
+        joint: name of the joint in ``sensor_msgs/JointState``; empty where ``field`` is given.
+        quantity: ``position`` or ``velocity`` of that joint.
+        field: path of the number in a message, such as ``range`` or ``linear_acceleration.x``.
+        position: coefficients by coordinate.
+        velocity: coefficients by coordinate.
+        acceleration: coefficients by coordinate.
+        gap: the contact whose gap is measured; empty for none.
+        offset: added to what is measured, in its own unit.
+        deviation: standard deviation of the noise, in the same unit; 0 for an exact measurement,
+            None to have it learned.
+        gain: share of the deviation from a sample that laws without a covariance remove.
+        delay: by how much stamps are late, s.
+        blanking: so long after an impact its samples are not used, s.
+        gate: normalised innovation from which on a sample is rejected.
+        timeout: silence of which a node warns, s.
+        stamp: ``header`` or ``receive``; None for the header's where there is one.
+        origin: put before a key in errors, such as ``rig.yaml: measurements[0].``.
+    """
+
+    name: str
+    topic: str
+    joint: str = ""
+    quantity: str = ""
+    field: str = ""
+    position: Coefficients = ()
+    velocity: Coefficients = ()
+    acceleration: Coefficients = ()
+    gap: str = ""
+    offset: float = 0.0
+    deviation: float | None = None
+    gain: float = 0.2
+    delay: float = 0.0
+    blanking: float = 0.0
+    gate: float = 5.0
+    timeout: float = 1.0
+    stamp: str | None = None
+    origin: str = dataclasses.field(default="", compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Check everything that does not need the system."""
+        for key in ("name", "topic"):
+            if not getattr(self, key):
+                raise self.wrong(key, "is missing; expected a name")
+        if not _TOPIC.fullmatch(self.topic):
+            raise self.wrong(
+                "topic", f"{self.topic!r} found; expected a name such as /rig/encoder"
+            )
+        self._check_source()
+        self._check_function()
+        self._check_numbers()
+        if self.stamp is not None and self.stamp not in STAMPS:
+            raise self.wrong("stamp", f"{self.stamp!r} found; expected one of {', '.join(STAMPS)}")
+
+    def _check_source(self) -> None:
+        """Raise unless it is known which number of a message is meant."""
+        if bool(self.joint) == bool(self.field):
+            found = "both joint and field" if self.joint else "neither joint nor field"
+            raise self.wrong("field", f"{found} found; expected one of them")
+        if self.field and self.quantity:
+            raise self.wrong("quantity", "does not go with field; leave it out")
+        if self.joint and self.quantity not in QUANTITIES:
+            wanted = " or ".join(QUANTITIES)
+            raise self.wrong("quantity", f"{self.quantity or 'nothing'} found; expected {wanted}")
+        if self.field:
+            self.path()
+
+    def _check_function(self) -> None:
+        """Raise unless it is known what is measured."""
+        given = [kind for kind in KINDS if getattr(self, kind)]
+        if self.joint and not (given or self.gap):
+            object.__setattr__(self, self.quantity, ((self.joint, 1.0),))
+            given = [self.quantity]
+        if bool(given) == bool(self.gap):
+            found = f"{given[0]} and gap" if given else "no position, velocity, acceleration, gap"
+            wanted = "expected coefficients by coordinate, or the gap of a contact"
+            raise self.wrong(given[0] if given else POSITION, f"{found} found; {wanted}")
+        for kind in KINDS:
+            for coordinate, value in getattr(self, kind):
+                if not (math.isfinite(value) and 0 < abs(value) <= LARGEST):
+                    found = f"{value:g} found; expected a finite number other than 0"
+                    raise self.wrong(f"{kind}.{coordinate}", found)
+
+    def _check_numbers(self) -> None:
+        """Raise if a number is out of range."""
+        for key, (low, high, wanted) in _RANGES.items():
+            value = getattr(self, key)
+            if not low <= value <= high:
+                raise self.wrong(key, f"{value:g} found; expected {wanted}")
+        if self.deviation is not None and not 0 <= self.deviation <= LARGEST:
+            wanted = "expected 0 (exact), a positive number, or learn"
+            raise self.wrong("deviation", f"{self.deviation:g} found; {wanted}")
+
+    def wrong(self, key: str, problem: str) -> UsageError:
+        """The error that names the file, the ``key`` and the ``problem``."""
+        return UsageError(" ".join(f"{self.origin}{key}: {problem}".split()))
+
+    def path(self) -> FieldPath:
+        """The parts of ``field``.
+
+        Raises:
+            UsageError: ``field`` is no path.
+        """
+        try:
+            return parse_path(self.field)
+        except ValueError as error:
+            raise self.wrong("field", str(error)) from None
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it is declared to have no noise."""
+        return self.deviation == 0
+
+    @property
+    def unit(self) -> str:
+        """The unit of what is measured, as far as coordinates are in m."""
+        orders = [k for k, kind in enumerate(KINDS) if getattr(self, kind)] or [0]
+        return ("m", "m/s", "m/s^2")[orders[-1]]
+
+    def check(self, system: "System") -> None:
+        """Raise unless the system has the coordinates and the contact that are named.
+
+        Raises:
+            UsageError: by file and key.
+        """
+        for kind in KINDS:
+            for coordinate, _ in getattr(self, kind):
+                if coordinate not in system.coordinates:
+                    key = kind if coordinate != self.joint else "joint"
+                    names = ", ".join(system.coordinates)
+                    problem = f"{coordinate!r} is no coordinate of {system.name}; expected one of"
+                    raise self.wrong(key, f"{problem} {names}")
+        if self.gap and self.gap not in system.contact_names:
+            names = ", ".join(system.contact_names) or "none, as it has no contacts"
+            problem = f"{self.gap!r} is no contact of {system.name}; expected one of {names}"
+            raise self.wrong("gap", problem)
