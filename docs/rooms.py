@@ -39,6 +39,7 @@ ROOMS: tuple[tuple[Room, ...], ...] = (
         Room("smooth", "a recording's states from the events before and after", "rich"),
         Room("identify", "parameters from impact times", "rich"),
         Room("observability", "what the impacts determine", "rich"),
+        Room("new", "the files of a new rig"),
         Room("check", "models and bags: what is wrong with them, salvage", "rich"),
     ),
     (Room("sweep", "Monte Carlo over laws, starts, faults, wrong models", "joblib, pyarrow"),),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 _SAVED = re.compile(
-    r"Save this as `([^`]+)`[^\n]*\n(?:[^\n]+\n)*\n```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL
+    r"[Ss]ave this as `([^`]+)`[^\n]*\n(?:[^\n]+\n)*\n```\w*\n(.*?)^```$", re.MULTILINE | re.DOTALL
 )
 _PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _TYPED = re.compile(r"^ {4}(?:\./dev run|\.venv/bin/(\w+)) (.*(?:\\\n.*)*)$", re.MULTILINE)

@@ -89,16 +89,19 @@ class Launcher:
 
     def load(self, name: str) -> Any:  # noqa: ANN401 (launch has no types)
         """The description in a launch file."""
+        return self.load_file(ROOT / "launch" / f"{name}.launch.py")
+
+    def load_file(self, path: Path) -> Any:  # noqa: ANN401 (launch has no types)
+        """The same of any file."""
         sources = importlib.import_module("launch.launch_description_sources")
-        path = ROOT / "launch" / f"{name}.launch.py"
         return sources.get_launch_description_from_python_launch_file(str(path))
 
-    def run(self, file: str, **given: str) -> list[Started]:
+    def run(self, file: str | Path, **given: str) -> list[Started]:
         """What ``ros2 launch`` starts."""
         context = self.launch.LaunchContext()
         context.launch_configurations.update(given)
         self.nodes.clear()
-        entities = [self.load(file)]
+        entities = [self.load(file) if isinstance(file, str) else self.load_file(file)]
         while entities:
             entities = (entities.pop(0).visit(context) or []) + entities
         return list(self.nodes)
@@ -311,6 +314,22 @@ def test_detector_launch_passes_the_sensors_and_the_topic(launcher: Launcher) ->
         {"sources": "rig.yaml", "epoch": 5},
         {"impacts": "/rig/impacts"},
     )
+
+
+def test_the_launch_file_of_a_new_rig_starts_detector_and_observer(
+    launcher: Launcher, tmp_path: Path
+) -> None:
+    """With the files beside it; other parameters may be given."""
+    rig = str(tmp_path / "rig")
+    parts = ["--mass", "x1,1", "--force", "x1,1,2", "--stop", "wall,x1,above,0.1,0.5"]
+    assert main(["new", rig, *parts]) == 0
+    launched = launcher.run(tmp_path / "rig.launch.py", epoch="5", use_sim_time="true")
+    detector, observer = launched
+    given = {"epoch": 5, "use_sim_time": True}
+    assert detector.parameters == {"sources": f"{rig}_sensors.yaml", **given}
+    model = {"model": f"{rig}.yaml", "law": "minimum-variance"}
+    assert observer.parameters == model | given
+    assert [detector.remappings, observer.remappings] == [{"impacts": "impacts"}] * 2
 
 
 def test_observer_launch_starts_a_monitor_on_request(launcher: Launcher) -> None:

@@ -1,0 +1,1 @@
+"""The files of a new rig: its model, its sensors, and what launches its nodes."""

@@ -1,0 +1,141 @@
+"""Parts of a rig in one line each, as a command line or an answer has them."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from impact_observer.errors import UsageError
+
+Item = dict[str, str | float | list[str]]
+"""A member of a list in a file: its keys and values, in order."""
+_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+_TOPIC = re.compile(r"[/~]?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
+_WORDS = {"null", "true", "false"}
+"""That YAML takes for something else than text."""
+
+
+@dataclass(frozen=True, slots=True)
+class PartKind:
+    """A kind of part.
+
+    Attributes:
+        name: in the command line, ``--NAME``, and in questions.
+        forms: how a part is written; the first one is that of examples.
+        example: of the first form.
+        meaning: in a few words, with units.
+        read: makes an item of the fields between commas.
+    """
+
+    name: str
+    forms: tuple[str, ...]
+    example: str
+    meaning: str
+    read: Callable[[list[str]], Item]
+
+    def parse(self, text: str) -> Item:
+        """The item that ``text`` means.
+
+        Raises:
+            UsageError: one line with what was found and the forms.
+        """
+        try:
+            return self.read([field.strip() for field in text.split(",")])
+        except ValueError as error:
+            forms = " or ".join(self.forms)
+            raise UsageError(
+                f"--{self.name} {text}: {error}; expected {forms}, such as {self.example}"
+            ) from None
+
+
+def _name(text: str) -> str:
+    if not _NAME.fullmatch(text) or text.lower() in _WORDS:
+        raise ValueError(f"{text!r} is no name of letters, digits and _")
+    return text
+
+
+def _topic(text: str) -> str:
+    if not _TOPIC.fullmatch(text) or text.lower() in _WORDS:
+        raise ValueError(f"{text!r} is no name of a topic")
+    return text
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{text!r} is no number") from None
+
+
+def _fields(given: list[str], least: int, most: int) -> list[str]:
+    if not least <= len(given) <= most:
+        raise ValueError(f"{len(given)} found between commas")
+    return given
+
+
+def _mass(given: list[str]) -> Item:
+    name, mass = _fields(given, 2, 2)
+    return {"name": _name(name), "mass": _number(mass)}
+
+
+def _spring(given: list[str]) -> Item:
+    a, b, *values = _fields(given, 3, 4)
+    keys = ("stiffness", "damping")
+    return {"between": [_name(a), _name(b)], **dict(zip(keys, map(_number, values), strict=False))}
+
+
+def _force(given: list[str]) -> Item:
+    body, *values = _fields(given, 2, 4)
+    keys = ("constant",) if len(values) == 1 else ("amplitude", "frequency", "phase")
+    return {"body": _name(body), **dict(zip(keys, map(_number, values), strict=False))}
+
+
+def _stop(given: list[str]) -> Item:
+    name, a, b, distance, restitution = _fields(given, 5, 5)
+    item: Item = {"name": _name(name)}
+    if b in {"above", "below"}:
+        item |= {"body": _name(a), "limit": _number(distance), "side": b}
+    else:
+        item |= {"between": [_name(a), _name(b)], "gap": _number(distance)}
+    return item | {"restitution": _number(restitution)}
+
+
+def _sensor(given: list[str]) -> Item:
+    contact, topic, *threshold = _fields(given, 2, 3)
+    item: Item = {"contact": _name(contact), "topic": _topic(topic)}
+    if threshold:
+        return item | {"kind": "peak", "threshold": _number(threshold[0])}
+    return item | {"kind": "switch"}
+
+
+MASS = PartKind("mass", ("NAME,MASS",), "x1,1.5", "a body that moves along a line, kg", _mass)
+SPRING = PartKind(
+    "spring",
+    ("A,B,STIFFNESS[,DAMPING]",),
+    "ground,x1,100,0.5",
+    "between two bodies, or a body and ground; N/m, Ns/m",
+    _spring,
+)
+FORCE = PartKind(
+    "force",
+    ("BODY,AMPLITUDE,FREQUENCY[,PHASE]", "BODY,CONSTANT"),
+    "x1,4,2.5",
+    "AMPLITUDE cos(FREQUENCY t + PHASE), N, rad/s, rad; or a constant, N",
+    _force,
+)
+STOP = PartKind(
+    "stop",
+    ("NAME,BODY,above|below,LIMIT,RESTITUTION", "NAME,A,B,GAP,RESTITUTION"),
+    "anvil,x1,above,0.5,0.7",
+    "which the body reaches at LIMIT, m, and which is above or below it; or between two bodies,"
+    " which touch when B has moved by GAP towards A, m",
+    _stop,
+)
+SENSOR = PartKind(
+    "sensor",
+    ("STOP,TOPIC[,THRESHOLD]",),
+    "anvil,/switch",
+    "of a stop: a switch on a topic, or with a threshold what has peaks, such as an accelerometer,"
+    " m/s^2",
+    _sensor,
+)
+MODEL_KINDS = (MASS, SPRING, FORCE, STOP)

@@ -1,0 +1,240 @@
+"""A new rig: what it is made of, and the texts of its three files."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from impact_observer.detector import parse_sources
+from impact_observer.errors import UsageError
+from impact_observer.model import Model, parse_model
+from impact_observer.new.parts import FORCE, MASS, SENSOR, SPRING, STOP, Item, PartKind
+
+_FILE_NAME = re.compile(r"[A-Za-z_][\w-]*", re.ASCII)
+_MODEL = """\
+# {name}: a model of a rig, made by `impact-observer new`. SI units: kg, m, s, N, rad.
+# After each change: impact-observer check-model {name}.yaml. All keys are in docs/model.md.
+name: {name}
+
+# Bodies move along one line. Positions are displacements from where the springs have no load.
+bodies:
+{mass}
+# Stiffness in N/m, damping in Ns/m. `ground` does not move.
+springs:{spring}
+# amplitude cos(frequency t + phase), in N, rad/s and rad, t from the epoch; or constant, in N.
+forces:{force}
+# side: where the stop is, so that a body stays below a stop `above`. Between two bodies a and b
+# the gap is q_b - q_a + gap.
+# Restitution lies between 0 and 1; for what you do not know see docs/identify.md.
+stops:{stop}
+# Where a simulation begins, m and m/s. No observer reads it.
+{start}
+"""
+_SENSORS = """\
+# The sensors of {name}, one for each stop, made by `impact-observer new`.
+# All keys are in docs/detector.md.
+#   impact-observer detect BAG --sources {name}_sensors.yaml --model {name}.yaml -o OUT
+# A switch is a std_msgs/Bool, true while the contact is closed. A peak is in any message, such as
+# sensor_msgs/Imu; its threshold is in that message's unit.
+# Worth measuring: `latency: 0.002`, by how much its stamps are late, s.
+
+sources:
+{sensor}
+"""
+_LAUNCH = '''\
+"""Detector and observer of {name}, made by `impact-observer new`, for ROS 2 Jazzy.
+
+    ros2 launch {name}.launch.py{epoch}
+{remark}
+What these nodes take (rate, use_sim_time, namespace, local, ...) may be given in the same way:
+    ros2 launch {name}.launch.py --show-args
+"""
+
+from pathlib import Path
+
+from launch import LaunchDescription
+from launch.actions import IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+
+from impact_observer.resources import shared
+
+FOLDER = Path(__file__).resolve().parent
+NODES = {{
+    "detector": {{"sources": str(FOLDER / "{name}_sensors.yaml")}},
+    "observer": {{"model": str(FOLDER / "{name}.yaml"), "law": "minimum-variance"}},
+}}
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The launch files of the package, with the files of this rig."""
+    return LaunchDescription([included(node, given) for node, given in NODES.items()])
+
+
+def included(node: str, given: dict[str, str]) -> IncludeLaunchDescription:
+    """The launch file of a node."""
+    source = PythonLaunchDescriptionSource(str(shared(f"launch/{{node}}.launch.py")))
+    return IncludeLaunchDescription(source, launch_arguments=given.items())
+'''
+_EPOCH = """
+The force depends on time: epoch is the stamp of t = 0 of the drive, in nanoseconds.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class NewRig:
+    """What a rig is made of.
+
+    Attributes:
+        name: of the model and of its files.
+        parts: items of the lists in its files, by their kind.
+
+    Raises:
+        UsageError: the name is none of a file.
+    """
+
+    name: str
+    parts: Mapping[PartKind, tuple[Item, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check the name."""
+        if not _FILE_NAME.fullmatch(self.name):
+            raise UsageError(
+                f"NAME: {self.name!r} found; expected letters, digits, - and _, such as my_rig"
+            )
+
+    def with_part(self, kind: PartKind, text: str) -> "NewRig":
+        """The rig with one more part, checked as far as it goes.
+
+        Raises:
+            UsageError, ModelError: one line that names what is wrong with the part.
+        """
+        items = (*self.items(kind), kind.parse(text))
+        grown = replace(self, parts={**self.parts, kind: items})
+        if kind is SENSOR:
+            grown.check_sensors()
+        else:
+            grown.model()
+        return grown
+
+    def items(self, kind: PartKind) -> tuple[Item, ...]:
+        """The parts of a kind."""
+        return self.parts.get(kind, ())
+
+    @property
+    def stops_without_sensor(self) -> tuple[str, ...]:
+        """Names of stops, in order."""
+        sensed = {each["contact"] for each in self.items(SENSOR)}
+        return tuple(str(each["name"]) for each in self.items(STOP) if each["name"] not in sensed)
+
+    @property
+    def needs_epoch(self) -> bool:
+        """Whether a force depends on time."""
+        return any("frequency" in each for each in self.items(FORCE))
+
+    def model(self) -> Model:
+        """The model, read from its text.
+
+        Raises:
+            ModelError: one line that names the file, the key and what is wanted.
+        """
+        return parse_model(self.model_text(), f"{self.name}.yaml")
+
+    def model_text(self) -> str:
+        """The model file."""
+        zeros = ", ".join("0" for _ in self.items(MASS))
+        start = f"initial_state: {{position: [{zeros}], velocity: [{zeros}]}}"
+        if any(_gap_at_rest(each) < 0.0 for each in self.items(STOP)):
+            start = f"# {start}    # this one is inside a stop"
+        parts = {kind.name: _lines(self.items(kind)) for kind in (SPRING, FORCE, STOP)}
+        mass = _lines(self.items(MASS)).removeprefix("\n")
+        return _MODEL.format(name=self.name, mass=mass, start=start, **parts)
+
+    def sensors_text(self) -> str:
+        """The file of sensors."""
+        sensor = _lines(self.items(SENSOR)).strip("\n")
+        return _SENSORS.format(name=self.name, sensor=sensor)
+
+    def launch_text(self) -> str:
+        """The launch file."""
+        epoch, remark = (" epoch:=NANOSECONDS", _EPOCH) if self.needs_epoch else ("", "")
+        return _LAUNCH.format(name=self.name, epoch=epoch, remark=remark)
+
+    def check_sensors(self) -> None:
+        """Check that each is of a stop, and that a detector reads them.
+
+        Raises:
+            UsageError: one line.
+        """
+        stops = [str(each["name"]) for each in self.items(STOP)]
+        for each in self.items(SENSOR):
+            if each["contact"] not in stops:
+                known = ", ".join(stops) or "none"
+                raise UsageError(f"--sensor {each['contact']}: no such stop; there are {known}")
+        parse_sources(self.sensors_text(), f"{self.name}_sensors.yaml")
+
+
+def complete(rig: NewRig) -> NewRig:
+    """The rig, with a switch on the topic of its name for each stop that has no sensor.
+
+    Raises:
+        UsageError: nothing moves, or nothing hits.
+    """
+    for kind in (MASS, STOP):
+        if not rig.items(kind):
+            raise UsageError(
+                f"--{kind.name}: none given; expected at least one, such as"
+                f" --{kind.name} {kind.example}; in a terminal, without any, new asks"
+            )
+    for stop in rig.stops_without_sensor:
+        rig = rig.with_part(SENSOR, f"{stop},/{stop}")
+    return rig
+
+
+def write(rig: NewRig, folder: Path) -> list[Path]:
+    """Write the three files of a rig that is complete; none if one of them exists.
+
+    Raises:
+        UsageError: one exists, or cannot be written.
+    """
+    texts = {
+        folder / f"{rig.name}.yaml": rig.model_text(),
+        folder / f"{rig.name}_sensors.yaml": rig.sensors_text(),
+        folder / f"{rig.name}.launch.py": rig.launch_text(),
+    }
+    written: list[Path] = []
+    try:
+        for path, text in texts.items():
+            with path.open("x", encoding="utf-8") as file:
+                written.append(path)
+                file.write(text)
+    except OSError as error:
+        for each in written:
+            each.unlink()
+        problem = f"cannot be written: {error.strerror}"
+        if isinstance(error, FileExistsError):
+            problem = "is there already; choose another name"
+        raise UsageError(f"{error.filename}: {problem}") from None
+    return list(texts)
+
+
+def _gap_at_rest(stop: Item) -> float:
+    """The gap of a stop where all positions are zero, m."""
+    if "gap" in stop:
+        return float(str(stop["gap"]))
+    limit = float(str(stop["limit"]))
+    return limit if stop["side"] == "above" else -limit
+
+
+def _lines(items: tuple[Item, ...]) -> str:
+    """A list in YAML, a member a line."""
+    if not items:
+        return " []\n"
+    return "".join(f"\n  - {{{', '.join(map(_entry, each.items()))}}}" for each in items) + "\n"
+
+
+def _entry(pair: tuple[str, str | float | list[str]]) -> str:
+    """A key with its value."""
+    key, value = pair
+    if isinstance(value, list):
+        return f"{key}: [{', '.join(value)}]"
+    return f"{key}: {value if isinstance(value, str) else repr(value).removesuffix('.0')}"

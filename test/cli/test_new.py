@@ -1,0 +1,138 @@
+"""new: from a few words to a rig that is simulated, detected and observed."""
+
+import builtins
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from impact_observer.cli.main import main
+from impact_observer.io import BagReader
+from impact_observer.io.recordings import events_in
+from impact_observer.resources import shared
+
+HAMMER = (
+    *("--mass", "x1,1", "--mass", "x2,1"),
+    *("--spring", "ground,x1,10,0.1", "--spring", "x1,x2,10,0.1"),
+    *("--force", "x2,4,2.5", "--stop", "anvil,x2,above,0.5,0.7", "--sensor", "anvil,/switch"),
+)
+"""The rig of README, which is two_mass."""
+FILES = ("hammer.yaml", "hammer_sensors.yaml", "hammer.launch.py")
+
+
+def answers(monkeypatch: pytest.MonkeyPatch, *lines: str) -> list[str]:
+    """Give these answers, as in a terminal; returns what was asked."""
+    left, asked = iter(lines), list[str]()
+
+    def answer(question: str) -> str:
+        asked.append(question)
+        try:
+            return next(left)
+        except StopIteration:
+            raise EOFError from None
+
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    monkeypatch.setattr(builtins, "input", answer)
+    return asked
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_what_is_written_is_checked_and_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    """The command itself ends with check-model, and says how to go on."""
+    assert main(["new", "hammer", *HAMMER]) == 0
+    out = capsys.readouterr().out
+    assert f"{', '.join(FILES)}: written" in out
+    assert "hammer: 2 coordinates, 1 contact, forcing: 1 harmonic" in out
+    assert "-p sources:=hammer_sensors.yaml -p epoch:=NANOSECONDS" in out
+    assert main(["check-model", "hammer.yaml"]) == 0
+    assert capsys.readouterr().out in out
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+def test_the_files_go_all_the_way_to_an_estimate(capsys: pytest.CaptureFixture[str]) -> None:
+    """A simulation; and a recorded switch of the same rig, with the sensors file."""
+    assert main(["new", "hammer", *HAMMER]) == 0
+    assert main(["simulate", "hammer.yaml", "--duration", "10", "-o", "simulated"]) == 0
+    with BagReader(Path("simulated")) as bag:
+        assert len(list(events_in(bag))) == 5
+    recorded = str(shared("bags/switch"))
+    files = ["--sources", "hammer_sensors.yaml", "--model", "hammer.yaml", "--epoch", "1"]
+    assert main(["detect", recorded, *files, "-o", "detected"]) == 0
+    assert "anvil: 22 impacts" in capsys.readouterr().out
+    assert main(["observe", "detected", "--law", "minimum-variance", "-o", "observed"]) == 0
+    assert "22 applied" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("there", FILES)
+@pytest.mark.usefixtures("in_tmp_path")
+def test_nothing_is_overwritten(there: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Whichever file is there already, it stays, and no other one is left."""
+    Path(there).write_text("mine")
+    assert main(["new", "hammer", *HAMMER]) == 2
+    assert f"{there}: is there already; choose another name" in capsys.readouterr().err
+    assert Path(there).read_text() == "mine"
+    assert [path.name for path in Path.cwd().iterdir()] == [there]
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_in_a_terminal_it_asks(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A wrong answer is explained and asked again; the files are those of the arguments."""
+    typed: Iterator[str] = iter(HAMMER)
+    pairs = list(zip(typed, typed, strict=True))
+    lines = {kind: [text for key, text in pairs if key == f"--{kind}"] for kind in ("mass",)}
+    asked = answers(
+        monkeypatch,
+        *("x1,heavy", *lines["mass"], ""),
+        *("ground,x1,10,0.1", "x1,x2,10,0.1", ""),
+        *("x2,4,2.5", "", "anvil,x2,above,0.5,0.7", "", "/switch"),
+    )
+    assert main(["new", "asked"]) == 0
+    assert "'heavy' is no number; expected NAME,MASS" in capsys.readouterr().out
+    assert asked[:3] == ["mass 1 (empty: no more): "] * 2 + ["mass 2 (empty: no more): "]
+    assert asked[-1] == "sensor of anvil (/anvil): "
+    assert main(["new", "hammer", *HAMMER]) == 0
+    for name in FILES:
+        other = Path(name.replace("hammer", "asked")).read_text()
+        assert other.replace("asked", "hammer") == Path(name).read_text()
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_an_end_of_the_input_leaves_no_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Ctrl-D in the middle of the questions."""
+    answers(monkeypatch, "x1,1")
+    assert main(["new", "hammer"]) == 2
+    assert "the input has ended: nothing is written" in capsys.readouterr().err
+    assert not list(Path.cwd().iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "--mass: none given"),
+        (["--mass", "x1,1"], "--stop: none given"),
+        (["--stop", "anvil,x1,above,1,1"], "hammer.yaml: bodies"),
+    ],
+)
+@pytest.mark.usefixtures("in_tmp_path")
+def test_without_a_terminal_parts_are_needed(
+    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The line shows one."""
+    assert main(["new", "hammer", *arguments]) == 2
+    assert words in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("in_tmp_path")
+def test_a_rig_may_lie_in_a_folder_that_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    """One that is not there is named."""
+    assert main(["new", "rigs/hammer", *HAMMER]) == 2
+    assert "rigs/hammer.yaml: cannot be written: No such file" in capsys.readouterr().err
+    Path("rigs").mkdir()
+    assert main(["new", "rigs/hammer", *HAMMER]) == 0
+    assert sorted(path.name for path in Path("rigs").iterdir()) == sorted(FILES)
