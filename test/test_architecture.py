@@ -29,7 +29,9 @@ PRIVATE_WORDS = {
 """Words that a reader of the field would have to learn first."""
 PRIVATE_IN_TESTS = {"told", "course", "surprise"}
 """More of them; elsewhere some are names of the past (CHANGELOG.md)."""
-PAGES = [*ROOT.glob("*.md"), *sorted(ROOT.glob("docs/*.md")), ROOT / "bags" / "README.md"]
+PAGES = sorted(
+    path for at in (".", "docs", "bags", "examples") for path in (ROOT / at).glob("*.md")
+)
 CORE = ("model", "dynamics", "plant", "estimation", "observer")
 ALLOWED = {"numpy", "scipy", *sys.stdlib_module_names} - {"argparse"}
 ENTRANCE = {"__init__.py", "__main__.py"}

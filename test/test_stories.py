@@ -1,9 +1,10 @@
 """README's story and the tutorial run as typed."""
 
 import json
+import re
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,11 @@ from stories import ROOT, Run, Save, section, steps
 from impact_observer.cli.main import main
 
 OWN_RIG = section("README.md", "## Your own rig")
+TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
 PATIENCE = 90.0
 """How long the live system may take, s."""
-LIVE = ("detector", "observer", "watch", "play")
-"""Nodes and commands that need ROS."""
+LIVE = ("watch", "play", "record")
+"""Commands that need ROS."""
 
 
 def needs_ros(step: Run) -> bool:
@@ -56,41 +58,91 @@ def test_the_recording_of_the_readme_is_understood(capsys: pytest.CaptureFixture
     assert Path("motion.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+def test_the_tutorial_runs_block_by_block(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every file is saved, every command typed; what the page says of the results is so."""
+    for step in steps(TUTORIAL):
+        if isinstance(step, Save):
+            Path(step.name).write_text(step.text, encoding="utf-8")
+        elif not (isinstance(step, Run) and needs_ros(step)):
+            assert isinstance(step, Run)
+            assert main(step.words) == 0, step
+    printed = capsys.readouterr().out.splitlines()
+    said = {" ".join(line.split()) for line in printed}
+    quoted = re.findall(r"^ {4}(?!\./dev|\.venv|detector|--| )(.*)$", TUTORIAL, re.MULTILINE)
+    assert len(quoted) == 4
+    for line in quoted:
+        numbers = re.compile(r"(\d\.\d{1,6})\d*")  # the last digits are the processor's
+        short = numbers.sub(r"\1", " ".join(line.split()))
+        assert short in {numbers.sub(r"\1", each) for each in said}, line
+    assert "Full rank after 4 impacts" in " ".join(said)
+    assert "The model fits." in said
+
+
 @pytest.mark.ros
 def test_the_rig_of_the_readme_runs_live(
     ros_environment: dict[str, str], beside_bags: Path
 ) -> None:
     """Four terminals, as typed, only faster: the estimate comes to the truth."""
-    detector, observer, watch, play = (
-        step for step in steps(OWN_RIG) if isinstance(step, Run) and needs_ros(step)
-    )
-    log, written = beside_bags / "log", beside_bags / "watch.jsonl"
+    live = [step for step in steps(OWN_RIG) if isinstance(step, Run) and needs_ros(step)]
+    assert live[-1].words == ("play", "bags/switch")
+    last = watched(live, ("--rate", "3"), ros_environment, beside_bags)
+    (estimate,) = last["observers"]
+    assert last["impacts"] >= 22  # and perhaps a false positive
+    assert dict(estimate["counts"])["applied"] >= 20
+    assert estimate["law"] == "minimum-variance"
+    assert all(abs(line["estimate"] - line["truth"]) < 0.3 for line in estimate["lines"])
+
+
+@pytest.mark.ros
+def test_the_tutorial_runs_live(
+    ros_environment: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A few seconds of the plant instead of an hour."""
+    monkeypatch.chdir(tmp_path)
+    typed = [step for step in steps(TUTORIAL) if isinstance(step, Run)]
+    assert main(typed[0].words) == 0
+    live = [step for step in typed if needs_ros(step)]
+    assert live[-1].node == "plant"
+    last = watched(live, ("-p", "duration:=7.0"), ros_environment, tmp_path)
+    (estimate,) = last["observers"]
+    assert last["impacts"] == 4
+    assert dict(estimate["counts"]) == {"applied": 4}
+    assert all(line["truth"] is not None for line in estimate["lines"])
+
+
+def watched(
+    live: Sequence[Run], faster: Sequence[str], environment: dict[str, str], folder: Path
+) -> Any:  # noqa: ANN401 (JSON)
+    """The last picture of ``watch`` after the last command, which gets more arguments."""
+    log, written = folder / "log", folder / "watch.jsonl"
     with ExitStack() as stack:
         out, err = (stack.enter_context(each.open("w")) for each in (written, log))
 
-        def start(step: Run, *more: str) -> "subprocess.Popen[bytes]":
+        def start(step: Run, more: Sequence[str] = ()) -> "subprocess.Popen[bytes]":
             process = subprocess.Popen(
-                [*step.process, *more], env=ros_environment, stdout=out, stderr=err
+                [*step.process, *more], env=environment, stdout=out, stderr=err
             )
             stack.callback(process.wait)
             stack.callback(process.kill)
             return process
 
-        for step in (detector, observer):
-            start(step)
-        start(watch, "--json")
-        wait_until(lambda: log.read_text().count("; waits for") == 2 and written.read_text() != "")
-        assert start(play, "--rate", "3").wait(timeout=PATIENCE) == 0
-        wait_until(lambda: shown(written)["impacts"] >= 22)  # and perhaps a false positive
-    (estimate,) = shown(written)["observers"]
-    assert estimate["law"] == "minimum-variance"
-    assert dict(estimate["counts"])["applied"] >= 20
-    assert all(abs(line["estimate"] - line["truth"]) < 0.3 for line in estimate["lines"])
+        *others, last = live
+        for step in others:
+            start(step, () if step.node else ("--json",))
+        nodes = sum(bool(step.node) for step in others)
+        wait_until(lambda: log.read_text().count("; waits for") == nodes)
+        wait_until(lambda: written.read_text().endswith("}\n"))
+        assert start(last, faster).wait(timeout=PATIENCE) == 0
+        pictures = written.read_text().count("\n")
+        wait_until(lambda: written.read_text().count("\n") > pictures + 1)
+        return shown(written)
 
 
 def shown(written: Path) -> Any:  # noqa: ANN401 (JSON)
     """The last picture of ``watch --json``."""
-    lines = [line for line in written.read_text().splitlines() if line.endswith("}")]
+    lines = [line for line in written.read_text().splitlines(keepends=True) if line[-2:] == "}\n"]
     return json.loads(lines[-1])
 
 
