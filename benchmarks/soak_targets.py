@@ -59,7 +59,7 @@ name: live
 bodies: [{name: x, mass: 1}]
 grounds: [{name: table, motion: {live: true}}]
 springs: [{between: [table, x], stiffness: 40, damping: 1}]
-forces: [{body: x, input: motor}]
+forces: [{body: x, input: motor}, {body: x, amplitude: 1, frequency: 6, order: 1}]
 stops: [{name: stop, between: [table, x], gap: 0.2, restitution: 0.5}]
 """
 
@@ -291,6 +291,8 @@ def _samples(_: Path) -> Attack:
         )
         live.add(name, stamp, value)
         live.add_motion(name, stamp, value, rate)
+        if draw.random() < 0.2:
+            live.add_pulse(stamp)
         observers[0].receive(_drawn_event(draw))
         return _check_finite(observers[0])
 

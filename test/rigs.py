@@ -1,17 +1,19 @@
-"""Rigs for tests: the messages of a contact switch and an accelerometer at a sample model."""
+"""Rigs for tests: a contact switch and an accelerometer at a sample model, and a drive."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import cast
 
 import numpy as np
 
-from impact_observer.io import BagWriter, JointState, Quality
+from impact_observer.io import BagWriter, JointState, Quality, interfaces
 from impact_observer.io.messages import bag_messages
+from impact_observer.io.recordings import published_model
 from impact_observer.io.typestores import typestore
 from impact_observer.model import Model, read_model
+from impact_observer.model.live_signals import connected
 from impact_observer.plant import Plant, Run, simulate
-from impact_observer.stamps import grid
+from impact_observer.stamps import NS_PER_S, grid
 from impact_observer.states import Vector
 
 EPOCH = 1_000_000_000
@@ -52,6 +54,34 @@ def accelerometer_bag(path: Path) -> Path:
     return _written(path, {"/imu": IMU}, _accelerations(model, run), model, run)
 
 
+def pulses() -> list[int]:
+    """Stamps of the index pulses of a drive, ns: 9 rad/s, faster and slower by a tenth."""
+    t = np.linspace(-2.0, DURATION + 2.0, 100_001)
+    phase = 9 * t + 1.2 * np.sin(0.8 * t) + 1.0
+    turns = np.arange(np.ceil(phase[0] / (2 * np.pi)), phase[-1] / (2 * np.pi))
+    seconds = np.interp(2 * np.pi * turns, phase, t)
+    return [EPOCH + round(each * NS_PER_S) for each in seconds[seconds > -0.9].tolist()]
+
+
+def hammer_bag(path: Path) -> Path:
+    """The hammer with the pulses of its drive."""
+    model, stamps = read_model("hammer"), pulses()
+    system, live = connected(model.system)
+    assert live is not None
+    for stamp in stamps:
+        assert live.add_pulse(stamp) == ""
+    plant = Plant(system, *model.initial_state(), epoch=EPOCH, live=live)
+    run = simulate(plant, grid(EPOCH, EPOCH * (1 + DURATION), 100.0))
+    make, header = bag_messages(), _TYPES[interfaces.HEADER]
+    text = published_model(model, seed=0)
+    messages: list[tuple[int, str, object]] = [
+        (EPOCH, interfaces.PLANT_MODEL.topic, make.model(text)),
+        *((each.stamp, interfaces.IMPACTS.topic, make.event(each)) for each in run.events),
+        *((at, interfaces.PHASE_REFERENCE.topic, header(make.time(at), "")) for at in stamps),
+    ]
+    return _written(path, {}, messages, model, run)
+
+
 def _run() -> tuple[Model, Run]:
     """Half a minute of two_mass."""
     model = read_model("two_mass")
@@ -89,7 +119,11 @@ def _imu(stamp: int, acceleration: Vector) -> object:
 
 
 def _written(
-    path: Path, types: dict[str, str], messages: _Messages, model: Model, run: Run
+    path: Path,
+    types: dict[str, str],
+    messages: Iterable[tuple[int, str, object]],
+    model: Model,
+    run: Run,
 ) -> Path:
     """Write messages and truth in the order of time."""
     make, names, n = bag_messages(), model.system.coordinates, model.system.n

@@ -17,9 +17,11 @@ from impact_observer.cli.main import main
 from impact_observer.compare.bag_comparison import compare_bag
 from impact_observer.compare.comparison import Comparison
 from impact_observer.events import ImpactEvent, Kind, Ruling, Verdict
+from impact_observer.io.live_inputs import give_recorded
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import events_in, model_of
 from impact_observer.model import read_model
+from impact_observer.model.live_signals import connected
 from impact_observer.observer import Options, make_observer
 from impact_observer.observer.laws import BUILT_IN
 from impact_observer.plant import Plant, simulate
@@ -50,9 +52,11 @@ def test_a_recorded_bag_holds_a_run_of_its_model(name: str) -> None:
     with BagReader(shared(f"bags/{name}")) as reader:
         model, events = model_of(reader), events_in(reader)
         truth = reader.joint_states("/plant/joint_states")
+        system, live = connected(model.system)
+        assert not [*give_recorded(reader, live)]
     assert model.system.name == name
     assert model.provenance["version"] == "0.1.0"
-    plant = Plant(model.system, *model.initial_state(), epoch=events[0].epoch)
+    plant = Plant(system, *model.initial_state(), epoch=events[0].epoch, live=live)
     run = simulate(plant, truth.stamps)
     assert len(events) == EXPECTED[name]["impacts"]
     assert [e.switches for e in events] == [e.switches for e in run.events]

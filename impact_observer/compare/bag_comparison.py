@@ -17,9 +17,10 @@ from impact_observer.compare.comparison import (
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
+from impact_observer.io.live_inputs import epoch_in
 from impact_observer.io.pairing import Samples, samples_of
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
+from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.topic_names import first_stamp, named_states, named_topic
 from impact_observer.model import System
 from impact_observer.observer import Observer
@@ -107,7 +108,7 @@ def compare_bag(
         if str(error).startswith(str(reader.path)):
             raise
         raise BagError(f"{reader.path}: {error}") from None
-    epoch = epoch_of(events) or first_stamp(reader, [true_topic]) or 0
+    epoch = epoch_in(reader, events) or first_stamp(reader, [true_topic]) or 0
     return BagComparison(system, comparisons, impacts_in(events), epoch)
 
 

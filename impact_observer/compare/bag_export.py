@@ -17,8 +17,9 @@ from impact_observer.compare.error_curve import ErrorRows
 from impact_observer.compare.table_files import TableBlock
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
+from impact_observer.io.live_inputs import epoch_in
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
+from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.topic_names import first_block, first_stamp, named_states, states_of
 from impact_observer.model import System
 
@@ -136,6 +137,6 @@ def _state_topics(reader: BagReader, named: Collection[str] | None) -> list[str]
 
 
 def _epoch(reader: BagReader, otherwise: int) -> int:
-    """The stamp of ``t = 0`` in the events, ns."""
+    """The stamp of ``t = 0`` in the events, or of the first pulse of a drive, ns."""
     topic = reader.find(interfaces.IMPACTS)
-    return epoch_of(() if topic is None else reader.events(topic)) or otherwise
+    return epoch_in(reader, () if topic is None else reader.events(topic)) or otherwise

@@ -9,6 +9,7 @@ from impact_observer.detector import Detection, Detector, SensorCounts, Source
 from impact_observer.detector.sensors import MAX_DELAY
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
+from impact_observer.io.live_inputs import first_pulse
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import all_or_nothing, carried_topics, model_of
@@ -54,7 +55,8 @@ def detect_bag(
         sources: the sensors, as declared.
         output: the bag to make.
         model: to put into it; None for the one in the bag, if there is one.
-        epoch: stamp of the forcing's ``t = 0``, ns; 0 for unknown.
+        epoch: stamp of the forcing's ``t = 0``, ns; 0 for that of the first pulse of a drive, and
+            unknown where there is none.
         flush: longest time until a message is on the disk, s.
         progress: called with the messages read and how many there are.
 
@@ -64,7 +66,7 @@ def detect_bag(
     """
     found, problems = _present(reader, sources)
     _check_contacts(reader, model, found)
-    detector = Detector(found, epoch=epoch)
+    detector = Detector(found, epoch=epoch or first_pulse(reader))
     result = BagDetection(detector.sources, detector.counts, problems=problems)
     with all_or_nothing(output, flush) as writer:
         copied = _declared(reader, writer, model, problems)

@@ -74,6 +74,7 @@ class Detector:
         sources: the sensors.
         counts: one for each source.
         episode: how often it was restarted.
+        epoch: stamp of ``t = 0`` of the forcing that every event carries, ns; 0 for unknown.
     """
 
     def __init__(self, sources: Iterable[Source] = (), *, epoch: int = 0) -> None:
@@ -86,7 +87,7 @@ class Detector:
         self.sources: list[Source] = []
         self.counts: list[SensorCounts] = []
         self.episode = 0
-        self._epoch = epoch
+        self.epoch = epoch
         self._sensors: list[Sensor] = []
         self._paths: list[FieldPath] = []
         self._newest: list[int] = []
@@ -198,7 +199,7 @@ class Detector:
             counts.last_event = stamp
             self._sequence += 1
             switched = (Switch(source.contact, kind),)
-            event = ImpactEvent(stamp, switched, self._sequence, self.episode, self._epoch)
+            event = ImpactEvent(stamp, switched, self._sequence, self.episode, self.epoch)
             self._now = max(self._now, decided)
             detections.append(Detection(self._now, event))
         return detections

@@ -12,10 +12,10 @@ from impact_observer.draw.scene.film import ContactHistory, Distance, Film, Trac
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates, joined
-from impact_observer.io.live_inputs import with_recorded
+from impact_observer.io.live_inputs import epoch_in, with_recorded
 from impact_observer.io.pairing import HOLD, arrived
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
+from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.topic_names import first_stamp, states_of
 from impact_observer.model import System
 from impact_observer.stamps import from_seconds, text
@@ -57,7 +57,7 @@ def read_film(
             f" {interfaces.PLANT_JOINT_STATES.topic} or estimates, as observe makes them"
         )
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
-    epoch = epoch_of(events) or first_stamp(reader, wanted) or 1
+    epoch = epoch_in(reader, events) or first_stamp(reader, wanted) or 1
     system = with_recorded(reader, system, epoch)
     first = epoch + from_seconds(start)
     states = _states_between(reader, system, wanted, first, first + from_seconds(duration))

@@ -36,8 +36,8 @@ class Access(NamedTuple):
 
 SENSOR = Interface("switch", "std_msgs/msg/Bool")
 """The sensor of the sample ``config/detector/switch.yaml``."""
-LIVE = (interfaces.FORCING, interfaces.GROUND_MOTION)
-"""Received where the model has live forces or grounds."""
+LIVE = (interfaces.FORCING, interfaces.GROUND_MOTION, interfaces.PHASE_REFERENCE)
+"""Received where the model has live forces or grounds, or turns with a drive."""
 NODES = {
     "plant": Access(
         (
@@ -60,7 +60,9 @@ NODES = {
         (interfaces.IMPACTS, *LIVE),
         ("~/reset", "~/set_state"),
     ),
-    "detector": Access((interfaces.IMPACTS, interfaces.DIAGNOSTIC_ARRAYS), (SENSOR,)),
+    "detector": Access(
+        (interfaces.IMPACTS, interfaces.DIAGNOSTIC_ARRAYS), (SENSOR, interfaces.PHASE_REFERENCE)
+    ),
     "monitor": Access(
         (interfaces.MONITOR_ERROR,),
         (interfaces.PLANT_JOINT_STATES, interfaces.OBSERVER_JOINT_STATES),

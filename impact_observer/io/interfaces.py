@@ -145,6 +145,7 @@ class Interface:
 IMPACTS = Interface("impacts", IMPACT_EVENT, EVENTS)
 FORCING = Interface("forcing", JOINT_STATE, INPUTS)
 GROUND_MOTION = Interface("ground_motion", JOINT_STATE, INPUTS)
+PHASE_REFERENCE = Interface("phase_reference", HEADER, EVENTS)
 PLANT_JOINT_STATES = Interface("plant/joint_states", JOINT_STATE)
 PLANT_MODEL = Interface("plant/model", STRING, LATCHED)
 OBSERVER_JOINT_STATES = Interface("observer/joint_states", JOINT_STATE)
@@ -161,6 +162,7 @@ INTERFACES = (
     IMPACTS,
     FORCING,
     GROUND_MOTION,
+    PHASE_REFERENCE,
     PLANT_JOINT_STATES,
     PLANT_MODEL,
     OBSERVER_JOINT_STATES,

@@ -1,15 +1,18 @@
-"""Samples of live forces and grounds in messages and in bags."""
+"""Samples of live forces and grounds, and pulses of a drive, in messages and in bags."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from typing import NamedTuple
 
+from impact_observer.events import ImpactEvent
 from impact_observer.io import interfaces
 from impact_observer.io.messages import AnyMessage, MessageError, read_stamp
 from impact_observer.io.reader import BagReader
+from impact_observer.io.recordings import epoch_of
 from impact_observer.model import System
 from impact_observer.model.live_signals import LiveSignals, connected
 
-LIVE_TOPICS = (interfaces.FORCING, interfaces.GROUND_MOTION)
+LIVE_TOPICS = (interfaces.FORCING, interfaces.GROUND_MOTION, interfaces.PHASE_REFERENCE)
 
 
 class LiveSample(NamedTuple):
@@ -50,17 +53,29 @@ def read_samples(message: AnyMessage, *, moves: bool) -> list[LiveSample]:
     ]
 
 
-def give(live: LiveSignals, message: AnyMessage, *, moves: bool) -> Iterator[str]:
-    """Add the samples of a message; in words why some cannot be used."""
+def read_pulse(message: AnyMessage) -> int:
+    """The stamp of a ``std_msgs/Header``, at which the phase of the drive is zero, ns.
+
+    Raises:
+        MessageError: it is not after 0.
+    """
+    return read_stamp("Header.stamp", message.stamp)
+
+
+def give(live: LiveSignals, interface: interfaces.Interface, message: AnyMessage) -> Iterator[str]:
+    """Add what is in a message of one of the ``LIVE_TOPICS``; in words why some cannot be used."""
+    moves = interface is interfaces.GROUND_MOTION
     try:
-        samples = read_samples(message, moves=moves)
+        if interface is interfaces.PHASE_REFERENCE:
+            problems = [live.add_pulse(read_pulse(message))]
+        else:
+            problems = [
+                live.add_motion(*each) if moves else live.add(*each[:3])
+                for each in read_samples(message, moves=moves)
+            ]
     except MessageError as error:
-        yield str(error)
-        return
-    for name, stamp, value, rate in samples:
-        add = live.add_motion(name, stamp, value, rate) if moves else live.add(name, stamp, value)
-        if add:
-            yield add
+        problems = [str(error)]
+    yield from filter(None, problems)
 
 
 def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
@@ -73,9 +88,35 @@ def give_recorded(reader: BagReader, live: LiveSignals | None) -> Iterator[str]:
         topic = reader.find(each)
         if topic is None or live is None:
             continue
+        if each is interfaces.PHASE_REFERENCE and live.drive is None:
+            continue
         decode = reader.decoder(topic)
         for raw in reader.raw([topic]):
-            yield from give(live, decode(raw.data), moves=each is interfaces.GROUND_MOTION)
+            yield from give(live, each, decode(raw.data))
+
+
+def first_pulse(reader: BagReader) -> int:
+    """The stamp of the first pulse of a drive that a bag has received, ns; 0 without any.
+
+    Raises:
+        BagError: the bag is damaged.
+    """
+    topic = reader.find(interfaces.PHASE_REFERENCE)
+    decode = None if topic is None else reader.decoder(topic)
+    for raw in () if topic is None else reader.raw([topic]):
+        assert decode is not None, "there is a topic"
+        with suppress(MessageError):
+            return read_pulse(decode(raw.data))
+    return 0
+
+
+def epoch_in(reader: BagReader, events: Iterable[ImpactEvent]) -> int:
+    """The epoch that the ``events`` of a bag say, else its first pulse, ns; else 0.
+
+    Raises:
+        BagError: the bag is damaged.
+    """
+    return epoch_of(events) or first_pulse(reader)
 
 
 def with_recorded(reader: BagReader, system: System, epoch: int) -> System:

@@ -4,6 +4,7 @@ import heapq
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
@@ -14,7 +15,7 @@ from impact_observer.errors import UsageError
 from impact_observer.events import DECIDING, ImpactEvent, Ruling, Verdict, final_rulings
 from impact_observer.io import interfaces
 from impact_observer.io.estimate_messages import in_log_order, messages_of
-from impact_observer.io.live_inputs import LIVE_TOPICS, give_recorded
+from impact_observer.io.live_inputs import LIVE_TOPICS, first_pulse, give_recorded
 from impact_observer.io.messages import bag_messages
 from impact_observer.io.reader import BagReader
 from impact_observer.io.recordings import PLANT_TOPICS, all_or_nothing, events_in
@@ -91,12 +92,16 @@ def observe_bag(
 def events_from(reader: BagReader, epoch: int) -> list[ImpactEvent]:
     """The events of a bag whose forcing begins at ``epoch`` (ns); 0 to take it from the events.
 
+    Where they do not say it, it is the first pulse of the drive, if the bag has any.
+
     Raises:
         UsageError: the events say another epoch.
         BagError: the bag is damaged.
     """
     events = events_in(reader)
     epochs = {event.epoch for event in events if event.epoch}
+    if not (epoch or epochs) and (pulse := first_pulse(reader)):
+        return [replace(event, epoch=pulse) for event in events]
     if epoch and epochs and epoch not in epochs:
         raise UsageError(
             f"{reader.path}: epoch {text(epoch)} s asked for, but its events say"

@@ -93,6 +93,7 @@ class SeriesFlow(PhaseFlow):
         push: Matrix,
         samples: SampledForces | None,
         rate: float,
+        orders: Vector,
     ) -> None: ...
     def guards(
         self, position: Matrix, seen: Matrix, reach: Matrix, waves: Matrix, force: Matrix

@@ -198,8 +198,8 @@ void drop(SampledForces& samples, std::size_t first) {
 std::shared_ptr<SeriesFlow> make_series(const py::tuple& coordinates, const Array& J,
                                         const py::tuple& waves, const Array& load,
                                         const Array& push,
-                                        const std::shared_ptr<SampledForces>& samples,
-                                        double rate) {
+                                        const std::shared_ptr<SampledForces>& samples, double rate,
+                                        const Array& orders) {
     Coordinates checked_coordinates = coordinates_of(coordinates);
     const py::ssize_t size = py::ssize_t(checked_coordinates.size);
     const View blocks = checked(J, "J", size, ANY);
@@ -209,10 +209,16 @@ std::shared_ptr<SeriesFlow> make_series(const py::tuple& coordinates, const Arra
     const Harmonics harmonics = harmonics_of(waves);
     const py::ssize_t columns = 1 + 2 * py::ssize_t(harmonics.size());
     const py::ssize_t forces = samples ? py::ssize_t(samples->jets[0].columns) : 0;
+    const View each = checked(orders, "orders", py::ssize_t(harmonics.size()));
+    std::vector<double> turning(each.data, each.data + each.rows);
+    if (std::all_of(turning.begin(), turning.end(), [](double order) { return order == 0; }))
+        turning.clear();
+    else if (forces == 0)
+        throw py::value_error("orders: there are no samples of a phase");
     return std::make_shared<SeriesFlow>(std::move(checked_coordinates), harmonics, Matrix(blocks),
                                         Matrix(checked(load, "load", size, columns)),
-                                        Matrix(checked(push, "push", size, forces)), samples,
-                                        rate);
+                                        Matrix(checked(push, "push", size, forces)), samples, rate,
+                                        std::move(turning));
 }
 
 Started start(const std::shared_ptr<Flow>& flow, const py::object& t, const Array& x) {
@@ -454,7 +460,8 @@ void bind_dynamics(py::module_& module) {
         .def("drop", &drop, py::arg("first"));
     py::class_<SeriesFlow, Flow, std::shared_ptr<SeriesFlow>>(module, "SeriesFlow")
         .def(py::init(&make_series), py::arg("coordinates"), py::arg("J"), py::arg("waves"),
-             py::arg("load"), py::arg("push"), py::arg("samples"), py::arg("rate"))
+             py::arg("load"), py::arg("push"), py::arg("samples"), py::arg("rate"),
+             py::arg("orders"))
         .def("guards", &series_guards, py::arg("position"), py::arg("seen"), py::arg("reach"),
              py::arg("waves"), py::arg("force"));
     py::class_<Guards, std::shared_ptr<Guards>>(module, "Guards")

@@ -74,15 +74,18 @@ class SeriesFlow : public Flow, public std::enable_shared_from_this<SeriesFlow> 
     Matrix load, push;                       // size x (1 + 2h), size x forces
     std::shared_ptr<const Samples> samples;  // or none
     double rate;                             // also of the harmonics, 1/s
+    std::vector<double> orders;  // of harmonics that turn with a drive, whose phase is the last
+                                 // of the samples; 0 for others, none where nothing turns
 
     SeriesFlow(Coordinates coordinates, Harmonics harmonics, Matrix J, Matrix load, Matrix push,
-               std::shared_ptr<const Samples> samples, double rate)
+               std::shared_ptr<const Samples> samples, double rate, std::vector<double> orders)
         : Flow(std::move(coordinates), std::move(harmonics)),
           J(std::move(J)),
           load(std::move(load)),
           push(std::move(push)),
           samples(std::move(samples)),
-          rate(rate) {}
+          rate(rate),
+          orders(std::move(orders)) {}
 
     std::shared_ptr<const Motion> start(const Time& t, const double* x) const override;
 
@@ -106,7 +109,8 @@ class Walk {
           force(JETS, of->push.columns),
           flow(std::move(of)),
           t(t.seconds),
-          angles(flow->harmonics.at(t)) {
+          angles(flow->harmonics.at(t)),
+          frequency(flow->harmonics.frequency) {
         if (flow->samples) {
             first = flow->samples->index(this->t);
             seen = flow->samples->changes.size();
@@ -157,7 +161,7 @@ class Walk {
 
     std::shared_ptr<const SeriesFlow> flow;
     double t;
-    std::vector<double> angles;
+    std::vector<double> angles, frequency;  // at the start; of the present stride, rad/s
     std::size_t first = 0, interval = 0, passed = 0;
     double stride = 0, strides = INFINITY;  // in the interval between two samples
     std::vector<Kept> kept;
@@ -216,14 +220,24 @@ class Walk {
 
     // Waves and forces at the begin, `s` seconds into the interval, and their derivatives.
     void drive(double s) {
-        const std::size_t h = flow->harmonics.size();
         flow->harmonics.waves(angles, begin, waves.row(0));
+        if (flow->samples) push(s);
+        const std::size_t h = flow->harmonics.size();
+        for (std::size_t j = 0; j < flow->orders.size(); ++j) {
+            const double order = flow->orders[j], *phase = &force(0, force.columns - 1);
+            if (order == 0) continue;
+            waves(0, 1 + j) = std::cos(order * *phase);
+            waves(0, 1 + h + j) = std::sin(order * *phase);
+            frequency[j] = order * phase[force.columns];
+        }
         for (std::size_t k = 0; k + 1 < terms; ++k)
             for (std::size_t j = 0; j < h; ++j) {
-                waves(k + 1, 1 + j) = -flow->harmonics.frequency[j] * waves(k, 1 + h + j);
-                waves(k + 1, 1 + h + j) = flow->harmonics.frequency[j] * waves(k, 1 + j);
+                waves(k + 1, 1 + j) = -frequency[j] * waves(k, 1 + h + j);
+                waves(k + 1, 1 + h + j) = frequency[j] * waves(k, 1 + j);
             }
-        if (!flow->samples) return;
+    }
+
+    void push(double s) {
         const std::size_t now = first + interval;
         if (interval == 0) s += t - flow->samples->at(first);
         for (std::size_t k = 0; k < JETS; ++k)

@@ -42,6 +42,11 @@ class Section:
         """Whether the key is present."""
         return name in self._values
 
+    @property
+    def place(self) -> str:
+        """Its own key, such as ``contacts[0]``."""
+        return self._key
+
     def key(self, name: str) -> str:
         """The whole key of ``name``, such as ``contacts[0].gap``."""
         return f"{self._key}.{name}" if self._key else name

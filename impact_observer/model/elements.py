@@ -13,7 +13,13 @@ from impact_observer.errors import ModelError
 from impact_observer.model import sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.ground_keys import GroundMotions, live_names, read_grounds
+from impact_observer.model.ground_keys import (
+    GroundMotions,
+    Turning,
+    live_names,
+    read_grounds,
+    read_turning,
+)
 from impact_observer.model.grounds import LiveNames
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.restitution import read_restitution
@@ -176,8 +182,8 @@ def _forcing(
     line: _Line, document: Section, folder: Path | None
 ) -> tuple[Forcing, LiveNames | None]:
     """``f(t)``, and what arrives live, if anything does."""
-    found, inputs = _sum(line, document.items("forces"))
-    live = live_names(inputs, line.motions.live, line.n)
+    found, inputs, turning = _sum(line, document.items("forces"))
+    live = live_names(inputs, line.motions.live, line.n, turning)
     if "forcing" not in document:
         return found, live
     section = Section("forcing", document.value("forcing"), sampled_files.KEYS)
@@ -185,12 +191,14 @@ def _forcing(
     return replace(found, sampled=sampled_files.read_samples(section, line.names, folder)), live
 
 
-def _sum(line: _Line, forces: list[tuple[str, Value]]) -> tuple[Forcing, list[tuple[str, Vector]]]:
-    """The sum of forces, and the live ones by name with their directions."""
+def _sum(
+    line: _Line, forces: list[tuple[str, Value]]
+) -> tuple[Forcing, list[tuple[str, Vector]], list[Turning]]:
+    """The sum of forces, the live ones by name with their directions, and what turns."""
     constant = np.zeros(line.n)
-    frequency, cosine, sine, inputs = [], [], [], list[tuple[str, Vector]]()
+    turning, cosine, sine, inputs = list[Turning](), [], [], list[tuple[str, Vector]]()
     for key, value in forces:
-        kinds = ("constant", "amplitude", "frequency", "phase", "input")
+        kinds = ("constant", "amplitude", "frequency", "phase", "order", "input")
         force = Section(key, value, ("body", *kinds))
         e = line.body(force)
         if "input" in force:
@@ -202,7 +210,7 @@ def _sum(line: _Line, forces: list[tuple[str, Value]]) -> tuple[Forcing, list[tu
             inputs.append((force.text("input"), e))
             continue
         if "constant" in force:
-            for name in ("amplitude", "frequency", "phase"):
+            for name in kinds[1:-1]:
                 if name in force:
                     raise ModelError(
                         force.key(name), "stands beside constant; write two forces instead"
@@ -210,17 +218,18 @@ def _sum(line: _Line, forces: list[tuple[str, Value]]) -> tuple[Forcing, list[tu
             constant += force.number("constant") * e
             continue
         amplitude, phase = force.number("amplitude"), force.number("phase", 0.0)
-        frequency.append(force.positive("frequency"))
+        force.positive("frequency")
+        turning.append(read_turning(force))
         cosine.append(amplitude * np.cos(phase) * e)
         sine.append(-amplitude * np.sin(phase) * e)
-    h = len(frequency)
+    h = len(turning)
     found = Forcing(
         constant,
-        np.array(frequency),
+        np.array([each.frequency for each in turning]),
         np.reshape(cosine, (h, line.n)),
         np.reshape(sine, (h, line.n)),
     )
-    return found, inputs
+    return found, inputs, turning
 
 
 def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:

@@ -126,6 +126,18 @@ class Samples:
         assert self.jets is not None, "derived"
         return shifted(self.jets[:, j], np.asarray(t - self.time[j]))
 
+    def turned(self, t: Vector, rate: Vector, angle: Matrix) -> tuple[Matrix, Matrix]:
+        """``rate`` and ``angle`` of harmonics at ``t``, s since the epoch, (samples, h) each.
+
+        They are given as those of constant frequencies; harmonics of a drive turn with it.
+        """
+        del t
+        return rate, angle
+
+    def fastest(self, frequency: Vector) -> Vector:
+        """The largest angular frequencies of harmonics with these nominal ones, (h,), rad/s."""
+        return frequency
+
     def check(self, t: Vector) -> None:
         """Check that there are samples at ``t``, s since the epoch.
 

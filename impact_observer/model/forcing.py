@@ -1,6 +1,6 @@
 """The forcing ``f(t)`` of a system: constant, harmonics and samples, with bounds on them."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +48,11 @@ class Forcing:
         return self.sampled is not None or bool(np.any(self.cosine) or np.any(self.sine))
 
     @property
+    def fastest(self) -> Vector:
+        """The largest angular frequency that each harmonic has at any time, (h,), rad/s."""
+        return self.frequency if self.sampled is None else self.sampled.fastest(self.frequency)
+
+    @property
     def end(self) -> float:
         """From when on the last sample is held, s since the epoch; infinity without samples."""
         return np.inf if self.sampled is None else self.sampled.end
@@ -71,31 +76,16 @@ class Forcing:
         found = np.zeros((order + 1, t.size, self.constant.size))
         found[0] = self.constant
         if self.frequency.size:
-            wave = np.exp(1j * np.outer(t, self.frequency))
-            for k, amplitude in enumerate(self._amplitudes(order)):
+            rate, angle = self.frequency, np.outer(t, self.frequency)
+            if self.sampled is not None:
+                rate, angle = self.sampled.turned(t, rate, angle)
+            wave, amplitude = np.exp(1j * angle), self.cosine - 1j * self.sine
+            for k in range(order + 1):
                 found[k] += (wave @ amplitude).real
+                wave = wave * (1j * rate)
         if self.sampled is not None:
             found[:JETS] += self.sampled.derivatives(t)[: order + 1]
         return found
-
-    def jet_rows(self, order: int) -> Matrix:
-        """Coefficients of 1 and of each harmonic's cosine and sine in f and its derivatives.
-
-        Up to derivative ``order``: shape ((order + 1) n, 1 + 2h).
-        """
-        h = self.frequency.size
-        parts = np.zeros((order + 1, self.constant.size, 1 + 2 * h))
-        parts[0, :, 0] = self.constant
-        for k, amplitude in enumerate(self._amplitudes(order)):
-            parts[k, :, 1::2], parts[k, :, 2::2] = amplitude.real.T, -amplitude.imag.T
-        return np.asarray(parts.reshape(-1, 1 + 2 * h))
-
-    def _amplitudes(self, order: int) -> Iterator[NDArray[np.complex128]]:
-        """Of ``e^{i omega t}`` in f and its derivatives, shape (h, n) each."""
-        amplitude = self.cosine - 1j * self.sine
-        for _ in range(order + 1):
-            yield amplitude
-            amplitude = amplitude * (1j * self.frequency[:, None])
 
     def bound(self, X: Matrix) -> Callable[[int, Vector], Vector]:
         """A bound on the size of ``f`` and its derivatives in the metric ``X`` >= 0, shape (n, n).
@@ -108,9 +98,10 @@ class Forcing:
         constant = _norms(self.constant, X)
         amplitudes = _norms(self.cosine, X) + _norms(self.sine, X)
         sampled = None if self.sampled is None else _bound_of_samples(self.sampled, X)
+        rates = self.fastest
 
         def bounded(k: int, t: Vector) -> Vector:
-            size = float(amplitudes @ self.frequency**k)
+            size = float(amplitudes @ rates**k)
             smooth = np.full(t.shape, size if k else size + constant)
             return smooth if sampled is None else smooth + sampled(k, t)
 

@@ -40,11 +40,16 @@ class LiveNames:
         inputs: names of forces.
         directions: of the coordinates by unit forces, shape (n, inputs).
         grounds: names of grounds.
+        nominal: angular frequency of the drive, rad/s; 0 where nothing turns with one.
+        orders: how often each harmonic of the forces turns in a revolution of the drive; 0 for
+            one that does not turn with it. Empty without a drive.
     """
 
     inputs: tuple[str, ...]
     directions: Matrix
     grounds: tuple[str, ...]
+    nominal: float = 0.0
+    orders: tuple[int, ...] = ()
 
 
 _UNSOLVED = 1e-9

@@ -1,8 +1,9 @@
 """What is known of forces and grounds only while it happens: samples that arrive, in any order.
 
 The previous sample of an input holds. A ground moves by cubic Hermite polynomials from sample to
-sample, before the first it rests where that is, and after the last one its speed stays. All is a
-function of the samples alone, whatever the order and the times at which they arrive.
+sample, before the first it rests where that is, and after the last one its speed stays. A drive
+turns by its pulses (``drive.py``). All is a function of the samples alone, whatever the order and
+the times at which they arrive.
 """
 
 from bisect import bisect_left, bisect_right
@@ -16,9 +17,11 @@ from numpy.typing import NDArray
 
 from impact_observer.errors import UsageError
 from impact_observer.model.document import LARGEST
+from impact_observer.model.drive import OFF, Drive
 from impact_observer.model.force_samples import JETS, Samples, shifted
 from impact_observer.model.forcing import Forcing
 from impact_observer.model.system import System
+from impact_observer.stamps import MAX_STAMP
 from impact_observer.states import Matrix, Vector
 
 _NS = 1e-9
@@ -29,8 +32,12 @@ _OFTEN = 1000
 _NEVER = -(1 << 62)
 """A stamp before all samples, ns."""
 
-Splice = Callable[[int, Vector, NDArray[np.float64], float], None]
-"""Takes other samples from a number on: instants, jets, and until when they are final, s."""
+PHASE_REFERENCE = "phase_reference"
+"""What the pulses of a drive are called."""
+
+Splice = Callable[[int, Vector, NDArray[np.float64], Matrix, float], None]
+"""Takes other samples from a number on: instants, jets, phase and rate of the drive, until when
+they are final, s."""
 
 
 class LiveSamples(Samples):
@@ -39,14 +46,25 @@ class LiveSamples(Samples):
     Attributes:
         dropped: how many samples have been forgotten.
         newest: until when they are final, s since the epoch; infinity where all may change.
+        orders: how often each harmonic turns in a revolution of the drive, 0 for one that does
+            not turn with it, shape (h,).
+        turns: phase (rad) and rate (rad/s) of the drive at each of the samples, shape (2, k).
     """
 
     dropped: int
     newest: float
+    orders: NDArray[np.int64]
+    turns: Matrix
     _drives: NDArray[np.bool_]
     _followers: list[tuple[Splice, Callable[[int], None]]]
 
-    def __init__(self, base: Samples | None, drives: NDArray[np.bool_], newest: float) -> None:
+    def __init__(
+        self,
+        base: Samples | None,
+        drives: NDArray[np.bool_],
+        newest: float,
+        orders: NDArray[np.int64],
+    ) -> None:
         """Begin with those of ``base``, or with none; others ``drive`` these coordinates, too."""
         n = drives.size
         time, jets = np.array([_NEVER * _NS, 0.0]), np.zeros((JETS, 2, n))
@@ -58,6 +76,8 @@ class LiveSamples(Samples):
             "_drives": used,
             "dropped": 0,
             "newest": newest,
+            "orders": orders,
+            "turns": np.zeros((2, time.size)),
             "_followers": [],
             "jumps": True,
             "rounding": _ROUNDING,
@@ -78,29 +98,49 @@ class LiveSamples(Samples):
         """From now on tell of changes, and of the number of the first sample that is kept."""
         self._followers.append((splice, drop))
 
-    def change(self, first: int, time: Vector, jets: NDArray[np.float64], newest: float) -> None:
+    def turned(self, t: Vector, rate: Vector, angle: Matrix) -> tuple[Matrix, Matrix]:
+        """``rate`` and ``angle`` of harmonics, of which some turn with the drive."""
+        if not self.orders.any():
+            return rate, angle
+        j, turning = self._index(t, self.rounding), self.orders > 0
+        speed = self.turns[1, j]
+        phase = self.turns[0, j] + speed * (t - self.time[j])
+        return (
+            np.where(turning, np.outer(speed, self.orders), rate),
+            np.where(turning, np.outer(phase, self.orders), angle),
+        )
+
+    def fastest(self, frequency: Vector) -> Vector:
+        """A drive may be faster than its nominal frequency."""
+        return np.where(self.orders > 0, frequency / (1 - OFF), frequency)
+
+    def change(
+        self, first: int, time: Vector, jets: NDArray[np.float64], turns: Matrix, newest: float
+    ) -> None:
         """Put others from the sample ``first`` on, counted from the very first."""
         kept = first - self.dropped
         assert self.jets is not None, "derived"
         self._set(
             np.concatenate([self.time[:kept], time]),
             np.concatenate([self.jets[:, :kept], jets], axis=1),
+            np.hstack([self.turns[:, :kept], turns]),
         )
         object.__setattr__(self, "newest", newest)
         for splice, _ in self._followers:
-            splice(first, time, jets, newest)
+            splice(first, time, jets, turns, newest)
 
     def forget(self, first: int) -> None:
         """Forget the samples before ``first``."""
         assert self.jets is not None, "derived"
         old = first - self.dropped
-        self._set(self.time[old:], self.jets[:, old:])
+        self._set(self.time[old:], self.jets[:, old:], self.turns[:, old:])
         object.__setattr__(self, "dropped", first)
         for _, drop in self._followers:
             drop(first)
 
-    def _set(self, time: Vector, jets: NDArray[np.float64]) -> None:
-        for name, value in (("time", time), ("jets", jets), ("force", jets[0])):
+    def _set(self, time: Vector, jets: NDArray[np.float64], turns: Matrix) -> None:
+        changed = {"time": time, "jets": jets, "force": jets[0], "turns": turns}
+        for name, value in changed.items():
             object.__setattr__(self, name, value)
 
 
@@ -156,8 +196,8 @@ class LiveSignals:
     Attributes:
         inputs: names of the inputs.
         grounds: names of the grounds that are live.
+        drive: whose pulses arrive; None where nothing turns with one.
         samples: what they do, with all other samples of forces.
-        newest: the latest stamp of each of them, ns; 0 before the first.
         late: how many samples came too late to be used.
     """
 
@@ -181,18 +221,29 @@ class LiveSignals:
         drives = np.any(self._responses != 0, axis=(0, 1))
         self._base = system.forcing.sampled
         self._causal = causal
-        self.samples = LiveSamples(self._base, drives, -np.inf if causal else np.inf)
-        self.newest = [0] * len(self._signals)
+        self.drive = Drive(live.nominal) if live.nominal else None
+        orders = np.zeros(system.forcing.frequency.size, dtype=np.int64)
+        orders[: len(live.orders)] = live.orders
+        self.samples = LiveSamples(self._base, drives, -np.inf if causal else np.inf, orders)
+        self._newest = [0] * len(self._signals)
         self.late = 0
         self._pending: list[_Received] = []
+        self._pulses: list[int] = []
+        self._turned: int | None = None
         self._epoch: int | None = None
         self._knots: list[int] = []
         self._least = _NEVER
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of inputs, then of grounds, in the order of ``newest``."""
-        return tuple(each.name for each in self._signals)
+        """Names of inputs, then of grounds, then of the pulses, in the order of ``newest``."""
+        pulses = (PHASE_REFERENCE,) if self.drive else ()
+        return (*(each.name for each in self._signals), *pulses)
+
+    @property
+    def newest(self) -> list[int]:
+        """The latest stamp of each of them that is used, ns; 0 before the first."""
+        return [*self._newest, *([self.drive.newest] if self.drive else [])]
 
     @property
     def known_until(self) -> int:
@@ -200,14 +251,22 @@ class LiveSignals:
         return min(self.newest)
 
     @property
+    def turned_from(self) -> int:
+        """From which stamp on pulses since ``follow`` have changed the phase, ns."""
+        return MAX_STAMP if self._turned is None else self._turned
+
+    @property
     def is_pending(self) -> bool:
         """Whether samples have come since ``follow``."""
-        return bool(self._pending)
+        return bool(self._pending or self._pulses)
 
     def keep_waiting(self, most: int) -> None:
         """Forget the oldest of more samples than ``most`` that wait for ``follow``."""
         if len(self._pending) > most:
             del self._pending[: -most // 2]
+        if self.drive is not None and len(self.drive.pulses) > most:
+            self.drive.forget_before(self.drive.pulses[-most // 2])
+            self._pulses = [each for each in self._pulses if each >= self.drive.pulses[0]]
 
     def add(self, name: str, stamp: int, value: float) -> str:
         """Take a sample of an input, N.
@@ -221,6 +280,19 @@ class LiveSignals:
         """Take a sample of a ground: ``position`` in m, ``velocity`` in m/s; as ``add``."""
         return self._add((name, True), stamp, position, velocity)
 
+    def add_pulse(self, stamp: int) -> str:
+        """Take a stamp (ns) at which the phase of the drive is zero; as ``add``."""
+        if self.drive is None:
+            return f"{PHASE_REFERENCE!r}: nothing of this model turns with a drive"
+        if stamp <= (self.drive.newest if self._causal else self._least):
+            self.late += 1
+            return f"{PHASE_REFERENCE!r}: its stamp is not after that of the pulse before"
+        changed, problem = self.drive.add(stamp)
+        if changed is not None:
+            self._pulses.append(stamp)
+            self._turned = changed if self._turned is None else min(changed, self._turned)
+        return f"{PHASE_REFERENCE!r}: {problem}" if problem else ""
+
     def _add(self, key: tuple[str, bool], stamp: int, value: float, rate: float) -> str:
         k = self._index.get(key)
         if k is None:
@@ -228,10 +300,10 @@ class LiveSignals:
             return f"{key[0]!r} is not known; expected some of {known}"
         if not (isfinite(value) and isfinite(rate) and max(abs(value), abs(rate)) <= LARGEST):
             return f"{key[0]!r}: {value:g} and {rate:g} found; expected finite numbers"
-        if self._causal and stamp <= self.newest[k]:
+        if self._causal and stamp <= self._newest[k]:
             self.late += 1
             return f"{key[0]!r}: its stamp is not after that of the sample before"
-        self.newest[k] = max(self.newest[k], stamp)
+        self._newest[k] = max(self._newest[k], stamp)
         self._pending.append(_Received(k, stamp, value, rate))
         return ""
 
@@ -239,8 +311,11 @@ class LiveSignals:
         """Forget all samples."""
         for each in self._signals:
             each.stamps, each.values, each.rates = [], [], []
-        self.newest = [0] * len(self._signals)
+        self._newest = [0] * len(self._signals)
         self._pending.clear()
+        self._pulses.clear()
+        if self.drive is not None:
+            self.drive.clear()
         self._epoch, self._least = None, _NEVER
 
     def follow(self, epoch: int) -> int | None:
@@ -258,8 +333,12 @@ class LiveSignals:
             altered = self._inserted(each)
             if altered is not None:
                 changed = altered if changed is None else min(changed, altered)
+        stamps = [*(each.stamp for each in pending), *self._pulses]
+        self._pulses.clear()
+        if (turned := self._turned) is not None:
+            changed, self._turned = turned if changed is None else min(changed, turned), None
         if changed is not None:
-            self._rebuild(epoch, changed, [each.stamp for each in pending])
+            self._rebuild(epoch, changed, stamps)
         return changed
 
     def _inserted(self, sample: _Received) -> int | None:
@@ -288,7 +367,8 @@ class LiveSignals:
             self._knots[start:] = tail
         at, first = np.array(self._knots[start:], dtype=np.int64), self.samples.dropped + start
         time: Vector = np.asarray((at - epoch) * _NS)
-        self.samples.change(first, time, self._forces(at, epoch), self._final())
+        turns = np.zeros((2, at.size)) if self.drive is None else self.drive.jets(at, epoch)
+        self.samples.change(first, time, self._forces(at, epoch), turns, self._final())
 
     def _all_knots(self, epoch: int) -> list[int]:
         """Stamps of everything, ns, ascending."""
@@ -296,6 +376,8 @@ class LiveSignals:
         if self._base is not None:
             first, *others = [epoch + round(t / _NS) for t in self._base.time.tolist()]
             own |= set(others)
+        if self.drive is not None:
+            own |= {epoch, *self.drive.pulses}
         return [first, *sorted(stamp for stamp in own if stamp > first)]
 
     def _final(self) -> float:
@@ -335,6 +417,8 @@ class LiveSignals:
         for each in self._signals:
             gone = max(bisect_right(each.stamps, self._least) - 1, 0)
             del each.stamps[:gone], each.values[:gone], each.rates[:gone]
+        if self.drive is not None:
+            self.drive.forget_before(self._least)
 
 
 def _responses(system: System) -> NDArray[np.float64]:
@@ -363,7 +447,9 @@ def connected(system: System, *, causal: bool = False) -> tuple[System, LiveSign
 
 
 def refused(system: System, what: str) -> None:
-    """Raise UsageError where a ``system`` has live signals, which ``what`` cannot use."""
-    if system.live is not None:
-        names = ", ".join((*system.live.inputs, *system.live.grounds))
-        raise UsageError(f"{system.name}: {names} arrive live, which {what} cannot use")
+    """Raise UsageError where a ``system`` has live forces or grounds, which ``what`` cannot use.
+
+    What turns with a drive turns there with its nominal frequency.
+    """
+    if system.live is not None and (names := (*system.live.inputs, *system.live.grounds)):
+        raise UsageError(f"{system.name}: {', '.join(names)} arrive live, which {what} cannot use")

@@ -17,7 +17,13 @@ from impact_observer.model import elements, sampled_files
 from impact_observer.model.document import Section, Value
 from impact_observer.model.elements import Element
 from impact_observer.model.forcing import Forcing
-from impact_observer.model.ground_keys import GroundMotions, live_names, read_grounds
+from impact_observer.model.ground_keys import (
+    GroundMotions,
+    Turning,
+    live_names,
+    read_grounds,
+    read_turning,
+)
 from impact_observer.model.guide_keys import guide_section, refuse_coulomb
 from impact_observer.model.restitution import read_restitution
 from impact_observer.model.system import LARGEST_STATE, Contact, Guide, System, moving_system
@@ -168,9 +174,13 @@ def _forcing_of(system: System) -> Value:
     forcing = _own_forcing(system)
     names = ("frequency", "cosine", "sine")
     harmonics = zip(*(getattr(forcing, name).tolist() for name in names), strict=True)
+    orders = (system.live.orders if system.live else ()) or (0,) * forcing.frequency.size
     document: dict[str, Value] = {
         "constant": forcing.constant.tolist(),
-        "harmonics": [dict(zip(names, each, strict=True)) for each in harmonics],
+        "harmonics": [
+            {**dict(zip(names, each, strict=True)), **({"order": order} if order else {})}
+            for each, order in zip(harmonics, orders, strict=True)
+        ],
         **_sampled_of(system),
     }
     if system.frame is not None:
@@ -316,7 +326,7 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
     allowed = ("name", "direction", "force", "motion")
     guides = [guide_section(*item, allowed) for item in section.items("friction")]
-    forcing, pushed, inputs = _forcing(section, names, motions, folder)
+    forcing, pushed, inputs, turning = _forcing(section, names, motions, folder)
     system = System(
         name=name,
         coordinates=names,
@@ -334,25 +344,26 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     if motions.names:
         moving = np.reshape(factors, (-1, len(motions.names)))
         system = moving_system(system, motions.grounds(*pushed, moving))
-    return replace(system, live=live_names(inputs, motions.live, n))
+    return replace(system, live=live_names(inputs, motions.live, n, turning))
 
 
 def _forcing(
     section: Section, coordinates: Sequence[str], motions: GroundMotions, folder: Path | None
-) -> tuple[Forcing, tuple[Matrix, Matrix], list[tuple[str, Vector]]]:
-    """``f(t)``, the forces by displacements and by speeds of grounds, and live inputs.
+) -> tuple[Forcing, tuple[Matrix, Matrix], list[tuple[str, Vector]], list[Turning]]:
+    """``f(t)``, the forces by displacements and by speeds of grounds, and what is live.
 
     Those by grounds have shape (n, k) each; inputs are names with directions, shape (n,).
     """
     n, pushed = len(coordinates), np.zeros((2, len(motions.names), len(coordinates)))
     if "forcing" not in section:
-        return Forcing.none(n), (pushed[0].T, pushed[1].T), []
+        return Forcing.none(n), (pushed[0].T, pushed[1].T), [], []
     keys = ("constant", "harmonics", *sampled_files.KEYS, "grounds", "inputs")
     forcing = Section("forcing", section.value("forcing"), keys)
     harmonics = [
-        Section(key, value, ("frequency", "cosine", "sine"))
+        Section(key, value, ("frequency", "cosine", "sine", "order"))
         for key, value in forcing.items("harmonics")
     ]
+    turning = [read_turning(harmonic) for harmonic in harmonics]
 
     def part(name: str) -> Matrix:
         rows = [harmonic.vector(name, n, optional=True) for harmonic in harmonics]
@@ -365,14 +376,14 @@ def _forcing(
             each[which] += ground.vector(kind, n, optional=True)
     found = Forcing(
         constant=forcing.vector("constant", n, optional=True),
-        frequency=np.array([harmonic.number("frequency") for harmonic in harmonics]),
+        frequency=np.array([each.frequency for each in turning]),
         cosine=part("cosine"),
         sine=part("sine"),
         sampled=sampled_files.read_samples(forcing, coordinates, folder),
     )
     items = [Section(*item, ("name", "direction")) for item in forcing.items("inputs")]
     inputs = [(each.text("name"), each.vector("direction", n)) for each in items]
-    return found, (pushed[0].T, pushed[1].T), inputs
+    return found, (pushed[0].T, pushed[1].T), inputs, turning
 
 
 def _known(section: Section, key: str, motions: GroundMotions) -> int:

@@ -150,10 +150,21 @@ class Observer:
         self._runs = SenderRuns(self.given_epoch)
         self._aside: tuple[SenderRun, RunHistory] | None = None
         self._without_epoch: deque[ImpactEvent] = deque(maxlen=MOST_WAITING)
+        self._first_pulse = 0
         self._begin_run(self.given_epoch)
+
+    def take_pulse(self, stamp: int) -> None:
+        """The phase of the drive is zero at ``stamp`` (ns).
+
+        The first pulse is the epoch unless the events say it or it was given.
+        """
+        self._first_pulse = self._first_pulse or stamp
+        if not self.epoch:
+            self._run.update.epoch = self._first_pulse
 
     def _begin_run(self, epoch: int) -> None:
         """Start with a run of the sender whose ``epoch`` (ns) is known, or 0."""
+        epoch = epoch or self._first_pulse
         update = EventUpdate(self.law, self._test, epoch)
         self._run = RunHistory(update, self._first_entry, self._history)
         if self.live is not None and epoch:
@@ -187,8 +198,8 @@ class Observer:
             return self._refuse(event, Ruling.REJECTED, weighed.reason, weighed.remark)
         if weighed.previous is not None:
             self._change_run(weighed.previous)
-        elif self._runs.in_use is not None and not self.epoch:
-            self._run.update.epoch = self._runs.in_use.epoch
+        elif self._runs.in_use is not None:
+            self._adopt(self._runs.in_use.epoch)
         if weighed.replaces:
             self._begin_run(self.epoch)
         released = weighed.released
@@ -198,6 +209,16 @@ class Observer:
         if released:
             return self._receive_again(released, event)
         return self._receive(event, waiting)
+
+    def _adopt(self, epoch: int) -> None:
+        """Take the ``epoch`` (ns) of the run in use, unless it is known by more than a pulse."""
+        is_by_pulse = self.epoch == self._first_pulse and not self.given_epoch
+        if not epoch or epoch == self.epoch or not is_by_pulse:
+            return
+        if self.epoch and self._run.timeline is not None:
+            self._begin_run(epoch)
+        else:
+            self._run.update.epoch = epoch
 
     def _receive_again(
         self, released: Iterable[ImpactEvent], event: ImpactEvent
@@ -493,7 +514,7 @@ class Observer:
         run = self._runs.in_use
         assert run is not None, "it has changed"
         if previous.goes_on_as(run):
-            self._run.update.epoch = run.epoch
+            self._adopt(run.epoch)
             return
         aside = previous, self._run
         if self._aside is not None and self._aside[0] == run:

@@ -12,6 +12,9 @@ from impact_observer.detector import Detection, Detector, SensorCounts, Source, 
 from impact_observer.detector.source import SWITCH
 from impact_observer.io import interfaces
 from impact_observer.io.interfaces import Quality
+from impact_observer.io.live_inputs import read_pulse
+from impact_observer.io.messages import AnyMessage, MessageError
+from impact_observer.plain_text import printable
 from impact_observer.ros import parameters
 from impact_observer.ros.introduction import introduce
 from impact_observer.ros.message_classes import message_class, ros_messages
@@ -56,6 +59,13 @@ class DetectorNode(Node):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, "/diagnostics", qos_profile(interfaces.DIAGNOSTIC_ARRAYS.quality)
         )
+        if not self._detector.epoch:
+            self._pulses = self.create_subscription(
+                message_class(interfaces.PHASE_REFERENCE.type),
+                interfaces.PHASE_REFERENCE.name,
+                self._on_pulse,
+                qos_profile(interfaces.PHASE_REFERENCE.quality),
+            )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_DISCOVERY_PERIOD, self._discover, clock=steady)
         self.create_timer(_TICK, self._on_tick, clock=steady)
@@ -139,6 +149,20 @@ class DetectorNode(Node):
     def _publish(self, detections: list[Detection]) -> None:
         for _, event in detections:
             self._impacts.publish(self._make.event(event))
+
+    def _on_pulse(self, message: AnyMessage) -> None:
+        """Take the first pulse of a drive as the epoch of all events from now on."""
+        if self._detector.epoch:
+            return
+        try:
+            self._detector.epoch = read_pulse(message)
+        except MessageError as error:
+            self.get_logger().error(
+                printable(f"{interfaces.PHASE_REFERENCE.name}: {error}"), throttle_duration_sec=5.0
+            )
+            return
+        epoch = text(self._detector.epoch)
+        self.get_logger().info(f"epoch {epoch} s, by the first pulse of the drive")
 
     def _on_tick(self) -> None:
         """Let time pass: a switch without messages may stay closed."""

@@ -1,4 +1,4 @@
-"""Subscriptions of a node to the live forces and grounds of its model."""
+"""Subscriptions of a node to the live forces and grounds of its model, and to a drive."""
 
 import time
 from collections import Counter
@@ -8,13 +8,13 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 
 from impact_observer.io import interfaces
-from impact_observer.io.live_inputs import give
-from impact_observer.io.messages import AnyMessage
+from impact_observer.io.live_inputs import give, read_pulse
+from impact_observer.io.messages import AnyMessage, MessageError
 from impact_observer.model.live_signals import LiveSignals
 from impact_observer.ros.message_classes import message_class
 from impact_observer.ros.qos import qos_profile
 from impact_observer.ros.subscribing import waiting_messages
-from impact_observer.stamps import NS_PER_S
+from impact_observer.stamps import MAX_STAMP, NS_PER_S
 
 _SLICE = 5_000_000
 """Longest time for samples before others have their turn, ns."""
@@ -33,41 +33,45 @@ class LiveIntake:
         live: LiveSignals | None,
         on_problem: Callable[[str], None],
         clock: tuple[Callable[[], int], float],
+        *,
         on_samples: Callable[[int], None] = lambda _: None,
+        on_pulse: Callable[[int], None] | None = None,
     ) -> None:
-        """Subscribe to what ``live`` needs.
+        """Subscribe to what ``live`` needs, and to pulses of a drive where ``on_pulse`` does.
 
         Args:
             node: whose subscriptions they are.
             live: signals; None where the model has none.
             on_problem: called with the line on a sample that cannot be used.
             clock: the time, ns, and how far ahead of it a stamp may be, s.
-            on_samples: called after new samples with the least of their stamps, ns.
+            on_samples: called after new samples with the stamp from which on they change what is
+                known, ns.
+            on_pulse: called with the stamp of each pulse of a drive, ns.
         """
         self._live = live
-        self._on_problem, self._on_samples = on_problem, on_samples
+        self._on_problem, self._on_samples, self._on_pulse = on_problem, on_samples, on_pulse
         self._now, self._future = clock
         self.counts: Counter[str] = Counter()
-        self._subscriptions = [*self._subscribed(node)] if live is not None else []
+        self._subscriptions = [*self._subscribed(node)]
 
     def _subscribed(self, node: Node) -> Iterable[Subscription]:
-        assert self._live is not None, "there are signals"
-        for interface, names in (
-            (interfaces.FORCING, self._live.inputs),
-            (interfaces.GROUND_MOTION, self._live.grounds),
+        live = self._live
+        for interface, is_needed in (
+            (interfaces.FORCING, live is not None and live.inputs),
+            (interfaces.GROUND_MOTION, live is not None and live.grounds),
+            (interfaces.PHASE_REFERENCE, self._on_pulse or (live is not None and live.drive)),
         ):
-            if names:
+            if is_needed:
                 yield self._subscription(node, interface)
 
     def _subscription(self, node: Node, interface: interfaces.Interface) -> Subscription:
         """A subscription that takes all that waits at once: the executor is slow."""
-        moves = interface is interfaces.GROUND_MOTION
 
         def take(message: AnyMessage) -> None:
             end = time.monotonic_ns() + _SLICE
-            least = self._take(interface.name, message, moves=moves)
+            least = self._take(interface, message)
             for waiting, _ in waiting_messages(subscription, interface.quality.depth):
-                least = min(least, self._take(interface.name, waiting, moves=moves))
+                least = min(least, self._take(interface, waiting))
                 if time.monotonic_ns() >= end:
                     break
             self._on_samples(least)
@@ -77,21 +81,44 @@ class LiveIntake:
         )
         return subscription
 
-    def _take(self, topic: str, message: AnyMessage, *, moves: bool) -> int:
-        """Give the samples of a message; their stamp, ns."""
+    def _take(self, interface: interfaces.Interface, message: AnyMessage) -> int:
+        """Give the samples of a message; the stamp from which on they change something, ns."""
+        if interface is interfaces.PHASE_REFERENCE:
+            return self._take_pulse(message)
         assert self._live is not None, "there are signals"
         stamp = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
         self.counts["samples"] += len(message.name)
-        for problem in self._ahead(stamp) or give(self._live, message, moves=moves):
-            self.counts["invalid samples"] += 1
-            self._on_problem(f"{topic}: {problem}")
+        self._refuse(interface, self._ahead(stamp) or give(self._live, interface, message))
         return int(stamp)
+
+    def _take_pulse(self, message: AnyMessage) -> int:
+        """Give a pulse; the stamp from which on the phase changes, ns."""
+        self.counts["samples"] += 1
+        try:
+            stamp = read_pulse(message)
+        except MessageError as error:
+            self._refuse(interfaces.PHASE_REFERENCE, [str(error)])
+            return MAX_STAMP
+        if problems := self._ahead(stamp):
+            self._refuse(interfaces.PHASE_REFERENCE, problems)
+            return MAX_STAMP
+        if self._on_pulse is not None:
+            self._on_pulse(stamp)
+        if self._live is None or self._live.drive is None:
+            return MAX_STAMP
+        self._refuse(interfaces.PHASE_REFERENCE, filter(None, [self._live.add_pulse(stamp)]))
+        return self._live.turned_from
+
+    def _refuse(self, interface: interfaces.Interface, problems: Iterable[str]) -> None:
+        """Tell why samples cannot be used."""
+        for problem in problems:
+            self.counts["invalid samples"] += 1
+            self._on_problem(f"{interface.name}: {problem}")
 
     def _ahead(self, stamp: int) -> list[str]:
         """Why a stamp is too far ahead of the clock; nothing where it is not."""
-        assert self._live is not None, "there are signals"
-        if stamp <= max(self._live.newest):  # no need to read the clock
-            return []
+        if self._live is not None and stamp <= max(self._live.newest):
+            return []  # no need to read the clock
         now = self._now()
         ahead = (stamp - now) / NS_PER_S
         if not now or ahead <= self._future:

@@ -106,7 +106,14 @@ class ObserverDiagnostics:
             "samples": self.inputs.counts["samples"],
             "invalid samples": self.inputs.counts["invalid samples"],
             "samples too late": 0 if live is None else live.late,
+            "periods of the drive not used": self._odd_periods,
         }
+
+    @property
+    def _odd_periods(self) -> int:
+        """How many periods of the drive were too long or too short."""
+        live = self._observer.live
+        return 0 if live is None or live.drive is None else live.drive.odd
 
     def _health(self, now: int, last: Estimate | None) -> tuple[bytes, str]:
         """Level and message: the worst that holds."""
@@ -147,14 +154,16 @@ class ObserverDiagnostics:
         """What was wrong with events since the last status."""
         fine = (Ruling.APPLIED, Ruling.INSERTED)
         refused = sum(self.counts[each.name.lower()] for each in Ruling if each not in fine)
+        large = self.counts["large innovations"]
         faults = {
-            "are missing": self._observer.missing,
-            "were missed by the sensor, and inserted": self.counts["inserted"],
-            "were not applied": refused + self.counts["invalid"],
-            "found no room": self.counts["overflow"],
-            "had a large innovation (is clock_error too small?)": self.counts["large innovations"],
+            "events are missing": self._observer.missing,
+            "events were missed by the sensor, and inserted": self.counts["inserted"],
+            "events were not applied": refused + self.counts["invalid"],
+            "events found no room": self.counts["overflow"],
+            "events had a large innovation (is clock_error too small?)": large,
+            "periods of the drive were off and are not used": self._odd_periods,
         }
-        new = [f"{n} events {what}" for what, n in faults.items() if n > self._reported[what]]
+        new = [f"{n} {what}" for what, n in faults.items() if n > self._reported[what]]
         self._reported = Counter(faults)
         return new
 

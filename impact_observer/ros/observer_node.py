@@ -92,7 +92,10 @@ class ObserverNode(Node):
             self._observer.live,
             self._lines.error,
             (self._now, values.number("future")),
-            self._correct_by_samples,
+            on_samples=self._correct_by_samples,
+            on_pulse=self._observer.take_pulse
+            if system.depends_on_time and not options.epoch
+            else None,
         )
         self._diagnostics.inputs = self._inputs
         self._diagnostics.input_timeout = values.number("input_timeout")

@@ -18,10 +18,10 @@ from impact_observer.draw.plot.quantities import (
 from impact_observer.errors import BagError
 from impact_observer.io import interfaces
 from impact_observer.io.columns import JointStates, ObserverStates
-from impact_observer.io.live_inputs import with_recorded
+from impact_observer.io.live_inputs import epoch_in, with_recorded
 from impact_observer.io.pairing import arrived
 from impact_observer.io.reader import BagReader
-from impact_observer.io.recordings import epoch_of, events_in, outcomes_in
+from impact_observer.io.recordings import events_in, outcomes_in
 from impact_observer.io.topic_names import first_block, states_of
 from impact_observer.model import System
 from impact_observer.stamps import MAX_STAMP, NS_PER_S, from_seconds, text
@@ -119,7 +119,7 @@ def read_recording(
     every = quantities_of(names, system)
     shown = selected(every, ("positions", "velocities") if select is None else select)
     events = events_in(reader) if reader.find(interfaces.IMPACTS) is not None else []
-    epoch = epoch_of(events) or int(first.stamps[0])
+    epoch = epoch_in(reader, events) or int(first.stamps[0])
     system = system and with_recorded(reader, system, epoch)
     low = epoch + from_seconds(start)
     high = MAX_STAMP if duration is None else low + from_seconds(duration)

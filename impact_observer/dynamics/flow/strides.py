@@ -19,7 +19,7 @@ from impact_observer.dynamics.flow.spectral import SpectralFlow
 from impact_observer.kernel import Guards, PhaseMotion, SampledForces
 from impact_observer.kernel import SeriesFlow as Strides
 from impact_observer.model.angles import Angles
-from impact_observer.model.force_samples import Samples
+from impact_observer.model.force_samples import JETS, Samples
 from impact_observer.model.live_signals import LiveSamples
 from impact_observer.states import Matrix, Vector
 
@@ -53,21 +53,26 @@ class SeriesFlow(Flow):
         forcing, r = system.forcing, system.n
         forces = np.vstack([forcing.constant, forcing.cosine, forcing.sine]).T
         sampled, self._active = None, np.zeros(0, dtype=np.intp)
+        orders = np.zeros(forcing.frequency.size)
         if forcing.sampled is not None:
             sampled, self._active = _forces(forcing.sampled)
+        if isinstance(forcing.sampled, LiveSamples):
+            orders = forcing.sampled.orders.astype(np.float64)
+        self._phases = int(orders.any())
         forces = np.hstack([forces, np.eye(len(forces))[:, self._active]])
         load, push = np.hsplit(
             modes.T_inverse[:, r:] @ self._pushed(forces), [1 + 2 * forcing.frequency.size]
         )
-        self._rate = max(modes.fastest, *forcing.frequency, 0.0)
+        self._rate = max(modes.fastest, *forcing.fastest, 0.0)
         self._kernel = Strides(
             modes.coordinates(frame),
             modes.J.reshape(2 * r, -1) if r else np.zeros((0, 2)),
             (forcing.frequency, Angles(forcing.frequency).turns),
             load,
-            push,
+            self._with_phase(push),
             sampled,
             self._rate,
+            orders,
         )
 
     def start(self, t: float, x: Vector) -> PhaseMotion:
@@ -78,7 +83,11 @@ class SeriesFlow(Flow):
         """``functions`` of all motions."""
         time = 1 / self._rate if self._rate > 0 else 0.0
         rows = self._seen(functions, self.modes.T, time)
-        return self._kernel.guards(*rows, functions.force[:, self._active])
+        return self._kernel.guards(*rows, self._with_phase(functions.force[:, self._active]))
+
+    def _with_phase(self, forces: Matrix) -> Matrix:
+        """Columns of sampled forces, and of the drive's phase, which is no force."""
+        return np.pad(forces, ((0, 0), (0, self._phases)))
 
     @cached_property
     def _spectral(self) -> SpectralFlow:
@@ -99,20 +108,33 @@ Jets: TypeAlias = NDArray[np.float64]
 
 @lru_cache(KEPT)
 def _forces(samples: Samples) -> tuple[SampledForces, NDArray[np.intp]]:
-    """The forces that are not always zero, and their coordinates."""
+    """The forces that are not always zero, and their coordinates.
+
+    The phase of a drive is the last of the forces, if something turns with it.
+    """
     assert samples.jets is not None, "derived"
     active = np.flatnonzero(samples.drives)
-    jets = np.concatenate(samples.jets)[:, active]
-    dropped, newest = 0, np.inf
-    if isinstance(samples, LiveSamples):
-        dropped, newest = samples.dropped, samples.newest
+    if not isinstance(samples, LiveSamples):
+        jets = np.concatenate(samples.jets)[:, active]
+        return SampledForces(samples.time, jets, samples.rounding, samples.check), active
+    turning = samples.orders.any()
+
+    def columns(jets: Jets, turns: Matrix) -> Matrix:
+        found = np.concatenate(jets)[:, active]
+        phase = np.concatenate([turns.ravel(), np.zeros((JETS - 2) * turns.shape[1])])
+        return np.column_stack([found, phase]) if turning else found
+
     found = SampledForces(
-        samples.time, jets, samples.rounding, samples.check, dropped=dropped, newest=newest
+        samples.time,
+        columns(samples.jets, samples.turns),
+        samples.rounding,
+        samples.check,
+        dropped=samples.dropped,
+        newest=samples.newest,
     )
-    if isinstance(samples, LiveSamples):
 
-        def splice(first: int, time: Vector, others: Jets, newest: float) -> None:
-            found.splice(first, time, np.concatenate(others)[:, active], newest)
+    def splice(first: int, time: Vector, jets: Jets, turns: Matrix, newest: float) -> None:
+        found.splice(first, time, columns(jets, turns), newest)
 
-        samples.follow(splice, found.drop)
+    samples.follow(splice, found.drop)
     return found, active

@@ -1,0 +1,154 @@
+"""Nodes and the index pulses of a drive: the epoch, equal bits, and what diagnostics warn of."""
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from impact_observer_msgs.msg import ContactSwitch, ImpactEvent, ObserverState
+from processes import ros_arguments, running, running_node, spinning
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rigs import EPOCH
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Header
+
+from impact_observer.cli.main import main
+from impact_observer.io import BagReader, interfaces
+from impact_observer.io.interfaces import Quality
+from impact_observer.io.messages import read_estimate
+from impact_observer.resources import shared
+from impact_observer.ros.message_classes import ros_messages
+from impact_observer.ros.qos import qos_profile
+from impact_observer.stamps import NS_PER_S
+
+pytestmark = pytest.mark.ros
+
+MOTOR = """\
+name: driven
+bodies: [{name: x, mass: 1}]
+springs: [{between: [ground, x], stiffness: 10, damping: 0.1}]
+forces: [{body: x, input: motor}, {body: x, amplitude: 1, order: 1, frequency: 6.283185307179586}]
+stops: [{name: stop, body: x, limit: 1, side: above, restitution: 0.5}]
+"""
+MANY = qos_profile(Quality(depth=1000))
+
+
+def pulse_publisher(probe: Node) -> Publisher:
+    """Of pulses, as a sensor publishes them."""
+    interface = interfaces.PHASE_REFERENCE
+    return probe.create_publisher(Header, interface.name, qos_profile(interface.quality))
+
+
+def test_observer_node_estimates_what_observe_does_under_a_drive(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """Behind a lag longer than a period, to the bit."""
+    recorded, output = shared("bags/hammer"), tmp_path / "out"
+    assert main(["observe", str(recorded), "--initial", "random:1", "-o", str(output)]) == 0
+    with BagReader(output) as reader:
+        offline = reader.observer_states("/observer/state")
+    where = {stamp: i for i, stamp in enumerate(offline.stamps.tolist())}
+    parameters = {
+        "model": "hammer",
+        "use_sim_time": True,
+        "initial_state": "'random:1'",
+        "lag": 2.0,
+        "rate": 20.0,
+    }
+    states: list[ObserverState] = []
+    with (
+        running_node("observer", ros_arguments(parameters), ros_environment),
+        spinning() as spinner,
+    ):
+        probe = spinner.probe
+        probe.create_subscription(ObserverState, "observer/state", states.append, MANY)
+        spinner.until(lambda: "observer" in probe.get_node_names())
+        play = ["play", str(recorded), "--rate", "4", "--delay", "5", "--topics"]
+        topics = ["/impacts", "/phase_reference"]
+        with running("impact_observer", [*play, *topics], ros_environment) as player:
+            spinner.until(lambda: player.poll() is not None)
+            assert player.returncode == 0, player.communicate()
+        spinner.settle()
+    found = {each.stamp: each for _, each in map(read_estimate, states)}
+    compared = [(each, where[stamp]) for stamp, each in found.items() if stamp in where]
+    assert len(compared) > 300
+    for estimate, i in compared:
+        assert estimate.q.tobytes() == offline.q[i].tobytes()
+        assert estimate.u.tobytes() == offline.u[i].tobytes()
+
+
+def test_diagnostics_warn_of_inputs_that_are_silent_and_of_odd_periods(
+    ros_environment: dict[str, str], tmp_path: Path
+) -> None:
+    """Beyond ``input_timeout``; the ages of both are shown."""
+    (tmp_path / "driven.yaml").write_text(MOTOR)
+    parameters = {"model": str(tmp_path / "driven.yaml"), "input_timeout": 2.5, "future": 60.0}
+    found: list[DiagnosticStatus] = []
+    make = ros_messages()
+
+    def values() -> dict[str, str]:
+        return {each.key: each.value for each in found[-1].values}
+
+    with (
+        running_node("observer", ros_arguments(parameters), ros_environment),
+        spinning() as spinner,
+    ):
+        probe = spinner.probe
+        probe.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda array: found.extend(array.status), MANY
+        )
+        pulses = pulse_publisher(probe)
+        forces = probe.create_publisher(
+            JointState, "forcing", qos_profile(interfaces.FORCING.quality)
+        )
+        impacts = probe.create_publisher(
+            ImpactEvent, "impacts", qos_profile(interfaces.IMPACTS.quality)
+        )
+        topics = (pulses, forces, impacts)
+        spinner.until(lambda: all(each.get_subscription_count() for each in topics))
+        now = probe.get_clock().now().nanoseconds
+        for seconds in (0.0, 1.0, 2.6):
+            pulses.publish(Header(stamp=make.time(now + round(seconds * NS_PER_S))))
+        spinner.until(lambda: bool(found) and values().get("samples") == "3")
+        assert values()["age of motor [s]"] == "inf"
+        assert float(values()["age of phase_reference [s]"]) < 2
+        assert values()["periods of the drive not used"] == "1"
+        forces.publish(make.forces(now, {"motor": 1.0}))
+        switch = ContactSwitch(contact="stop", kind=ContactSwitch.IMPACT)
+        event = ImpactEvent(sequence=1, switches=[switch])
+        event.header.stamp = make.time(now + NS_PER_S)
+        impacts.publish(event)
+        silent = "no sample of motor for"
+        spinner.until(lambda: any(silent in each.message for each in found))
+        (status, *_) = [each for each in found if silent in each.message]
+    assert status.level == DiagnosticStatus.WARN
+    assert "input_timeout is 2.5 s" in status.message
+
+
+def test_detector_puts_the_first_pulse_into_its_events(ros_environment: dict[str, str]) -> None:
+    """As their epoch, where no parameter gives it."""
+    sources = shared("config/detector/switch.yaml")
+    events: list[ImpactEvent] = []
+    make = ros_messages()
+    with (
+        running_node("detector", ros_arguments({"sources": str(sources)}), ros_environment),
+        spinning() as spinner,
+    ):
+        probe = spinner.probe
+        quality = qos_profile(interfaces.IMPACTS.quality)
+        probe.create_subscription(ImpactEvent, "impacts", events.append, quality)
+        pulses = pulse_publisher(probe)
+        switch = probe.create_publisher(Bool, "switch", 10)
+        spinner.until(lambda: bool(pulses.get_subscription_count()))
+        for second in (1, 2):
+            pulses.publish(Header(stamp=make.time(EPOCH * second)))
+        spinner.until(lambda: bool(switch.get_subscription_count()))
+        spinner.settle()
+        for closed in (False, True, False):
+            switch.publish(Bool(data=closed))
+        spinner.until(lambda: bool(events))
+    assert events[0].epoch == make.time(EPOCH)
