@@ -30,6 +30,7 @@ def thrown(
     return Motion(truth, np.array([*position, *velocity], float), seconds, RNG).run()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", EXACT, ids=[each.name for each in EXACT])
 def test_exact_plant_is_the_packages_own(plant: WrongPlant) -> None:
     """Two integrators that share nothing agree on impacts and states over 12 s."""
@@ -57,6 +58,7 @@ def test_finite_contact_has_its_duration_and_the_restitution(eps: float, duratio
     assert found.states[-1, 1] == pytest.approx(2.0 * eps, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contact_time", [0.0, 1e-3])
 def test_a_mass_that_comes_to_rest_on_its_stop_ends_the_run(contact_time: float) -> None:
     """Its impacts accumulate, or the contact does not end."""

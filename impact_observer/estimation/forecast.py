@@ -10,7 +10,8 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize, special
+import scipy
+from scipy import special
 
 from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.estimation.impact_filter import ImpactFilter
@@ -295,7 +296,7 @@ class Forecast:
             return dip.began
         if below == 0 or not self._value(dip.which, above) > 0 > self._value(dip.which, below):
             return below  # negative from the start, or rounded otherwise when evaluated alone
-        found = optimize.brentq(
+        found = scipy.optimize.brentq(
             lambda at: self._value(dip.which, at), above, below, xtol=_LEAST, rtol=_ROOT
         )
         return float(found)
@@ -311,4 +312,6 @@ class Forecast:
             return gaps.root(self._t, self._state, self._level, *found)
         if not beyond(dip.above) > 0 > beyond(dip.deepest):
             return dip.deepest
-        return float(optimize.brentq(beyond, dip.above, dip.deepest, xtol=_LEAST, rtol=_ROOT))
+        return float(
+            scipy.optimize.brentq(beyond, dip.above, dip.deepest, xtol=_LEAST, rtol=_ROOT)
+        )

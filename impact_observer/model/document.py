@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy import io, sparse
 
 from impact_observer.errors import ModelError
 from impact_observer.states import Matrix, Vector, frozen
@@ -185,8 +185,8 @@ def load_matrix(key: str, relative: str, folder: Path | None) -> Matrix:
         if path.suffix == ".npy":
             return _real(np.load(path, allow_pickle=False))
         if path.suffix in {".mtx", ".gz"}:
-            matrix = io.mmread(path)
-            return _real(matrix.toarray() if sparse.issparse(matrix) else matrix)
+            matrix = scipy.io.mmread(path)
+            return _real(matrix.toarray() if scipy.sparse.issparse(matrix) else matrix)
     except (ValueError, OSError, EOFError, zlib.error) as error:
         raise ModelError(key, f"{path} cannot be read: {error}") from None
     raise ModelError(key, f"names {relative}; expected a .npy or Matrix Market (.mtx) file")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from scipy import interpolate
+import scipy
 
 from impact_observer.errors import ModelError
 from impact_observer.model import sampled_files
@@ -127,7 +127,7 @@ def _clamped(key: str, table: Matrix) -> Samples:
         time = Samples(table[:, 0], table[:, 1:], "linear").time
     except ModelError as error:
         raise ModelError(key, error.problem) from None
-    parts = interpolate.CubicSpline(time, table[:, 1:], bc_type="clamped").c[::-1]
+    parts = scipy.interpolate.CubicSpline(time, table[:, 1:], bc_type="clamped").c[::-1]
     jets = np.zeros((JETS, *table[:, 1:].shape))
     jets[:, :-1] = parts * np.array([1.0, 1.0, 2.0, 6.0])[:, None, None]
     jets[0] = table[:, 1:]

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from impact_observer.estimation.contact_change import ContactChange
 from impact_observer.estimation.gaussian_state import GaussianState
@@ -126,7 +126,7 @@ class Retracing:
         return found
 
     def _root(self, t: float, x: Vector, i: int, between: tuple[float, float]) -> float:
-        found = optimize.brentq(lambda s: self._gaps(t, x, s)[i], *between)
+        found = scipy.optimize.brentq(lambda s: self._gaps(t, x, s)[i], *between)
         return float(found)
 
     def _hit(self, t: float, z: Normal, i: int, s: float) -> _Hit:

@@ -117,6 +117,7 @@ def test_answers_agree_with_trying_every_set_of_contacts(model: System) -> None:
     assert all(dropped & set(index) for index in dependent)
 
 
+@pytest.mark.slow
 @examples(25)
 @given(systems(max_n=3, contacts=(2, 5), common_restitution=False, gaps=(0.0, 0.0), forced=False))
 def test_contacts_that_meet_at_rest_can_all_close_together(model: System) -> None:
@@ -126,6 +127,7 @@ def test_contacts_that_meet_at_rest_can_all_close_together(model: System) -> Non
     assert bool(expansive_sets(model)) == bool(failing)
 
 
+@pytest.mark.slow
 @examples(25)
 @given(systems(contacts=(1, 4), forced=False), st.integers(0, 1000))
 def test_two_solutions_never_diverge_where_v_cannot_rise(model: System, seed: int) -> None:
@@ -144,6 +146,7 @@ def test_two_solutions_never_diverge_where_v_cannot_rise(model: System, seed: in
         assert gap @ model.M @ gap <= before * (1 + 1e-7)
 
 
+@pytest.mark.slow
 @examples(25)
 @given(systems(contacts=(2, 4), common_restitution=False, gaps=(0.0, 0.5), forced=False))
 def test_the_two_solutions_given_diverge_by_the_factor_given(model: System) -> None:

@@ -63,6 +63,7 @@ def same(column: Sequence[object], wanted: NDArray[np.float64]) -> bool:
     return bits(column) == np.ascontiguousarray(wanted).tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_states_are_those_of_the_bag_bit_by_bit(
     observed: Path, tmp_path: Path, suffix: str

@@ -28,6 +28,7 @@ def model(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_identified_parameters_are_printed_and_written(
     model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,6 +66,7 @@ def test_json_has_every_result(model: Path, capsys: pytest.CaptureFixture[str]) 
     assert results["held_back"]["carries_over"]
 
 
+@pytest.mark.slow
 def test_a_check_on_the_last_impacts_is_printed(
     model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

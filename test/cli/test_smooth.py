@@ -50,6 +50,7 @@ def test_smoothing_again_replaces_what_was_smoothed(tmp_path: Path) -> None:
         assert reader.topics["/smoother/impacts"].count == 22
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [

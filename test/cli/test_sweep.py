@@ -51,6 +51,7 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_rows_have_labels_and_metrics_of_the_cases(serial: Path) -> None:
     """In the order of the cases."""
     table = table_of(serial)

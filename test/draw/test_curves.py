@@ -26,6 +26,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return everything(tmp_path_factory.mktemp("curves") / "bag", LAWS, duration=1.0)
 
 
+@pytest.mark.slow
 def test_topics_by_name_are_those_that_the_law_publishes(bag: Path) -> None:
     """Topics of bounds, covariance and estimated parameters are those of the bag."""
     with BagReader(bag) as reader:

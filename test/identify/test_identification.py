@@ -190,6 +190,7 @@ def test_a_short_recording_of_another_model_does_not_fit() -> None:
     assert found.held_back is None
 
 
+@pytest.mark.slow
 def test_standard_errors_of_exact_stamps_are_not_widened() -> None:
     """Rounding explains the shifts. The last fifth of the impacts is predicted as well."""
     model = sample("two_mass").system
@@ -202,6 +203,7 @@ def test_standard_errors_of_exact_stamps_are_not_widened() -> None:
     assert held.residual < 2e-9
 
 
+@pytest.mark.slow
 def test_standard_errors_of_a_wrong_model_are_widened() -> None:
     """A restitution that is 2 % off, held, moves the stiffness by many standard errors."""
     model = sample("two_mass").system
@@ -216,6 +218,7 @@ def test_standard_errors_of_a_wrong_model_are_widened() -> None:
     np.testing.assert_allclose(estimated.errors, found.errors, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_model_that_drifts_does_not_carry_over() -> None:
     """The clock runs faster in the last fifth, as if all springs were weaker."""
     model = sample("two_mass").system

@@ -79,6 +79,7 @@ def wait(done: Callable[[], object]) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_one_event_is_on_the_disk_without_another(tmp_path: Path) -> None:
     """No chunk needs to be full: a copy of the open bag, as a kill would leave it, has it all."""
     file = tmp_path / "bag" / "bag_0.mcap"

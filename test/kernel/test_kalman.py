@@ -75,6 +75,7 @@ def assert_near(found: Array, wanted: Array, error: float) -> None:
     np.testing.assert_allclose(found, wanted, rtol=0, atol=error * most + 1e-13)
 
 
+@pytest.mark.slow
 @given(case=cases())
 @examples(80)
 def test_it_agrees_with_the_general_methods(case: Case) -> None:

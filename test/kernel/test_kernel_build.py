@@ -63,6 +63,7 @@ def test_import_names_the_remedy_for_a_missing_or_stale_kernel(
     assert printed == (f"impact_observer.kernel {problem}: {REMEDY}\n" if problem else "")
 
 
+@pytest.mark.slow
 def test_building_without_a_compiler_is_one_line(tmp_path: Path) -> None:
     """The line names the packages that are missing."""
     compiler = str(tmp_path / "g++")

@@ -130,6 +130,7 @@ def test_last_sample_is_held_and_nothing_is_before_the_first() -> None:
             f.derivatives(np.array([0.0, -1.5]), 1)
 
 
+@pytest.mark.slow
 @examples(30)
 @given(st.data())
 def test_sum_of_two_forcings_is_the_sum_at_every_instant(data: st.DataObject) -> None:

@@ -17,6 +17,7 @@ from impact_observer.plant import Plant, make_plant
 from impact_observer.stamps import NS_PER_S
 
 
+@pytest.mark.slow
 def test_plant_does_not_depend_on_how_samples_are_grouped() -> None:
     """To the bit: it goes no further than the samples, and what has been is final."""
     one = simulated()

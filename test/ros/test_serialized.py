@@ -52,6 +52,7 @@ def estimates(draw: st.DrawFn) -> tuple[tuple[str, ...], Estimate]:
     return names, estimate
 
 
+@pytest.mark.slow
 @given(estimates())
 @examples(100)
 def test_bytes_deserialize_to_the_messages(case: tuple[tuple[str, ...], Estimate]) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from impact_observer.dynamics.contact.complementarity import nonnegative
 from impact_observer.dynamics.flow.phase import RANK, Phase, Phases, without
@@ -179,7 +179,7 @@ def bounded(D: Matrix, target: Vector, low: Vector, high: Vector) -> Vector:
     if size == 0.0:
         return np.clip(np.zeros(low.size), low, high)
     # Bounds beyond any load do not count, and equal units keep the method's tolerance relative.
-    found = optimize.lsq_linear(
+    found = scipy.optimize.lsq_linear(
         D, target / size, (low / size, high / size), method="bvls", tol=1e-15
     )
     return np.clip(np.asarray(found.x) * size, low, high)

@@ -7,7 +7,8 @@ its product with a vector costs.
 from collections.abc import Callable
 
 import numpy as np
-from scipy import linalg, sparse
+import scipy
+from scipy import linalg
 
 from impact_observer.states import Matrix, Vector
 
@@ -22,7 +23,7 @@ def product_with(A: Matrix) -> Product:
     """``A x``, shape (n,), as a function of ``x``, shape (n,); ``A`` has shape (n, n)."""
     n = len(A)
     few = n >= MANY and np.count_nonzero(A) <= _FEW * n
-    found: Product = sparse.csr_array(A).dot if few else A.dot
+    found: Product = scipy.sparse.csr_array(A).dot if few else A.dot
     return found
 
 

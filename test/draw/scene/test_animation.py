@@ -181,6 +181,7 @@ def test_rows_have_one_scale_and_names() -> None:
         assert law in shown
 
 
+@pytest.mark.slow
 def test_estimate_without_a_state_says_so() -> None:
     """Before its first one, while the plant moves on."""
     shown = film()

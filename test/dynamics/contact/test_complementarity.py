@@ -50,6 +50,7 @@ def assert_solves(B: Array, b: Array, found: Array) -> None:
     assert np.all(np.abs(np.minimum(found * length, separation)) <= 2e-9 * scale)
 
 
+@pytest.mark.slow
 @examples(150)
 @given(st.data())
 def test_solution_is_the_one_that_trying_every_set_of_rows_finds(data: st.DataObject) -> None:
@@ -65,6 +66,7 @@ def test_solution_is_the_one_that_trying_every_set_of_rows_finds(data: st.DataOb
     np.testing.assert_allclose(B @ found, expected[0], atol=1e-6)
 
 
+@pytest.mark.slow
 @examples(80)
 @given(st.data())
 def test_solution_exists_exactly_where_all_rows_can_separate(data: st.DataObject) -> None:

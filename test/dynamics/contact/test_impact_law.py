@@ -72,6 +72,7 @@ def test_separating_contact_takes_no_impulse() -> None:
         assert ImpactLaw(model).impulses(np.array([speed]), (0,)).tolist() == [0.0]
 
 
+@pytest.mark.slow
 @examples(60)
 @given(st.data())
 def test_single_contact_agrees_with_the_law_for_many(data: st.DataObject) -> None:
@@ -83,6 +84,7 @@ def test_single_contact_agrees_with_the_law_for_many(data: st.DataObject) -> Non
     np.testing.assert_allclose(law.velocity_after(u, (0,)), general, atol=1e-12)
 
 
+@pytest.mark.slow
 @examples(60)
 @given(st.data())
 def test_law_holds_for_simultaneous_impacts(data: st.DataObject) -> None:
@@ -92,6 +94,7 @@ def test_law_holds_for_simultaneous_impacts(data: st.DataObject) -> None:
     assert_law_holds(model, data.draw(vectors(model.n)), tuple(sorted(active)))
 
 
+@pytest.mark.slow
 @examples(60)
 @given(st.data())
 def test_law_agrees_with_trying_every_set_of_contacts(data: st.DataObject) -> None:
@@ -128,6 +131,7 @@ def test_floor_and_ceiling_with_unequal_restitution_have_no_solution() -> None:
     assert upwards == pytest.approx(-0.5, rel=1e-12)  # the other way round there is one
 
 
+@pytest.mark.slow
 @examples(60)
 @given(st.data())
 def test_common_restitution_always_has_a_solution_that_loses_energy(data: st.DataObject) -> None:

@@ -65,6 +65,7 @@ def test_motion_without_contact_is_of_second_order() -> None:
     assert errors[-1] < 1e-3
 
 
+@pytest.mark.slow
 @examples(20)
 @given(st.data())
 def test_every_step_balances_energy(data: st.DataObject) -> None:

@@ -51,6 +51,7 @@ def test_strain_is_the_energy_of_the_jump(data: st.DataObject) -> None:
     assert projection.strain(q, active) == pytest.approx(potential(model, jump), abs=1e-9 * size)
 
 
+@pytest.mark.slow
 @examples(50)
 @given(st.data())
 def test_jump_is_the_least_one_of_the_theory(data: st.DataObject) -> None:
@@ -70,6 +71,7 @@ def test_jump_is_the_least_one_of_the_theory(data: st.DataObject) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-6 * (1 + np.max(np.abs(expected))))
 
 
+@pytest.mark.slow
 @examples(50)
 @given(st.data())
 def test_jump_is_the_papers_where_stiffness_is_definite(data: st.DataObject) -> None:
@@ -88,6 +90,7 @@ def test_jump_is_the_papers_where_stiffness_is_definite(data: st.DataObject) -> 
     np.testing.assert_allclose(beyond, 0.0, atol=1e-7 * (1 + np.max(np.abs(pushes))))
 
 
+@pytest.mark.slow
 @examples(50)
 @given(st.data())
 def test_jump_lowers_the_distance_by_what_the_theory_says(data: st.DataObject) -> None:
@@ -110,6 +113,7 @@ def test_jump_lowers_the_distance_by_what_the_theory_says(data: st.DataObject) -
     )
 
 
+@pytest.mark.slow
 @examples(30)
 @given(st.data())
 def test_second_jump_changes_nothing(data: st.DataObject) -> None:

@@ -239,6 +239,7 @@ def assert_stops_only_push(held: Held, seconds: float) -> None:
         assert unexplained(force[k], W[:, pressed], W[:, :0]) <= 5 * tolerance
 
 
+@pytest.mark.slow
 @examples(25)
 @given(st.data())
 def test_every_motion_obeys_the_complementarity_of_gaps_and_reactions(

@@ -191,6 +191,7 @@ def test_flow_of_any_size_agrees_with_a_matrix_exponential(n: int) -> None:
     assert error(model, found, expected, x) < 2e-13
 
 
+@pytest.mark.slow
 def test_flow_of_thirty_masses_agrees_with_a_runge_kutta_method() -> None:
     """DOP853 with tight tolerances makes no use of linearity."""
     n = 30

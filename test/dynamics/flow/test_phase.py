@@ -209,6 +209,7 @@ def test_contact_that_sees_no_rigid_mode_is_held_where_it_is() -> None:
         assert_is_the_integrated_one(model, (), fixed, 0.0, x)
 
 
+@pytest.mark.slow
 @examples(40)
 @given(st.data())
 def test_distance_of_two_motions_of_one_phase_never_grows(data: st.DataObject) -> None:

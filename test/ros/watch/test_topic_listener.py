@@ -68,6 +68,7 @@ def seen(bag: Path) -> Snapshot:
     return received(bag, TopicListener())
 
 
+@pytest.mark.slow
 def test_estimates_are_shown_against_the_truth_of_their_stamp(bag: Path, seen: Snapshot) -> None:
     """Both as they are in the bag, at its end."""
     assert [each.name for each in seen.observers] == ["/observer", "/observer_minimum_variance"]
