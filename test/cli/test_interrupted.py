@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from inspect import CO_GENERATOR
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 
 import numpy as np
 import pytest
@@ -34,12 +34,18 @@ class Profile:
     def __init__(self, at: int | None = None) -> None:
         self.count = 0
         self.at = at
+        self._counted: dict[CodeType, bool] = {}
 
     def __call__(self, frame: FrameType, event: str, _: object) -> None:
         """As ``sys.setprofile`` calls it."""
-        room, _, module = frame.f_globals.get("__name__", "").partition(".")
-        ours = room == "impact_observer" and module != "process_end"
-        if event == "call" and ours and not frame.f_code.co_flags & CO_GENERATOR:
+        if event != "call":
+            return
+        code = frame.f_code
+        if (counted := self._counted.get(code)) is None:
+            room, _, module = frame.f_globals.get("__name__", "").partition(".")
+            ours = room == "impact_observer" and module != "process_end"
+            counted = self._counted[code] = ours and not code.co_flags & CO_GENERATOR
+        if counted:
             self.count += 1
             if self.count == self.at:
                 signal.raise_signal(signal.SIGTERM)

@@ -70,13 +70,13 @@ def assert_all_tried(printed: str) -> None:
 def test_wrong_arguments_are_errors_and_never_crash() -> None:
     """Of any shape, order, type, alignment, size and value, in a process of their own."""
     here = {"KERNEL_FILE": str(_kernel.__file__)}
-    assert_all_tried(end_of(here, "kernel_fuzz", "1", "300"))
+    assert_all_tried(end_of(here, "kernel_fuzz", "1", "100"))
 
 
 @pytest.mark.slow
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     """At wrong arguments, and in the tests of the kernel that are not slow."""
     environment = sanitized(tmp_path)
-    assert_all_tried(end_of(environment, "kernel_fuzz", "2", "150"))
+    assert_all_tried(end_of(environment, "kernel_fuzz", "2", "60"))
     arguments = ("-p", "kernel_loaded", "-p", "no:cacheprovider", "-q", "-m", "not slow")
     assert " passed" in end_of(environment, "pytest", *arguments, "test/kernel")

@@ -138,12 +138,13 @@ def test_other_parameters_are_found_beside_a_trusted_or_a_late_sensor(sensor: st
 def test_parameters_that_a_user_estimates_stand_alone() -> None:
     """Nothing else is estimated beside them, though they are the wrong ones."""
     wanted = {"law": "minimum-variance", "estimate_parameters": ("stiffness-scale",)}
-    chosen = Options(epoch=EPOCH, **wanted, **TRUSTED)  # type: ignore[arg-type]
+    declared = {"clock_error": 0.0, **TRUSTED}
+    chosen = Options(epoch=EPOCH, **wanted, **declared)  # type: ignore[arg-type]
     watcher = fed(make_observer(sample("two_mass").system, chosen, ()), wrong().events[:38])
     last = watcher.estimate(watcher.last_event)
     assert last.misfit
     names = {name for name, *_ in last.parameters}
-    assert names == {"stiffness-scale", "clock_error", "model error", "bounce error"}
+    assert names == {"stiffness-scale", "model error", "bounce error"}
 
 
 @pytest.mark.slow
@@ -163,18 +164,18 @@ def test_exact_model_has_no_error_and_is_synchronized() -> None:
 
 @pytest.mark.slow
 def test_warning_ends_when_the_model_fits_again() -> None:
-    """The restitution is right after 24 periods of the force, for a minute and a half."""
+    """The restitution is right after 18 periods of the force, for a minute."""
     model, watcher = sample("two_mass").system, watching()
-    switched = EPOCH + round(24 * 2 * np.pi / 2.5 * NS_PER_S)
+    switched = EPOCH + round(18 * 2 * np.pi / 2.5 * NS_PER_S)
     before = simulate(started(bouncier(model, 1.03), *START), np.array([switched]))
     after = Plant(model, *np.split(before.states[-1], 2), epoch=switched)
-    later = simulate(after, grid(switched, switched + 90 * NS_PER_S, 1.0))
+    later = simulate(after, grid(switched, switched + 60 * NS_PER_S, 1.0))
     for each in before.events:
         watcher.receive(each)
     assert watcher.estimate(switched).misfit
     for each in later.events:
         watcher.receive(replace(each, epoch=EPOCH, sequence=each.sequence + len(before.events)))
-    last = watcher.estimate(switched + 90 * NS_PER_S)
+    last = watcher.estimate(switched + 60 * NS_PER_S)
     assert not last.misfit
     assert "restitution.stop" not in {name for name, *_ in last.parameters}
     assert last.synchronized
@@ -185,12 +186,13 @@ def test_contact_time_is_found() -> None:
     """Of stops that give way for 2 ms; the plant is integrated by scipy."""
     (plant,) = (each for each in plants() if each.name == "drill-finite-contact-0.002")
     wanted = {"law": "minimum-variance", "estimate_parameters": ("contact-time=0.005",)}
-    chosen = Options(epoch=EPOCH, **wanted, **TRUSTED)  # type: ignore[arg-type]
+    declared = {"clock_error": 1e-4, **TRUSTED}
+    chosen = Options(epoch=EPOCH, **wanted, **declared)  # type: ignore[arg-type]
     recording = plant.run(0, 12.0)
     watcher = fed(make_observer(plant.model, chosen, ()), events(plant.model, recording))
     learned = {name: value for name, value, _ in watcher.estimate(watcher.last_event).parameters}
-    assert learned["contact-time.anvil"] == pytest.approx(0.002, rel=0.1)
-    assert learned["contact-time.rock"] == pytest.approx(0.002, rel=0.1)
+    assert learned["contact-time.anvil"] == pytest.approx(0.002, rel=0.15)
+    assert learned["contact-time.rock"] == pytest.approx(0.002, rel=0.15)
 
 
 def test_impacts_that_accumulate_count_once() -> None:
