@@ -4,6 +4,7 @@ import heapq
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 from impact_observer.events import REVISED, ImpactEvent, Ruling, Verdict
 from impact_observer.io.messages import MessageError, MessageLimits
@@ -15,17 +16,41 @@ MOST_WAITING = 2000
 """Events that wait to be applied, and as many that wait for the clock: the depth of the topic."""
 SLICE = 5_000_000
 """Longest time for events before estimates and services have their turn, ns."""
+PATIENCE = 30 * NS_PER_S
+"""How long an event may wait for an observer that cannot keep up, ns."""
+_FEW = 64
+"""Events that are given to the observer together at first."""
+_QUICK = NS_PER_S // 2
+"""How long a batch may take for the next one to be larger, ns."""
+
+
+class Waiting(NamedTuple):
+    """An event that waits to be applied.
+
+    Attributes:
+        event: it.
+        since: when it came, on the monotonic clock, ns.
+        was_refused: whether it was ahead of the clock and has a verdict already.
+    """
+
+    event: ImpactEvent
+    since: int
+    was_refused: bool
 
 
 class EventIntake:
     """Takes serialized events, and applies them in slices of time.
 
     Events that wait together are given to the observer together, so that late ones cost one run.
-    What is ahead of the clock is rejected, and taken once the clock has come near enough.
+    Such a batch is twice as large after a quick one, half as large after a slow one. An event that
+    has waited longer than ``PATIENCE`` is rejected, so that an observer that cannot keep up is
+    never further behind. What is ahead of the clock is rejected, and taken once the clock has
+    come near enough.
 
     Attributes:
         counts: ``future``: events ahead of the clock; ``invalid``: messages that are no event;
-            ``overflow``: events for which there was no room.
+            ``overflow``: events for which there was no room; ``waited``: those that waited for
+            too long.
     """
 
     def __init__(
@@ -41,7 +66,8 @@ class EventIntake:
         self._now, self._future = now, future
         self._limits = limits
         self.counts = counts
-        self._waiting: deque[tuple[ImpactEvent, bool]] = deque()
+        self._waiting: deque[Waiting] = deque()
+        self._batch, self._begun = _FEW, 0
         self._ahead: list[tuple[int, int, ImpactEvent]] = []
         self._refused: deque[tuple[ImpactEvent, tuple[Verdict, ...]]] = deque()
         self._again: Counter[ImpactEvent] = Counter()
@@ -74,7 +100,7 @@ class EventIntake:
             verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
             self._refused.append((event, (verdict,)))
         elif self.room > 0:
-            self._waiting.append((event, False))
+            self._waiting.append(Waiting(event, time.monotonic_ns(), was_refused=False))
         else:
             self.counts["overflow"] += 1
         return ""
@@ -95,9 +121,10 @@ class EventIntake:
     def slice(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]]]:
         """Work for some milliseconds: events with their verdicts, each when it is applied."""
         end = time.monotonic_ns() + SLICE
+        self._take_what_was_ahead()
+        self._refuse_what_waited()
         while self._refused:
             yield self._refused.popleft()
-        self._take_what_was_ahead()
         while time.monotonic_ns() < end:
             if self._work is None:
                 if not self._waiting:
@@ -109,13 +136,26 @@ class EventIntake:
                 if time.monotonic_ns() >= end:
                     return
             self._work = None
+            is_quick = time.monotonic_ns() - self._begun < _QUICK
+            self._batch = min(2 * self._batch, MOST_WAITING) if is_quick else self._batch // 2 or 1
 
     def _begin(self) -> Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]:
-        """Give the observer all that waits."""
-        events = [event for event, _ in self._waiting]
-        self._again.update(event for event, was_refused in self._waiting if was_refused)
-        self._waiting.clear()
-        return self._observer.receiving(events)
+        """Give the observer some of what waits."""
+        self._begun = time.monotonic_ns()
+        count = min(self._batch, len(self._waiting))
+        taken = [self._waiting.popleft() for _ in range(count)]
+        self._again.update(each.event for each in taken if each.was_refused)
+        return self._observer.receiving([each.event for each in taken])
+
+    def _refuse_what_waited(self) -> None:
+        """Refuse the events that have waited for too long."""
+        latest = time.monotonic_ns() - PATIENCE
+        while self._waiting and self._waiting[0].since < latest:
+            event = self._waiting.popleft().event
+            self.counts["waited"] += 1
+            reason = f"waited for more than {PATIENCE // NS_PER_S} s: the observer cannot keep up"
+            verdict = Verdict(event.stamp, Ruling.REJECTED, event.sequence, reason=reason)
+            self._refused.append((event, (verdict,)))
 
     def _results(
         self, work: Iterator[tuple[ImpactEvent, tuple[Verdict, ...]] | None]
@@ -138,7 +178,8 @@ class EventIntake:
             return
         latest = self._now() + self._future
         while self._ahead and self._ahead[0][0] <= latest and self.room > 0:
-            self._waiting.append((heapq.heappop(self._ahead)[2], True))
+            event = heapq.heappop(self._ahead)[2]
+            self._waiting.append(Waiting(event, time.monotonic_ns(), was_refused=True))
 
     def _reason_to_wait(self, event: ImpactEvent) -> str:
         """Why an event is too far ahead of the clock; empty where it is not."""

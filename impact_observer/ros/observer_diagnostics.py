@@ -26,7 +26,7 @@ class ObserverDiagnostics:
 
     Attributes:
         counts: by name: rulings in lower case, ``corrected``, ``passed_over``, ``future``,
-            ``invalid``, ``overflow``, ``large innovations``, ``clock_jumps``.
+            ``invalid``, ``overflow``, ``waited``, ``large innovations``, ``clock_jumps``.
         mismatch: an incompatible quality of service; empty for none.
         inputs: the node's samples of live forces and grounds, if there are any.
         input_timeout: how old they may be, s.
@@ -78,6 +78,7 @@ class ObserverDiagnostics:
             "from the future": self.counts["future"],
             "invalid messages": self.counts["invalid"],
             "without room": self.counts["overflow"],
+            "waited too long": self.counts["waited"],
             "missing sequence numbers": observer.missing,
             "estimates corrected": self.counts["corrected"],
             "estimates passed over": self.counts["passed_over"],
@@ -160,6 +161,7 @@ class ObserverDiagnostics:
             "events were missed by the sensor, and inserted": self.counts["inserted"],
             "events were not applied": refused + self.counts["invalid"],
             "events found no room": self.counts["overflow"],
+            "events waited for too long": self.counts["waited"],
             "events had a large innovation (is clock_error too small?)": large,
             "periods of the drive were off and are not used": self._odd_periods,
         }

@@ -591,7 +591,7 @@ def test_persistent_contact_is_in_the_estimates_until_it_opens(
 
 
 def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str, str]) -> None:
-    """Checked on the ROS graph: no ground truth goes into the observer."""
+    """And pulses of a drive; checked on the ROS graph: no ground truth goes into the observer."""
     arguments = ros_arguments({"model": "two_mass", "use_sim_time": True})
     with (
         running_node("observer", arguments, ros_environment),
@@ -609,7 +609,7 @@ def test_the_process_subscribes_to_nothing_but_impacts(ros_environment: dict[str
         received = {
             name for name, _ in probe.get_subscriber_names_and_types_by_node("observer", "/")
         }
-        assert received <= {"/impacts", "/clock", "/parameter_events"}
+        assert received <= {"/impacts", "/phase_reference", "/clock", "/parameter_events"}
 
 
 def test_events_that_contradict_what_was_declared_are_a_warning(

@@ -1,0 +1,98 @@
+"""How an observer node takes in more events than it can apply."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("impact_observer_msgs")
+
+from rclpy.serialization import serialize_message
+
+from impact_observer.events import ImpactEvent, Ruling, Switch, Verdict
+from impact_observer.io.messages import MessageLimits
+from impact_observer.ros import event_intake
+from impact_observer.ros.event_intake import MOST_WAITING, PATIENCE, EventIntake
+from impact_observer.ros.message_classes import ros_messages
+from impact_observer.stamps import NS_PER_S
+
+Item = tuple[ImpactEvent, tuple[Verdict, ...]]
+
+
+@dataclass
+class SlowObserver:
+    """Applies each event after some seconds of a clock that only it moves on.
+
+    Attributes:
+        seconds: for each event, s.
+        batches: how many events were given together.
+        now: the monotonic clock, ns.
+    """
+
+    seconds: float
+    batches: list[int] = field(default_factory=list)
+    now: int = NS_PER_S
+    last_event: int = 2**62
+
+    def receiving(self, events: Sequence[ImpactEvent]) -> Iterator[Item | None]:
+        """As ``Observer.receiving``."""
+        self.batches.append(len(events))
+        for each in events:
+            self.now += round(self.seconds * NS_PER_S)
+            yield each, (Verdict(each.stamp, Ruling.APPLIED, each.sequence),)
+
+    def monotonic_ns(self) -> int:
+        """As that of ``time``."""
+        return self.now
+
+
+def intake_of(observer: SlowObserver, monkeypatch: pytest.MonkeyPatch) -> EventIntake:
+    """What takes in its events, by its clock."""
+    monkeypatch.setattr(event_intake, "time", observer)
+    return EventIntake(observer, lambda: 0, NS_PER_S, MessageLimits(), Counter())  # type: ignore[arg-type]
+
+
+def event_bytes(number: int) -> bytes:
+    """A serialized event."""
+    event = ImpactEvent(NS_PER_S + number, (Switch("stop"),), number, 0, NS_PER_S)
+    return bytes(serialize_message(ros_messages().event(event)))
+
+
+def taken(intake: EventIntake) -> list[Item]:
+    """What becomes of all that waits."""
+    found: list[Item] = []
+    while intake.is_busy:
+        found.extend(intake.slice())
+    return found
+
+
+def test_a_slow_observer_refuses_what_has_waited_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is never further behind than its patience and a batch, and takes what comes then."""
+    slow = SlowObserver(seconds=0.5)
+    intake = intake_of(slow, monkeypatch)
+    for number in range(1, 501):
+        assert not intake.add(event_bytes(number))
+    rulings = Counter(verdicts[0].ruling for _, verdicts in taken(intake))
+    applied = rulings[Ruling.APPLIED]
+    assert rulings == {Ruling.APPLIED: applied, Ruling.REJECTED: 500 - applied}
+    assert intake.counts["waited"] == 500 - applied
+    assert PATIENCE / NS_PER_S <= applied * slow.seconds <= 2 * PATIENCE / NS_PER_S
+    intake.add(event_bytes(501))
+    ((event, (verdict,)),) = taken(intake)
+    assert event.sequence == 501
+    assert verdict.ruling is Ruling.APPLIED
+
+
+def test_a_quick_observer_is_given_ever_more_events_together(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """So that late ones cost few runs; none is refused."""
+    quick = SlowObserver(seconds=1e-5)
+    intake = intake_of(quick, monkeypatch)
+    for number in range(1, MOST_WAITING + 1):
+        intake.add(event_bytes(number))
+    assert all(verdict.ruling is Ruling.APPLIED for _, (verdict,) in taken(intake))
+    assert sum(quick.batches) == MOST_WAITING
+    assert len(quick.batches) < 7
