@@ -21,11 +21,12 @@ from impact_observer.estimation.hypotheses import Hypothesis
 from impact_observer.estimation.impact_filter import ImpactFilter
 from impact_observer.estimation.misfit import Fit
 from impact_observer.events import ImpactEvent, Kind, Remark
-from impact_observer.model import System
+from impact_observer.model import System, parse_model
 from impact_observer.observer import Observer, make_observer
 from impact_observer.observer.laws.fallback import FallbackReplica
 from impact_observer.observer.laws.fitting import fitted
 from impact_observer.observer.laws.minimum_variance import MinimumVariance
+from impact_observer.observer.laws.parameter_accounts import doubted
 from impact_observer.options import Options
 from impact_observer.plant import Plant, Run, simulate
 from impact_observer.stamps import NS_PER_S, Elapsed, grid
@@ -244,3 +245,23 @@ def test_stamps_of_a_periodic_motion_are_rounded_periodically_and_that_is_no_mis
     watcher = fed(make_observer(drill.system, chosen, ()), hits)
     assert len(hits) > 300
     assert watcher.remarks[Remark.MISFIT] == 0
+
+
+@pytest.mark.slow
+def test_a_wrong_model_with_a_table_that_moves_is_observed() -> None:
+    """Other parameters are tried but for those through which the table acts."""
+    text = """
+        name: shaken
+        bodies: [{name: x, mass: 1}]
+        grounds: [{name: table, motion: {harmonics: [{amplitude: 0.1, frequency: 3}]}}]
+        springs: [{between: [table, x], stiffness: 5, damping: 0.1}]
+        stops: [{name: plate, between: [table, x], gap: 0.1, restitution: 0.7}]
+    """
+    model = parse_model(text, "shaken").system
+    assert doubted(model).family.names == ("restitution.plate", "contact-time.plate")
+    truth = run(bouncier(model, 0.6), np.array([0.2]), np.zeros(1), seconds=12.0, rate=10.0)
+    observer = make_observer(model, Options("minimum-variance", epoch=EPOCH, history=1e4))
+    for event in truth.events:
+        observer.receive(event)
+    error = observer.estimate(int(truth.stamps[-1])).q - truth.states[-1, :1]
+    assert np.abs(error).max() < 0.05

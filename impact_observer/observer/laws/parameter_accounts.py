@@ -55,12 +55,14 @@ WIDER = 3.0
 
 
 def doubted(system: System) -> UnknownParameters:
-    """The parameters that an account estimates."""
+    """The parameters that an account estimates; no scales of what moving grounds act through."""
     deviations = OF_MOTION | OF_IMPACTS
     deviations["contact-time"] *= Phases(system).scales.timescale
     curves = [c.curve for c in system.contacts]
     eps = system.eps * [not isinstance(c, RestitutionTable) for c in curves]
-    parts = {"stiffness-scale": system.K, "damping-scale": system.C, "restitution": eps}
+    at_rest = system.frame is None
+    parts = {"stiffness-scale": system.K * at_rest, "damping-scale": system.C * at_rest}
+    parts["restitution"] = eps
     wanted = [f"{k}={v}" for k, v in deviations.items() if k not in parts or np.any(parts[k])]
     return UnknownParameters.named(system, wanted)
 

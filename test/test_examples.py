@@ -1,0 +1,116 @@
+"""The examples run, and what they say is so."""
+
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+PICTURES = ("basins", "beam", "drill", "drop_height", "gears", "shaker")
+"""Those that draw one."""
+
+
+def example(name: str) -> dict[str, Any]:
+    """What an example defines."""
+    return runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name=name)
+
+
+def test_every_example_is_on_the_page_and_has_its_picture() -> None:
+    """A file, a picture, a paragraph."""
+    page = (EXAMPLES / "README.md").read_text()
+    names = {path.stem for path in EXAMPLES.glob("*.py")}
+    assert names == {*PICTURES, "blind_juggler", "serial_switch"}
+    for name in names:
+        assert f"({name}.py)" in page
+    for name in PICTURES:
+        assert f"(images/{name}.png)" in page
+
+
+@pytest.mark.slow
+def test_a_drill_has_blows_of_two_kinds_and_both_are_estimated() -> None:
+    """From a sensor that misses some and reports false ones."""
+    found = example("drill")["drill"](1.5)
+    late = found.blow_times > 0.75
+    true, estimated = found.blows[late].T
+    assert true.max() > 4 * true.min()
+    np.testing.assert_allclose(estimated, true, rtol=0.01)
+
+
+@pytest.mark.slow
+def test_gears_are_heard_on_the_right_flank() -> None:
+    """Of clicks that all name the same one."""
+    found = example("gears")["rattle"](1.0)
+    true, estimated = found.back[3:].T
+    np.testing.assert_array_equal(estimated, true)
+    assert 0 < true.sum() < true.size
+    assert np.abs(found.estimates - found.truth)[found.times > 0.5].max() < 1e-4
+
+
+@pytest.mark.slow
+def test_a_drop_height_is_that_of_the_closed_form() -> None:
+    """Of clicks at 2 v eps^k / g after each other, read to 0.1 ms."""
+    code = example("drop_height")
+    height, restitution, gravity = 1.234, 0.82, code["GRAVITY"]
+    flights = 2 * np.sqrt(2 * height / gravity) * restitution ** np.arange(1, 8)
+    clicks = 1.201 + np.concatenate([[0.0], np.cumsum(flights)])
+    assert tuple(clicks.round(4)) == code["CLICKS"]
+    found = code["drop"](code["CLICKS"])
+    assert found.height == pytest.approx(height, abs=3 * found.height_error)
+    assert found.restitution == pytest.approx(restitution, abs=3 * found.restitution_error)
+    assert found.height_error < 1e-3
+
+
+@pytest.mark.slow
+def test_the_shape_of_a_beam_follows_from_its_tip() -> None:
+    """V never rises, and falls by four orders in half a second."""
+    found = example("beam")["vibrate"](0.5)
+    assert np.all(np.diff(found.distances) < 1e-9 * found.distances[0])
+    assert found.distances[-1] < 1e-4 * found.distances[0]
+    assert found.events > 100
+
+
+@pytest.mark.slow
+def test_a_shaker_shows_how_its_clocks_differ() -> None:
+    """A third of a percent of the offset, and 30 um of the part."""
+    code = example("shaker")
+    found = code["shake"](1.5)
+    assert found.offsets[-1] == pytest.approx(code["OFFSET"], abs=3e-5)
+    assert found.error() < 5e-5
+
+
+@pytest.mark.slow
+def test_basins_hold_two_motions() -> None:
+    """Both motions are there, and a start has the same one whatever the grid."""
+    code = example("basins")
+    found = code["basins"](7, jobs=1)
+    assert {1.0, 3.0} <= set(np.unique(found))
+    assert np.mean((found == 1) | (found == 3)) > 0.9
+    assert code["period"]((code["POSITIONS"][0], code["VELOCITIES"][1])) == found[-1, 0]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_tmp_path")
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("basins", ["--starts", "3", "--jobs", "1"]),
+        ("beam", ["--seconds", "0.2"]),
+        ("drill", ["--seconds", "0.5"]),
+        ("drop_height", ["1", "1.8", "2.4", "2.85", "3.1875"]),
+        ("gears", ["--seconds", "0.5"]),
+        ("shaker", ["--seconds", "0.5"]),
+    ],
+)
+def test_an_example_prints_and_draws(
+    name: str,
+    arguments: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """As a user starts it."""
+    monkeypatch.setattr("sys.argv", [f"{name}.py", *arguments])
+    example(name)["main"]()
+    assert capsys.readouterr().out.splitlines()[-1] == f"picture: {name}.png"
+    assert Path(f"{name}.png").stat().st_size > 5000
