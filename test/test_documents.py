@@ -89,7 +89,7 @@ def test_the_model_of_the_readme_is_a_model() -> None:
     """It can be copied as it stands."""
     text, sensors = blocks(README, "yaml")
     model = parse_model(text, "README.md")
-    assert model.system.name == "hammer"
+    assert model.system.name == "my_rig"
     assert model.system.contact_names == ("anvil",)
     assert [each.contact for each in parse_sources(sensors, "README.md")] == ["anvil"]
 

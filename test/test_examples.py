@@ -39,7 +39,7 @@ def test_a_drill_has_blows_of_two_kinds_and_both_are_estimated() -> None:
 
 
 @pytest.mark.slow
-def test_gears_are_heard_on_the_right_flank() -> None:
+def test_clicks_of_gears_are_of_the_right_flank() -> None:
     """Of clicks that all name the same one."""
     found = example("gears")["rattle"](1.0)
     true, estimated = found.back[3:].T

@@ -76,7 +76,8 @@ def included(node: str, given: dict[str, str]) -> IncludeLaunchDescription:
     return IncludeLaunchDescription(source, launch_arguments=given.items())
 '''
 _EPOCH = """
-The force depends on time: epoch is the stamp of t = 0 of the drive, in nanoseconds.
+The force depends on time: epoch is the stamp of t = 0 of the drive, in nanoseconds. Leave it out
+where a drive publishes its index pulses on phase_reference.
 """
 
 

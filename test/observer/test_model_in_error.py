@@ -259,7 +259,7 @@ def test_a_wrong_model_with_a_table_that_moves_is_observed() -> None:
     """
     model = parse_model(text, "shaken").system
     assert doubted(model).family.names == ("restitution.plate", "contact-time.plate")
-    truth = run(bouncier(model, 0.6), np.array([0.2]), np.zeros(1), seconds=12.0, rate=10.0)
+    truth = run(bouncier(model, 0.6), np.array([0.2]), np.zeros(1), seconds=30.0, rate=10.0)
     observer = make_observer(model, Options("minimum-variance", epoch=EPOCH, history=1e4))
     for event in truth.events:
         observer.receive(event)
