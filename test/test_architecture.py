@@ -28,7 +28,7 @@ PRIVATE_WORDS = {
 }
 """Words that a reader of the field would have to learn first."""
 PRIVATE_IN_TESTS = {"told", "course", "surprise"}
-"""More of them; elsewhere some are names of the past (CHANGELOG.md)."""
+"""More of them; elsewhere some are names of the past (CHANGELOG.rst)."""
 PAGES = sorted(
     path for at in (".", "docs", "bags", "examples") for path in (ROOT / at).glob("*.md")
 )
