@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from impact_observer.dynamics import ImpactLaw
 from impact_observer.events import Contacts, Kind
-from impact_observer.model import Forcing
+from impact_observer.model import Forcing, System
 from impact_observer.states import Vector
 
 
@@ -64,6 +64,15 @@ class ContactChange(NamedTuple):
         stay = set(self.closed) & set(self.hit) | set(before) - set(self.hit)
         opened = set(self.before) - set(self.closed)
         return self._replace(before=before, closed=tuple(sorted(stay - opened)))
+
+    def delay(self, system: System) -> float:
+        """How long after the instant the velocities jump, s: half the contact time.
+
+        Only the impact of one contact lasts, while none is closed, and none stays closed.
+        """
+        if len(self.hit) != 1 or self.before or self.closed:
+            return 0.0
+        return float(system.contact_time[self.hit[0]]) / 2
 
     @property
     def opened(self) -> Contacts:

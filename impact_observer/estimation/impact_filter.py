@@ -99,6 +99,7 @@ class ImpactFilter:
         self.noise = declared if model_error or np.any(declared.drift) else None
         sampled = system.forcing.sampled is not None
         self._is_smooth = not (sampled or unknowns.family.size or system.guides)
+        self._special = system.curved | set(np.flatnonzero(system.contact_time).tolist())
         self._longest = _LONGEST / max(self.members.given.moving.rate, 1e-6)
 
     def begin(self, state: GaussianState) -> GaussianState:
@@ -175,10 +176,10 @@ class ImpactFilter:
     def is_alone(self, change: ContactChange) -> bool:
         """Whether an event is an impact of one contact while none is closed: for the kernel.
 
-        A restitution that depends on the speed is not.
+        One that lasts is not, nor is a restitution that depends on the speed.
         """
         alone = len(change.hit) == 1 and not (change.before or change.closed)
-        return alone and self._is_smooth and change.hit[0] not in self.system.curved
+        return alone and self._is_smooth and change.hit[0] not in self._special
 
     def _grouped(self, asked: Sequence[Asked]) -> Iterable[tuple[int | None, list[int]]]:
         """Contacts that impact alone, and None for all else, and where they are asked for."""
@@ -297,6 +298,7 @@ class ImpactFilter:
 
         A contact that closes may neglect the speed ``leftover`` before it rested, m/s.
         """
+        joint = self._at_jump(change, joint)
         after, member = self._jumped(change, joint), self.member(joint)
         if change.closed:
             new = tuple(i for i in change.closed if i not in change.before)
@@ -310,6 +312,15 @@ class ImpactFilter:
             sensitivity = s * rate
         x, map_ = member.moving.flow_map(joint.t, after.x, s, change.closed)
         return after.propagated(x, map_, sensitivity)
+
+    def _at_jump(self, change: ContactChange, joint: Joint) -> Joint:
+        """``joint`` when the velocities jump, which in an impact that lasts is later."""
+        if not (late := change.delay(self.system)):
+            return joint
+        found = self._propagated(self.member(joint), change.before, joint, late)
+        z = found.z.copy()
+        z[0] -= late  # the jump is as early as the onset
+        return found._replace(z=z)
 
     def neglected(self, member: Member, before: Contacts, x: Vector, t: float) -> Vector:
         """Speeds of all contacts that a plant may neglect to come to rest at ``x``, (m,), m/s.
@@ -414,7 +425,8 @@ class ImpactFilter:
         """The state after the jump, at the instant of ``joint``: saltation."""
         member, size = self.member(joint), joint.size
         pressed = self.pressed(member, change, joint.x)
-        jet = member.jump_about(joint.t, joint.x, pressed, change.before, change.closed)
+        soft = bool(change.delay(self.system))
+        jet = member.jump_about(joint.t, joint.x, pressed, change.before, change.closed, soft=soft)
         x, H, D, E = jet.expanded(joint.x, member.moving.forces(joint.t))
         mean, noise = product(joint.own, D, E)
         if not self.system.curved.isdisjoint(pressed):
@@ -430,7 +442,7 @@ class ImpactFilter:
             whole = leading_triangular(joint.root, joint.of_theta)
             own = whole[joint.of_theta, : joint.parameters]
             sensitivity = Sensitivity.of(
-                lambda theta: self.members.impact(theta, joint.x, pressed),
+                lambda theta: self.members.impact(theta, joint.x, pressed, soft=soft),
                 joint.theta,
                 self.members.steps(joint.theta, joint.root[joint.of_theta]),
             )

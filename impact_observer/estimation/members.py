@@ -4,6 +4,7 @@ Members that differ only by gaps and restitutions share the motion between impac
 """
 
 import math
+from dataclasses import replace
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
@@ -227,13 +228,24 @@ class Member:
         return _mirror_about(self.newton, self._numbers, x, pressed)
 
     def jump_about(
-        self, t: float, x: Vector, pressed: Contacts, before: Contacts, closed: Contacts
+        self,
+        t: float,
+        x: Vector,
+        pressed: Contacts,
+        before: Contacts,
+        closed: Contacts,
+        *,
+        soft: bool = False,
     ) -> Jet:
-        """The jump of states near ``x`` at ``t``, between phases; see ``jump``."""
+        """The jump of states near ``x`` at ``t``, between phases; see ``jump``.
+
+        It may be a ``soft`` one, which lasts.
+        """
         moving = self.moving
-        if self.system.curved.isdisjoint(pressed) and not moving.guided:
+        if self.system.curved.isdisjoint(pressed) and not (moving.guided or soft):
             return self.jump(pressed, before, closed)
         mirror = self.mirror_about(x, pressed)
+        mirror = mirror.soft if soft else mirror
         after = mirror.J @ x + mirror.offset
         return mirror.between(moving.rates_at(t, x, before), moving.rates_at(t, after, closed))
 
@@ -375,7 +387,7 @@ class Members:
         loads = phase.loads[[phase.held.index(i) for i in contacts]]
         return np.asarray(-loads @ self._force_sensitivity(member, closed, x, t))
 
-    def impact(self, values: Vector, x: Vector, pressed: Contacts) -> Map:
+    def impact(self, values: Vector, x: Vector, pressed: Contacts, *, soft: bool = False) -> Map:
         """The mirror of an impact in which ``pressed`` take part; see ``dynamics.Mirror``."""
         key = tuple(values.tolist())
         if self.family.system.curved.isdisjoint(pressed):
@@ -383,13 +395,22 @@ class Members:
         else:
             moving, numbers = self._heavy(key)
             mirror = _mirror_about(moving.newton, numbers, x, pressed)
+        mirror = mirror.soft if soft else mirror
         return Map(mirror.J @ x + mirror.offset, mirror.J)
 
     def _heavy(self, values: tuple[float, ...]) -> tuple[MovingSystem, Coefficients]:
         """The model's motion with the masses of a member, and its coefficients."""
         theta = np.array(values)
         heavy = self.motion(np.where(self._weighs, theta, self.family.nominal))
-        return heavy, self.family.at(theta)
+        return heavy, self._beyond(self.family.at(theta))
+
+    def _beyond(self, numbers: Coefficients) -> Coefficients:
+        """``numbers`` with the contact times less those of the model.
+
+        After these an impact is computed at its own instant; the rest is an offset of positions.
+        """
+        given = self.family.system.contact_time
+        return replace(numbers, contact_time=numbers.contact_time - given)
 
     def _mirror_at(self, values: tuple[float, ...], pressed: Contacts) -> Mirror:
         heavy, numbers = self._heavy(values)
@@ -446,7 +467,7 @@ class Members:
         theta, moving = np.array(values), self._moving(values[: self.moving])
         same = np.array_equal(theta[self.moving :], self.family.nominal[self.moving :])
         system = moving.system if same else self.family.system_at(theta)
-        return Member(system, theta, moving, self.family.at(theta))
+        return Member(system, theta, moving, self._beyond(self.family.at(theta)))
 
     def _motion(self, values: tuple[float, ...]) -> MovingSystem:
         """The motion with the first parameters at ``values``, the others as given."""

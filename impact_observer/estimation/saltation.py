@@ -164,13 +164,11 @@ class Measured(NamedTuple):
 
 
 def _impulse_delay(numbers: Coefficients, pressed: list[int]) -> float:
-    """How long after its onset the impulse of an impact is centred, s; the mean of its contacts.
+    """How long after its onset an impact makes the velocities jump, s; the mean of its contacts.
 
-    A gap that is zero again after the contact time ``T`` has moved by ``gamma- T`` and by its
-    change of speed, ``-(1 + eps) gamma-``, since the centre: this is ``eps T / (1 + eps)``.
+    That is half of the contact time.
     """
-    eps = numbers.eps[pressed]
-    return float(np.mean(numbers.contact_time[pressed] * eps / (1 + eps)))
+    return float(np.mean(numbers.contact_time[pressed])) / 2
 
 
 class Mirror(NamedTuple):
@@ -198,7 +196,8 @@ class Mirror(NamedTuple):
     ) -> "Mirror":
         """The mirror of ``u+ = J u-`` in which ``pressed`` take part.
 
-        ``numbers`` have the gaps instead of the system's, and the contact times.
+        ``numbers`` have the gaps instead of the system's, and the contact times beyond the
+        model's.
         """
         n, P = system.n, list(pressed)
         q_r, offset = (system.q_r if numbers is None else numbers.gap)[P], np.zeros(2 * n)
@@ -210,6 +209,14 @@ class Mirror(NamedTuple):
             whole[:n, n:] = -late * kick
             whole[n:, n:] += late * np.linalg.solve(system.M, system.C @ kick)
         return cls(whole, offset)
+
+    @property
+    def soft(self) -> "Mirror":
+        """The same in an impact that lasts: its gap is not zero, and positions stay."""
+        n = len(self.offset) // 2
+        J, offset = self.J.copy(), self.offset.copy()
+        J[:n, :n], offset[:n] = np.eye(n), 0.0
+        return Mirror(J, offset)
 
     def between(self, before: StateRates, after: StateRates) -> Jet:
         """The expansions of the state after the jump, at the instant of the one before."""

@@ -118,9 +118,11 @@ def _of_stop(i: int, stop: Mapping[str, Any], by_name: Mapping[str, float]) -> I
 def _of_restitution(
     place: Place, name: str, *, by_speed: bool, by_name: Mapping[str, float]
 ) -> Iterator[Change]:
-    """The restitution of a contact: a number, or a power law of the speed."""
+    """The restitution of a contact, a number or a power law; and how long it lasts."""
     own: Place = (*place, "restitution")
     if (value := by_name.get(f"restitution.{name}")) is not None:
         yield (*own, "value") if by_speed else own, value
     if (exponent := by_name.get(f"restitution-exponent.{name}")) is not None:
         yield (*own, "exponent"), exponent
+    if (lasts := by_name.get(f"contact-time.{name}")) is not None:
+        yield (*place, "contact_time"), lasts

@@ -43,6 +43,11 @@ class FlightEnd(NamedTuple):
     held: Contacts = ()
     measured: bool = True
 
+    @property
+    def lasts(self) -> bool:
+        """Whether it can be an impact that lasts: of one contact, which stays open."""
+        return len(self.hit) == 1 and self.pressed == self.hit and not self.held
+
 
 class Shot(NamedTuple):
     """The gaps of the contacts that hit, and their derivatives.
@@ -99,7 +104,8 @@ def shoot(
             row[2 * n : d] += equations.gap_change[:, i]
             gap = float(W[:, i] @ z[:n] + equations.numbers.gap[i])
             rows.append((gap, float(W[:, i] @ z[n : 2 * n]), row, k))
-        z, Z = equations.jumped(z, Z, moment)
+        through = equations.lasted if moment.lasts and not before else equations.jumped
+        z, Z = through(z, Z, moment)
         states[k] = z[: 2 * n]
     table = np.array([row[2] for row in rows]).reshape(len(rows), d + len(moments))
     return Shot(
@@ -122,6 +128,7 @@ class _EquationsOfMotion:
         self._inverse = linalg.inv(numbers.M)
         self.constrained_inverse = cache(self._constrained_inverse)
         self.generator = cache(self._generator)
+        self._step = cache(self._step_of)
         h = family.system.forcing.frequency.size
         self._size = 2 * family.system.n + 2 * h + 1
         self.gap_change = np.reshape([each.gap for each in self._changes], (-1, family.system.m))
@@ -199,6 +206,37 @@ class _EquationsOfMotion:
                     found = linalg.expm(both * lengths)[:, : 2 * n, N:]
                     L[which, j] = found * scale[: 2 * n, None] / scale
         return list(zip(E, L, strict=True))
+
+    def lasted(self, z: Vector, Z: Matrix, moment: FlightEnd) -> tuple[Vector, Matrix]:
+        """``jumped`` half a contact time later, and from there back without the jump.
+
+        With ``h`` that half, ``z+ = e^{-Fh} J e^{Fh} z`` has the derivative ``e^{-Fh} J F e^{Fh} z
+        - F z+`` by it.
+        """
+        (i,) = moment.hit
+        half, d = float(self.numbers.contact_time[i]) / 2, 2 * self._system.n
+        shares = [(j, change.contact_time[i] / 2) for j, change in enumerate(self._changes)]
+        shares = [(j, share) for j, share in shares if share]
+        if not (half or shares):
+            return self.jumped(z, Z, moment)
+        z, Z = self._moved(z, Z, half)
+        for j, share in shares:
+            Z[:, d + j] += share * (self.generator(()) @ z)
+        z, Z = self._moved(*self.jumped(z, Z, moment), -half)
+        for j, share in shares:
+            Z[:, d + j] -= share * (self.generator(()) @ z)
+        return z, Z
+
+    def _moved(self, z: Vector, Z: Matrix, s: float) -> tuple[Vector, Matrix]:
+        """``z`` and its derivatives ``s`` seconds later, while no contact is closed."""
+        E, L = self._step(s)
+        d = 2 * self._system.n
+        moved = E @ Z
+        moved[:d, d : d + len(L)] += (L @ z).T
+        return E @ z, moved
+
+    def _step_of(self, s: float) -> tuple[Matrix, Matrix]:
+        return self.steps([FlightEnd(0.0, (), ())], np.array([s]))[0]
 
     def _rebounds(self, pressed: Contacts, speeds: Vector) -> tuple[Vector, ...]:
         """``eps``, ``d(eps v)/dv``, and ``eps`` by value and by exponent, a number a contact."""

@@ -235,8 +235,8 @@ def _sum(
 def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
     """A stop, and the displacements of grounds in its gap, shape (grounds,)."""
     refuse_coulomb(key, value)
-    keys = ("name", "restitution", "body", "limit", "side", "ground", "between", "gap")
-    stop = Section(key, value, keys)
+    keys = ("name", "restitution", "contact_time", "body", "limit", "side", "ground", "between")
+    stop = Section(key, value, (*keys, "gap"))
     if "between" in stop:
         for name in ("body", "limit", "side", "ground"):
             if name in stop:
@@ -252,7 +252,8 @@ def _stop(line: _Line, key: str, value: Value) -> tuple[Contact, Vector]:
         sign = -1.0 if side == "above" else 1.0
         direction, gap = sign * line.body(stop), -sign * stop.number("limit")
         moving = -sign * line.ground(stop)
-    return Contact(stop.text("name"), direction, gap, *read_restitution(stop)), moving
+    lasts = stop.number("contact_time", 0.0)
+    return Contact(stop.text("name"), direction, gap, *read_restitution(stop), lasts), moving
 
 
 def _guide(line: _Line, key: str, value: Value) -> tuple[Guide, Vector]:

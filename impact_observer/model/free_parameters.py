@@ -9,7 +9,7 @@ from impact_observer.errors import UsageError
 from impact_observer.model.elements import Element
 from impact_observer.model.parametric_family import Coefficients, ModelParameter, ParametricFamily
 from impact_observer.model.restitution import LEAST_EXPONENT, PowerLaw, RestitutionTable
-from impact_observer.model.system import System
+from impact_observer.model.system import LONGEST_CONTACT, System
 from impact_observer.states import Matrix
 
 OFFSET = "clock-offset"
@@ -41,7 +41,7 @@ _SCALES = {"stiffness": "K", "damping": "C", "mass": "M"}
 _LARGEST_RATIO = 1e3
 """Largest value of a scale, and the inverse of its least."""
 _LONGEST = 0.1
-"""Largest offset of a clock, and longest contact, s."""
+"""Largest offset of a clock, s."""
 
 
 def parametric_family(
@@ -62,7 +62,7 @@ def parametric_family(
     available = {
         each.name: each
         for each in _all(system, elements)
-        if each.name.partition(".")[0] not in (_ONLY_IDENTIFIED if observed else {CONTACT_TIME})
+        if each.name.partition(".")[0] not in (_ONLY_IDENTIFIED if observed else ())
     }
     names: list[str] = []
     for name in wanted:
@@ -115,8 +115,8 @@ def _all(system: System, elements: Sequence[Element]) -> Iterator[ModelParameter
             kind = "restitution-exponent"
             yield parameter(f"{kind}.{name}", curve.exponent, bounds, 1.0, exponent=one)
         yield parameter(f"gap.{name}", gap, free, abs(gap) or 1.0, gap=one)
-        most = (0.0, _LONGEST)
-        yield parameter(f"{CONTACT_TIME}.{name}", 0.0, most, _LONGEST, contact_time=one)
+        most, lasts = (0.0, LONGEST_CONTACT), contact.contact_time
+        yield parameter(f"{CONTACT_TIME}.{name}", lasts, most, LONGEST_CONTACT, contact_time=one)
     for kind, part in _SCALES.items():
         if np.any(whole := getattr(system, part)):
             yield parameter(f"{kind}-scale", 1.0, ratio, 1.0, **{part: whole})

@@ -128,6 +128,7 @@ def _matrix_form(s: System) -> dict[str, Value]:
                 "direction": c.direction.tolist(),
                 "gap": c.gap,
                 "restitution": c.curve.document if c.curve else c.restitution,
+                **({"contact_time": c.contact_time} if c.contact_time else {}),
                 **({"motion": _motion_of(s, moving[i])} if moving else {}),
             }
             for i, c in enumerate(s.contacts)
@@ -320,7 +321,7 @@ def _system_of_matrices(name: str, section: Section, folder: Path | None) -> Sys
     n = len(names)
     section.value("contacts")
     motions = read_grounds(section, (), folder)
-    keys = ("name", "direction", "gap", "restitution", "motion")
+    keys = ("name", "direction", "gap", "restitution", "contact_time", "motion")
     for item in section.items("contacts"):
         refuse_coulomb(*item)
     contacts = [Section(key, value, keys) for key, value in section.items("contacts")]
@@ -401,6 +402,7 @@ def _contact(contact: Section, n: int) -> Contact:
         contact.vector("direction", n),
         contact.number("gap"),
         *read_restitution(contact),
+        contact.number("contact_time", 0.0),
     )
 
 

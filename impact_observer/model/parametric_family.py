@@ -25,7 +25,7 @@ class Coefficients:
         amplitude: of the harmonics, relative to the model's, shape (h,).
         phase: by which the harmonics lead the model's, shape (h,), rad.
         friction: largest forces of the guides, shape (guides,), N.
-        contact_time: how long an impact lasts, shape (m,), s; no ``System`` has it.
+        contact_time: how long an impact lasts, shape (m,), s.
     """
 
     M: Matrix
@@ -42,13 +42,13 @@ class Coefficients:
     @classmethod
     def of(cls, system: System) -> "Coefficients":
         """Those of ``system``."""
-        h, rigid = system.forcing.frequency.size, np.zeros(system.m)
+        h, lasts = system.forcing.frequency.size, system.contact_time
         harmonics = np.ones(h), np.zeros(h)
         curves = [each.curve for each in system.contacts]
         exponent = np.array([c.exponent if isinstance(c, PowerLaw) else 0.0 for c in curves])
         rebound = system.eps, exponent
         return cls(
-            system.M, system.C, system.K, system.q_r, *rebound, *harmonics, system.friction, rigid
+            system.M, system.C, system.K, system.q_r, *rebound, *harmonics, system.friction, lasts
         )
 
     @classmethod
@@ -171,7 +171,8 @@ class ParametricFamily:
             ModelError: that is not a valid system.
         """
         found, contacts = self.at(values), self.system.contacts
-        stops = zip(contacts, found.gap.tolist(), found.eps.tolist(), strict=True)
+        numbers = (found.gap, found.eps, found.contact_time)
+        stops = zip(contacts, *(each.tolist() for each in numbers), strict=True)
         curves = [found.curve(self.system, i) for i in range(self.system.m)]
         return replace(
             self.system,
@@ -180,8 +181,8 @@ class ParametricFamily:
             K=found.K,
             forcing=_turned(self.system.forcing, found.amplitude, found.phase),
             contacts=tuple(
-                replace(each, gap=gap, restitution=eps, curve=curve)
-                for (each, gap, eps), curve in zip(stops, curves, strict=True)
+                replace(each, gap=gap, restitution=eps, curve=curve, contact_time=lasts)
+                for (each, gap, eps, lasts), curve in zip(stops, curves, strict=True)
             ),
             frame=self._frame_at(found),
             guides=tuple(

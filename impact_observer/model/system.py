@@ -23,6 +23,8 @@ from impact_observer.states import Matrix, Vector, frozen
 
 LARGEST_STATE = 1e9
 """Largest magnitude of a coordinate or velocity that is accepted."""
+LONGEST_CONTACT = 0.1
+"""Longest time that a hit may last, s."""
 _INSIDE = 1e-12
 """Gap that is rounding, relative to the terms of its sum."""
 _SYMMETRY = 1e-9
@@ -43,6 +45,7 @@ class Contact:
         gap: ``q_r``, gap in the rest position, m or rad.
         restitution: Newton's coefficient ``eps``, in [0, 1]; the nominal one of a ``curve``.
         curve: how it depends on the speed of approach; None where it does not.
+        contact_time: what a hit lasts, s: velocities jump half of it after the gap is zero.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Contact:
     gap: float
     restitution: float
     curve: Curve | None = None
+    contact_time: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +91,7 @@ class System:
         eps: restitution coefficients, shape (m,); nominal ones of contacts whose restitution
             depends on the speed. Derived.
         curved: indices of these contacts. Derived.
+        contact_time: of the contacts, shape (m,), s. Derived.
         W_T: directions of the guides, shape (n, k). Derived.
         directions: of contacts, then guides, shape (n, m + k). Derived.
 
@@ -108,6 +113,7 @@ class System:
     q_r: Vector = field(init=False)
     eps: Vector = field(init=False)
     curved: frozenset[int] = field(init=False)
+    contact_time: Vector = field(init=False)
     W_T: Matrix = field(init=False)
     directions: Matrix = field(init=False)
 
@@ -142,6 +148,7 @@ class System:
             "directions": frozen(np.hstack([W, W_T])),
             "q_r": frozen([c.gap for c in contacts]),
             "eps": frozen([c.restitution for c in contacts]),
+            "contact_time": frozen([c.contact_time for c in contacts]),
             "curved": frozenset(i for i, c in enumerate(contacts) if c.curve),
         }
         for key, value in derived.items():
@@ -262,6 +269,16 @@ class System:
         )
 
 
+def refuse_contact_time(system: System, what: str) -> None:
+    """Raise UsageError where impacts of a ``system`` last, which ``what`` cannot take."""
+    for each in system.contacts:
+        if each.contact_time:
+            raise UsageError(
+                f"{system.name}: a hit of {each.name!r} lasts {each.contact_time:g} s, which"
+                f" {what} cannot take; expected a model without contact_time"
+            )
+
+
 def moving_system(system: System, grounds: Grounds) -> System:
     """The ``system``, in which nothing moves by itself yet, on ``grounds``.
 
@@ -340,13 +357,19 @@ def _checked_contact(i: int, contact: Contact, n: int) -> Contact:
     if not np.any(direction):
         raise ModelError(f"{key}.direction", "is zero; a contact must involve some coordinate")
     gap = float(finite(f"{key}.gap", contact.gap, (), "a number, m"))
+    lasts = float(finite(f"{key}.contact_time", contact.contact_time, (), "a number, s"))
+    if not 0.0 <= lasts <= LONGEST_CONTACT:
+        raise ModelError(
+            f"{key}.contact_time",
+            f"is {lasts:g}; expected a number in [0, {LONGEST_CONTACT:g}], s",
+        )
     if contact.curve is not None:
         curve = contact.curve.checked(f"{key}.restitution")
-        return Contact(contact.name, direction, gap, curve.nominal, curve)
+        return Contact(contact.name, direction, gap, curve.nominal, curve, lasts)
     eps = float(finite(f"{key}.restitution", contact.restitution, (), "a number in [0, 1]"))
     if not 0.0 <= eps <= 1.0:
         raise ModelError(f"{key}.restitution", f"is {eps:g}; expected a number in [0, 1]")
-    return Contact(contact.name, direction, gap, eps)
+    return Contact(contact.name, direction, gap, eps, None, lasts)
 
 
 def _checked_guide(i: int, guide: Guide, n: int) -> Guide:

@@ -26,6 +26,7 @@ from impact_observer.estimation.square_root import sparse_basis
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts, ImpactEvent
 from impact_observer.model import System
+from impact_observer.model.system import refuse_contact_time
 from impact_observer.observer.episode import Episode, last_episode
 from impact_observer.stamps import seconds_between, text
 from impact_observer.states import Matrix, Stamps, Vector, frozen
@@ -141,6 +142,7 @@ def observability(
             f"{system.name}: guide {system.guides[0].name!r} rubs, so what impacts determine"
             " depends on the motion; expected a model without friction"
         )
+    refuse_contact_time(system, "observability")
     if not 0 < tolerance < 1:
         raise UsageError(f"tolerance: {tolerance:g} found; expected a number between 0 and 1")
     scale = np.diag(Uncertainty(deviation).root(system.n))

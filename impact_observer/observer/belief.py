@@ -71,6 +71,18 @@ class Fallback(NamedTuple):
         return float(w.dot(self.x[:n]) + system.q_r[contact]), math.sqrt(seen.dot(seen))
 
 
+class Onset(NamedTuple):
+    """A state before an impact that lasts, until its velocities jump.
+
+    Attributes:
+        x: (q, u) when the gap is zero, shape (2n,).
+        lasts: until the velocities jump, s.
+    """
+
+    x: Vector
+    lasts: float
+
+
 class Account(NamedTuple):
     """What is estimated beside the law's own hypotheses while the model is doubted.
 
@@ -115,6 +127,8 @@ class Belief(NamedTuple):
         fallback: where such a law restarts; None for others.
         account: of parameters, while the model is doubted.
         misfit: the warning that the model does not explain the impacts; empty while it does.
+        onset: of an impact that lasts: its other states are those after the jump, as if that
+            motion had begun at the onset.
     """
 
     ensemble: Ensemble
@@ -130,6 +144,7 @@ class Belief(NamedTuple):
     fallback: Fallback | None = None
     account: Account | None = None
     misfit: str = ""
+    onset: Onset | None = None
 
     @property
     def x(self) -> Vector:

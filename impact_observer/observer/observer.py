@@ -136,6 +136,7 @@ class Observer:
         self._test = SynchronizationTest(system, agreed)
         self._history = from_seconds(history)
         self._scales = Scales.of(system)
+        self._lasts = from_seconds(float(np.max(system.contact_time, initial=0.0)))
         self._names = system.contact_names
         self._index = {name: i for i, name in enumerate(self._names)}
         self.given_epoch = epoch
@@ -309,7 +310,7 @@ class Observer:
             return
         changed = self.live.follow(self.epoch)
         if changed is not None:
-            self._run.rerun(changed)
+            self._run.rerun(changed - self._lasts)
 
     def forget_silence(self, now: int) -> None:
         """Keep memory bounded where samples come for long without any event.

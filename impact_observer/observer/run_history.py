@@ -14,7 +14,7 @@ from impact_observer.observer.event_update import EventUpdate
 from impact_observer.observer.sequence_numbers import SequenceNumbers
 from impact_observer.observer.timeline import Entry, Insertion, Timeline
 from impact_observer.observer.verdicts import IssuedVerdicts
-from impact_observer.stamps import NS_PER_S, seconds_between, text
+from impact_observer.stamps import NS_PER_S, Elapsed, seconds_between, text
 from impact_observer.states import (
     NO_COVARIANCE,
     Estimate,
@@ -182,6 +182,7 @@ class RunHistory:
         belief, prediction = entry.belief, self.update.prediction(entry)
         n, s = self._system.n, seconds_between(entry.since, stamp)
         x, root = (prediction.state(s), prediction.root(s)) if s > 0 else (belief.x, belief.root)
+        x = self._before_jump(entry, s, x)
         closed = prediction.closed(s)
         is_event = bool(entry.key.switches)
         covariance = NO_COVARIANCE if root is None else self._covariance(root, x, s)
@@ -206,6 +207,14 @@ class RunHistory:
             last_event=entry.key.stamp if is_event else 0,
         )
 
+    def _before_jump(self, entry: Entry, s: float, x: Vector) -> Vector:
+        """The state ``s`` seconds after an entry: ``x``, or that before its velocities jump."""
+        onset, epoch = entry.belief.onset, self.update.epoch
+        if onset is None or s >= onset.lasts:
+            return x
+        t = Elapsed(entry.since - (epoch or entry.since))
+        return self.update.law.moving.moved(t, onset.x, s, ())[0]
+
     def _covariance(self, root: Matrix, x: Vector, s: float) -> Matrix:
         """Of the estimate ``x``, ``s`` seconds after an event, with its own rounding."""
         covariance = root @ root.T
@@ -223,7 +232,11 @@ class RunHistory:
                 count = stamps.size if end is None else int(np.searchsorted(stamps, end))
             if count > 1:
                 s = np.array([seconds_between(entry.since, at) for at in stamps[1:count].tolist()])
-                later = self._from_frame(stamps[1:count], prediction.states(s))
+                states = prediction.states(s)
+                if entry.belief.onset is not None:
+                    for k in np.flatnonzero(s < entry.belief.onset.lasts).tolist():
+                        states[k] = self._before_jump(entry, float(s[k]), states[k])
+                later = self._from_frame(stamps[1:count], states)
                 x = np.concatenate([x, np.where(s[:, None] > 0, later, x)])
             yield Estimates(first, stamps[:count], x)
             stamps = stamps[count:]

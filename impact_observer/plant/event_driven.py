@@ -77,8 +77,11 @@ class Plant:
         self._zeno = ZenoCutoff(self._phases)
         self._accumulation = AccumulationDetector(self._zeno.shortest)
         self._instant_changes = 0
+        self._pending: list[tuple[Instant, int]] = []
+        self._inside: tuple[int, ...] = ()
+        self._left: tuple[list[tuple[Instant, int]], tuple[int, ...]] | None = None
         self._searcher = lru_cache(KEPT)(self._search_of)
-        gaps = self._searcher(self._phases.phase(), tuple(range(system.m)))
+        gaps = self._searcher(self._phases.phase(), tuple(range(system.m)), ())
         self.impacts = PlainImpacts(self._phases, gaps, self._zeno.shortest, LOW)
         self._last, self._energetic = None, 0.0
         start, x = Instant(epoch), np.concatenate([q, u])
@@ -129,6 +132,8 @@ class Plant:
                 self._crossing = None if left is None else Crossing(*left)
             else:
                 self._crossing = self._hunt.first(self._start.until(limit) + 0.5e-9)
+        if self._pending:
+            return self._jump_or_end(limit)
         crossing = self._crossing
         if crossing is None or self._start.after(crossing.s).stamp > limit:
             return None
@@ -144,6 +149,8 @@ class Plant:
     def cross(self, switching: Switching) -> None:
         """Go on after ``switching``, which must be the one that ``next_switching`` returned."""
         assert switching is self._next, "only the next switching can be crossed"
+        if self._left is not None:
+            (self._pending, self._inside), self._left = self._left, None
         if not self._is_plain:
             grip = Grip(switching.closed, switching.held, switching.loads)
             self._begin(switching.instant, switching.after, grip)
@@ -166,15 +173,17 @@ class Plant:
     def _begin(self, instant: Instant, x: Vector, grip: Grip) -> None:
         self._start = instant
         self.closed = grip.closed
-        self._open = tuple(i for i in range(self.system.m) if i not in grip.closed)
+        busy = {*grip.closed, *self._inside, *(i for _, i in self._pending)}
+        self._open = tuple(i for i in range(self.system.m) if i not in busy)
         self._phase = self._phases.phase(grip.held, (), grip.loads)
         self._state = x
         self._moving = None
-        self._flies = not (grip.closed or self.system.guides)
+        self._flies = not (busy or self.system.guides)
         if self._flies:
             self.impacts.start(self._time(instant), x)
         else:
-            self._hunt = self._searcher(self._phase, self._open).along(self._motion)
+            search = self._searcher(self._phase, self._open, self._inside)
+            self._hunt = search.along(self._motion)
         self._crossing = None
         self._next = None
         self._is_plain = False
@@ -189,9 +198,18 @@ class Plant:
     def _time(self, instant: Instant) -> Elapsed:
         return Elapsed(instant.stamp - self.epoch, instant.remainder)
 
-    def _search_of(self, phase: Phase, open_contacts: tuple[int, ...]) -> Search:
-        """The search for the end of a phase: gaps of the ``open_contacts`` first, then loads."""
-        watched = Watched.gaps(self.system, list(open_contacts)).and_also(Watched.loads(phase))
+    def _search_of(
+        self, phase: Phase, open_contacts: tuple[int, ...], inside: tuple[int, ...]
+    ) -> Search:
+        """The search for the end of a phase: gaps of the ``open_contacts`` first, then loads.
+
+        Between them, of those ``inside`` their stops, their gaps negated, then their speeds.
+        """
+        watched = Watched.gaps(self.system, list(open_contacts))
+        if inside:
+            watched = watched.and_also(Watched.gaps(self.system, list(inside)).negated())
+            watched = watched.and_also(Watched.speeds(self.system, list(inside)))
+        watched = watched.and_also(Watched.loads(phase))
         if phase.rubbing is not None:
             watched = watched.and_also(Watched.guides(self.system, phase))
         return Search(phase, watched, self._phases.scales.window)
@@ -201,9 +219,17 @@ class Plant:
         x = self._motion.state(crossing.s)
         hit = [self._open[i] for i in crossing.which if i < len(self._open)]
         self._check_progress(crossing.s, instant)
+        if len(hit) == 1 and self._lasts(hit[0]):
+            return self._onset(instant, x, hit[0])
         if hit:
             return self._impact(instant, x, tuple(sorted({*self.closed, *hit})))
-        phase, first = self._phase, len(self._open)
+        phase, inside = self._phase, len(self._inside)
+        first = len(self._open) + 2 * inside
+        at = [i - len(self._open) for i in crossing.which if i < first]
+        if at:
+            reopened = {self._inside[i] for i in at if i < inside}
+            turned = {self._inside[i - inside] for i in at if i >= inside} - reopened
+            return self._out(instant, x, reopened, turned)
         switching = self._switched(instant, x, x, (), self.closed)
         rubbed = phase.rubbing.loads if phase.rubbing is not None else ()
         if (switching.held, switching.loads) == (phase.held, rubbed):
@@ -219,6 +245,44 @@ class Plant:
             )
             switching = self._gripped(instant, x, x, (), grip)
         return switching
+
+    def _lasts(self, contact: int) -> bool:
+        """Whether the velocities jump after the onset, as a contact is hit now."""
+        return bool(self.system.contact_time[contact]) and not self.closed
+
+    def _onset(self, instant: Instant, x: Vector, contact: int) -> Switching:
+        """The onset of an impact that lasts: nothing changes before the velocities jump."""
+        late = float(self.system.contact_time[contact]) / 2
+        pending = [*self._pending, (instant.after(late), contact)]
+        self._left = sorted(pending, key=lambda each: each[0].stamp), self._inside
+        phase = self._phase
+        rubbed = phase.rubbing.loads if phase.rubbing is not None else ()
+        return self._gripped(instant, x, x, (contact,), Grip((), phase.held, rubbed))
+
+    def _jump_or_end(self, limit: int) -> Switching | None:
+        """The jump of the velocities of a contact that was hit, or what comes before."""
+        (due, contact), *others = self._pending
+        s, crossing = self._start.until(due.stamp) + due.remainder, self._crossing
+        if crossing is not None and crossing.s < s:
+            return None if self._start.after(crossing.s).stamp > limit else self._ended(crossing)
+        if due.stamp > limit:
+            return None
+        x, n = self._motion.state(max(s, 0.0)), self.system.n
+        u = self._law.velocity_after(x[n:], tuple(sorted({*self.closed, contact})))
+        after = np.concatenate([x[:n], u])
+        self._left = others, self._inside
+        if self.system.contact_speed(u)[contact] <= self._phases.speed_tolerance(x[n:])[contact]:
+            return self._impact(due, after, tuple(sorted({*self.closed, contact})))
+        self._left = others, (*self._inside, contact)
+        return self._switched(due, x, after, (), self.closed)
+
+    def _out(self, instant: Instant, x: Vector, reopened: set[int], turned: set[int]) -> Switching:
+        """Contacts inside their stops have ``reopened``, or ``turned`` before and come to rest."""
+        inside = tuple(i for i in self._inside if i not in reopened | turned)
+        self._left = self._pending, inside
+        if turned:
+            return self._impact(instant, x, tuple(sorted({*self.closed, *turned})))
+        return self._switched(instant, x, x, (), self.closed)
 
     def _check_progress(self, s: float, instant: Instant) -> None:
         """Raise where contacts change again and again at one instant."""
@@ -248,7 +312,8 @@ class Plant:
             raise ImpactLawError(f"at {text(instant.stamp)} s: {error}") from None
         after = np.concatenate([self._phases.projection.position_after(x[:n], contacts), velocity])
         resting = self._zeno.resting(self._time(instant), after, contacts, x[n:])
-        if len(contacts) == 1 and contacts[0] not in self.system.curved:
+        special = self.system.curved | set(np.flatnonzero(self.system.contact_time).tolist())
+        if len(contacts) == 1 and contacts[0] not in special:
             self.impacts.learn(contacts[0], self._law)
         return self._switched(instant, x, after, contacts, resting)
 

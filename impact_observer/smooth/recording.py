@@ -12,6 +12,7 @@ from impact_observer.estimation.gaussian_state import GaussianState
 from impact_observer.events import ImpactEvent
 from impact_observer.model import System
 from impact_observer.model.elements import Element
+from impact_observer.model.system import refuse_contact_time
 from impact_observer.observer import Observer, Options, initial_state, make_observer
 from impact_observer.observer.sender_runs import placed
 from impact_observer.smooth.account import EventAccount, TracedLaw, account_of
@@ -74,6 +75,7 @@ def smoothed_runs(
             f"{system.name}: guide {system.guides[0].name!r} rubs, which smooth cannot take;"
             " expected a model without friction"
         )
+    refuse_contact_time(system, "smooth")
     runs: dict[int, list[ImpactEvent]] = {}
     for each in placed(events, options.epoch):
         if each.period >= 0:

@@ -18,7 +18,8 @@ from impact_observer.model.parametric_family import Coefficients, ParametricFami
 from impact_observer.stamps import seconds_between
 
 Array = NDArray[np.float64]
-EVERYTHING = ("restitution", "gap", "stiffness-scale", "damping-scale", "mass-scale")
+SCALES = ("stiffness-scale", "damping-scale", "mass-scale")
+EVERYTHING = ("restitution", "gap", "contact-time", *SCALES)
 OF_FORCING = ("forcing-amplitude", "forcing-phase", "clock-offset")
 
 

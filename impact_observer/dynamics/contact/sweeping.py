@@ -41,14 +41,16 @@ class SweepingProcess:
         self.search = lru_cache(KEPT)(self._search)
         self.opened = lru_cache(KEPT)(self._open)
 
-    def motion(self, t: float, x: Vector, closed: tuple[int, ...]) -> Motion:
+    def motion(
+        self, t: float, x: Vector, closed: tuple[int, ...], *, without: tuple[int, ...] = ()
+    ) -> Motion:
         """The motion through ``x`` at ``t`` (s since the epoch) while ``closed`` have ``chi = 1``.
 
         The state (q, u), shape (2n,), has ``g = 0`` and ``gamma >= 0`` on them, and no gap
         negative. Where no position has that, no plant can have this ``chi``: then the other gaps
-        may become negative.
+        may become negative. Those ``without`` a stop may be.
         """
-        return _SweepingMotion(self, t, x, closed)
+        return _SweepingMotion(self, t, x, closed, without)
 
     def stopped(
         self,
@@ -131,12 +133,18 @@ class SweepingProcess:
 
 class _SweepingMotion(Piecewise):
     def __init__(
-        self, process: SweepingProcess, t: float, x: Vector, closed: tuple[int, ...]
+        self,
+        process: SweepingProcess,
+        t: float,
+        x: Vector,
+        closed: tuple[int, ...],
+        without: tuple[int, ...],
     ) -> None:
         self._process = process
         system = process.clutches.system
         possible = process.projection.is_possible(closed)
-        self._kept = tuple(i for i in range(system.m) if possible and i not in closed)
+        others = {*range(system.m)} - {*closed, *without}
+        self._kept = tuple(sorted(others)) if possible else ()
         super().__init__(process.clutches, t, x, closed)
 
     def _first(self, x: Vector, slow: tuple[int, ...]) -> Part:

@@ -40,6 +40,10 @@ class Watched:
             a, d = a @ phase.Q, d + a @ phase.rest
         return cls(a, np.zeros_like(a), np.zeros_like(a), d)
 
+    def negated(self) -> "Watched":
+        """The functions with the other sign."""
+        return Watched(-self.position, -self.velocity, -self.force, -self.constant)
+
     @classmethod
     def speeds(cls, system: System, contacts: list[int]) -> "Watched":
         """The contact speeds of ``contacts``: at zero a slipping one is held."""

@@ -51,11 +51,14 @@ class FallbackReplica:
         if not change.hit:
             return before
         x, n = self._geometric.impact(before.x, change.active, change.closed), self._system.n
+        after = (
+            self._geometric.soft_impact(change, before.x)[0] if change.delay(self._system) else x
+        )
         near = Ensemble(before.x, Differences(_SMALL * before.errors))
         near = self._geometric.impact_ensemble(near, x, change.active, change.closed)
         errors = near.differences / _SMALL
         errors[:n, -1] -= self._lag(change.hit).dot(x[n:])
-        return Fallback(x, np.maximum(before.largest, np.abs(x)), errors)
+        return Fallback(after, np.maximum(before.largest, np.abs(x)), errors)
 
     def _lag_of(self, hit: Contacts) -> Matrix:
         """How an impact adds to the lag, by the velocities after it, shape (n, n), s.

@@ -1,9 +1,11 @@
 """The interface of a law."""
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import ClassVar
 
 from impact_observer.estimation.contact_change import ContactChange
+from impact_observer.estimation.members import MovingSystem
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
@@ -42,6 +44,11 @@ class Law(ABC):
         self.system = system
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
         self.uncertainty.root(system.n)
+
+    @cached_property
+    def moving(self) -> MovingSystem:
+        """The system between impacts."""
+        return MovingSystem(self.system)
 
     @abstractmethod
     def begin(self, replicas: Matrix, root: Matrix, closed: Contacts) -> Belief:

@@ -30,6 +30,7 @@ from impact_observer.observer.belief import (
     Belief,
     Fallback,
     Learned,
+    Onset,
     Parameters,
     Prediction,
 )
@@ -121,6 +122,11 @@ class MinimumVariance(Law):
         """Each hypothesis branches and is weighed; the estimate is that of the likeliest."""
         if not change.hit and change.before == change.closed:
             return belief
+        late = change.delay(self.system)
+        onset = Onset(belief.x, late) if late else None
+        return self._corrected(change, belief)._replace(onset=onset)
+
+    def _corrected(self, change: ContactChange, belief: Belief) -> Belief:
         if self._single:
             assert belief.root is not None, "a belief of another law"
             x, differences = belief.x, belief.ensemble.differences

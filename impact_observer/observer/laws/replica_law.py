@@ -16,7 +16,7 @@ from impact_observer.estimation.ensemble import Ensemble
 from impact_observer.estimation.uncertainty import Uncertainty
 from impact_observer.events import Contacts
 from impact_observer.model import System
-from impact_observer.observer.belief import Belief, Prediction
+from impact_observer.observer.belief import Belief, Onset, Prediction
 from impact_observer.observer.laws.law import Law
 from impact_observer.states import Matrix, Vector
 
@@ -123,15 +123,42 @@ class ReplicaLaw(Law):
         if not change.hit:
             return prior
         before, active, closed = prior.ensemble, change.active, change.closed
-        x = self.impact(before.x, active, closed)
-        after = Ensemble(x, before.since)
-        if before.others:
-            after = self.impact_ensemble(before, x, active, closed)
+        onset = None
+        if change.delay(self.system):
+            x, onset = self.soft_impact(change, before.x)
+            after, on_stop = Ensemble(x, before.since), onset.x
+            if before.others:
+                others = [self.soft_impact(change, other)[0] for other in before.replicas[1:]]
+                after = Ensemble.of(np.array([x, *others]))
+        else:
+            x = on_stop = self.impact(before.x, active, closed)
+            after = Ensemble(x, before.since)
+            if before.others:
+                after = self.impact_ensemble(before, x, active, closed)
         bound = prior.bound
         if bound is not None:
-            removed = self.energy_removed(before.x, x, active)
+            removed = self.energy_removed(before.x, on_stop, active)
             bound = None if removed is None else bound - removed
-        return self._checked(Belief(after, None, bound, prior.inconsistent))
+        return self._checked(Belief(after, None, bound, prior.inconsistent, onset=onset))
+
+    def soft_impact(self, change: ContactChange, x: Vector) -> tuple[Vector, Onset]:
+        """One replica through an impact that lasts: positions jump at its onset, velocities later.
+
+        Args:
+            change: the impact, whose ``delay`` is positive.
+            x: the state (q-, u-) at the onset, shape (2n,).
+
+        Returns:
+            The state after the jump of the velocities, carried back to the onset as if there had
+            been none, shape (2n,); and the state before it.
+        """
+        n, late, active = self.system.n, change.delay(self.system), change.active
+        on_stop = np.concatenate([self.impact(x, active, ())[:n], x[n:]])
+        before = self.moving.moved(change.t, on_stop, late, ())[0]
+        same = np.concatenate([on_stop[:n], before[n:]])
+        after = np.concatenate([before[:n], self.impact(same, active, ())[n:]])
+        back = self.moving.moved(change.t + late, after, -late, ())[0]
+        return back, Onset(on_stop, late)
 
     def impact_ensemble(
         self, before: Ensemble, x: Vector, active: Contacts, closed: Contacts

@@ -1,8 +1,10 @@
 """Geometric constraints, and those that hold for every plant: no gap is ever negative."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from impact_observer.dynamics import Motion
 from impact_observer.dynamics.contact.complementarity import complementary
@@ -15,6 +17,9 @@ from impact_observer.model import System
 from impact_observer.observer.belief import Belief
 from impact_observer.observer.laws.geometric import Geometric
 from impact_observer.states import Vector
+
+_STEPS, _MOST_STEPS = 8, 1024
+"""In a contact time, to find where a contact reopens; most of them before it counts as lost."""
 
 
 class Unilateral(Geometric):
@@ -36,6 +41,8 @@ class Unilateral(Geometric):
         super().__init__(system, uncertainty)
         self._sweeping = SweepingProcess(self._clutches)
         self._unilateral = self._sweeping.projection
+        lasts = system.contact_time.tolist()
+        self._lasts: list[float] = lasts if any(lasts) else []
 
     def admissible(self, x: Vector) -> Vector:
         """The nearest state without a negative gap."""
@@ -51,7 +58,14 @@ class Unilateral(Geometric):
 
     def motion(self, t: float, x: Vector, closed: Contacts) -> Motion:
         """Sprag clutches whose gaps stay closed; the other gaps never turn negative."""
+        inside = self._inside(x) if self._lasts and not closed else ()
+        if inside:
+            return _Reopening(self._sweeping, t, x, inside, float(np.max(self._lasts)))
         return self._sweeping.motion(t, x, closed)
+
+    def _inside(self, x: Vector) -> Contacts:
+        """Contacts within their stops: after an impact that lasts, until they have reopened."""
+        return tuple(i for i in self.system.penetrated(x[: self.system.n]) if self._lasts[i])
 
     def correct(self, change: ContactChange, prior: Belief) -> Belief:
         """Every replica after its own impact, or projected where contacts open."""
@@ -99,3 +113,38 @@ class Unilateral(Geometric):
         if impulses is None:  # dependent contacts, and rounding
             return u
         return np.asarray(u - phases.unwhite(B @ impulses))
+
+
+class _Reopening:
+    """A motion whose gaps are never negative, but for some that are until they have reopened."""
+
+    def __init__(
+        self, process: SweepingProcess, t: float, x: Vector, inside: Contacts, lasts: float
+    ) -> None:
+        self.t = t
+        self._first = process.motion(t, x, (), without=inside)
+        system, n = process.clutches.system, process.clutches.system.n
+
+        def deepest(s: float) -> float:
+            return float(np.min(system.gap(self._first.state(s)[:n])[list(inside)]))
+
+        steps = (k * lasts / _STEPS for k in range(1, _MOST_STEPS))
+        self._over = next((s for s in steps if deepest(s) >= 0), np.inf)
+        if self._over < np.inf:
+            self._over = _from_zero(deepest, self._over - lasts / _STEPS, self._over)
+            self._then = process.motion(t + self._over, self._first.state(self._over), ())
+
+    def state(self, s: float, /) -> Vector:
+        """The state (q, u), shape (2n,), after ``s`` seconds."""
+        return self._first.state(s) if s < self._over else self._then.state(s - self._over)
+
+    def states(self, s: NDArray[np.float64], /) -> NDArray[np.float64]:
+        """``state`` at each of ``s`` seconds, shape (samples, 2n)."""
+        return np.array([self.state(at) for at in s.tolist()]).reshape(s.size, -1)
+
+
+def _from_zero(gap: Callable[[float], float], low: float, high: float) -> float:
+    """Where a gap that is negative at ``low`` and not at ``high`` is not any more, s."""
+    while low < (middle := (low + high) / 2) < high:
+        low, high = (middle, high) if gap(middle) < 0 else (low, middle)
+    return high
